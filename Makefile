@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+# `make learn` and `make test` do all their own set-up, once, in .venv. Asked of you: Python 3.10-3.13.
+
+PYTHON ?= python3
+ARGS ?=
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/ready
+
+# ROS stays on this machine unless you say otherwise.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# The rclpy wheels note here that their libraries are on the path: true of this .venv only.
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+# A sourced ROS 2 Jazzy brings its own rclpy, NumPy 1 and Pinocchio; a plain machine gets all from PyPI.
+ifeq ($(ROS_DISTRO),jazzy)
+VENV_FLAGS := --system-site-packages
+EXTRAS := sim,dev
+CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
+else
+VENV_FLAGS :=
+EXTRAS := plain,sim,dev
+CONSTRAIN = : > $(VENV)/constraints.txt
+endif
+
+.PHONY: help learn test lint format venv clean
+
+help:
+	@echo 'make learn [ARGS="--seed 3"]   the arm learns to flip a pancake, in simulation'
+	@echo 'make test  [ARGS="-k power"]   the tests'
+	@echo 'make lint                      ruff: rules and format'
+	@echo 'make venv                      only the set-up'
+
+venv: $(READY)
+
+$(READY): requirements.txt setup.py setup.cfg
+	@$(PYTHON) -c 'import sys; v = sys.version_info; \
+	    sys.exit(None if (3, 10) <= v < (3, 14) else "Python 3.10 to 3.13 is needed, this is %d.%d: make PYTHON=python3.12 ..." % v[:2])'
+	rm -rf $(VENV)
+	$(PYTHON) -m venv $(VENV_FLAGS) $(VENV)
+	@$(CONSTRAIN)
+	$(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
+	@touch $@
+
+learn: $(READY)
+	$(BIN)/wam-power learn $(ARGS)
+
+test: $(READY)
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:
+	rm -rf $(VENV) build install log

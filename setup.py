@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Package for `colcon build` (ament_python) and for `pip install -e .` alike."""
+
+from pathlib import Path
+
+from setuptools import setup
+
+NAME = "wam_power_ros"
+
+
+def requirements() -> dict[str, list[str]]:
+    """Sections of requirements.txt: `# [name]: ...` and the lines below it."""
+    sections: dict[str, list[str]] = {}
+    for line in Path(__file__).with_name("requirements.txt").read_text().splitlines():
+        if line.startswith("# ["):
+            current = sections.setdefault(line[3 : line.index("]")], [])
+        elif line and not line.startswith("#"):
+            current.append(line)
+    return sections
+
+
+def shared(*folders: str) -> list[tuple[str, list[str]]]:
+    """Files of these folders, each to the same place under share/wam_power_ros."""
+    files = [path for folder in folders for path in sorted(Path(folder).rglob("*"))]
+    places: dict[str, list[str]] = {}
+    for path in files:
+        if path.is_file() and "__pycache__" not in path.parts:
+            places.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
+    return list(places.items())
+
+
+extras = requirements()
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Teach a torque-controlled arm a skill by hand; it practises and gets better by itself",
+    long_description=Path(__file__).with_name("README.md").read_text(),
+    long_description_content_type="text/markdown",
+    license="Apache-2.0",
+    maintainer="wam_power_ros maintainers",
+    maintainer_email="wam_power_ros@users.noreply.github.com",
+    python_requires=">=3.10,<3.14",
+    packages=[NAME, f"{NAME}.nodes", f"{NAME}.experiments", "hardware_sim"],
+    package_data={NAME: ["data/*.csv"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *shared("config", "launch", "urdf", "bags"),
+    ],
+    install_requires=extras.pop("core"),
+    extras_require=extras,
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            f"torque_controller = {NAME}.nodes.torque_controller:main",
+            f"demonstration_recorder = {NAME}.nodes.demonstration_recorder:main",
+            f"pancake_tracker = {NAME}.nodes.pancake_tracker:main",
+            f"learner = {NAME}.nodes.learner:main",
+            "wam_sim = hardware_sim.wam_node:main",
+            "optitrack_sim = hardware_sim.optitrack_node:main",
+            f"wam-power = {NAME}.cli:main",
+        ]
+    },
+)

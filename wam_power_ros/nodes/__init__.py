@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ROS nodes: message -> validated arrays -> one core call -> message."""
