@@ -1,2 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A torque-controlled arm is taught a skill by hand and gets better at it by practising."""
+"""Kinesthetic teaching and trial-and-error learning for a torque-controlled arm.
+
+A movement is a mixture of spring-dampers with full coordination matrices (Eq. 1), learnt by
+PoWER (Eqs. 2-3) from the returns of rollouts (Eqs. 4-5). Equation numbers are those of
+Kormushev, Calinon and Caldwell, "Robot Motor Skill Coordination with EM-based Reinforcement
+Learning", IROS 2010. Modules at the top level are the core: they import no rclpy, open no file,
+read no clock, and take their random generator as an argument.
+"""
+
+__version__ = "0.1.0"

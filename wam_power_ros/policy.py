@@ -1,0 +1,283 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A policy: everything needed to execute a movement, as data and as JSON text.
+
+The same text is saved on disk and published on `/policy`. Reading is strict: a key too many or
+too few, a number that is not finite, a wrong shape or a stiffness that is not positive definite
+is refused with a ValueError that names it. Floats survive the round trip bit for bit.
+"""
+
+import json
+import re
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+SCHEMA = "wam_power_ros/policy/1"
+SIZE_MAX = 1_000_000  # [byte] of JSON text
+COUNT_MAX = 200  # primitives
+JOINTS_MAX = 16
+DURATION_MAX = 60.0  # [s]
+STIFFNESS_MAX = 1e5  # [1/s^2] any element, translation or rotation
+DAMPING_MAX = 1e3  # [1/s] with 2 ms steps the damping is stable below 1000
+POSITION_MAX = 10.0  # [m]
+ANGLE_MAX = 30.0  # [rad]
+
+_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+
+
+def check_id(id: str) -> None:
+    """Refuse an id that could not be a file name or a word of a message.
+
+    Raises:
+        ValueError: The id does not match [A-Za-z0-9_.-]{1,64}.
+    """
+    if not isinstance(id, str) or not _ID.fullmatch(id):
+        shown = repr(id) if len(repr(id)) <= 100 else repr(id)[:100] + "..."
+        raise ValueError(f"id {shown} must match [A-Za-z0-9_.-]{{1,64}}")
+
+
+def read_only(name: str, value: Any, shape: tuple[int, ...], limit: float = np.inf) -> np.ndarray:
+    """A read-only float copy of an array, checked.
+
+    Args:
+        name: For the error.
+        value: Array or nested sequence.
+        shape: Wanted.
+        limit: Largest absolute value allowed.
+
+    Raises:
+        ValueError: Not numbers, another shape, not finite, or beyond the limit.
+    """
+    try:
+        array = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(f"{name} is not an array of numbers: {error}") from None
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; it must be {shape}")
+    bad = ~np.isfinite(array) | (np.abs(array) > limit)
+    if bad.any():
+        at = tuple(int(i) for i in np.argwhere(bad)[0])
+        rule = "finite" if limit == np.inf else f"finite and at most {limit} in size"
+        raise ValueError(f"{name}{list(at)} = {array[at]} must be {rule}")
+    array.setflags(write=False)
+    return array
+
+
+def _check_number(name: str, value: float, limit: float) -> float:
+    number = float(read_only(name, value, ()))
+    if not 0.0 < number <= limit:
+        raise ValueError(f"{name} = {number} must be in (0, {limit}]")
+    return number
+
+
+@dataclass(frozen=True)
+class Basis:
+    """Normalised Gaussians in time, h_i(t) of Eq. 1, with centres spread evenly over [0, duration].
+
+    Attributes:
+        count: Number of primitives.
+        duration: Of the movement [s].
+        variance: Of each Gaussian [s^2].
+
+    Raises:
+        ValueError: A value out of range.
+    """
+
+    count: int
+    duration: float
+    variance: float
+
+    def __post_init__(self) -> None:
+        if isinstance(self.count, bool) or not isinstance(self.count, int | np.integer):
+            raise ValueError(f"count = {self.count!r} must be an integer")
+        if not 1 <= self.count <= COUNT_MAX:
+            raise ValueError(f"count = {self.count} must be in 1..{COUNT_MAX}")
+        object.__setattr__(self, "count", int(self.count))
+        duration = _check_number("duration", self.duration, DURATION_MAX)
+        object.__setattr__(self, "duration", duration)
+        variance = _check_number("variance", self.variance, DURATION_MAX**2)
+        if variance < 1e-8:
+            raise ValueError(f"variance = {variance} must be at least 1e-8")
+        object.__setattr__(self, "variance", variance)
+
+    @property
+    def centres(self) -> np.ndarray:
+        """Centres of the Gaussians [s]. Shape (count,)."""
+        return np.linspace(0.0, self.duration, self.count)
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """Mixture of spring-dampers (Eq. 1) for the pan's position, with its orientation profile.
+
+    Arrays are copied and read-only. n is the number of primitives, nj of joints.
+
+    Attributes:
+        id: Name of the rollout it is meant for, [A-Za-z0-9_.-]{1,64}.
+        basis: h_i(t).
+        stiffness: Coordination matrices K_i [1/s^2], symmetric part positive definite.
+            Shape (n, 3, 3).
+        attractors: mu_i in the base frame [m]. Shape (n, 3).
+        damping: kappa_V [1/s].
+        orientation_reference: R_ref as unit xyzw. Shape (4,).
+        rotation_attractors: Rotation vectors r_i [rad] in the base frame, R = exp(r) R_ref.
+            Shape (n, 3).
+        rotation_stiffness: [1/s^2].
+        rotation_damping: [1/s].
+        q_start: Joint angles at the start of the demonstration [rad]. Shape (nj,).
+
+    Raises:
+        ValueError: Names the value and the rule.
+    """
+
+    id: str
+    basis: Basis
+    stiffness: np.ndarray
+    attractors: np.ndarray
+    damping: float
+    orientation_reference: np.ndarray
+    rotation_attractors: np.ndarray
+    rotation_stiffness: float
+    rotation_damping: float
+    q_start: np.ndarray
+
+    def __post_init__(self) -> None:
+        check_id(self.id)
+        if not isinstance(self.basis, Basis):
+            raise ValueError(f"basis = {self.basis!r} must be a Basis")
+        n = self.basis.count
+        for name, shape, limit in (
+            ("stiffness", (n, 3, 3), STIFFNESS_MAX),
+            ("attractors", (n, 3), POSITION_MAX),
+            ("orientation_reference", (4,), 1.0 + 1e-6),
+            ("rotation_attractors", (n, 3), ANGLE_MAX),
+            ("q_start", (np.size(self.q_start),), ANGLE_MAX),
+        ):
+            object.__setattr__(self, name, read_only(name, getattr(self, name), shape, limit))
+        for name, limit in (
+            ("damping", DAMPING_MAX),
+            ("rotation_stiffness", STIFFNESS_MAX),
+            ("rotation_damping", DAMPING_MAX),
+        ):
+            object.__setattr__(self, name, _check_number(name, getattr(self, name), limit))
+        if not 1 <= len(self.q_start) <= JOINTS_MAX:
+            raise ValueError(f"q_start has {len(self.q_start)} joints; 1..{JOINTS_MAX} allowed")
+        norm = float(np.linalg.norm(self.orientation_reference))
+        if abs(norm - 1.0) > 1e-6:
+            raise ValueError(f"orientation_reference has length {norm}; it must be 1")
+        symmetric = 0.5 * (self.stiffness + np.swapaxes(self.stiffness, 1, 2))
+        smallest = np.linalg.eigvalsh(symmetric)[:, 0]
+        if np.any(smallest <= 0.0):
+            i = int(np.argmin(smallest))
+            raise ValueError(
+                f"stiffness[{i}] has eigenvalue {smallest[i]} in its symmetric part; "
+                "it must be positive definite"
+            )
+
+
+def with_id(policy: Policy, id: str) -> Policy:
+    """The same policy under another id.
+
+    Raises:
+        ValueError: The id is not allowed.
+    """
+    return replace(policy, id=id)
+
+
+_Number = Annotated[float, Field(allow_inf_nan=False)]
+_Vector = Annotated[list[_Number], Field(min_length=3, max_length=3)]
+_Matrix = Annotated[list[_Vector], Field(min_length=3, max_length=3)]
+
+
+class _Text(BaseModel):
+    """The JSON text, key by key."""
+
+    model_config = ConfigDict(strict=True, extra="forbid")
+
+    schema_version: Literal["wam_power_ros/policy/1"] = Field(alias="schema")
+    id: str
+    count: int
+    duration: _Number
+    variance: _Number
+    stiffness: Annotated[list[_Matrix], Field(max_length=COUNT_MAX)]
+    attractors: Annotated[list[_Vector], Field(max_length=COUNT_MAX)]
+    damping: _Number
+    orientation_reference_xyzw: Annotated[list[_Number], Field(min_length=4, max_length=4)]
+    rotation_attractors: Annotated[list[_Vector], Field(max_length=COUNT_MAX)]
+    rotation_stiffness: _Number
+    rotation_damping: _Number
+    q_start: Annotated[list[_Number], Field(min_length=1, max_length=JOINTS_MAX)]
+
+
+def to_json(policy: Policy) -> str:
+    """The policy as one line of JSON, the same text for equal policies."""
+    return json.dumps(
+        {
+            "schema": SCHEMA,
+            "id": policy.id,
+            "count": policy.basis.count,
+            "duration": policy.basis.duration,
+            "variance": policy.basis.variance,
+            "stiffness": policy.stiffness.tolist(),
+            "attractors": policy.attractors.tolist(),
+            "damping": policy.damping,
+            "orientation_reference_xyzw": policy.orientation_reference.tolist(),
+            "rotation_attractors": policy.rotation_attractors.tolist(),
+            "rotation_stiffness": policy.rotation_stiffness,
+            "rotation_damping": policy.rotation_damping,
+            "q_start": policy.q_start.tolist(),
+        },
+        allow_nan=False,
+    )
+
+
+def from_json(text: str) -> Policy:
+    """The policy of a JSON text.
+
+    Args:
+        text: As `to_json` writes it; at most SIZE_MAX bytes.
+
+    Raises:
+        ValueError: Anything wrong with the text, named.
+    """
+    if not isinstance(text, str):
+        raise ValueError(f"a policy is JSON text, not {type(text).__name__}")
+    size = len(text.encode("utf-8", "surrogatepass"))
+    if size > SIZE_MAX:
+        raise ValueError(f"policy text has {size} bytes; at most {SIZE_MAX} allowed")
+    try:
+        data = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"policy text is not JSON: {error}") from None
+    try:
+        parsed = _Text.model_validate(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False, include_context=False)[0]
+        where = ".".join(str(part) for part in first["loc"]) or "text"
+        raise ValueError(f"policy text: {where}: {first['msg']}") from None
+    return Policy(
+        id=parsed.id,
+        basis=Basis(parsed.count, parsed.duration, parsed.variance),
+        stiffness=np.array(parsed.stiffness),
+        attractors=np.array(parsed.attractors),
+        damping=parsed.damping,
+        orientation_reference=np.array(parsed.orientation_reference_xyzw),
+        rotation_attractors=np.array(parsed.rotation_attractors),
+        rotation_stiffness=parsed.rotation_stiffness,
+        rotation_damping=parsed.rotation_damping,
+        q_start=np.array(parsed.q_start),
+    )
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    keys = [key for key, _ in pairs]
+    if len(set(keys)) != len(keys):
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"key {twice!r} appears twice")
+    return dict(pairs)
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a finite number")

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two trajectories of a finished rollout: of the pan, and of the pancake."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wam_power_ros.policy import check_id, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffectorPath:
+    """Pan frame in the base frame through one rollout.
+
+    Attributes:
+        id: Of the policy that was executed.
+        t: Strictly increasing [s] since the start of the rollout. Shape (T,), T >= 1.
+        position: Centre of the pan's floor [m]. Shape (T, 3).
+        quat_xyzw: Orientation, unit. Shape (T, 4).
+
+    Raises:
+        ValueError: A shape, a non-finite value, time going back, or a quaternion off unit length.
+    """
+
+    id: str
+    t: np.ndarray
+    position: np.ndarray
+    quat_xyzw: np.ndarray
+
+    def __post_init__(self) -> None:
+        _check_path(self)
+        if len(self.t) == 0:
+            raise ValueError(f"end-effector path {self.id} is empty; at least one pose is needed")
+
+
+@dataclass(frozen=True, eq=False)
+class PancakePath:
+    """Pancake in the base frame through one rollout, as motion capture saw it.
+
+    Attributes:
+        id: Of the policy that was executed.
+        t: Strictly increasing [s] since the start of the rollout; gaps where the view was lost.
+            Shape (M,); M may be 0.
+        position: Centre of the pancake [m]. Shape (M, 3).
+        quat_xyzw: Orientation, unit. Shape (M, 4).
+
+    Raises:
+        ValueError: A shape, a non-finite value, time going back, or a quaternion off unit length.
+    """
+
+    id: str
+    t: np.ndarray
+    position: np.ndarray
+    quat_xyzw: np.ndarray
+
+    def __post_init__(self) -> None:
+        _check_path(self)
+
+
+def _check_path(path: EndEffectorPath | PancakePath) -> None:
+    """Replace the arrays of a path by checked, read-only ones."""
+    check_id(path.id)
+    name = f"path {path.id}"
+    count = np.size(path.t)
+    object.__setattr__(path, "t", read_only(f"{name}: t", path.t, (count,)))
+    object.__setattr__(path, "position", read_only(f"{name}: position", path.position, (count, 3)))
+    object.__setattr__(
+        path, "quat_xyzw", read_only(f"{name}: quat_xyzw", path.quat_xyzw, (count, 4))
+    )
+    steps = np.diff(path.t)
+    if np.any(steps <= 0.0):
+        at = int(np.argmax(steps <= 0.0))
+        raise ValueError(
+            f"{name}: t[{at + 1}] = {path.t[at + 1]} follows {path.t[at]}; it must increase"
+        )
+    norms = np.linalg.norm(path.quat_xyzw, axis=1)
+    wrong = np.abs(norms - 1.0) > 1e-3
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        raise ValueError(f"{name}: quat_xyzw[{at}] has length {norms[at]}; it must be 1")
