@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures of the node tests: a private DDS domain a test, real processes that always end."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+T = TypeVar("T")
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def domain_id() -> Iterator[int]:
+    """A DDS domain nobody else on this machine uses, for as long as the test runs."""
+    domains = list(range(1, 102))  # above these, ports may meet those of other programs
+    random.shuffle(domains)
+    for domain in domains:
+        with (Path(tempfile.gettempdir()) / f"ros_domain_{domain}.lock").open("a") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            yield domain
+            return
+    pytest.fail("no free DDS domain")
+
+
+class Probe:
+    """A node of the test: publishes, listens and calls services, each wait with a deadline."""
+
+    def __init__(self, domain_id: int) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain_id)
+        self.node = rclpy.create_node("probe", context=self.context)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+        self._clients: dict[str, Any] = {}
+
+    def listen(self, message_type: type, topic: str, qos: QoSProfile) -> list[Any]:
+        """Subscribe; the list grows by every message that comes in."""
+        received: list[Any] = []
+        self.node.create_subscription(message_type, topic, received.append, qos)
+        return received
+
+    def publisher(
+        self, message_type: type, topic: str, qos: QoSProfile, readers: int = 1
+    ) -> Publisher:
+        """A publisher, once `readers` subscriptions have been matched."""
+        publisher = self.node.create_publisher(message_type, topic, qos)
+        self.until(lambda: publisher.get_subscription_count() >= readers, f"readers of {topic}")
+        return publisher
+
+    def spin(self, seconds: float) -> None:
+        """Dispatch callbacks for a while [s of wall time]."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=left)
+
+    def until(self, condition: Callable[[], T], what: str, deadline: float = 20.0) -> T:
+        """Dispatch callbacks until `condition()` is true, fail after `deadline` [s]."""
+        end = time.monotonic() + deadline
+        while not (result := condition()):
+            if time.monotonic() > end:
+                pytest.fail(f"not within {deadline} s: {what}")
+            self._executor.spin_once(timeout_sec=0.02)
+        return result
+
+    def begin(self, service_type: type, name: str, request: object = None) -> Future:
+        """Call a service and return the future of its response."""
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self.node.create_client(service_type, name)
+        self.until(client.service_is_ready, f"service {name}")
+        return client.call_async(service_type.Request() if request is None else request)
+
+    def call(
+        self, service_type: type, name: str, request: object = None, deadline: float = 20.0
+    ) -> Any:  # noqa: ANN401 (each service has its own type)
+        """Call a service and wait for its response."""
+        future = self.begin(service_type, name, request)
+        self.until(future.done, f"answer of {name}", deadline)
+        return future.result()
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def probe(domain_id: int) -> Iterator[Probe]:
+    """A test's own node in its private domain."""
+    probe = Probe(domain_id)
+    yield probe
+    probe.close()
+
+
+class Processes:
+    """Starts node processes in the private domain of the test, with their output in files."""
+
+    def __init__(self, domain_id: int, folder: Path) -> None:
+        self._folder = folder
+        self._environment = os.environ | {
+            "ROS_DOMAIN_ID": str(domain_id),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+            "PYTHONUNBUFFERED": "1",
+        }
+        self.started: list[tuple[subprocess.Popen[bytes], Path]] = []
+
+    def node(
+        self, module: str, config: str | Path | None = None, **parameters: object
+    ) -> subprocess.Popen[bytes]:
+        """Start `python -m module` with a parameter file of `config/` and overrides."""
+        command = [sys.executable, "-m", module, "--ros-args"]
+        if config is not None:
+            command += ["--params-file", str(ROOT / "config" / config)]
+        for name, value in parameters.items():
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            command += ["-p", f"{name}:={text}"]
+        return self.start(command)
+
+    def start(self, command: list[str], **environment: str) -> subprocess.Popen[bytes]:
+        """Start a command in the repository's folder."""
+        log = self._folder / f"process_{len(self.started)}.log"
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                command,
+                cwd=ROOT,
+                env=self._environment | environment,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+        self.started.append((process, log))
+        return process
+
+    def output(self, process: subprocess.Popen[bytes]) -> str:
+        """What a process has printed."""
+        return next(log for other, log in self.started if other is process).read_text()
+
+    def end(self, process: subprocess.Popen[bytes], how: int = signal.SIGINT) -> int:
+        """Signal a process, wait for it, and return its exit status."""
+        if process.poll() is None:
+            process.send_signal(how)
+        try:
+            return process.wait(10.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return process.wait(10.0)
+
+    def close(self) -> None:
+        """End everything and show what it printed (pytest prints this for a failed test)."""
+        for process, _ in reversed(self.started):
+            self.end(process)
+        for process, log in self.started:
+            name = " ".join(process.args[1:5])
+            sys.stdout.write(f"--- {name}: {process.returncode}\n{log.read_text()}\n")
+
+
+@pytest.fixture
+def processes(domain_id: int, tmp_path: Path) -> Iterator[Processes]:
+    """Node processes of a test, all ended after it."""
+    processes = Processes(domain_id, tmp_path)
+    yield processes
+    processes.close()

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names, QoS and message <-> array conversion: the ROS edge is here and nowhere else.
+
+Every conversion out of a message validates it whole and raises `ValueError` naming the value and
+the rule; a caller at the edge drops the message, counts it and warns. Stamps are `int` nanoseconds,
+quaternions xyzw, all else SI.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from wam_power_ros.messages import PoseReading as PoseReading
+from wam_power_ros.messages import StateReading as StateReading
+from wam_power_ros.messages import diagnostics as diagnostics
+from wam_power_ros.messages import markers as markers
+from wam_power_ros.messages import markers_message as markers_message
+from wam_power_ros.messages import nanoseconds as nanoseconds
+from wam_power_ros.messages import odometry as odometry
+from wam_power_ros.messages import odometry_message as odometry_message
+from wam_power_ros.messages import path as path
+from wam_power_ros.messages import path_message as path_message
+from wam_power_ros.messages import pose as pose
+from wam_power_ros.messages import pose_message as pose_message
+from wam_power_ros.messages import sensor_stamp as sensor_stamp
+from wam_power_ros.messages import stamp as stamp
+
+# Topics
+JOINT_STATES = "/joint_states"
+EFFORT_COMMANDS = "/effort_controller/commands"
+PANCAKE_POSE = "/pancake/pose"
+MARKERS = "/pointCloud"
+PANCAKE_STATE = "/pancake/state"
+PANCAKE_TRUTH = "/pancake/truth"  # stand-in only: logged, never learnt from
+POLICY = "/policy"
+ROLLOUT_END_EFFECTOR = "/rollout/end_effector"
+ROLLOUT_PANCAKE = "/rollout/pancake"
+ROBOT_DESCRIPTION = "/robot_description"
+DIAGNOSTICS = "/diagnostics"
+CLOCK = "/clock"
+
+# Services
+EXECUTE = "/rollout/execute"
+STOP = "/controller/stop"
+RESET = "/controller/reset"
+MOVE_TO_START = "/controller/move_to_start"
+GRAVITY_COMPENSATION = "/controller/gravity_compensation"
+RECORD = "/recorder/record"
+WAM_GRAVITY_COMPENSATE = "/wam/gravityCompensate"
+WAM_HOLD = "/wam/holdJointPosition"
+WAM_MOVE_HOME = "/wam/moveHome"
+WAM_IDLE = "/wam/idle"
+PANCAKE_RESET = "/pancake/reset"  # stand-in only
+HAND_DEMONSTRATE = "/hand/demonstrate"  # stand-in only
+
+# Frames
+BASE_FRAME = "wam_base"
+MOCAP_FRAME = "world"
+PANCAKE_FRAME = "pancake"
+
+
+def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE") -> QoSProfile:
+    return QoSProfile(
+        depth=depth,
+        reliability=ReliabilityPolicy[reliability],
+        durability=DurabilityPolicy[durability],
+    )
+
+
+# QoS: publish reliable, subscribe best effort, except what is latched
+STATE_OUT = _qos(10)
+STATE_IN = _qos(10, "BEST_EFFORT")
+STATE_RECORD = _qos(4000, "BEST_AVAILABLE")  # a recorder may fall behind, it may not lose
+COMMAND = _qos(1)
+MOCAP_OUT = _qos(10)
+MOCAP_IN = _qos(5, "BEST_EFFORT")
+LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
+DIAGNOSTICS_QOS = _qos(10)
+CLOCK_QOS = _qos(1, "BEST_EFFORT")
+
+
+# Joint states
+
+
+class JointReading(NamedTuple):
+    """One joint state, in the order of our joints."""
+
+    stamp_ns: int
+    q: np.ndarray  # (nj,) [rad]
+    qd: np.ndarray | None  # (nj,) [rad/s], None when the driver does not say
+
+
+class JointStateReader:
+    """JointState -> arrays in the order of `joint_names`, matched by name, others ignored."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        if not joint_names or len(set(joint_names)) != len(joint_names):
+            raise ValueError(f"joint_names {list(joint_names)} must be distinct and not empty")
+        self.joint_names = tuple(joint_names)
+        self._seen: list[str] | None = None  # names of the last good message
+        self._index = np.empty(0, dtype=np.intp)  # (nj,) our joints in that message
+
+    def __call__(self, message: JointState) -> JointReading | None:
+        """Read one message.
+
+        Returns:
+            The reading, or None when the message holds none of our joints (another device's).
+
+        Raises:
+            ValueError: some of our joints missing or doubled, a length or a value not acceptable.
+        """
+        names = message.name
+        if names != self._seen:
+            index = self._lookup(names)
+            if index is None:
+                return None
+            self._seen, self._index = list(names), index
+        q = _joint_values("position", message.position, len(names))[self._index]
+        if not math.isfinite(q.sum()):
+            raise ValueError(f"position {q.tolist()} must be finite")
+        qd = None
+        if len(message.velocity):
+            qd = _joint_values("velocity", message.velocity, len(names))[self._index]
+            total = qd.sum()
+            if not math.isfinite(total):
+                if np.isinf(qd).any():
+                    raise ValueError(f"velocity {qd.tolist()} must be finite, NaN or left out")
+                qd = None
+        return JointReading(sensor_stamp(message), q, qd)
+
+    def velocity(self, message: JointState) -> np.ndarray | None:
+        """Joint velocities from a message of their own; nameless ones count in our order.
+
+        Returns:
+            Velocities (nj,) [rad/s], or None when the message holds none of our joints.
+
+        Raises:
+            ValueError: as for a joint state.
+        """
+        names = message.name
+        if not names:
+            qd = _joint_values("velocity", message.velocity, len(self.joint_names))
+        else:
+            index = self._lookup(names)
+            if index is None:
+                return None
+            qd = _joint_values("velocity", message.velocity, len(names))[index]
+        if not math.isfinite(qd.sum()):
+            raise ValueError(f"velocity {qd.tolist()} must be finite")
+        return qd
+
+    def _lookup(self, names: Sequence[str]) -> np.ndarray | None:
+        place = {name: i for i, name in enumerate(names)}
+        missing = [name for name in self.joint_names if name not in place]
+        if len(missing) == len(self.joint_names):
+            return None
+        if missing:
+            raise ValueError(f"joints {missing} missing in names {list(names)}")
+        if len(place) != len(names):
+            raise ValueError(f"names {list(names)} must be distinct")
+        return np.array([place[name] for name in self.joint_names], dtype=np.intp)
+
+
+def _joint_values(field: str, values: array, length: int) -> np.ndarray:
+    if len(values) != length:
+        raise ValueError(f"{field} has {len(values)} values for {length} joints")
+    return np.frombuffer(values) if isinstance(values, array) else np.array(values, dtype=float)
+
+
+class JointStateWriter:
+    """Arrays -> JointState; one message is made once and filled again and again."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        self._message = JointState(name=list(joint_names))
+
+    def __call__(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, frame: str = ""
+    ) -> JointState:
+        """Fill the message: q (nj,) [rad], qd (nj,) [rad/s], tau (nj,) [N m]; empty leaves out."""
+        message = self._message
+        message.header.stamp = stamp(stamp_ns)
+        message.header.frame_id = frame
+        message.position = array("d", q)
+        message.velocity = array("d", qd)
+        message.effort = array("d", tau)
+        return message
+
+
+# Torques
+
+
+class TorqueReading(NamedTuple):
+    """One torque command and the state it answers."""
+
+    stamp_ns: int | None  # None when the sender does not label its commands
+    label: str
+    tau: np.ndarray  # (nj,) [N m]
+
+
+class TorqueWriter:
+    """Torques -> command message, labelled in-band with the state they answer.
+
+    A Float64MultiArray carries "<stamp_ns> <label>" in `layout.dim[0].label`, a JointState the
+    stamp in its header and the label as frame_id. Real drivers read neither.
+    """
+
+    def __init__(self, joint_names: Sequence[str], command_type: str) -> None:
+        if command_type not in COMMAND_TYPES:
+            raise ValueError(f"command_type {command_type!r} must be one of {list(COMMAND_TYPES)}")
+        self.message_type = COMMAND_TYPES[command_type]
+        self._states = JointStateWriter(joint_names) if command_type == "joint_state" else None
+        size = len(joint_names)
+        self._dimension = MultiArrayDimension(size=size, stride=size)
+        self._message = Float64MultiArray()
+        self._message.layout.dim = [self._dimension]
+
+    def __call__(
+        self, stamp_ns: int, label: str, tau: np.ndarray
+    ) -> Float64MultiArray | JointState:
+        """Fill the message with tau (nj,) [N m]; it is the same object every time."""
+        if self._states is not None:
+            return self._states(stamp_ns, (), (), tau, frame=label)
+        self._dimension.label = f"{stamp_ns} {label}"
+        self._message.data = array("d", tau)
+        return self._message
+
+
+COMMAND_TYPES = {"multiarray": Float64MultiArray, "joint_state": JointState}
+
+
+def torque(message: Float64MultiArray | JointState, joint_names: Sequence[str]) -> TorqueReading:
+    """Read a torque command as a driver does.
+
+    Raises:
+        ValueError: wrong length or names, or a value that is not finite.
+    """
+    if isinstance(message, JointState):
+        if message.name != list(joint_names):
+            raise ValueError(f"names {message.name} must be {list(joint_names)}")
+        values, label = message.effort, message.header.frame_id
+        answered = nanoseconds(message.header.stamp) or None
+    else:
+        values = message.data
+        number, _, label = (message.layout.dim[0].label if message.layout.dim else "").partition(
+            " "
+        )
+        answered = int(number) if number.isascii() and number.isdigit() else None
+    tau = _joint_values("torque", values, len(joint_names)).copy()
+    if not math.isfinite(tau.sum()):
+        raise ValueError(f"torque {tau.tolist()} must be finite")
+    return TorqueReading(answered, label, tau)

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a node: executor with a self-test, real-time scheduling where allowed, clean end."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import get_logger
+from rclpy.node import Node
+
+MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
+
+
+@dataclass(frozen=True)
+class Granted:
+    """What the machine allowed; each text is "granted" or the reason why not."""
+
+    scheduling: str = "not asked for"
+    memory: str = "not asked for"
+
+    @property
+    def complete(self) -> bool:
+        """Whether scheduling and memory are as a 500 Hz loop wants them."""
+        return self.scheduling == self.memory == "granted"
+
+
+def request(priority: int) -> Granted:
+    """Ask for SCHED_FIFO in every thread of the process, locked memory and a frozen heap.
+
+    Args:
+        priority: real-time priority, 1 to 99; 0 asks for nothing.
+
+    Returns:
+        What was granted; nothing is raised when the machine says no.
+    """
+    if priority == 0:
+        return Granted()
+    gc.collect()
+    gc.freeze()  # what was built at start is never walked again
+    return Granted(_schedule(priority), _lock_memory())
+
+
+def _schedule(priority: int) -> str:
+    if not hasattr(os, "sched_setscheduler"):
+        return "not Linux"
+    try:  # threads made later inherit from the one that makes them
+        for thread in Path("/proc/self/task").iterdir():
+            os.sched_setscheduler(int(thread.name), os.SCHED_FIFO, os.sched_param(priority))
+    except (OSError, ValueError) as error:
+        return f"refused: {error}; allow rtprio in /etc/security/limits.d"
+    return "granted"
+
+
+def _lock_memory() -> str:
+    libc = ctypes.CDLL(None, use_errno=True)
+    if not hasattr(libc, "mlockall"):
+        return "not Linux"
+    if libc.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) != 0:
+        reason = os.strerror(ctypes.get_errno())
+        return f"refused: {reason}; allow memlock in /etc/security/limits.d"
+    return "granted"
+
+
+def executor_for(node: Node, patience: float = 1.0) -> Executor:
+    """The events executor if it calls a timer of `node` within `patience` [s], else the plain one.
+
+    The events executor needs half the CPU of the plain one; some builds of it dispatch nothing.
+    """
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        executor = EventsExecutor()
+    except ImportError:
+        return _plain(node, "is not in this rclpy")
+    executor.add_node(node)
+    called: list[bool] = []
+    steady = Clock(clock_type=ClockType.STEADY_TIME)
+    timer = node.create_timer(1e-3, lambda: called.append(True), clock=steady)
+    start = steady.now()
+    while not called and (steady.now() - start).nanoseconds < patience * 1e9:
+        executor.spin_once(timeout_sec=0.05)
+    node.destroy_timer(timer)
+    if called:
+        return executor
+    executor.remove_node(node)
+    return _plain(node, "dispatched nothing in its self-test")
+
+
+def _plain(node: Node, reason: str) -> Executor:
+    node.get_logger().warning(f"events executor {reason}; using the single-threaded one")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    return executor
+
+
+def spin(node: Node) -> None:
+    """Dispatch the callbacks of `node` until its context is shut down (SIGINT, SIGTERM)."""
+    executor = executor_for(node)
+    while rclpy.ok():  # not executor.spin(): it hangs in these builds
+        executor.spin_once(timeout_sec=0.5)
+
+
+def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
+    """The body of every node's `main`.
+
+    Args:
+        make_node: makes the node; a `ValueError` from it is a configuration that is not acceptable.
+        args: command line, that of the process if None.
+
+    Returns:
+        Exit status: 0 after a signal, 2 when the configuration was refused.
+    """
+    rclpy.init(args=args)
+    node = None
+    try:
+        node = make_node()
+        spin(node)
+    except ValueError as error:
+        if node is not None:
+            raise
+        get_logger("wam_power_ros").fatal(str(error))
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if node is not None and hasattr(node, "close"):
+            node.close()  # finish files, send the last command
+        rclpy.try_shutdown()
+    return 0
