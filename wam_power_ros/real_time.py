@@ -6,6 +6,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 
@@ -101,28 +103,37 @@ def _plain(node: Node, reason: str) -> Executor:
     return executor
 
 
-def spin(node: Node) -> None:
-    """Dispatch the callbacks of `node` until its context is shut down (SIGINT, SIGTERM)."""
+def spin(node: Node, ended: Callable[[], bool]) -> None:
+    """Dispatch the callbacks of `node` until `ended()`, asked at least every 0.2 s."""
     executor = executor_for(node)
-    while rclpy.ok():  # not executor.spin(): it hangs in these builds
-        executor.spin_once(timeout_sec=0.5)
+    while not ended() and rclpy.ok():  # not executor.spin(): it hangs in these builds
+        executor.spin_once(timeout_sec=0.2)
 
 
-def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int:
-    """The body of every node's `main`.
+def run(
+    make_node: Callable[[], Node],
+    args: Sequence[str] | None = None,
+    spin: Callable[[Node, Callable[[], bool]], None] = spin,
+) -> int:
+    """The body of every node's `main`; SIGINT and SIGTERM end it with the node still able to send.
 
     Args:
-        make_node: makes the node; a `ValueError` from it is a configuration that is not acceptable.
-        args: command line, that of the process if None.
+        make_node: Makes the node; a `ValueError` from it is a configuration that is not acceptable.
+            A method `close` of the node is called at the end: finish files, send the last command.
+        args: Command line, that of the process if None.
+        spin: Dispatches callbacks until the function it is given returns True.
 
     Returns:
         Exit status: 0 after a signal, 2 when the configuration was refused.
     """
-    rclpy.init(args=args)
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _: signals.append(received))
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
         node = make_node()
-        spin(node)
+        spin(node, lambda: bool(signals))
     except ValueError as error:
         if node is not None:
             raise
@@ -131,7 +142,7 @@ def run(make_node: Callable[[], Node], args: Sequence[str] | None = None) -> int
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        if node is not None and hasattr(node, "close"):
-            node.close()  # finish files, send the last command
+        if hasattr(node, "close"):
+            node.close()
         rclpy.try_shutdown()
     return 0
