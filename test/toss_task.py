@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A toss without physics, for tests of the learner: a demonstrated policy, and how a trial ends."""
+
+import math
+import zlib
+
+import numpy as np
+
+from wam_power_ros.policy import Basis, Policy
+from wam_power_ros.practice import Assessment, PracticeSettings, Trial
+
+
+def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> Policy:
+    """A policy with coupled, asymmetric stiffness matrices; like one fitted to a demonstration."""
+    rng = np.random.default_rng(seed)
+    raw = rng.normal(size=(count, 3, 3))
+    vectors = np.linalg.qr(raw)[0]
+    values = rng.uniform(150.0, 500.0, size=(count, 3))
+    stiffness = np.einsum("nij,nj,nkj->nik", vectors, values, vectors)
+    skew = rng.normal(scale=10.0, size=(count, 3, 3))
+    return Policy(
+        id=id,
+        basis=Basis(count, 0.85, 0.0028),
+        stiffness=stiffness + 0.5 * (skew - np.swapaxes(skew, 1, 2)),
+        attractors=rng.normal(scale=0.05, size=(count, 3)) + [0.6, 0.0, 0.5],
+        damping=32.0,
+        orientation_reference=np.array([0.0, 0.0, 0.0, 1.0]),
+        rotation_attractors=rng.normal(scale=0.2, size=(count, 3)),
+        rotation_stiffness=400.0,
+        rotation_damping=36.0,
+        q_start=np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0]),
+    )
+
+
+def toss(trial: Trial, settings: PracticeSettings, noise: float = 0.1) -> Assessment:
+    """Outcome of a trial: a function of its id and policy alone, like one of the stand-in.
+
+    Turning grows along one direction of z and landing moves away with it; the catch shift (or the
+    last attractor) brings the pan under the pancake again.
+    """
+    rng = np.random.default_rng(zlib.crc32(trial.id.encode()))
+    z = trial.z
+    along = np.sin(np.arange(len(z)) + 1.0) / math.sqrt(len(z))
+    along[-1] = 0.0
+    strength = float(along @ z)
+    angle = 1.6 + 0.5 * strength + 0.3 * noise * rng.normal()
+    error = 0.12 + 0.05 * strength - 0.016 * z[-1] + 0.1 * noise * rng.normal()
+    caught = abs(error) < 0.05 and angle > 1.2
+    flipped = math.pi / 2 < angle < 1.5 * math.pi
+    rotation = max(0.0, 1.0 - abs(angle - math.pi) / math.pi)
+    terms = {"rotation": 0.5 * rotation, "landing": 0.5 * rotation**2 * math.exp(-abs(error) / 0.3)}
+    flight = {
+        "tossed": True,
+        "seen": True,
+        "angle": angle,
+        "apex": 0.4,
+        "landing_error": [error, 0.0, 0.0],
+        "resting": caught,
+        "flipped": flipped,
+    }
+    ret = sum(terms.values())
+    success = ret >= settings.success_return and (
+        settings.success_angle == 0.0 or (caught and flipped and angle >= settings.success_angle)
+    )
+    return Assessment(ret, terms, flight, success)
