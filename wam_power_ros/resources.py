@@ -2,8 +2,8 @@
 """Where the files that are not Python live: `config/`, `urdf/`, `launch/`, `bags/`.
 
 They stand beside the package in a checkout and under `<prefix>/share/wam_power_ros` once installed
-(colcon, pip). Both are found from the running module itself, so code and data are always of the same
-copy, whatever other workspaces are sourced.
+(colcon, pip). Both are found from the running module itself, so code and data are always of the
+same copy, whatever other workspaces are sourced.
 """
 
 from pathlib import Path

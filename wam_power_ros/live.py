@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a session shows while it runs: its rollouts as a table that grows, line by line in a log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from types import TracebackType
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from wam_power_ros.practice import Record
+
+SHOWN = 14  # newest rollouts in the table
+BARS = "▁▂▃▄▅▆▇█"
+STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
+
+
+def outcome(record: Record) -> str:
+    """What became of the pancake, by the tracker's view, in words."""
+    if record.fault:
+        return f"fault: {record.fault}"
+    flight = record.flight
+    if flight is None:
+        return record.why or "not seen"
+    caught = "caught" if flight.get("resting") else "dropped"
+    if not flight.get("tossed"):
+        return "not tossed" if flight.get("resting") else "not tossed, dropped"
+    return f"flipped, {caught}" if flight.get("flipped") else caught
+
+
+def angle(record: Record) -> float | None:
+    """How far the pancake had turned at t_f [degree], None when that is not known."""
+    turned = (record.flight or {}).get("angle")
+    return None if turned is None else abs(math.degrees(turned))
+
+
+def spark(values: Sequence[float], width: int = 60) -> str:
+    """The last `width` values as a row of bars from 0 to the largest."""
+    top = max(values, default=0.0)
+    shown = values[-width:]
+    return "".join(BARS[round((len(BARS) - 1) * v / top)] if top > 0 else BARS[0] for v in shown)
+
+
+def rollout_table(records: Sequence[Record], shown: int = SHOWN) -> Table:
+    """The newest rollouts: return and its terms, angle, outcome, best so far."""
+    terms = list(dict.fromkeys(term for record in records for term in record.terms))
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    table.add_column("rollout", justify="right")
+    table.add_column("kind")
+    for name in ["return", *terms, "angle", "best"]:
+        table.add_column(name, justify="right")
+    table.add_column("pancake", no_wrap=True)
+    best = 0.0
+    for place, record in enumerate(records):
+        better = record.ret is not None and record.ret > best
+        best = max(best, record.ret or 0.0)
+        if place < len(records) - shown:
+            continue
+        turned = angle(record)
+        table.add_row(
+            str(record.number),
+            Text(record.kind, style=STYLES.get(record.kind, "")),
+            Text(_number(record.ret, ".3f"), style="bold green" if better else ""),
+            *(_number(record.terms.get(term), ".3f") for term in terms),
+            _number(turned, ".0f", "°"),
+            f"{best:.3f}",
+            Text(outcome(record), style="green" if record.success else ""),
+        )
+    return table
+
+
+def summary(records: Sequence[Record]) -> str:
+    """A session in a few lines: rollouts, returns, successes, what was decided last."""
+    returns = [record.ret for record in records if record.ret is not None]
+    if not returns:
+        return f"{len(records)} rollouts, none of them usable"
+    best = max(records, key=lambda record: record.ret or 0.0)
+    lines = [
+        f"{len(records)} rollouts; return {returns[0]:.3f} at first, "
+        f"{sum(returns[-5:]) / len(returns[-5:]):.3f} over the last {len(returns[-5:])}, "
+        f"best {best.ret:.3f} in rollout {best.number} ({outcome(best)})"
+    ]
+    retests = [record for record in records if record.kind == "retest"]
+    if retests:
+        caught = sum(outcome(record) == "flipped, caught" for record in retests)
+        lines.append(f"re-tests of the answer: {caught} of {len(retests)} flipped and caught")
+        known = [record.truth for record in retests if record.truth]
+        if known:
+            true = sum(bool(t.get("caught") and t.get("flipped")) for t in known)
+            lines.append(f"  the simulator's own verdict: {true} of {len(known)}")
+    stopped = [record.note for record in records if record.note]
+    if stopped:
+        lines.append(f"last decision: {stopped[-1]}")
+    return "\n".join(lines)
+
+
+class Display:
+    """Shows records as they come: a live table on a terminal, one line each in a file."""
+
+    def __init__(self, budget: int, console: Console | None = None) -> None:
+        self.records: list[Record] = []
+        self._console = console or Console()
+        self._status = "starting"
+        self._progress = Progress(
+            TextColumn("{task.completed:.0f}/{task.total:.0f} rollouts"),
+            BarColumn(bar_width=40),
+            TimeElapsedColumn(),
+            TextColumn("{task.description}"),
+        )
+        self._task = self._progress.add_task("starting", total=budget)
+        self._live = Live(
+            self.render(),
+            console=self._console,
+            refresh_per_second=4,
+            transient=False,
+            get_renderable=self.render,
+        )
+
+    def __enter__(self) -> Display:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+
+    def status(self, text: str) -> None:
+        """Say what is going on."""
+        if text == self._status:
+            return
+        self._status = text
+        self._progress.update(self._task, description=text)
+        if not self._console.is_terminal:
+            self._console.print(text)
+
+    def add(self, record: Record) -> None:
+        """Show one more rollout."""
+        self.records.append(record)
+        self._progress.update(self._task, completed=len(self.records))
+        if not self._console.is_terminal:
+            terms = "  ".join(f"{n} {_number(v, '.3f')}" for n, v in record.terms.items())
+            self._console.print(
+                f"rollout {record.number:3d}  {record.kind:12s}  return "
+                f"{_number(record.ret, '.3f')}  ({terms})  angle "
+                f"{_number(angle(record), '.0f')} deg  {outcome(record)}",
+                highlight=False,
+                soft_wrap=True,
+            )
+            if record.note:
+                self._console.print(f"    {record.note}", highlight=False, soft_wrap=True)
+
+    def render(self) -> RenderableType:
+        """The table as it stands."""
+        returns = [record.ret for record in self.records if record.ret is not None]
+        notes = [record.note for record in self.records if record.note]
+        parts: list[RenderableType] = []
+        if self.records:
+            parts += [rollout_table(self.records), Text(spark(returns), style="green")]
+        if notes:
+            parts.append(Text(notes[-1], style="italic"))
+        return Group(*parts, self._progress)
+
+
+def _number(value: float | None, form: str, unit: str = "") -> str:
+    return "–" if value is None else f"{value:{form}}{unit}"

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes of one session as processes: started, watched, always ended.
+
+Each gets a process group of its own, so Ctrl-C in the terminal reaches the parent only, which ends
+them in order. Should the parent be killed, the kernel sends them SIGINT.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+PR_SET_PDEATHSIG = 1
+TAIL = 15  # lines of a log shown when a process dies
+
+
+class ProcessError(RuntimeError):
+    """A process ended that should not have; the message holds the end of its log."""
+
+
+@dataclass(frozen=True)
+class Running:
+    """A started process and where its output goes."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    @property
+    def tail(self) -> str:
+        """Last lines of the log."""
+        lines = self.log.read_text(errors="replace").splitlines()
+        return "\n".join(lines[-TAIL:]) or "(nothing was printed)"
+
+
+class Processes:
+    """Context manager of node processes; leaving it ends them all, last started first."""
+
+    def __init__(self, logs: Path, environment: Mapping[str, str]) -> None:
+        """Logs go to `logs`/<name>.log, appended; `environment` is added to this process's own."""
+        self._logs = logs
+        self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **environment}
+        self._running: list[Running] = []
+
+    def start(self, name: str, command: Sequence[str], stdout: int | None = None) -> Running:
+        """Start a command; with `stdout=subprocess.PIPE` only its stderr goes to the log."""
+        self._logs.mkdir(parents=True, exist_ok=True)
+        log = self._logs / f"{name}.log"
+        with log.open("ab") as output:
+            process = subprocess.Popen(
+                command,
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=output if stdout is None else stdout,
+                stderr=output,
+                start_new_session=True,
+                preexec_fn=_end_with_parent if sys.platform == "linux" else None,
+            )
+        self._running.append(Running(name, process, log))
+        return self._running[-1]
+
+    def check(self, but: Running | None = None) -> None:
+        """Raise when a process has ended, whatever its exit status.
+
+        Args:
+            but: The one that may end with status 0.
+
+        Raises:
+            ProcessError: With the name, the exit status and the end of the log.
+        """
+        for running in self._running:
+            status = running.process.poll()
+            if status is None or (running is but and status == 0):
+                continue
+            how = f"signal {-status}" if status < 0 else f"status {status}"
+            raise ProcessError(
+                f"{running.name} ended with {how}. End of {running.log}:\n{running.tail}"
+            )
+
+    def stop(self, patience: float = 8.0) -> None:
+        """End every process: SIGINT, after `patience` [s] SIGTERM, then SIGKILL."""
+        while self._running:
+            process = self._running.pop().process
+            for how in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+                if process.poll() is not None:
+                    break
+                process.send_signal(how)
+                try:
+                    process.wait(patience)
+                except subprocess.TimeoutExpired:
+                    continue
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+
+def _end_with_parent() -> None:
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+
+
+@contextmanager
+def private_domain() -> Iterator[int]:
+    """The DDS domain to work in: ROS_DOMAIN_ID if set, else one that is free on this machine.
+
+    A domain is taken by a lock on a file, which the kernel drops with the process.
+
+    Raises:
+        ProcessError: All are taken.
+    """
+    if os.environ.get("ROS_DOMAIN_ID"):
+        yield int(os.environ["ROS_DOMAIN_ID"])
+        return
+    domains = list(range(1, 102))  # above, its ports meet those the kernel hands out
+    random.SystemRandom().shuffle(domains)
+    for domain in domains:
+        with ExitStack() as held:
+            try:
+                path = Path(tempfile.gettempdir()) / f"ros_domain_{domain}.lock"
+                fcntl.flock(held.enter_context(path.open("a")), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:  # taken, or made by another user
+                continue
+            yield domain
+            return
+    raise ProcessError("every DDS domain from 1 to 101 is taken; set ROS_DOMAIN_ID yourself")

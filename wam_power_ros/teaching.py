@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A series of kinesthetic demonstrations: the arm is made weightless, each movement recorded.
+
+Out on standard output: one JSON line a demonstration, `{"demonstration": 1, "bag": "/path"}`.
+The hand is a person, who presses Enter, or the stand-in's.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+
+import rclpy
+from pydantic import Field
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros import interface
+from wam_power_ros.params import Params
+
+
+class TeachingParams(Params):
+    """Parameters of the series."""
+
+    demonstrations: int = Field(ge=1)
+    person: bool  # a person leads the arm; otherwise the stand-in's hand does
+    timeout: float = Field(gt=0.0)  # for a service to appear and to answer [s of wall time]
+
+
+class TeachingError(RuntimeError):
+    """The series cannot go on; the message says which service did what."""
+
+
+class Teaching(Node):
+    """Calls the services of controller, recorder and hand in turn."""
+
+    def __init__(self) -> None:
+        super().__init__("teaching", automatically_declare_parameters_from_overrides=True)
+        self.params = TeachingParams.of(self)
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self)
+
+    def teach(self) -> None:
+        """Record the series; the arm holds its position afterwards.
+
+        Raises:
+            TeachingError: A service does not appear, does not answer in time, or refuses.
+        """
+        self._call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        for number in range(1, self.params.demonstrations + 1):
+            self._ask(f"demonstration {number}: press Enter, then lead the arm")
+            self._call(SetBool, interface.RECORD, SetBool.Request(data=True))
+            if self.params.person:
+                self._ask("press Enter when the movement is over")
+            else:
+                self._call(Trigger, interface.HAND_DEMONSTRATE, Trigger.Request())
+            bag = self._call(SetBool, interface.RECORD, SetBool.Request(data=False))
+            sys.stdout.write(json.dumps({"demonstration": number, "bag": bag}) + "\n")
+            sys.stdout.flush()
+        self._call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+
+    def _ask(self, text: str) -> None:
+        if self.params.person:
+            sys.stderr.write(f"{text} ")
+            sys.stderr.flush()
+            if not sys.stdin.readline():
+                raise TeachingError("nobody is at the keyboard: standard input is closed")
+
+    def _call(self, kind: type, name: str, request: object) -> str:
+        """Message of a service that agreed.
+
+        A refusal is asked again until the time is up: a node that has just started may not have
+        seen a joint state yet.
+        """
+        end = time.monotonic() + self.params.timeout
+        client = self.create_client(kind, name)
+        try:
+            if not client.wait_for_service(self.params.timeout):
+                raise TeachingError(f"{name} did not appear in {self.params.timeout:.0f} s")
+            while True:
+                future = client.call_async(request)
+                left = max(end - time.monotonic(), 1.0)
+                self._executor.spin_until_future_complete(future, left)
+                if not future.done():
+                    raise TeachingError(f"{name} did not answer in {self.params.timeout:.0f} s")
+                if future.result().success:
+                    return str(future.result().message)
+                if time.monotonic() > end:
+                    raise TeachingError(f"{name} refused: {future.result().message}")
+                time.sleep(0.2)
+        finally:
+            self.destroy_client(client)
+
+
+def main() -> int:
+    """Entry point of `python -m wam_power_ros.teaching`."""
+    rclpy.init()
+    try:
+        Teaching().teach()
+    except (TeachingError, ValueError) as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return 130
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
