@@ -8,7 +8,6 @@ quaternions xyzw, all else SI.
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -124,13 +123,12 @@ class JointStateReader:
                 return None
             self._seen, self._index = list(names), index
         q = _joint_values("position", message.position, len(names))[self._index]
-        if not math.isfinite(q.sum()):
+        if not np.isfinite(q).all():
             raise ValueError(f"position {q.tolist()} must be finite")
         qd = None
         if len(message.velocity):
             qd = _joint_values("velocity", message.velocity, len(names))[self._index]
-            total = qd.sum()
-            if not math.isfinite(total):
+            if not np.isfinite(qd).all():
                 if np.isinf(qd).any():
                     raise ValueError(f"velocity {qd.tolist()} must be finite, NaN or left out")
                 qd = None
@@ -153,7 +151,7 @@ class JointStateReader:
             if index is None:
                 return None
             qd = _joint_values("velocity", message.velocity, len(names))[index]
-        if not math.isfinite(qd.sum()):
+        if not np.isfinite(qd).all():
             raise ValueError(f"velocity {qd.tolist()} must be finite")
         return qd
 
@@ -254,6 +252,6 @@ def torque(message: Float64MultiArray | JointState, joint_names: Sequence[str]) 
         )
         answered = int(number) if number.isascii() and number.isdigit() else None
     tau = _joint_values("torque", values, len(joint_names)).copy()
-    if not math.isfinite(tau.sum()):
+    if not np.isfinite(tau).all():
         raise ValueError(f"torque {tau.tolist()} must be finite")
     return TorqueReading(answered, label, tau)

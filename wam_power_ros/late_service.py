@@ -14,11 +14,7 @@ from std_srvs.srv import Trigger
 
 
 class LateTrigger:
-    """Calls `begin` on a request; a text it returns is a refusal, answered at once.
-
-    Attributes:
-        pending: Whether a request waits for `finish`.
-    """
+    """Calls `begin` on a request; a text it returns is a refusal, answered at once."""
 
     def __init__(self, node: Node, name: str, begin: Callable[[], str | None]) -> None:
         self._begin = begin
@@ -29,6 +25,7 @@ class LateTrigger:
 
     @property
     def pending(self) -> bool:
+        """Whether a request waits for `finish`."""
         return bool(self._headers)
 
     def finish(self, success: bool, text: str) -> None:
