@@ -8,6 +8,7 @@ is refused with a ValueError that names it. Floats survive the round trip bit fo
 
 import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -38,7 +39,12 @@ def check_id(id: str) -> None:
         raise ValueError(f"id {shown} must match [A-Za-z0-9_.-]{{1,64}}")
 
 
-def read_only(name: str, value: Any, shape: tuple[int, ...], limit: float = np.inf) -> np.ndarray:
+def read_only(
+    name: str,
+    value: np.ndarray | Sequence | float,
+    shape: tuple[int, ...],
+    limit: float = np.inf,
+) -> np.ndarray:
     """A read-only float copy of an array, checked.
 
     Args:
