@@ -42,13 +42,17 @@ def paper_table(name: str) -> np.ndarray:
 
 
 def learning_curve(
-    sessions: Sequence[np.ndarray], marks: Mapping[int, str] | None = None
+    sessions: Sequence[np.ndarray],
+    marks: Mapping[int, str] | None = None,
+    *,
+    paper: bool = True,
 ) -> Figure:
-    """Return over rollouts, with the paper's Fig. 5 behind it.
+    """Return over rollouts.
 
     Args:
         sessions: Returns of each session, NaN where a rollout was not usable. Shapes (n_k,).
         marks: Rollout number -> a word to be written above it, such as "first flip".
+        paper: Draw Fig. 5 of the paper behind it: returns must be those of Eq. 5.
 
     Returns:
         With several sessions their mean and standard deviation per rollout, else every rollout and
@@ -60,8 +64,9 @@ def learning_curve(
     if not sessions:
         raise ValueError("a learning curve needs at least one session")
     figure, axes = _figure(7.2, 3.8)
-    paper = paper_table("fig5")
-    axes.plot(*paper.T, color=PAPER, lw=1.2, label="paper, Fig. 5 (mean of 6 sessions)")
+    if paper:
+        mean_of_six = paper_table("fig5").T
+        axes.plot(*mean_of_six, color=PAPER, lw=1.2, label="paper, Fig. 5 (mean of 6 sessions)")
     longest = max(len(returns) for returns in sessions)
     stacked = np.full((len(sessions), longest), np.nan)
     for row, returns in zip(stacked, sessions, strict=True):
@@ -89,8 +94,9 @@ def learning_curve(
             fontsize=8,
             color=ACCENT,
         )
-    axes.set(xlabel="rollout", ylabel="return", ylim=(0.0, None))
-    axes.legend(loc="lower right")
+    axes.set(xlabel="rollout", ylabel="return")
+    _from_zero(axes)
+    _legend(axes)
     return figure
 
 
@@ -109,7 +115,7 @@ def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) 
         axes.bar(numbers, heights, bottom=bottom, width=0.85, color=color, label=name)
         bottom += heights
     axes.set(xlabel="rollout", ylabel="return")
-    axes.legend(loc="upper left", ncols=max(len(values), 1))
+    _legend(axes)
     return figure
 
 
@@ -153,10 +159,10 @@ def rollout(pan: EndEffectorPath, pancake: PancakePath, t_f: float | None = None
     if t_f is not None:
         height.axvline(t_f, color=ACCENT, lw=0.8, ls=":", label="$t_f$")
     side.set_aspect("equal", adjustable="datalim")
-    side.set(xlabel="x, outward [m]", ylabel="z, up [m]", title=f"{pan.id}, from the side")
-    height.set(xlabel="time [s]", ylabel="z, up [m]", title="heights")
-    side.legend(loc="upper right")
-    height.legend(loc="upper right")
+    side.set(xlabel="x, outward [m]", ylabel="z, up [m]")
+    height.set(xlabel="time [s]", ylabel="z, up [m]")
+    _legend(side)
+    _legend(height)
     return figure
 
 
@@ -175,8 +181,9 @@ def stiffness(policies: Mapping[str, Policy]) -> Figure:
         t = np.linspace(0.0, policy.basis.duration, 200)
         vertical = activations(policy.basis, t) @ policy.stiffness[:, 2, 2]
         axes.plot(t / policy.basis.duration, vertical, color=color, lw=1.8, label=name)
-    axes.set(xlabel="part of the movement", ylabel="$K_{33}$ [1/s$^2$]", ylim=(0.0, None))
-    axes.legend(loc="best")
+    axes.set(xlabel="part of the movement", ylabel="$K_{33}$ [1/s$^2$]")
+    _from_zero(axes)
+    _legend(axes)
     return figure
 
 
@@ -261,7 +268,15 @@ def _dress(axes: Axes) -> None:
     axes.tick_params(colors=INK, labelsize=8, length=0)
     axes.xaxis.label.set(color=INK, size=9)
     axes.yaxis.label.set(color=INK, size=9)
-    axes.title.set(color=INK, size=10)
+
+
+def _legend(axes: Axes) -> None:
+    """Legend above the axes, where it hides nothing."""
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
+
+
+def _from_zero(axes: Axes) -> None:
+    axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
 
 
 def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> None:

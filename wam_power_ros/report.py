@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session as one HTML file that needs nothing else: figures and film are inside it.
+
+Every figure and sentence is computed from the session's records; running it again on the same
+folder gives the same file.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+import yaml
+
+from wam_power_ros import figures, policy, session
+from wam_power_ros.flight import Flight
+from wam_power_ros.live import angle, outcome
+from wam_power_ros.practice import Record
+from wam_power_ros.returns import pancake_return
+from wam_power_ros.rollout import EndEffectorPath, PancakePath
+from wam_power_ros.session import SessionHeader
+
+VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """One rollout to be shown in full: what the session's records do not hold.
+
+    Attributes:
+        number: Of the rollout.
+        pan: Path of the pan.
+        pancake: Path of the pancake.
+        film: An animated .webp, None when nothing could render it.
+        why_no_film: The reason then.
+    """
+
+    number: int
+    pan: EndEffectorPath
+    pancake: PancakePath
+    film: bytes | None = None
+    why_no_film: str = ""
+
+
+def paper_return(record: Record) -> float:
+    """Eq. 5 of a rollout, whatever the session learnt from; NaN when nothing was seen."""
+    if record.ret is None or record.flight is None:
+        return math.nan
+    fields = {
+        name: np.array(value) if isinstance(value, list) else value
+        for name, value in record.flight.items()
+    }
+    return pancake_return(Flight(**fields)).total
+
+
+def render(
+    header: SessionHeader,
+    start: policy.Policy | None,
+    answer: policy.Policy | None,
+    records: Sequence[Record],
+    exhibit: Exhibit | None = None,
+) -> str:
+    """The report.
+
+    Args:
+        header: Of the session.
+        start: Policy of the demonstration that was learnt from, None while it is not chosen.
+        answer: Best policy so far, None while there is none.
+        records: The rollouts.
+        exhibit: A rollout to be shown in full, if any.
+    """
+    parts = [_cards(records), _verdict(header, records)]
+    if exhibit is not None:
+        parts.append(_exhibit(exhibit, records))
+    if records:
+        parts.append(_curves(header, records))
+    if answer is not None:
+        policies = {"start": start} if start is not None else {}
+        parts.append(
+            _section(
+                "Stiffness",
+                f"Vertical stiffness over the movement: the demonstration's and that of "
+                f"{answer.id}. The paper's policy changed by a few percent.",
+                _image(figures.svg(figures.stiffness({**policies, answer.id: answer}))),
+            )
+        )
+    parts += [_speeds(records), _table(records), _settings(header)]
+    return PAGE.substitute(
+        title=escape(f"Session of seed {header.seed}, return {header.settings.ret}"),
+        body="\n".join(part for part in parts if part),
+    )
+
+
+def write(folder: Path, exhibit: Exhibit | None = None) -> Path:
+    """Write `report.html` into a session folder.
+
+    Returns:
+        Path of the report.
+
+    Raises:
+        session.SessionError: No session, or a malformed one.
+    """
+    header, candidates, records = session.read(folder)
+    learnt_from = next((r.demonstration for r in records if r.kind != "reproduction"), None)
+    start = next((candidate for candidate in candidates if candidate.id == learnt_from), None)
+    saved = folder / "policy.json"
+    answer = policy.from_json(saved.read_text()) if saved.exists() else None
+    path = folder / "report.html"
+    path.write_text(render(header, start, answer, records, exhibit), encoding="utf-8")
+    return path
+
+
+def _cards(records: Sequence[Record]) -> str:
+    usable = [record.ret for record in records if record.ret is not None]
+    tests = [record for record in records if record.kind == "retest"]
+    angles = [turned for record in tests if (turned := angle(record)) is not None]
+    cards = [("rollouts", str(len(records)))]
+    if usable:
+        last = usable[-5:]
+        cards += [
+            ("return of the first", f"{usable[0]:.3f}"),
+            (f"mean return of the last {len(last)}", f"{statistics.mean(last):.3f}"),
+        ]
+    if tests:
+        good = sum(outcome(record) == "flipped, caught" for record in tests)
+        cards.append(("re-tests flipped and caught", f"{good} of {len(tests)}"))
+    if angles:
+        cards.append(("median angle of the re-tests", f"{statistics.median(angles):.0f}°"))
+    items = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in cards)
+    return f'<div class="cards">{items}</div>'
+
+
+def _verdict(header: SessionHeader, records: Sequence[Record]) -> str:
+    said = [
+        f"The session has seed {header.seed}, learns {header.settings.variant} parameters from the "
+        f"return {header.settings.ret!r} and may use {header.settings.budget} rollouts."
+    ]
+    first = next((r for r in records if outcome(r) == "flipped, caught"), None)
+    if first is not None:
+        said.append(f"The pancake was first flipped and caught in rollout {first.number}.")
+    elif records:
+        said.append("The pancake has not been flipped and caught yet.")
+    unusable = [record for record in records if record.ret is None]
+    if unusable:
+        said.append(f"{len(unusable)} rollouts could not be judged and were not learnt from.")
+    judged = [r for r in records if r.truth is not None and r.flight is not None]
+    if judged:
+        agree = sum(
+            bool(r.truth.get("caught")) == bool(r.flight.get("resting"))
+            for r in judged
+            if r.truth is not None and r.flight is not None
+        )
+        said.append(
+            f"On whether it was caught, the tracker agreed with the simulator in {agree} of "
+            f"{len(judged)} rollouts."
+        )
+    decisions = [record.note for record in records if record.note]
+    if decisions:
+        said.append(f"Last decision: {decisions[-1]}.")
+    return f"<p>{escape(' '.join(said))}</p>"
+
+
+def _exhibit(exhibit: Exhibit, records: Sequence[Record]) -> str:
+    record = next((record for record in records if record.number == exhibit.number), None)
+    became = "" if record is None else f": {outcome(record)}"
+    flight = None if record is None else record.flight
+    t_f = None if flight is None else flight.get("t_f")
+    if exhibit.film is not None:
+        film = _image(exhibit.film, "image/webp")
+    else:
+        film = f'<p class="quiet">No film: {escape(exhibit.why_no_film)}</p>'
+    figure = figures.rollout(exhibit.pan, exhibit.pancake, t_f)
+    return _section(
+        f"Rollout {exhibit.number}{became}",
+        "Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the paper.",
+        film + _image(figures.svg(figure)),
+    )
+
+
+def _curves(header: SessionHeader, records: Sequence[Record]) -> str:
+    eq5 = np.array([paper_return(record) for record in records])
+    first = next((r.number for r in records if outcome(r) == "flipped, caught"), None)
+    marks = {} if first is None else {first: "first flip"}
+    html = _section(
+        "Learning curve",
+        "The return of Eq. 5 in every rollout. The paper's curve is the mean of six sessions.",
+        _image(figures.svg(figures.learning_curve([eq5], marks))),
+    )
+    if header.settings.ret != "eq5":
+        own = np.array([math.nan if r.ret is None else r.ret for r in records])
+        html += _section(
+            "What was learnt from",
+            f"The session's own return, {header.settings.ret!r}.",
+            _image(figures.svg(figures.learning_curve([own], marks, paper=False))),
+        )
+    names = list(dict.fromkeys(name for record in records for name in record.terms))
+    values = {name: [record.terms.get(name) for record in records] for name in names}
+    numbers = [record.number for record in records]
+    return html + _section("Terms", "", _image(figures.svg(figures.terms(numbers, values))))
+
+
+def _speeds(records: Sequence[Record]) -> str:
+    """What a real arm's safety board would have had to allow, from the stand-in's account."""
+    names = {"elbow": "peak_elbow_speed", "forearm, 350 mm past the elbow": "peak_forearm_speed"}
+    tests = [r.truth for r in records if r.kind == "retest" and r.truth]
+    known = tests or [record.truth for record in records if record.truth]
+    peaks = {
+        place: max(truth[key] for truth in known)
+        for place, key in names.items()
+        if known and all(truth.get(key) is not None for truth in known)
+    }
+    if not peaks:
+        return ""
+    rows = "; ".join(f"{place} {speed:.2f} m/s" for place, speed in peaks.items())
+    which = "re-tests" if tests else "rollouts"
+    top = max(peaks.values())
+    advice = (
+        f"That is over the factory fault speed of {VL2} m/s: the safety board would idle the arm. "
+        "Its owner has to decide whether to raise that limit."
+        if top > VL2
+        else f"That is within the factory fault speed of {VL2} m/s."
+    )
+    return _section("Speeds", f"Highest in the {which}: {rows}. {advice}", "")
+
+
+def _table(records: Sequence[Record]) -> str:
+    names = list(dict.fromkeys(name for record in records for name in record.terms))
+    heads = ["#", "kind", "return", *names, "angle", "pancake", "decision"]
+    rows = []
+    for record in records:
+        turned = angle(record)
+        cells = [
+            str(record.number),
+            record.kind,
+            _number(record.ret),
+            *(_number(record.terms.get(name)) for name in names),
+            "–" if turned is None else f"{turned:.0f}°",
+            outcome(record),
+            record.note,
+        ]
+        style = ' class="good"' if record.success else ""
+        rows.append(f"<tr{style}>" + "".join(f"<td>{escape(c)}</td>" for c in cells) + "</tr>")
+    head = "".join(f"<th>{escape(name)}</th>" for name in heads)
+    table = f"<div class='wide'><table><tr>{head}</tr>{''.join(rows)}</table></div>"
+    return _section("Every rollout", "", table)
+
+
+def _settings(header: SessionHeader) -> str:
+    data: dict[str, Any] = header.model_dump(mode="json", by_alias=True)
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    return f"<details><summary>session.yaml</summary><pre>{escape(text)}</pre></details>"
+
+
+def _section(title: str, text: str, content: str) -> str:
+    words = f"<p>{escape(text)}</p>" if text else ""
+    return f"<section><h2>{escape(title)}</h2>{words}{content}</section>"
+
+
+def _image(data: bytes, kind: str = "image/svg+xml") -> str:
+    return f'<img alt="" src="data:{kind};base64,{base64.b64encode(data).decode()}">'
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3f}"
+
+
+PAGE = Template("""<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>$title</title>
+<style>
+  body { font: 16px/1.55 system-ui, sans-serif; color: #24292f; background: #fff;
+         max-width: 58rem; margin: 2.5rem auto; padding: 0 1.2rem; }
+  h1 { font-size: 1.6rem; margin: 0 0 1.2rem; }
+  h2 { font-size: 1.1rem; margin: 2.4rem 0 .4rem; }
+  p { margin: .4rem 0 .8rem; max-width: 46rem; }
+  img { display: block; max-width: 100%; margin: .6rem 0; }
+  .cards { display: flex; flex-wrap: wrap; gap: .8rem; margin-bottom: 1.2rem; }
+  .cards div { flex: 1 1 9rem; padding: .8rem 1rem; border: 1px solid #e3e6ea;
+               border-radius: .5rem; }
+  .cards b { display: block; font-size: 1.5rem; color: #3b6ea5; }
+  .cards span, .quiet { color: #57606a; font-size: .85rem; }
+  .wide { overflow-x: auto; }
+  table { border-collapse: collapse; font-size: .82rem; white-space: nowrap; }
+  th, td { text-align: right; padding: .22rem .6rem; border-bottom: 1px solid #eceff2; }
+  th { color: #57606a; font-weight: 600; }
+  td:nth-child(2), th:nth-child(2), td:nth-last-child(-n+2), th:nth-last-child(-n+2) {
+    text-align: left; }
+  .good td { background: #eef8f1; }
+  pre { font-size: .8rem; overflow-x: auto; background: #f6f8fa; padding: 1rem; }
+  summary { cursor: pointer; margin-top: 2rem; color: #57606a; }
+</style>
+<h1>$title</h1>
+$body
+</html>
+""")
