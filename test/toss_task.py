@@ -22,7 +22,7 @@ def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> P
         id=id,
         basis=Basis(count, 0.85, 0.0028),
         stiffness=stiffness + 0.5 * (skew - np.swapaxes(skew, 1, 2)),
-        attractors=rng.normal(scale=0.05, size=(count, 3)) + [0.6, 0.0, 0.5],
+        attractors=rng.normal((0.6, 0.0, 0.5), 0.05, size=(count, 3)),
         damping=32.0,
         orientation_reference=np.array([0.0, 0.0, 0.0, 1.0]),
         rotation_attractors=rng.normal(scale=0.2, size=(count, 3)),

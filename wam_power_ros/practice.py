@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from wam_power_ros.flight import Flight, observe_flight
 from wam_power_ros.parameters import NoiseScales, Parameters
 from wam_power_ros.policy import Policy
-from wam_power_ros.power import Power, PowerSettings, generator_state, restore_generator
+from wam_power_ros.power import Power, PowerSettings, generator_state
 from wam_power_ros.returns import (
     LandingWeights,
     PancakeWeights,
@@ -62,6 +62,8 @@ class PracticeSettings(BaseModel):
         success_angle: rotation in the air from which a trial is a success if it was also caught
             and flipped [rad]; 0: the flip does not matter.
         confirm: runs of one mean that must succeed in a row for the session to stop; 0: never.
+        confirm_margin: how much further than `success_angle` these must turn [rad]. Stopping at
+            the first streak selects policies that barely succeed; the margin is against that.
         retests: runs of the final answer, not learnt from.
         attempts: how often one policy is tried when nothing can be learnt from its rollouts.
         return_noise: standard deviation of the return of one policy, for `Practice.best`.
@@ -85,6 +87,7 @@ class PracticeSettings(BaseModel):
     success_return: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     confirm: int = Field(ge=0)
+    confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     retests: int = Field(ge=0)
     attempts: int = Field(default=3, ge=1)
     return_noise: float = Field(default=0.1, ge=0.0, allow_inf_nan=False)
@@ -130,6 +133,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "success_return": 0.0,
         "success_angle": math.radians(150.0),
         "confirm": 8,
+        "confirm_margin": math.radians(10.0),
         "retests": 10,
     },
 }
@@ -597,12 +601,12 @@ class Practice:
                     f"record {len(self._records) + 1}: {name} is {got!r}, "
                     f"this session's was {wanted!r}: other settings, seed or candidates?"
                 )
-        if len(record.z) != len(trial.z) or not np.allclose(record.z, trial.z, rtol=0, atol=1e-6):
+        same_z = len(record.z) == len(trial.z) and np.allclose(record.z, trial.z, rtol=0, atol=1e-6)
+        if not same_z or record.generator != generator_state(self._rng):
             raise ValueError(
-                f"record {record.number}: z is not this session's: other settings, seed or "
-                "candidates?"
+                f"record {record.number}: {'the generator' if same_z else 'z'} is not this "
+                "session's: other settings, seed or candidates?"
             )
-        self._rng.bit_generator.state = restore_generator(record.generator).bit_generator.state
         self._follow(record)
         self._records.append(record)
 
@@ -701,8 +705,9 @@ class Practice:
             if record.kind == "mean":
                 self._mean_wanted = False
                 before = 0 if self._streak is None else self._streak[1]
-                self._streak = (z, before + 1) if record.success else None
-                if record.success:
+                good = record.success and self._has_margin(record)
+                self._streak = (z, before + 1) if good else None
+                if good:
                     note = f"{before + 1} of {settings.confirm} successes in a row"
                     if before + 1 == settings.confirm:
                         self._stop(z, f"a mean succeeded {settings.confirm} times in a row")
@@ -719,6 +724,13 @@ class Practice:
             elif len(self._records) + 1 >= limit:
                 self._stop(answer, f"{limit} rollouts, of which only {self._used} were usable")
         return "; ".join(part for part in (note, self._stopped) if part)
+
+    def _has_margin(self, record: Record) -> bool:
+        settings = self.settings
+        if settings.success_angle == 0.0 or settings.confirm_margin == 0.0:
+            return True
+        turned = abs((record.flight or {}).get("angle", 0.0))
+        return turned >= settings.success_angle + settings.confirm_margin
 
     def _stop(self, answer: np.ndarray, why: str) -> None:
         parameters = self._parameters[str(self._demonstration)]

@@ -26,7 +26,7 @@ from types import TracebackType
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from wam_power_ros import policy as policy_module
 from wam_power_ros.policy import Policy
@@ -67,6 +67,13 @@ class SessionHeader(BaseModel):
     task: dict[str, Any]
     versions: dict[str, str]
     clock: dict[str, Any]
+
+    @field_validator("candidates")
+    @classmethod
+    def _are_ids(cls, candidates: list[str]) -> list[str]:
+        for id in candidates:
+            policy_module.check_id(id)  # they become file names
+        return candidates
 
 
 def versions() -> dict[str, str]:
@@ -151,7 +158,8 @@ class Session:
             (folder / "candidates").mkdir(exist_ok=True)
             (folder / "bags").mkdir(exist_ok=True)
             for policy in candidates:
-                _replace(_candidate_path(folder, policy.id), policy_module.to_json(policy))
+                path = folder / "candidates" / f"{policy.id}.json"
+                _replace(path, policy_module.to_json(policy))
             _replace(folder / "session.yaml", text)
             _sync_folder(folder.parent)
             return cls(folder, lock)
@@ -311,7 +319,7 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...]]:
         raise SessionError(f"{path}: {_brief(error)}") from error
     candidates = []
     for id in header.candidates:
-        path = _candidate_path(folder, id)
+        path = folder / "candidates" / f"{id}.json"
         try:
             candidate = policy_module.from_json(path.read_text(encoding="utf-8"))
         except (ValueError, OSError) as error:
@@ -352,11 +360,6 @@ def _brief(error: Exception) -> str:
     if isinstance(error, json.JSONDecodeError):
         return f"not JSON: {error}"
     return re.sub(r"\s+", " ", str(error))
-
-
-def _candidate_path(folder: Path, id: str) -> Path:
-    policy_module.check_id(id)
-    return folder / "candidates" / f"{id}.json"
 
 
 def _lock(folder: Path) -> int:
