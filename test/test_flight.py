@@ -161,3 +161,217 @@ def errors(toss: Toss, flight: Flight) -> dict[str, tuple[float, float]]:
         "normal": (between(flight.normal, at(toss, toss.t_f, toss.normal)), flight.normal_std),
         "angle": (flight.angle - true_angle(toss), flight.angle_std),
     }
+
+
+def many(
+    count: int, seed: int, lose: float = 0.0, air: float = 1.0, rate: float = 30.0
+) -> list[tuple[Toss, PancakePath, Flight]]:
+    rng = np.random.default_rng(seed)
+    result = []
+    while len(result) < count:
+        truth = toss(rng, air=air, precession=rng.uniform(0.0, 0.2))
+        seen = frames(truth, rng, rate=rate, dropout=lose)
+        flight = observe_flight(truth.pan, seen)
+        if math.isfinite(truth.t_f) and flight.frames >= 2:
+            result.append((truth, seen, flight))
+    return result
+
+
+@pytest.mark.parametrize(
+    ("lose", "air", "rate"),
+    [(0.0, 1.0, 30.0), (0.4, 1.0, 30.0), (0.0, 2.0, 30.0), (0.0, 1.0, 120.0)],
+)
+def test_errors_stay_within_three_stated_standard_deviations(
+    lose: float, air: float, rate: float
+) -> None:
+    flights = many(40, seed=5, lose=lose, air=air, rate=rate)
+    seen = [(truth, flight) for truth, _, flight in flights if flight.seen]
+    assert len(seen) >= 0.9 * len(flights)
+    ratios = np.array(
+        [[abs(e) / s for e, s in errors(truth, flight).values()] for truth, flight in seen]
+    )
+    assert np.mean(ratios <= 3.0) >= 0.98
+    # The stated figures are not merely large.
+    assert np.median([flight.t_f_std for _, flight in seen]) < 0.001
+    assert np.median([flight.position_std.max() for _, flight in seen]) < 0.0015
+    assert np.median([flight.angle_std for _, flight in seen]) < math.radians(0.5)
+
+
+def test_the_fit_is_many_times_nearer_than_the_nearest_frame() -> None:
+    fitted, nearest = [], []
+    for truth, path, flight in many(25, seed=8):
+        k = int(np.argmin(np.abs(path.t - truth.t_f)))
+        where = at(truth, truth.t_f, truth.position)
+        nearest.append(np.linalg.norm(path.position[k] - where))
+        fitted.append(np.linalg.norm(flight.position - where))
+    assert np.mean(nearest) > 0.008
+    assert np.mean(fitted) < 0.1 * np.mean(nearest)
+
+
+def test_drag_biases_the_result_by_less_than_a_millimetre_and_half_a_degree() -> None:
+    flights = many(40, seed=3)
+    found = [errors(truth, flight) for truth, _, flight in flights]
+    assert abs(np.mean([error["t_f"][0] for error in found])) < 0.0005
+    assert abs(np.mean([error["angle"][0] for error in found])) < math.radians(0.5)
+    along = [f.position - at(truth, truth.t_f, truth.position) for truth, _, f in flights]
+    assert np.abs(np.mean(along, axis=0)).max() < 0.001
+
+
+def test_angles_beyond_half_a_turn_are_unfolded() -> None:
+    rng = np.random.default_rng(2)
+    for half_turns in (0.3, 0.9, 1.3, 1.6):
+        truth = toss(rng, vz=2.4, half_turns=half_turns, air=0.0)
+        flight = observe_flight(truth.pan, frames(truth, rng))
+        assert flight.angle == pytest.approx(true_angle(truth), abs=0.03)
+        assert math.cos(flight.angle) == pytest.approx(flight.normal @ flight.normal_start)
+
+
+def test_a_spin_of_twenty_radians_a_second_is_not_mistaken_for_a_slower_one() -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(5):
+        truth = toss(rng, vz=3.0, half_turns=20.0 * 2.0 * 3.0 / G / math.pi, air=0.0)
+        flight = observe_flight(truth.pan, frames(truth, rng))
+        assert flight.spin_rate == pytest.approx(20.0, abs=2.5)
+
+
+def test_the_bodys_own_axes_do_not_matter() -> None:
+    rng = np.random.default_rng(4)
+    truth = toss(rng, vz=2.3, half_turns=1.0)
+    path = frames(truth, rng)
+    turned = rotations.multiply(path.quat_xyzw, rotations.quat_of_vector([0.7, -1.1, 2.0]))
+    flight = observe_flight(truth.pan, path)
+    other = observe_flight(truth.pan, replace(path, quat_xyzw=turned))
+    assert other.angle == pytest.approx(flight.angle, abs=1e-6)
+    assert other.normal == pytest.approx(flight.normal, abs=1e-6)
+
+
+def test_the_same_flight_turned_and_shifted_in_the_base_frame_gives_the_same_terms() -> None:
+    rng = np.random.default_rng(9)
+    truth = toss(rng, vz=2.3, half_turns=1.0)
+    path = frames(truth, rng)
+    yaw, shift = np.array([0.0, 0.0, 0.8]), np.array([0.3, -0.2, 0.4])
+    matrix, quat = rotations.exp(yaw), rotations.quat_of_vector(yaw)
+
+    def moved(path: PancakePath | EndEffectorPath) -> PancakePath | EndEffectorPath:
+        return replace(
+            path,
+            position=path.position @ matrix.T + shift,
+            quat_xyzw=rotations.multiply(np.broadcast_to(quat, (len(path.t), 4)), path.quat_xyzw),
+        )
+
+    one, two = observe_flight(truth.pan, path), observe_flight(moved(truth.pan), moved(path))
+    assert two.t_f == pytest.approx(one.t_f, abs=1e-9)
+    assert two.angle == pytest.approx(one.angle, abs=1e-5)
+    assert two.apex == pytest.approx(one.apex, abs=1e-9)
+    assert two.landing_error == pytest.approx(matrix @ one.landing_error, abs=1e-6)
+
+
+def test_a_wild_frame_in_the_flight_changes_little() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(5):
+        truth = toss(rng, vz=2.4, half_turns=1.0)
+        path = frames(truth, rng)
+        flight = observe_flight(truth.pan, path)
+        k = int(np.argmin(np.abs(path.t - truth.release - 0.2)))
+        position = path.position.copy()
+        position[k] += [0.05, -0.03, 0.06]
+        spoilt = observe_flight(truth.pan, replace(path, position=position))
+        assert spoilt.t_f == pytest.approx(flight.t_f, abs=0.002)
+        assert np.linalg.norm(spoilt.position - flight.position) < 0.004
+
+
+def test_a_low_toss_is_no_toss() -> None:
+    rng = np.random.default_rng(1)
+    truth = toss(rng, vz=1.3, half_turns=0.2)
+    assert not math.isfinite(truth.t_f)
+    flight = observe_flight(truth.pan, frames(truth, rng))
+    assert (flight.tossed, flight.seen, flight.angle) == (False, True, 0.0)
+    assert flight.t_f == truth.pan.t[-1]
+    assert flight.apex > 0.0
+    assert np.array_equal(flight.landing_error, np.zeros(3))
+
+
+@pytest.mark.parametrize(("half_turns", "flipped"), [(0.1, False), (1.0, True), (1.9, False)])
+def test_what_lies_in_the_pan_at_the_end_is_seen(half_turns: float, flipped: bool) -> None:
+    rng = np.random.default_rng(7)
+    truth = toss(rng, vz=2.2, half_turns=half_turns, air=0.0)
+    flight = observe_flight(truth.pan, frames(truth, rng))
+    assert (flight.resting, flight.flipped) == (True, flipped)
+
+
+def test_a_pancake_beside_the_pan_or_on_edge_does_not_rest_in_it() -> None:
+    rng = np.random.default_rng(7)
+    truth = toss(rng, vz=2.2, half_turns=1.0)
+    path = frames(truth, rng)
+    end = path.t > END - 0.5
+    beside = path.position + np.outer(end, [0.3, 0.0, -0.5])
+    assert not observe_flight(truth.pan, replace(path, position=beside)).resting
+    tilted = rotations.multiply(
+        np.broadcast_to(rotations.quat_of_vector([0.4, 0.0, 0.0]), path.quat_xyzw.shape),
+        path.quat_xyzw,
+    )
+    quat = np.where(end[:, None], tilted, path.quat_xyzw)
+    assert not observe_flight(truth.pan, replace(path, quat_xyzw=quat)).resting
+    assert not observe_flight(truth.pan, without(path, end)).resting
+
+
+def test_losing_the_view_is_told_and_never_breaks_the_numbers() -> None:
+    rng = np.random.default_rng(12)
+    for vz in (0.8, 2.3):
+        truth = toss(rng, vz=vz, half_turns=1.0)
+        path = frames(truth, rng)
+        for keep in range(len(path.t) + 1):  # the view is lost for ever after `keep` frames
+            _assert_finite(observe_flight(truth.pan, without(path, np.arange(len(path.t)) >= keep)))
+            _assert_finite(observe_flight(truth.pan, without(path, np.arange(len(path.t)) < keep)))
+        nothing = observe_flight(truth.pan, without(path, path.t > 0.0))
+        assert (nothing.tossed, nothing.seen, nothing.resting) == (False, False, False)
+        assert np.array_equal(nothing.landing_error, np.zeros(3))
+    air = (path.t > truth.release) & (path.t < truth.t_f + 0.1)
+    one = np.flatnonzero(air)[len(np.flatnonzero(air)) // 2]
+    single = observe_flight(truth.pan, without(path, air & (np.arange(len(path.t)) != one)))
+    assert (single.tossed, single.seen) == (True, False)
+
+
+def _assert_finite(flight: Flight) -> None:
+    for name, value in vars(flight).items():
+        assert np.all(np.isfinite(value)), name
+    assert flight.t_f_std >= 0.0
+    assert np.linalg.norm(flight.spin_axis) == pytest.approx(1.0)
+
+
+def test_two_frames_give_a_wide_but_honest_answer() -> None:
+    rng = np.random.default_rng(21)
+    inside = []
+    for _ in range(15):
+        truth = toss(rng, vz=2.4, half_turns=rng.uniform(0.4, 1.2))
+        path = frames(truth, rng)
+        air = np.flatnonzero((path.t > truth.release + 0.06) & (path.t < truth.t_f))
+        lost = np.zeros(len(path.t), dtype=bool)
+        lost[air] = True
+        lost[rng.choice(air, 2, replace=False)] = False
+        flight = observe_flight(truth.pan, without(path, lost))
+        if flight.tossed and flight.seen:
+            inside += [abs(e) <= 3.0 * s for e, s in errors(truth, flight).values()]
+    assert len(inside) >= 40
+    assert np.mean(inside) >= 0.95
+
+
+def test_the_result_is_the_same_every_time() -> None:
+    rng = np.random.default_rng(30)
+    truth = toss(rng)
+    path = frames(truth, rng)
+    one, two = observe_flight(truth.pan, path), observe_flight(truth.pan, path)
+    for name, value in vars(one).items():
+        assert np.array_equal(value, getattr(two, name)), name
+
+
+def test_paths_of_different_rollouts_and_senseless_settings_are_refused() -> None:
+    rng = np.random.default_rng(1)
+    truth = toss(rng)
+    path = frames(truth, rng)
+    with pytest.raises(ValueError, match="one rollout"):
+        observe_flight(truth.pan, replace(path, id="other"))
+    with pytest.raises(ValueError, match="delta_h"):
+        observe_flight(truth.pan, path, delta_h=math.nan)
+    with pytest.raises(ValueError, match="tilt_noise"):
+        FlightSettings(tilt_noise=0.0)

@@ -298,7 +298,7 @@ class _Arc:
         dt = -jacobian[2] / slope  # (7,)
         moved = jacobian + np.outer(velocity, dt)
         variance = np.einsum("ij,jk,ik->i", moved, self.covariance, moved) + self.noise**2
-        t_f_std = math.sqrt(dt @ self.covariance @ dt)
+        t_f_std = math.sqrt(dt @ self.covariance @ dt + (self.noise / slope) ** 2)
         return self.position(np.array([t_f]))[0], np.sqrt(variance), t_f_std
 
 
