@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arm's rigid-body model: kinematics and dynamics of a chain of joints, by Pinocchio.
+
+Works in buffers of its own, so one `Arm` belongs to one thread; every array it returns is new.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+
+_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tool's origin, along the base's axes
+
+
+class Motion(NamedTuple):
+    """Where the tool is and how fast the arm moves, in the base frame.
+
+    Attributes:
+        position: Of the tool frame's origin [m]. Shape (3,).
+        rotation: Tool axes as columns. Shape (3, 3).
+        twist: Linear velocity [m/s] and angular velocity [rad/s]. Shape (6,).
+        drift: Jdot qd, the tool's acceleration when no joint accelerates. Shape (6,).
+        elbow_speed: [m/s].
+        forearm_speed: Of the guarded point beyond the elbow [m/s].
+        tool_speed: [m/s].
+    """
+
+    position: np.ndarray
+    rotation: np.ndarray
+    twist: np.ndarray
+    drift: np.ndarray
+    elbow_speed: float
+    forearm_speed: float
+    tool_speed: float
+
+
+class Dynamics(NamedTuple):
+    """What the torque law needs beside `Motion`.
+
+    Attributes:
+        jacobian: Joint speeds to the tool's twist. Shape (6, n).
+        inverse_mass: M(q)^-1, rotors included. Shape (n, n).
+        mass: M(q) [kg m^2], rotors included. Shape (n, n).
+        bias: C(q, qd) qd + g(q) [N m]. Shape (n,).
+    """
+
+    jacobian: np.ndarray
+    inverse_mass: np.ndarray
+    mass: np.ndarray
+    bias: np.ndarray
+
+
+class Arm:
+    """A chain of one-degree-of-freedom joints, read from a URDF; other joints are locked at zero.
+
+    The rotor inertia reflected to a joint is read from the URDF attribute `armature` [kg m^2] of
+    the joint's `<dynamics>` element (as MuJoCo names it; Pinocchio's own reader ignores it), unless
+    given here. The dynamics are those without friction.
+
+    Attributes:
+        n: Number of joints.
+        joint_names: In the order of all joint vectors.
+        q_min: Lower position limits [rad]. Shape (n,).
+        q_max: Upper position limits [rad]. Shape (n,).
+        qd_max: Speed limits [rad/s]. Shape (n,).
+        tau_max: Torque limits [N m]. Shape (n,).
+        armature: Reflected rotor inertia [kg m^2]. Shape (n,).
+        friction: Coulomb friction of the joints [N m]. Shape (n,).
+        damping: Viscous friction of the joints [N m s/rad]. Shape (n,).
+        model: Pinocchio's model of the chain.
+
+    Args:
+        urdf: Text of the URDF.
+        joint_names: From the base to the tip.
+        tool_frame: Link whose frame is the tool.
+        armature: Overrides the URDF's. Shape (n,).
+        elbow_link: Link at whose frame the elbow's speed is measured; with None, or when the robot
+            has no such link, elbow and forearm speeds are reported as zero.
+        forearm_point: Guarded point in the frame of `elbow_link` [m]. By default 350 mm along the
+            forearm of the Barrett WAM, where its safety board limits the speed.
+
+    Raises:
+        ValueError: The text is no URDF, or a joint or frame is missing or unfit; known ones named.
+    """
+
+    def __init__(
+        self,
+        urdf: str,
+        joint_names: Sequence[str],
+        tool_frame: str = "pan",
+        armature: Sequence[float] | None = None,
+        elbow_link: str | None = "wam_link4",
+        forearm_point: Sequence[float] = (-0.045, -0.35, 0.0),
+    ) -> None:
+        try:
+            full = pin.buildModelFromXML(urdf)
+            tree = ElementTree.fromstring(urdf)
+        except (ValueError, RuntimeError, ElementTree.ParseError) as error:
+            raise ValueError(f"the robot description is no URDF: {error}") from None
+        self.joint_names = tuple(joint_names)
+        self.model = _chain(full, self.joint_names)
+        self.n = self.model.nv
+        if armature is None:
+            armature = [_armature(tree, name) for name in self.joint_names]
+        self.armature = _checked("armature", armature, self.n)
+        if np.any(self.armature < 0.0):
+            raise ValueError(f"armature {self.armature.tolist()} must not be negative")
+        self.model.armature = self.armature
+        self.q_min = self.model.lowerPositionLimit.copy()
+        self.q_max = self.model.upperPositionLimit.copy()
+        self.qd_max = self.model.velocityLimit.copy()
+        self.tau_max = self.model.effortLimit.copy()
+        self.friction = self.model.friction.copy()
+        self.damping = self.model.damping.copy()
+        for name, limit in (("velocity", self.qd_max), ("effort", self.tau_max)):
+            if not np.all(limit > 0.0):
+                raise ValueError(f"{name} limits {limit.tolist()} of the joints must be positive")
+        if not np.all(self.q_min < self.q_max):
+            raise ValueError(f"position limits {self.q_min.tolist()} must be below the upper ones")
+
+        self._data = self.model.createData()
+        self._tool = self._frame(tool_frame)
+        self._zero = np.zeros(self.n)
+        self._elbow: int | None = None
+        if elbow_link is not None and self.model.existFrame(elbow_link):
+            frame = self.model.frames[self._frame(elbow_link)]
+            self._elbow = frame.parentJoint
+            self._elbow_point = frame.placement.translation.copy()
+            self._forearm_point = frame.placement.act(_checked("forearm_point", forearm_point, 3))
+
+    def _frame(self, name: str) -> int:
+        if not self.model.existFrame(name):
+            known = [frame.name for frame in self.model.frames]
+            raise ValueError(f"no frame {name!r} in the robot description; known: {known}")
+        return int(self.model.getFrameId(name))
+
+    def motion(self, q: np.ndarray, qd: np.ndarray) -> Motion:
+        """Kinematics of one state.
+
+        Args:
+            q: [rad]. Shape (n,).
+            qd: [rad/s]. Shape (n,).
+        """
+        model, data, tool = self.model, self._data, self._tool
+        pin.forwardKinematics(model, data, q, qd, self._zero)
+        pin.updateFramePlacement(model, data, tool)
+        placement = data.oMf[tool]
+        twist = pin.getFrameVelocity(model, data, tool, _AXES).vector
+        elbow_speed = forearm_speed = 0.0
+        if self._elbow is not None:
+            elbow = data.v[self._elbow].vector
+            elbow_speed = _point_speed(elbow, self._elbow_point)
+            forearm_speed = _point_speed(elbow, self._forearm_point)
+        linear = twist[:3]
+        return Motion(
+            position=placement.translation.copy(),
+            rotation=placement.rotation.copy(),
+            twist=twist,
+            drift=pin.getFrameClassicalAcceleration(model, data, tool, _AXES).vector,
+            elbow_speed=elbow_speed,
+            forearm_speed=forearm_speed,
+            tool_speed=float(linear.dot(linear)) ** 0.5,
+        )
+
+    def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
+        """Jacobian, mass matrix and bias torque of one state.
+
+        Args:
+            q: [rad]. Shape (n,).
+            qd: [rad/s]. Shape (n,).
+        """
+        model, data = self.model, self._data
+        return Dynamics(
+            jacobian=pin.computeFrameJacobian(model, data, q, self._tool, _AXES),
+            inverse_mass=pin.computeMinverse(model, data, q),
+            mass=pin.crba(model, data, q),
+            bias=pin.nonLinearEffects(model, data, q, qd),
+        )
+
+    def tool_pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Position [m] and rotation matrix of the tool frame in the base frame.
+
+        Args:
+            q: [rad]. Shape (n,).
+
+        Returns:
+            Shapes (3,) and (3, 3).
+        """
+        pin.forwardKinematics(self.model, self._data, q)
+        placement = pin.updateFramePlacement(self.model, self._data, self._tool)
+        return placement.translation.copy(), placement.rotation.copy()
+
+    def reference_point_speeds(self, q: np.ndarray, qd: np.ndarray) -> tuple[float, float, float]:
+        """Speeds of the elbow, of the guarded forearm point and of the tool [m/s].
+
+        Args:
+            q: [rad]. Shape (n,).
+            qd: [rad/s]. Shape (n,).
+        """
+        motion = self.motion(q, qd)
+        return motion.elbow_speed, motion.forearm_speed, motion.tool_speed
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Joint speeds to the tool's twist (linear, angular) in the base frame. Shape (6, n)."""
+        return pin.computeFrameJacobian(self.model, self._data, q, self._tool, _AXES)
+
+    def mass_matrix(self, q: np.ndarray) -> np.ndarray:
+        """M(q) [kg m^2], rotors included. Shape (n, n)."""
+        return pin.crba(self.model, self._data, q)
+
+    def gravity(self, q: np.ndarray) -> np.ndarray:
+        """g(q) [N m]. Shape (n,)."""
+        return pin.computeGeneralizedGravity(self.model, self._data, q)
+
+    def bias(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """C(q, qd) qd + g(q) [N m]. Shape (n,)."""
+        return pin.nonLinearEffects(self.model, self._data, q, qd)
+
+    def inverse_dynamics(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """Torque for an acceleration, by recursive Newton-Euler [N m]. Shape (n,)."""
+        return pin.rnea(self.model, self._data, q, qd, qdd)
+
+    def forward_dynamics(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        """Acceleration under a torque, without friction [rad/s^2]. Shape (n,)."""
+        return pin.aba(self.model, self._data, q, qd, tau)
+
+
+def _chain(full: pin.Model, joint_names: tuple[str, ...]) -> pin.Model:
+    """The model with all joints locked at zero that are not named."""
+    known = [name for name in full.names if name != "universe"]
+    missing = [name for name in joint_names if name not in known]
+    if missing or not joint_names:
+        raise ValueError(f"joints {missing} are not in the robot description; known: {known}")
+    chain_order = tuple(name for name in known if name in joint_names)
+    if chain_order != joint_names:
+        raise ValueError(f"joint names {joint_names} must be, base to tip, {chain_order}")
+    locked = [full.getJointId(name) for name in known if name not in joint_names]
+    model = pin.buildReducedModel(full, locked, pin.neutral(full))
+    if model.nq != len(joint_names) or model.nv != len(joint_names):
+        raise ValueError(
+            f"joints {joint_names} must be revolute or prismatic with limits (not continuous)"
+        )
+    return model
+
+
+def _armature(tree: ElementTree.Element, joint_name: str) -> float:
+    dynamics = tree.find(f"./joint[@name='{joint_name}']/dynamics")
+    text = "0" if dynamics is None else dynamics.get("armature", "0")
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"armature {text!r} of joint {joint_name!r} is no number") from None
+
+
+def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
+    array = np.array(values, dtype=float)
+    if array.shape != (count,) or not np.isfinite(array).all():
+        raise ValueError(f"{name} {array.tolist()} must be {count} finite numbers")
+    return array
+
+
+def _point_speed(twist: np.ndarray, point: np.ndarray) -> float:
+    """Speed of a point of a body, from the body's twist in its own frame [m/s]."""
+    vx, vy, vz, wx, wy, wz = twist.tolist()
+    x, y, z = point
+    vx += wy * z - wz * y
+    vy += wz * x - wx * z
+    vz += wx * y - wy * x
+    return float(vx * vx + vy * vy + vz * vz) ** 0.5

@@ -1,0 +1,835 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The torque controller: one torque per joint state, and an explicit machine of modes.
+
+It has no clock: time is the stamps of the states. It has no randomness: the torques depend only on
+the sequence of states and calls. While an arm at rest repeats its state, the torque reaches a fixed
+point bit for bit (25 periods undo 25 N m): a rollout that begins there depends on nothing before.
+"""
+
+import enum
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from wam_power_ros import primitive, rotations, safety
+from wam_power_ros.arm import Arm, Motion
+from wam_power_ros.policy import Policy
+from wam_power_ros.rollout import EndEffectorPath
+from wam_power_ros.safety import Limits, Stamp
+from wam_power_ros.torque_law import TorqueLaw
+
+
+class ControllerError(RuntimeError):
+    """A request that was refused; nothing has changed, and the message says why."""
+
+
+class Mode(enum.Enum):
+    """What the controller does with the arm."""
+
+    INACTIVE = "inactive"  # nothing is sent: the driver holds the arm by its own means
+    GRAVITY_COMPENSATION = "gravity_compensation"  # a person moves the arm: teaching
+    HOLD = "hold"
+    MOVE_TO_START = "move_to_start"
+    ROLLOUT = "rollout"
+    REPLAY = "replay"
+    FAULT = "fault"  # latched: brings the arm to rest and carries it until `reset`
+
+
+TRANSITIONS = {
+    Mode.INACTIVE: {Mode.GRAVITY_COMPENSATION, Mode.HOLD},
+    Mode.GRAVITY_COMPENSATION: {
+        Mode.INACTIVE,
+        Mode.HOLD,
+        Mode.MOVE_TO_START,
+        Mode.REPLAY,
+        Mode.FAULT,
+    },
+    Mode.HOLD: {
+        Mode.INACTIVE,
+        Mode.GRAVITY_COMPENSATION,
+        Mode.MOVE_TO_START,
+        Mode.ROLLOUT,
+        Mode.REPLAY,
+        Mode.FAULT,
+    },
+    Mode.MOVE_TO_START: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
+    Mode.ROLLOUT: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
+    Mode.REPLAY: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
+    Mode.FAULT: {Mode.HOLD},
+}
+_REFERENCED = {Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY}  # modes that follow a joint reference
+_PASSIVE = {Mode.INACTIVE, Mode.FAULT}  # modes in which nothing can go wrong any more
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """Choices of the controller; the defaults suit the Barrett WAM with a pan.
+
+    Attributes:
+        period: Of the joint states [s].
+        driver_compensates_gravity: The driver adds g(q) itself; it is left out of what is sent.
+        law: From the tool's acceleration to joint torques.
+        limits: None for those of the arm with the defaults of `safety.Limits`.
+        hold_bandwidth: Natural frequency of the joints in hold, move and replay [rad/s].
+            With a delay of 8 ms, 30 is the most that survives a push of 40 N.
+        hold_damping_ratio: Of the same.
+        friction_share: Of the joints' friction that is fed forward where the reference moves.
+        move_speed: Peak joint speed of a move to a start [rad/s].
+        brake_time: In which a motion comes to rest when hold begins [s].
+        settle_time: Rollout with its last row after the end of the movement [s].
+        path_period: Of the end-effector path [s].
+        start_tolerance: Largest joint error at which a rollout may start [rad].
+        rest_speed: Slower than this the arm is at rest [m/s]; for the rotation of the tool [rad/s]
+            four times the number.
+        tracking_error: Largest joint error while moving or replaying before it is a fault [rad].
+        fault_damping: Decay of all joint motion in a fault [1/s].
+        teaching_damping: Decay of all joint motion while teaching, at `teaching_speed` [1/s]. It
+            grows with the square of the speed, so it is not felt at low speed and takes about 10 N
+            at 2.5 m/s.
+        teaching_speed: [m/s].
+        velocity_cutoff: Of the low-pass for differentiated positions when a driver sends no
+            velocity [rad/s]; libbarrett uses 180.
+        stale: Without states for longer than this the next one is a fault [s].
+        stiffness_max: Largest stiffness a policy may ask for [1/s^2]; at 5000 the loop has half
+            its margin left with a delay of 4 ms.
+
+    Raises:
+        ValueError: A value out of range.
+    """
+
+    period: float = 0.002
+    driver_compensates_gravity: bool = False
+    law: TorqueLaw = field(default_factory=TorqueLaw)
+    limits: Limits | None = None
+    hold_bandwidth: float = 25.0
+    hold_damping_ratio: float = 0.7
+    friction_share: float = 0.8
+    move_speed: float = 0.3
+    brake_time: float = 0.15
+    settle_time: float = 1.0
+    path_period: float = 0.01
+    start_tolerance: float = 0.05
+    rest_speed: float = 0.05
+    tracking_error: float = 0.3
+    fault_damping: float = 20.0
+    teaching_damping: float = 1.0
+    teaching_speed: float = 2.5
+    velocity_cutoff: float = 180.0
+    stale: float = 0.02
+    stiffness_max: float = 5000.0
+
+    def __post_init__(self) -> None:
+        other = ("driver_compensates_gravity", "law", "limits", "friction_share")
+        for name, value in vars(self).items():
+            if name not in other and not 0.0 < value < math.inf:
+                raise ValueError(f"{name} = {value} must be positive and finite")
+        if not 0.0 <= self.friction_share <= 1.0:
+            raise ValueError(f"friction_share = {self.friction_share} must be in [0, 1]")
+        if self.path_period < self.period:
+            raise ValueError(f"path_period = {self.path_period} must be at least {self.period}")
+
+
+class JointTrajectory(Protocol):
+    """A recorded joint movement; `demonstration.Demonstration` is one."""
+
+    t: np.ndarray  # (N,) [s], increasing
+    q: np.ndarray  # (N, n) [rad]
+
+
+State = tuple[np.ndarray, np.ndarray, np.ndarray]  # q_ref, qd_ref, qdd_ref, each (n,)
+
+
+class JointReference(Protocol):
+    """Something to follow."""
+
+    duration: float
+
+    def at(self, t: float) -> State:
+        """Position [rad], speed [rad/s] and acceleration [rad/s^2] at time t [s]."""
+        ...
+
+
+class MinJerk:
+    """The straight line of least jerk from one posture to another, from rest to rest.
+
+    Args:
+        q_from: [rad]. Shape (n,).
+        q_to: [rad]. Shape (n,).
+        speed: Peak speed of the joint that goes farthest [rad/s].
+    """
+
+    def __init__(self, q_from: np.ndarray, q_to: np.ndarray, speed: float) -> None:
+        self._from, self._way = q_from, q_to - q_from
+        self._to, self._zero = q_to.copy(), np.zeros(len(q_to))
+        self.duration = max(0.1, 1.875 * float(np.abs(self._way).max()) / speed)
+
+    def at(self, t: float) -> State:
+        """See `JointReference`."""
+        if t >= self.duration:
+            return self._to, self._zero, self._zero
+        s = max(t, 0.0) / self.duration
+        x = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
+        v = s**2 * (30.0 + s * (-60.0 + 30.0 * s)) / self.duration
+        a = s * (60.0 + s * (-180.0 + 120.0 * s)) / self.duration**2
+        return self._from + x * self._way, v * self._way, a * self._way
+
+
+class Brake:
+    """Smoothly to rest; a joint that hardly moves stays where it is.
+
+    Args:
+        q: Posture at the beginning [rad]. Shape (n,).
+        qd: Speed at the beginning [rad/s]. Shape (n,).
+        duration: Until the arm rests [s].
+        q_min: No joint brakes beyond [rad]. Shape (n,).
+        q_max: No joint brakes beyond [rad]. Shape (n,).
+    """
+
+    def __init__(
+        self,
+        q: np.ndarray,
+        qd: np.ndarray,
+        duration: float,
+        q_min: np.ndarray,
+        q_max: np.ndarray,
+    ) -> None:
+        self.duration = duration
+        qd = np.where(np.abs(qd) < 0.05, 0.0, qd)
+        way = 0.5 * duration * qd  # of the blend below
+        way = np.clip(way, np.minimum(q_min - q, 0.0), np.maximum(q_max - q, 0.0))
+        self._q, self._qd = q, way / (0.5 * duration)
+        self._end, self._zero = q + way, np.zeros(len(q))
+
+    def at(self, t: float) -> State:
+        """See `JointReference`."""
+        if t >= self.duration:
+            return self._end, self._zero, self._zero
+        s = max(t, 0.0) / self.duration
+        left = 1.0 - s**3 * (10.0 + s * (-15.0 + 6.0 * s))  # share of the speed
+        way = self.duration * (s - s**4 * (2.5 + s * (-3.0 + s)))  # its integral
+        change = -(s**2) * (30.0 + s * (-60.0 + 30.0 * s)) / self.duration
+        return self._q + way * self._qd, left * self._qd, change * self._qd
+
+
+class Sampled:
+    """A recorded movement, through a cubic spline, sampled on the control grid.
+
+    Attributes:
+        q: [rad]. Shape (rows, n).
+        qd: [rad/s]. Shape (rows, n).
+        qdd: [rad/s^2]. Shape (rows, n).
+        duration: [s].
+
+    Args:
+        t: Strictly increasing [s]. Shape (N,), N >= 4.
+        q: Smooth [rad]. Shape (N, n).
+        speed: 1 for as recorded.
+        period: Of the control loop [s].
+
+    Raises:
+        ValueError: Names the value and the rule.
+    """
+
+    def __init__(self, t: Sequence[float], q: np.ndarray, speed: float, period: float) -> None:
+        t, q = np.array(t, dtype=float), np.array(q, dtype=float)
+        if t.ndim != 1 or q.ndim != 2 or len(t) != len(q) or len(t) < 4:
+            raise ValueError(f"t {t.shape} and q {q.shape} must be (N,) and (N, n), N >= 4")
+        if not (np.isfinite(t).all() and np.isfinite(q).all() and np.all(np.diff(t) > 0.0)):
+            raise ValueError("the times must increase and all values be finite")
+        if not 0.0 < speed < math.inf:
+            raise ValueError(f"speed {speed} must be positive")
+        self.duration = float(t[-1] - t[0]) / speed
+        if self.duration > 600.0:
+            raise ValueError(f"the movement takes {self.duration:.0f} s; at most 600 allowed")
+        self._period = period
+        rows = round(self.duration / period) + 1
+        spline = CubicSpline((t - t[0]) / speed, q)
+        grid = np.minimum(np.arange(rows) * period, self.duration)
+        self.q, self.qd, self.qdd = (spline(grid, order) for order in range(3))
+
+    def at(self, t: float) -> State:
+        """See `JointReference`; the nearest row."""
+        row = min(max(round(t / self._period), 0), len(self.q) - 1)
+        return self.q[row], self.qd[row], self.qdd[row]
+
+
+@dataclass
+class _Rollout:
+    """A rollout under way, with its path so far."""
+
+    id: str
+    tables: primitive.Tables
+    reference: np.ndarray  # (3, 3) R_ref transposed
+    end: int  # tick after which it is over
+    t: np.ndarray  # (m,)
+    position: np.ndarray  # (m, 3)
+    quat_xyzw: np.ndarray  # (m, 4)
+    count: int = 0
+    next_sample: int = 0  # tick
+    start_ns: int | None = None
+    rotation: np.ndarray = field(default_factory=lambda: np.zeros(3))  # last rotation vector
+
+
+class Controller:
+    """Turns joint states into torques. Not thread-safe: calls come from one thread.
+
+    Attributes:
+        counters: How many states were `accepted`, `repeated`, `older`, `rejected`, `gaps`, `jumps`;
+            torques `limited` and `stale`; `faults`.
+        fault_reason: Of the last fault, None before the first and after `reset`.
+        rollout_stamp_ns: Stamp of the first state of the last rollout that began, or None [ns].
+
+    Args:
+        arm: Used by this controller alone.
+        settings: Choices.
+
+    Raises:
+        ValueError: Settings that do not fit the arm.
+    """
+
+    def __init__(self, arm: Arm, settings: ControllerSettings | None = None) -> None:
+        self.settings = settings = settings or ControllerSettings()
+        self.arm = arm
+        self.limits = settings.limits or safety.limits_of(arm)
+        if self.limits.torque.shape != (arm.n,):
+            raise ValueError(
+                f"limits are for {self.limits.torque.size} joints, the arm has {arm.n}"
+            )
+        self._period_ns = round(settings.period * 1e9)
+        self._mode = Mode.INACTIVE
+        self._label = self._mode.value
+        self._laws: dict[Mode, Callable[[int, np.ndarray, np.ndarray, Motion], np.ndarray]] = {
+            Mode.INACTIVE: self._rest_torque,
+            Mode.GRAVITY_COMPENSATION: self._teaching_torque,
+            Mode.HOLD: self._reference_torque,
+            Mode.MOVE_TO_START: self._reference_torque,
+            Mode.ROLLOUT: self._rollout_torque,
+            Mode.REPLAY: self._reference_torque,
+            Mode.FAULT: self._rest_torque,
+        }
+        self.counters: Counter[str] = Counter()
+        self.fault_reason: str | None = None
+        self.rollout_stamp_ns: int | None = None
+
+        # the last state accepted and the last torque sent
+        self._stamp: int | None = None
+        self._q: np.ndarray | None = None
+        self._qd = np.zeros(arm.n)
+        self._motion: Motion | None = None
+        self._sent = np.zeros(arm.n)
+        self._steps = 0
+        self._rejections: deque[int] = deque(maxlen=5)  # the steps in which they came
+        self._rejected_in_row = 0
+        self._exceeded = 0  # states in a row beyond a motion limit
+
+        # what is followed: the reference under way, and those to come
+        self._reference: JointReference | None = None
+        self._reference_ns = 0
+        self._plan: deque[Callable[[np.ndarray], JointReference]] = deque()
+        self._ref: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref of the last state
+        self._replay_squares = np.zeros(arm.n)
+        self._replay_count = 0
+
+        self._policy: Policy | None = None
+        self._tables: primitive.Tables | None = None
+        self._rollout: _Rollout | None = None
+        self._finished: EndEffectorPath | None = None
+
+    # ------------------------------------------------------------------ what a caller may see
+
+    @property
+    def mode(self) -> Mode:
+        """The present mode; a request changes it at once."""
+        return self._mode
+
+    @property
+    def label(self) -> str:
+        """Goes with the last torque: its mode, and for a rollout the id ("rollout trial-0007")."""
+        return self._label
+
+    @property
+    def policy_id(self) -> str | None:
+        """Of the policy that is loaded."""
+        return None if self._policy is None else self._policy.id
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the arm was slower than `rest_speed` in the last state."""
+        return self._unrest() is None
+
+    @property
+    def ready(self) -> bool:
+        """Whether `execute` would begin: holding at the policy's start, at rest."""
+        return self._unready() is None
+
+    @property
+    def tracking_error(self) -> np.ndarray | None:
+        """q_ref - q [rad] in the last state, None when no joint reference is followed. (n,)."""
+        return None if self._ref is None or self._q is None else self._ref[0] - self._q
+
+    @property
+    def replay_rms(self) -> np.ndarray | None:
+        """Root mean square tracking error of the last replay so far [rad]. Shape (n,)."""
+        if not self._replay_count:
+            return None
+        return np.sqrt(self._replay_squares / self._replay_count)
+
+    def take_finished(self) -> EndEffectorPath | None:
+        """The path of the rollout that has ended, once; shorter when it was aborted."""
+        path, self._finished = self._finished, None
+        return path
+
+    # ------------------------------------------------------------------------------- requests
+
+    def load(self, policy: Policy) -> None:
+        """Make a policy the one to execute; all tables are computed here.
+
+        Raises:
+            ControllerError: During a rollout, or when the policy does not fit the arm.
+        """
+        if self._mode is Mode.ROLLOUT:
+            raise ControllerError(f"policy {policy.id} refused during a rollout")
+        start, limits = policy.q_start, self.limits
+        if start.shape != (self.arm.n,):
+            raise ControllerError(
+                f"policy {policy.id} is for {start.size} joints, the arm has {self.arm.n}"
+            )
+        if np.any(start < limits.q_min) or np.any(start > limits.q_max):
+            raise ControllerError(
+                f"q_start {start.round(3).tolist()} of policy {policy.id} is outside the limits "
+                f"{limits.q_min.tolist()} to {limits.q_max.tolist()}"
+            )
+        stiffest = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
+        stiffest = max(stiffest, policy.rotation_stiffness)
+        if stiffest > self.settings.stiffness_max:
+            raise ControllerError(
+                f"stiffness {stiffest:.0f} of policy {policy.id} is above the limit "
+                f"{self.settings.stiffness_max:.0f} 1/s^2"
+            )
+        self._tables = primitive.tabulate(policy, self.settings.period)
+        self._policy = policy
+
+    def hold(self) -> None:
+        """Come to rest and hold the posture; aborts what is under way.
+
+        Raises:
+            ControllerError: In a fault.
+        """
+        if self._mode is not Mode.HOLD:
+            self._enter(Mode.HOLD)
+
+    def stop(self) -> None:
+        """Abort what is under way and hold; without effect when inactive or in a fault."""
+        if self._mode not in _PASSIVE:
+            self.hold()
+
+    def set_gravity_compensation(self, on: bool) -> None:
+        """Let a person move the arm, or hold it where it is.
+
+        Raises:
+            ControllerError: While the arm moves by itself, or in a fault.
+        """
+        if on and self._mode is not Mode.GRAVITY_COMPENSATION:
+            self._enter(Mode.GRAVITY_COMPENSATION)
+        elif not on and self._mode is Mode.GRAVITY_COMPENSATION:
+            self._enter(Mode.HOLD)
+
+    def move_to_start(self) -> None:
+        """Move all joints to the policy's start at limited speed, then hold there.
+
+        Raises:
+            ControllerError: Without a policy, while moving, or in a mode that does not allow it.
+        """
+        if self._policy is None:
+            raise ControllerError("move_to_start refused: no policy is loaded")
+        self._move(Mode.MOVE_TO_START, self._policy.q_start)
+
+    def start_replay(self, trajectory: JointTrajectory, speed: float = 1.0) -> None:
+        """Move to the start of a recorded joint movement, then follow it, then hold.
+
+        Args:
+            trajectory: `t` [s] increasing, shape (N,), and `q` [rad], shape (N, n); smooth, because
+                its second derivative is used.
+            speed: 1 for as recorded, 0.5 for half of that.
+
+        Raises:
+            ControllerError: While moving, in a mode that does not allow it, or when the movement is
+                not within the arm's limits.
+        """
+        try:
+            sampled = Sampled(trajectory.t, trajectory.q, speed, self.settings.period)
+        except (ValueError, TypeError, AttributeError) as error:
+            raise ControllerError(f"replay refused: {error}") from None
+        limits = self.limits
+        if sampled.q.shape[1] != self.arm.n:
+            raise ControllerError(
+                f"replay refused: {sampled.q.shape[1]} joints, the arm has {self.arm.n}"
+            )
+        if np.any(sampled.q < limits.q_min) or np.any(sampled.q > limits.q_max):
+            raise ControllerError("replay refused: the movement leaves the joint limits")
+        share = float(np.max(np.abs(sampled.qd) / limits.qd_max))
+        if share > 1.0:
+            raise ControllerError(
+                f"replay refused: {share:.2f} times a joint-speed limit; "
+                f"possible at speed {speed / share:.2f}"
+            )
+        self._move(Mode.REPLAY, sampled.q[0])
+        self._plan.append(lambda _: sampled)
+        self._replay_squares, self._replay_count = np.zeros(self.arm.n), 0
+
+    def execute(self) -> None:
+        """Begin a rollout of the loaded policy with the next state.
+
+        Raises:
+            ControllerError: When not ready, with the reason.
+        """
+        reason = self._unready()
+        if reason is not None or self._policy is None or self._tables is None:
+            raise ControllerError(f"rollout refused: {reason}")
+        policy, settings = self._policy, self.settings
+        end = round((policy.basis.duration + settings.settle_time) / settings.period)
+        size = end // round(settings.path_period / settings.period) + 2
+        self._enter(Mode.ROLLOUT)
+        self._finished = None
+        self.rollout_stamp_ns = None
+        self._rollout = _Rollout(
+            id=policy.id,
+            tables=self._tables,
+            reference=rotations.matrix(policy.orientation_reference).T,
+            end=end,
+            t=np.empty(size),
+            position=np.empty((size, 3)),
+            quat_xyzw=np.empty((size, 4)),
+        )
+
+    def fault(self, reason: str) -> None:
+        """Latch a fault from outside (another commander, an overrun); aborts what is under way."""
+        if self._mode in _PASSIVE:
+            return
+        self.fault_reason = reason
+        self.counters["faults"] += 1
+        self._enter(Mode.FAULT)
+
+    def reset(self) -> None:
+        """Leave a fault and hold.
+
+        Raises:
+            ControllerError: Without a fault, while the arm moves, or without valid joint states.
+        """
+        if self._mode is not Mode.FAULT:
+            raise ControllerError(f"reset refused: no fault, mode is {self._mode.value}")
+        if self._rejected_in_row:
+            raise ControllerError("reset refused: the last joint state was not valid")
+        if (unrest := self._unrest()) is not None:
+            raise ControllerError(f"reset refused: {unrest}")
+        self._enter(Mode.HOLD)
+        self.fault_reason = None
+
+    def deactivate(self) -> None:
+        """Abort what is under way; nothing may be sent any more. A fault stays latched."""
+        if self._mode not in _PASSIVE:
+            self._enter(Mode.INACTIVE)
+
+    def _enter(self, mode: Mode) -> None:
+        """Change the mode, ending what the old one had under way."""
+        if mode not in TRANSITIONS[self._mode]:
+            possible = sorted(other.value for other in TRANSITIONS[self._mode])
+            raise ControllerError(
+                f"{mode.value} is not possible from {self._mode.value}; from there: {possible}"
+            )
+        if self._q is None and mode is not Mode.INACTIVE:
+            raise ControllerError(f"{mode.value} refused: no joint state has come yet")
+        self._end_rollout()
+        if mode not in _REFERENCED:
+            self._ref = None
+        self._mode = mode
+        self._reference = None
+        self._plan.clear()
+        self._exceeded = 0
+
+    def _move(self, mode: Mode, goal: np.ndarray) -> None:
+        if (unrest := self._unrest()) is not None:
+            raise ControllerError(f"{mode.value} refused: {unrest}")
+        self._enter(mode)
+        self._plan.append(lambda q: MinJerk(q, goal, self.settings.move_speed))
+
+    def _unrest(self) -> str | None:
+        if self._motion is None:
+            return "no joint state has come yet"
+        motion = self._motion
+        speed = max(motion.elbow_speed, motion.forearm_speed, motion.tool_speed)
+        if speed > self.settings.rest_speed:
+            return f"the arm moves at {speed:.3f} m/s, limit {self.settings.rest_speed}"
+        spin = float(np.abs(motion.twist[3:]).max())
+        if spin > 4.0 * self.settings.rest_speed:
+            return f"the tool turns at {spin:.3f} rad/s, limit {4.0 * self.settings.rest_speed}"
+        return None
+
+    def _unready(self) -> str | None:
+        if self._policy is None:
+            return "no policy is loaded"
+        if self._mode is not Mode.HOLD:
+            return f"mode is {self._mode.value}, not hold"
+        if (unrest := self._unrest()) is not None or self._q is None:
+            return unrest
+        error = np.abs(self._q - self._policy.q_start)
+        worst = int(np.argmax(error))
+        if error[worst] > self.settings.start_tolerance:
+            name = self.arm.joint_names[worst]
+            return f"{name} is {error[worst]:.3f} rad from the start of policy {self._policy.id}"
+        return None
+
+    # ----------------------------------------------------------------------------- every state
+
+    def step(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> np.ndarray:
+        """The torque that answers one joint state.
+
+        Finite, within the limits of size and, unless inactive, of change per second. The same
+        stamp again gives the same array; a state that is older or not valid is counted and gets
+        the last torque, after three in a row the torque that carries the arm.
+
+        Args:
+            stamp_ns: From the driver's header [ns].
+            q: [rad]. Shape (n,).
+            qd: [rad/s], None when the driver does not tell. Shape (n,).
+
+        Returns:
+            [N m], read-only. Shape (n,).
+        """
+        self._steps += 1
+        if not isinstance(stamp_ns, int | np.integer):
+            return self._reject("rejected")
+        stamp_ns = int(stamp_ns)
+        stamp = safety.judge_stamp(stamp_ns, self._stamp, self._period_ns)
+        if stamp is Stamp.REPEATED:
+            self.counters["repeated"] += 1
+            return self._sent
+        if stamp is Stamp.OLDER:
+            if self._mode not in _PASSIVE:
+                return self._reject("older")
+            stamp = Stamp.FIRST  # the driver has started again
+        try:
+            q = np.array(q, dtype=float)
+            qd = self._velocity(stamp, stamp_ns, q) if qd is None else np.array(qd, dtype=float)
+        except (TypeError, ValueError):
+            return self._reject("rejected")
+        if q.shape != self._qd.shape or qd.shape != q.shape:
+            return self._reject("rejected")
+        if not safety.plausible(q.tolist(), qd.tolist()):
+            return self._reject("rejected")
+        return self._answer(stamp, stamp_ns, q, qd)
+
+    def stale_torque(self) -> np.ndarray:
+        """The torque to send when no state has come: carries the arm in its last known posture.
+
+        Each call counts as one period for the limit of change. Without any state yet it is zero.
+
+        Returns:
+            [N m], read-only. Shape (n,).
+        """
+        self.counters["stale"] += 1
+        if self._q is not None:
+            compensated = self.settings.driver_compensates_gravity
+            tau = np.zeros(self.arm.n) if compensated else self.arm.gravity(self._q)
+            self._sent = safety.limit_torque(tau, self._sent, self.settings.period, self.limits)
+            self._sent.setflags(write=False)
+        return self._sent
+
+    def _reject(self, why: str) -> np.ndarray:
+        self.counters[why] += 1
+        self._rejected_in_row += 1
+        self._rejections.append(self._steps)
+        if len(self._rejections) == 5 and self._steps - self._rejections[0] < 50:
+            self.fault("five joint states refused within 50")
+        return self._sent if self._rejected_in_row < 3 else self.stale_torque()
+
+    def _velocity(self, stamp: Stamp, stamp_ns: int, q: np.ndarray) -> np.ndarray:
+        """Differentiated and low-passed position; kept as it is across a gap."""
+        if stamp is Stamp.FIRST or self._q is None or self._stamp is None:
+            return np.zeros(self.arm.n)
+        if stamp is Stamp.GAP:
+            return self._qd
+        dt = (stamp_ns - self._stamp) * 1e-9
+        share = 1.0 - math.exp(-self.settings.velocity_cutoff * dt)
+        qd = self._qd + share * ((q - self._q) / dt - self._qd)
+        qd[np.abs(qd) < 1e-4] = 0.0  # so that the filter comes to rest bit for bit
+        return qd
+
+    def _answer(self, stamp: Stamp, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """The torque for a state that has been accepted."""
+        counters, limits, period = self.counters, self.limits, self.settings.period
+        counters["accepted"] += 1
+        self._rejected_in_row = 0
+        motion = self.arm.motion(q, qd)
+        dt = period
+        if stamp is not Stamp.FIRST and self._stamp is not None and self._q is not None:
+            dt = (stamp_ns - self._stamp) * 1e-9
+            self._check_continuity(stamp, dt, q)
+            dt = min(max(dt, 0.5 * period), 2.0 * period)
+        self._stamp, self._q, self._qd, self._motion = stamp_ns, q, qd, motion
+        self._check_motion(q, qd, motion)
+
+        tau = self._torque(stamp_ns, q, qd, motion)
+        if self._mode is Mode.INACTIVE:  # nothing is sent, so nothing jumps
+            sent = np.minimum(np.maximum(tau, -limits.torque), limits.torque)
+        else:
+            sent = safety.limit_torque(tau, self._sent, dt, limits)
+            if (sent != tau).any():
+                counters["limited"] += 1
+        sent.setflags(write=False)
+        self._sent = sent
+        rollout = self._rollout
+        self._label = self._mode.value if rollout is None else f"rollout {rollout.id}"
+        return sent
+
+    def _torque(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion) -> np.ndarray:
+        """What the mode wants, before the limits; a fault when that cannot be computed."""
+        try:
+            tau = self._laws[self._mode](stamp_ns, q, qd, motion)
+            wrong = None if math.isfinite(tau.sum()) else "the torque was not finite"
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            wrong = f"no torque: {error}"
+        if wrong is not None:
+            self.fault(wrong)
+            tau = self._rest_torque(stamp_ns, q, qd, motion)
+        springs = safety.limit_springs(q, self.limits)
+        if springs is not None:
+            tau = tau + springs
+        if self.settings.driver_compensates_gravity:
+            tau = tau - self.arm.gravity(q)
+        return tau
+
+    def _check_continuity(self, stamp: Stamp, dt: float, q: np.ndarray) -> None:
+        if stamp is Stamp.GAP:
+            self.counters["gaps"] += 1
+            if dt > self.settings.stale:
+                self.fault(f"no joint state for {dt * 1e3:.0f} ms")
+        jump = float(np.abs(q - self._q).max())
+        if jump > self.limits.q_jump * max(1.0, dt / self.settings.period):
+            self.counters["jumps"] += 1
+            if self._mode is not Mode.GRAVITY_COMPENSATION:  # there nothing refers to a posture
+                self.fault(f"a joint jumped by {jump:.3f} rad from one state to the next")
+
+    def _check_motion(self, q: np.ndarray, qd: np.ndarray, motion: Motion) -> None:
+        mode, limits = self._mode, self.limits
+        if mode in _PASSIVE:
+            return
+        teaching = mode is Mode.GRAVITY_COMPENSATION
+        tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
+        boxed = mode in (Mode.ROLLOUT, Mode.REPLAY)
+        reason = safety.exceeded(q.tolist(), qd.tolist(), motion, limits, tool_speed, boxed)
+        self._exceeded = 0 if reason is None else self._exceeded + 1
+        if reason is not None and self._exceeded >= limits.periods:
+            self.fault(reason)
+
+    # ------------------------------------------------------------------- the torque of each mode
+
+    def _rest_torque(self, _: int, q: np.ndarray, qd: np.ndarray, __: Motion) -> np.ndarray:
+        arm, damping = self.arm, self.settings.fault_damping
+        return safety.live_fallback(arm.gravity(q), arm.mass_matrix(q), qd, damping)
+
+    def _teaching_torque(self, _: int, q: np.ndarray, qd: np.ndarray, motion: Motion) -> np.ndarray:
+        settings, arm = self.settings, self.arm
+        damping = safety.teaching_damping(
+            motion.tool_speed, settings.teaching_damping, settings.teaching_speed
+        )
+        return safety.live_fallback(arm.gravity(q), arm.mass_matrix(q), qd, damping)
+
+    def _reference_torque(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, _: Motion
+    ) -> np.ndarray:
+        """Inverse dynamics of the reference and of a spring-damper: every joint decoupled."""
+        q_ref, qd_ref, qdd_ref = self._follow(stamp_ns, q, qd)
+        self._ref = q_ref, qd_ref
+        error = q_ref - q
+        if self._mode is not Mode.HOLD:
+            worst = float(np.abs(error).max())
+            if worst > self.settings.tracking_error:
+                raise ValueError(f"a joint is {worst:.3f} rad away from where it should be")
+            if self._mode is Mode.REPLAY and isinstance(self._reference, Sampled):
+                self._replay_squares += error * error
+                self._replay_count += 1
+        bandwidth, ratio = self.settings.hold_bandwidth, self.settings.hold_damping_ratio
+        qdd = qdd_ref + bandwidth**2 * error + 2.0 * ratio * bandwidth * (qd_ref - qd)
+        tau = self.arm.inverse_dynamics(q, qd, qdd)
+        if self._mode is not Mode.HOLD:
+            # By the reference's direction, not the measured one: it cannot chatter.
+            arm, share = self.arm, self.settings.friction_share
+            tau += share * (arm.friction * np.tanh(qd_ref / 0.02) + arm.damping * qd_ref)
+        return tau
+
+    def _follow(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Reference of this state: q_ref, qd_ref, qdd_ref. Begins the next when one has ended."""
+        last = self._ref or (q, qd)  # continue from the reference, else from where the arm is
+        if self._reference is None:
+            self._begin(stamp_ns, *last)
+        while self._mode is not Mode.HOLD:
+            end_ns = self._reference_ns + round(self._reference.duration * 1e9)
+            if stamp_ns < end_ns:
+                break
+            q_end, qd_end, _ = self._reference.at(self._reference.duration)
+            if not self._plan:
+                self._mode = Mode.HOLD
+            self._begin(end_ns, q_end, qd_end)
+        return self._reference.at((stamp_ns - self._reference_ns) * 1e-9)
+
+    def _begin(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> None:
+        self._reference_ns = stamp_ns
+        if self._plan:
+            self._reference = self._plan.popleft()(q)
+        else:
+            self._reference = Brake(
+                q, qd, self.settings.brake_time, self.limits.q_min, self.limits.q_max
+            )
+
+    def _rollout_torque(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion
+    ) -> np.ndarray:
+        """Eq. 1 in closed loop on the measured state, and the orientation that belongs to it."""
+        rollout = self._rollout
+        if rollout.start_ns is None:
+            rollout.start_ns = self.rollout_stamp_ns = stamp_ns
+        k = (stamp_ns - rollout.start_ns + self._period_ns // 2) // self._period_ns
+        if k > rollout.end:
+            self._enter(Mode.HOLD)
+            return self._reference_torque(stamp_ns, q, qd, motion)
+        if k >= rollout.next_sample:
+            self._sample(rollout, k, motion)
+        vector = rotations.log(motion.rotation.dot(rollout.reference))
+        if vector.dot(vector) + rollout.rotation.dot(rollout.rotation) > 4.0:  # half a turn is near
+            vector = rotations.continuous(np.stack((rollout.rotation, vector)))[1]
+        rollout.rotation = vector
+        tables, twist = rollout.tables, motion.twist
+        wanted = np.empty(6)
+        wanted[:3] = primitive.acceleration(tables, k, motion.position, twist[:3])
+        wanted[3:] = primitive.angular_acceleration(tables, k, vector, twist[3:])
+        return self.settings.law.torque(motion, self.arm.dynamics(q, qd), qd, wanted)
+
+    def _sample(self, rollout: _Rollout, k: int, motion: Motion) -> None:
+        every = round(self.settings.path_period / self.settings.period)
+        row = rollout.count
+        rollout.t[row] = k * self.settings.period
+        rollout.position[row] = motion.position
+        rollout.quat_xyzw[row] = rotations.quat_xyzw(motion.rotation)
+        rollout.count += 1
+        rollout.next_sample = (k // every + 1) * every
+
+    def _end_rollout(self) -> None:
+        """Publish the path of a rollout that is over, complete or not."""
+        rollout = self._rollout
+        if rollout is None:
+            return
+        if not rollout.count and self._motion is not None:  # ended before its first state
+            self._sample(rollout, 0, self._motion)
+        count = rollout.count
+        self._finished = EndEffectorPath(
+            rollout.id, rollout.t[:count], rollout.position[:count], rollout.quat_xyzw[:count]
+        )
+        self._rollout = None
