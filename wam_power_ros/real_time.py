@@ -103,11 +103,25 @@ def _plain(node: Node, reason: str) -> Executor:
     return executor
 
 
-def spin(node: Node, ended: Callable[[], bool]) -> None:
-    """Dispatch the callbacks of `node` until `ended()`, asked at least every 0.2 s."""
+def spin(
+    node: Node,
+    ended: Callable[[], bool],
+    between: Callable[[], None] | None = None,
+    every: float = 0.2,
+) -> None:
+    """Dispatch the callbacks of `node` until `ended()`.
+
+    Args:
+        node: Whose callbacks.
+        ended: Asked after every callback and at least `every` [s].
+        between: Called as often.
+        every: [s].
+    """
     executor = executor_for(node)
     while not ended() and rclpy.ok():  # not executor.spin(): it hangs in these builds
-        executor.spin_once(timeout_sec=0.2)
+        executor.spin_once(timeout_sec=every)
+        if between is not None:
+            between()
 
 
 def run(

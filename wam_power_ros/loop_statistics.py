@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How well a periodic loop keeps its time; the times are handed in."""
+
+from __future__ import annotations
+
+import numpy as np
+
+CAPACITY = 4096  # cycles between two reports
+
+
+class LoopStatistics:
+    """Arrivals and departures of the cycles since the last report.
+
+    Args:
+        period_ns: Of the loop [ns].
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._arrived = np.zeros(CAPACITY, dtype=np.int64)
+        self._left = np.zeros(CAPACITY, dtype=np.int64)
+        self._count = 0
+        self._before: int | None = None  # the last arrival of the report before
+        self.missed = 0  # periods, since the start
+
+    def add(self, arrived_ns: int, left_ns: int) -> None:
+        """One cycle, from its input's arrival to its output's departure [ns, steady clock]."""
+        i = self._count
+        if i < CAPACITY:
+            self._arrived[i], self._left[i] = arrived_ns, left_ns
+            self._count = i + 1
+
+    def report(self) -> dict[str, str]:
+        """Figures of the cycles since the last report, with their units, and begin anew."""
+        count, before = self._count, self._before
+        self._count, self._before = 0, None
+        if count == 0:
+            return {"cycles": "0"}
+        arrived, left = self._arrived[:count], self._left[:count]
+        self._before = int(arrived[-1])
+        first = arrived[0] if before is None else before
+        periods = np.diff(arrived, prepend=first)[1 if before is None else 0 :]
+        self.missed += int(np.maximum(np.rint(periods / self._period_ns) - 1, 0).sum())
+        step = (left - arrived) * 1e-3
+        figures = {"cycles": str(count), "periods missed": str(self.missed)}
+        for name, value in (("median", 50.0), ("p99", 99.0), ("max", 100.0)):
+            if len(periods):
+                figures[f"period {name} [ms]"] = f"{np.percentile(periods, value) * 1e-6:.3f}"
+            figures[f"step {name} [us]"] = f"{np.percentile(step, value):.0f}"
+        return figures

@@ -1,0 +1,310 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Torque controller: joint states in, one torque each out; policies in, finished rollouts out.
+
+A managed (lifecycle) node, thin over `controller.Controller`. The arm sets the pace: there is no
+clock beside its states, but a watchdog on the steady clock for when they stay away.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros import interface, real_time
+from wam_power_ros import policy as policies
+from wam_power_ros.controller import Controller, ControllerError, Mode
+from wam_power_ros.late_service import LateTrigger
+from wam_power_ros.loop_statistics import LoopStatistics
+from wam_power_ros.nodes.sole_commander import SoleCommander
+from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
+from wam_power_ros.resources import share
+
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+STALE_FAULT_NS = 20_000_000  # without a state for longer, the fault is latched
+STALE_IDLE_NS = 100_000_000  # and for longer still, the driver is asked to idle
+
+
+class TorqueController(LifecycleNode):
+    """One torque per joint state."""
+
+    def __init__(self) -> None:
+        super().__init__("torque_controller", automatically_declare_parameters_from_overrides=True)
+        self._params = params = TorqueControllerParams.of(self)
+        self._autostart = params.autostart
+        self._urdf = share(params.urdf).read_text() if params.urdf else ""
+        self._controller: Controller | None = None
+        self._active = False
+        self._refused: Counter[str] = Counter()
+        self._trouble = ""  # the last refusal, for the diagnostics
+        self._qd: np.ndarray | None = None  # of the velocity topic
+        self._stamp_ns = 0  # of the last state
+        self._arrived_ns = self._sent_ns = 0  # steady clock
+        self._idle_asked = False
+        sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may stay away
+        self._state_timeout = 0.0 if sim_time else params.state_timeout  # [s]
+        self._statistics = LoopStatistics(round(params.period * 1e9))
+        self._granted = real_time.Granted()
+
+        self._read = interface.JointStateReader(params.joint_names)
+        self._write = interface.TorqueWriter(params.joint_names, params.command_type)
+        self._commands = self.create_publisher(
+            self._write.message_type, params.command_topic, interface.COMMAND
+        )
+        self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self._guard = SoleCommander(self, self._commands)
+        self._idle = self.create_client(Trigger, params.idle_service or interface.WAM_IDLE)
+        subscribe = self.create_subscription
+        subscribe(JointState, params.state_topic, self._on_state, interface.STATE_IN)
+        if params.velocity_topic:
+            subscribe(JointState, params.velocity_topic, self._on_velocity, interface.STATE_IN)
+        subscribe(String, interface.POLICY, self._on_policy, interface.LATCHED)
+        if not params.urdf:
+            subscribe(String, interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED)
+        serve = self.create_service
+        serve(Trigger, interface.EXECUTE, self._on_execute)
+        serve(Trigger, interface.STOP, self._on_stop)
+        serve(Trigger, interface.RESET, self._on_reset)
+        serve(SetBool, interface.GRAVITY_COMPENSATION, self._on_gravity_compensation)
+        self._move = LateTrigger(self, interface.MOVE_TO_START, self._begin_move)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.1, self._look_after, clock=steady)
+        self.create_timer(1.0, self._report, clock=steady)
+
+    # Life cycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Build the core; everything that takes long happens here."""
+        try:
+            if not self._urdf:
+                raise ValueError(f"nothing has come on {interface.ROBOT_DESCRIPTION} yet")
+            self._controller = self._params.controller(self._urdf)
+        except ValueError as error:
+            self._refuse("configuration", error)
+            return FAILURE
+        self._granted = real_time.request(self._params.realtime_priority)
+        return SUCCESS
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Hold the arm where it is; needs fresh states and nobody else commanding."""
+        reason = self._unfit() or self._guard.begin()
+        if reason is None and self._controller.mode is not Mode.FAULT:
+            try:
+                self._controller.hold()
+            except ControllerError as error:
+                reason = str(error)
+        if reason is not None:
+            self._guard.listen()
+            self._refuse("activation", reason)
+            return FAILURE
+        self._active, self._idle_asked = True, False
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Send the torque that carries the arm a last time, then nothing."""
+        self.close()
+        self._guard.listen()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the arm, the policy and any fault."""
+        self._controller = None
+        return SUCCESS
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """As for deactivation, for good."""
+        self.close()
+        return SUCCESS
+
+    def close(self) -> None:
+        """Stop sending, with a last torque a driver may hold: g(q), or zero if it adds g(q)."""
+        self._autostart = False
+        if not self._active:
+            return
+        self._send(self._controller.stale_torque(), "inactive")
+        self._active = False
+        self._controller.deactivate()
+        self._answer_move()
+
+    def _unfit(self) -> str | None:
+        age = time.monotonic_ns() - self._arrived_ns
+        return None if age < 1_000_000_000 else "no joint state within the last second"
+
+    # Every state
+
+    def _on_state(self, message: JointState) -> None:
+        arrived_ns = time.monotonic_ns()
+        controller = self._controller
+        try:
+            reading = self._read(message)
+        except ValueError as error:
+            return self._refuse("joint state", error)
+        if reading is None or controller is None:
+            return None
+        stamp_ns, q, qd = reading
+        tau = controller.step(stamp_ns, q, self._qd if qd is None else qd)
+        self._arrived_ns = arrived_ns
+        if stamp_ns < self._stamp_ns and controller.mode is not Mode.INACTIVE:
+            return None  # counted by the core: the newest stamp wins
+        self._stamp_ns = stamp_ns
+        if not self._active:
+            return None
+        self._send(tau, controller.label)
+        self._statistics.add(arrived_ns, self._sent_ns)
+        path = controller.take_finished()
+        if path is not None:
+            start_ns = controller.rollout_stamp_ns or stamp_ns
+            self._paths.publish(interface.path_message(path, start_ns, self._params.base_frame))
+        if self._move.pending:
+            self._answer_move()
+        return None
+
+    def _on_velocity(self, message: JointState) -> None:
+        try:
+            qd = self._read.velocity(message)
+        except ValueError as error:
+            return self._refuse("joint velocity", error)
+        self._qd = self._qd if qd is None else qd
+        return None
+
+    def watch(self) -> None:
+        """Between callbacks: carry the arm when its states stay away (not in lockstep)."""
+        if not self._active or self._state_timeout == 0.0:
+            return
+        now = time.monotonic_ns()
+        age = now - self._arrived_ns
+        if age < self._state_timeout * 1e9 or now - self._sent_ns < 0.9e9 * self._params.period:
+            return
+        if age > STALE_FAULT_NS:
+            self._controller.fault(f"no joint state for {age // 1_000_000} ms")
+        if age > STALE_IDLE_NS and not self._idle_asked and self._params.idle_service:
+            self._idle_asked = True
+            self._idle.call_async(Trigger.Request())
+        self._send(self._controller.stale_torque(), self._controller.mode.value)
+
+    def _send(self, tau: np.ndarray, label: str) -> None:
+        self._commands.publish(self._write(self._stamp_ns, label, tau))
+        self._sent_ns = time.monotonic_ns()
+
+    # Policies and requests
+
+    def _on_policy(self, message: String) -> None:
+        try:
+            if self._controller is None:
+                raise ValueError("the controller is not configured")
+            self._controller.load(policies.from_json(message.data))
+        except (ValueError, ControllerError) as error:
+            self._refuse("policy", error)
+
+    def _on_description(self, message: String) -> None:
+        self._urdf = message.data
+
+    def _on_execute(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._try(response, lambda core: core.execute())
+
+    def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._try(response, lambda core: core.stop())
+
+    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return self._try(response, lambda core: core.reset())
+
+    def _on_gravity_compensation(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        return self._try(response, lambda core: core.set_gravity_compensation(request.data))
+
+    def _try(
+        self, response: Trigger.Response, request: Callable[[Controller], None]
+    ) -> Trigger.Response:
+        """Success, with the loaded policy's id as the message; or why not."""
+        try:
+            if not self._active:
+                raise ControllerError("refused: the controller is not active")
+            request(self._controller)
+            response.success, response.message = True, self._controller.policy_id or ""
+        except ControllerError as error:
+            response.success, response.message = False, str(error)
+        return response
+
+    def _begin_move(self) -> str | None:
+        refusal = self._try(Trigger.Response(), lambda core: core.move_to_start())
+        return None if refusal.success else refusal.message
+
+    def _answer_move(self) -> None:
+        mode = self._controller.mode
+        if mode is Mode.MOVE_TO_START or (mode is Mode.HOLD and not self._controller.at_rest):
+            return
+        if self._controller.ready:
+            self._move.finish(True, self._controller.policy_id)
+        else:
+            reason = self._controller.fault_reason or f"mode is {mode.value}, not at the start"
+            self._move.finish(False, f"move_to_start failed: {reason}")
+
+    # Ten times and once a second
+
+    def _look_after(self) -> None:
+        if self._autostart and self._controller is None and self._urdf:
+            self._autostart = self.trigger_configure() is SUCCESS
+        if self._autostart and self._controller is not None and self._unfit() is None:
+            self._autostart = self.trigger_activate() is not SUCCESS
+        if self._active and (intruder := self._guard.intruder()):
+            self._controller.fault(intruder)
+        if self._move.pending:
+            self._answer_move()
+
+    def _report(self) -> None:
+        core, now = self._controller, self.get_clock().now().to_msg()
+        values = {
+            "mode": "unconfigured" if core is None else core.mode.value,
+            "policy": (core and core.policy_id) or "",
+            **self._statistics.report(),
+            **({} if core is None else core.counters),
+            **{f"refused: {name}": count for name, count in self._refused.items()},
+            "real-time scheduling": self._granted.scheduling,
+            "locked memory": self._granted.memory,
+            "last refusal": self._trouble,
+        }
+        level, text = "ok", values["mode"]
+        if core is not None and core.mode is Mode.FAULT:
+            level, text = "error", core.fault_reason or "fault"
+        elif not self._active or self._unfit():
+            level, text = "warn", self._unfit() or "not active"
+        elif self._params.realtime_priority and not self._granted.complete:
+            level, text = "warn", f"{text}; no real-time scheduling"
+        elif self._trouble:
+            level, text = "warn", self._trouble
+        self._trouble = ""
+        name = "torque_controller: loop"
+        self._diagnostics.publish(
+            interface.diagnostics(now, name, self._params.hardware_id, level, text, values)
+        )
+
+    def _refuse(self, what: str, reason: object) -> None:
+        self._refused[what] += 1
+        self._trouble = f"{what} refused: {reason}"
+        self.get_logger().warning(self._trouble, throttle_duration_sec=1.0)
+
+
+def main() -> int:
+    """Entry point of `ros2 run wam_power_ros torque_controller`."""
+    return real_time.run(
+        TorqueController,
+        spin=lambda node, ended: real_time.spin(node, ended, node.watch, every=0.002),
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

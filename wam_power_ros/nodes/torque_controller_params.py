@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the torque controller, and the core they make."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from wam_power_ros.arm import Arm
+from wam_power_ros.controller import Controller, ControllerSettings
+from wam_power_ros.params import Params
+from wam_power_ros.safety import limits_of
+from wam_power_ros.torque_law import TorqueLaw
+
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class TorqueControllerParams(Params):
+    """What config/torque_controller.yaml says; a comment there tells what each is."""
+
+    autostart: bool
+    realtime_priority: int = Field(ge=0, le=98)
+    hardware_id: str
+    joint_names: Annotated[tuple[str, ...], Field(min_length=1)]
+    state_topic: str
+    velocity_topic: str
+    command_topic: str
+    command_type: Literal["multiarray", "joint_state"]
+    driver_compensates_gravity: bool
+    idle_service: str
+    urdf: str
+    base_frame: str
+    tool_frame: str
+    period: Positive
+    state_timeout: float = Field(ge=0.0)
+    torque_share: float = Field(gt=0.0, le=1.0)
+    torque_rate_max: Positive
+    elbow_speed_max: Positive
+    tool_speed_max: Positive
+    teaching_tool_speed_max: Positive
+    workspace_min: tuple[float, float, float]
+    workspace_max: tuple[float, float, float]
+    law: Literal["operational_space", "virtual_mass"]
+    move_speed: Positive
+    start_tolerance: Positive
+    settle_time: Positive
+    stiffness_max: Positive
+    velocity_cutoff: Positive
+
+    def controller(self, urdf: str) -> Controller:
+        """The core for the arm of this URDF.
+
+        Raises:
+            ValueError: The URDF does not hold the arm these parameters name.
+        """
+        arm = Arm(urdf, self.joint_names, self.tool_frame)
+        limits = limits_of(
+            arm,
+            torque=self.torque_share * arm.tau_max,
+            torque_rate=np.full(arm.n, self.torque_rate_max),
+            elbow_speed=self.elbow_speed_max,
+            tool_speed=self.tool_speed_max,
+            teaching_tool_speed=self.teaching_tool_speed_max,
+            workspace_min=self.workspace_min,
+            workspace_max=self.workspace_max,
+        )
+        settings = ControllerSettings(
+            period=self.period,
+            driver_compensates_gravity=self.driver_compensates_gravity,
+            law=TorqueLaw(kind=self.law),
+            limits=limits,
+            move_speed=self.move_speed,
+            start_tolerance=self.start_tolerance,
+            settle_time=self.settle_time,
+            stiffness_max=self.stiffness_max,
+            velocity_cutoff=self.velocity_cutoff,
+        )
+        return Controller(arm, settings)
