@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The MuJoCo scene: the arm of the URDF, the pan's contact surfaces, and the pancake."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+PAN_RADIUS = 0.139  # [m]
+PANCAKE_RADIUS = 0.09  # [m]
+PANCAKE_HALF_HEIGHT = 0.0025  # [m]
+PANCAKE_MASS = 0.026  # [kg], the paper's
+
+_RIM_SEGMENTS = 16
+_RIM_HEIGHT = 0.035  # [m]
+_RIM_FLARE = 0.6  # [rad] outward: the pan of a person, and a catch forgives some centimetres
+_PAN, _PANCAKE = 1, 2  # collision bits: only the pancake touches the pan, and nothing else touches
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """What of the scene is a choice.
+
+    Attributes:
+        timestep: physics step [s].
+        friction: sliding friction between pancake and pan.
+        air_density: [kg/m^3]; drag only.
+    """
+
+    timestep: float = 0.001
+    friction: float = 0.2
+    air_density: float = 1.2
+
+
+def build(urdf: str, settings: SceneSettings) -> mujoco.MjModel:
+    """Compile the scene.
+
+    Args:
+        urdf: text of the arm's URDF, with a link `pan` as design: z the normal, origin on the floor.
+        settings: see there.
+
+    Returns:
+        A model whose first degrees of freedom are the arm's joints and whose last six the pancake's.
+    """
+    spec = mujoco.MjSpec.from_string(urdf)
+    option = spec.option
+    option.timestep = settings.timestep
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.density = settings.air_density
+    for joint in ElementTree.fromstring(urdf).iter("joint"):
+        dynamics = joint.find("dynamics")
+        if dynamics is not None:
+            spec.joint(joint.get("name")).armature = float(dynamics.get("armature", "0"))
+    for geom in spec.geoms:  # the URDF's shapes are for drawing only
+        geom.contype = geom.conaffinity = 0
+        geom.group = 1
+    _add_pan(spec.body("pan"), settings)
+    _add_pancake(spec.worldbody, settings)
+    spec.worldbody.add_light(pos=[0.5, -1.0, 3.0], dir=[0.0, 0.3, -1.0], castshadow=True)
+    spec.worldbody.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[3.0, 3.0, 0.1],
+        rgba=[0.93, 0.93, 0.91, 1.0],
+        contype=0,
+        conaffinity=0,
+    )
+    model = spec.compile()
+    # The ellipsoid model's added mass and lift would cancel the flip of a thin disc: drag alone.
+    model.geom_fluid[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "pancake"), 4:12] = 0.0
+    return model
+
+
+def _contact(settings: SceneSettings) -> dict[str, object]:
+    """Nearly inelastic; MuJoCo's softer default lets a thin disc fall through the pan."""
+    return {
+        "solref": [0.005, 0.6],
+        "solimp": [0.9, 0.97, 0.002, 0.5, 2.0],
+        "friction": [settings.friction, 0.005, 0.0001],
+        "condim": 4,
+    }
+
+
+def _add_pan(pan: mujoco.MjsBody, settings: SceneSettings) -> None:
+    contact = _contact(settings) | {"contype": _PAN, "conaffinity": _PANCAKE, "mass": 0.0}
+    colour = [0.13, 0.13, 0.14, 1.0]
+    pan.add_geom(
+        name="pan_floor",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[PAN_RADIUS, 0.004, 0.0],
+        pos=[0.0, 0.0, -0.004],
+        rgba=colour,
+        **contact,
+    )
+    length = _RIM_HEIGHT / np.cos(_RIM_FLARE)  # along the flared wall
+    outward = PAN_RADIUS + 0.5 * _RIM_HEIGHT * np.tan(_RIM_FLARE)
+    width = np.pi * (PAN_RADIUS + _RIM_HEIGHT * np.tan(_RIM_FLARE)) / _RIM_SEGMENTS
+    for k in range(_RIM_SEGMENTS):
+        angle = 2.0 * np.pi * k / _RIM_SEGMENTS
+        tilt = np.array([np.cos(_RIM_FLARE / 2), 0.0, np.sin(_RIM_FLARE / 2), 0.0])  # about y
+        turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])  # about z
+        quat = np.zeros(4)
+        mujoco.mju_mulQuat(quat, turn, tilt)
+        pan.add_geom(
+            name=f"pan_rim{k}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.002, width, 0.5 * length],
+            pos=[outward * np.cos(angle), outward * np.sin(angle), 0.5 * _RIM_HEIGHT],
+            quat=quat,
+            rgba=colour,
+            **contact,
+        )
+
+
+def _add_pancake(world: mujoco.MjsBody, settings: SceneSettings) -> None:
+    body = world.add_body(name="pancake", pos=[0.0, 0.0, 2.0])
+    body.add_freejoint(name="pancake")
+    body.add_geom(
+        name="pancake",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[PANCAKE_RADIUS, PANCAKE_HALF_HEIGHT, 0.0],
+        mass=PANCAKE_MASS,
+        fluid_ellipsoid=1,
+        rgba=[0.95, 0.78, 0.25, 1.0],
+        contype=_PANCAKE,
+        conaffinity=_PAN,
+        **_contact(settings),
+    )
+    for sign, colour in ((1.0, [0.97, 0.97, 0.95, 1.0]), (-1.0, [0.96, 0.70, 0.10, 1.0])):
+        body.add_geom(  # white above, yellow below, as the paper's: to be seen, not felt
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[0.97 * PANCAKE_RADIUS, 0.0004, 0.0],
+            pos=[0.0, 0.0, sign * (PANCAKE_HALF_HEIGHT + 0.0002)],
+            mass=0.0,
+            rgba=colour,
+            contype=0,
+            conaffinity=0,
+        )

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the drivers would report: joint encoders with a filtered velocity, and motion capture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+# Motor encoders of 4096 counts, seen at the joint [rad]
+ENCODER_RESOLUTION = np.array([3.65, 2.72, 4.56, 8.52, 7.91, 7.91, 10.27]) * 1e-5
+
+
+class Encoders:
+    """Quantised positions, differenced and low-passed as libbarrett does."""
+
+    def __init__(self, period: float, cutoff: float = 180.0) -> None:
+        """Encoders read every `period` [s], velocity filtered at `cutoff` [rad/s]."""
+        self._rate = 1.0 / period
+        self._share = 1.0 - math.exp(-cutoff * period)
+        self._scale = 1.0 / ENCODER_RESOLUTION
+        self.q = np.zeros(7)  # [rad]
+        self.qd = np.zeros(7)  # [rad/s]
+
+    def reset(self, q: np.ndarray) -> None:
+        """At rest at `q` (7,) [rad]."""
+        self.q = np.rint(q * self._scale) * ENCODER_RESOLUTION
+        self.qd = np.zeros(7)
+
+    def read(self, q: np.ndarray) -> None:
+        """One period later, the joints at `q` (7,) [rad]."""
+        counted = np.rint(q * self._scale) * ENCODER_RESOLUTION
+        self.qd = self.qd + self._share * ((counted - self.q) * self._rate - self.qd)
+        self.q = counted
+
+
+@dataclass(frozen=True)
+class MocapSettings:
+    """Motion capture as in the paper, with figures of present systems for what it leaves out.
+
+    Attributes:
+        rate: frames a second; the paper's 30.
+        noise: standard deviation of a marker, an axis [m].
+        latency: from exposure to delivery [s].
+        dropout: share of frames that are lost.
+        occlusion: share of frames in which a marker is hidden, so that no pose is made of them.
+    """
+
+    rate: float = 30.0
+    noise: float = 0.0005
+    latency: float = 0.04
+    dropout: float = 0.01
+    occlusion: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.rate <= 500.0:
+            raise ValueError(f"rate {self.rate} must be 1 to 500 frames a second")
+        for name in ("noise", "latency", "dropout", "occlusion"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ValueError(f"{name} {getattr(self, name)} must be 0 to 1")
+
+
+class MocapFrame(NamedTuple):
+    """One frame of the pancake, as delivered."""
+
+    stamp_ns: int  # of the exposure
+    position: np.ndarray  # (3,) [m]
+    quat_xyzw: np.ndarray  # (4,)
+    markers: np.ndarray  # (m, 3) [m]; m < 4 when some are hidden
+
+
+class Mocap:
+    """Samples the pancake: markers with noise, a pose fitted to them, delivered late."""
+
+    def __init__(self, layout: np.ndarray, settings: MocapSettings) -> None:
+        """Track a body with markers at `layout` (4, 3) [m] in its own frame."""
+        self._layout = layout
+        self._centred = layout - layout.mean(axis=0)
+        self._settings = settings
+        self._period_ns = round(1e9 / settings.rate)
+        self._latency_ns = round(settings.latency * 1e9)
+        self._rng = np.random.default_rng(0)
+        self._waiting: list[MocapFrame] = []
+        self._next_ns = 0
+
+    def restart(self, now_ns: int, rng: np.random.Generator) -> None:
+        """Frames and noise from now on depend on `rng` alone; the phase of the frames is random."""
+        self._rng = rng
+        self._next_ns = now_ns + 5_000_000 + int(rng.uniform(0.0, self._period_ns))
+
+    def sample(self, now_ns: int, position: np.ndarray, rotation: np.ndarray) -> None:
+        """Expose a frame if one is due; the body is at `position` (3,), `rotation` (9,) or (3, 3)."""
+        if now_ns < self._next_ns:
+            return
+        self._next_ns += self._period_ns
+        settings, rng = self._settings, self._rng
+        noise = rng.standard_normal((4, 3)) * settings.noise
+        lost, hidden, which = rng.random(), rng.random(), int(rng.integers(4))
+        if lost < settings.dropout:
+            return
+        markers = position + self._layout @ rotation.reshape(3, 3).T + noise
+        centre = markers.mean(axis=0)
+        u, _, vt = np.linalg.svd(self._centred.T @ (markers - centre))
+        fitted = (u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt).T
+        if hidden < settings.occlusion:
+            markers = np.delete(markers, which, axis=0)
+        self._waiting.append(
+            MocapFrame(
+                now_ns,
+                centre - fitted @ self._layout.mean(axis=0),
+                _quat_xyzw(fitted),
+                markers,
+            )
+        )
+
+    def delivered(self, now_ns: int) -> list[MocapFrame]:
+        """Frames that have come in by now, oldest first."""
+        if not self._waiting or self._waiting[0].stamp_ns + self._latency_ns > now_ns:
+            return []
+        due = [f for f in self._waiting if f.stamp_ns + self._latency_ns <= now_ns]
+        self._waiting = self._waiting[len(due) :]
+        return due
+
+
+def _quat_xyzw(rotation: np.ndarray) -> np.ndarray:
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, rotation.ravel())
+    return quat[[1, 2, 3, 0]]
