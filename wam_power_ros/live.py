@@ -102,24 +102,17 @@ def summary(records: Sequence[Record]) -> str:
 class Display:
     """Shows records as they come: a live table on a terminal, one line each in a file."""
 
-    def __init__(self, budget: int, console: Console | None = None) -> None:
-        self.records: list[Record] = []
+    def __init__(self, console: Console | None = None) -> None:
+        self._records: Sequence[Record] = ()
         self._console = console or Console()
-        self._status = "starting"
         self._progress = Progress(
-            TextColumn("{task.completed:.0f}/{task.total:.0f} rollouts"),
+            TextColumn("{task.completed:.0f} of at most {task.total:.0f} rollouts"),
             BarColumn(bar_width=40),
             TimeElapsedColumn(),
-            TextColumn("{task.description}"),
-        )
-        self._task = self._progress.add_task("starting", total=budget)
-        self._live = Live(
-            self.render(),
             console=self._console,
-            refresh_per_second=4,
-            transient=False,
-            get_renderable=self.render,
         )
+        self._task = self._progress.add_task("")
+        self._live = Live(console=self._console, get_renderable=self._render)
 
     def __enter__(self) -> Display:
         if self._console.is_terminal:
@@ -135,41 +128,37 @@ class Display:
         if self._console.is_terminal:
             self._live.stop()
 
-    def status(self, text: str) -> None:
-        """Say what is going on."""
-        if text == self._status:
-            return
-        self._status = text
-        self._progress.update(self._task, description=text)
-        if not self._console.is_terminal:
-            self._console.print(text)
+    def show(self, records: Sequence[Record], most: int) -> None:
+        """Show the session as it stands.
 
-    def add(self, record: Record) -> None:
-        """Show one more rollout."""
-        self.records.append(record)
-        self._progress.update(self._task, completed=len(self.records))
+        Args:
+            records: All of them; those not shown before are printed where there is no terminal.
+            most: So many rollouts there can be.
+        """
+        new = records[len(self._records) :]
+        self._records = records
+        self._progress.update(self._task, completed=len(records), total=max(most, len(records)))
         if not self._console.is_terminal:
-            terms = "  ".join(f"{n} {_number(v, '.3f')}" for n, v in record.terms.items())
-            self._console.print(
-                f"rollout {record.number:3d}  {record.kind:12s}  return "
-                f"{_number(record.ret, '.3f')}  ({terms})  angle "
-                f"{_number(angle(record), '.0f')} deg  {outcome(record)}",
-                highlight=False,
-                soft_wrap=True,
-            )
-            if record.note:
-                self._console.print(f"    {record.note}", highlight=False, soft_wrap=True)
+            for record in new:
+                self._console.print(line(record), highlight=False, soft_wrap=True, markup=False)
 
-    def render(self) -> RenderableType:
-        """The table as it stands."""
-        returns = [record.ret for record in self.records if record.ret is not None]
-        notes = [record.note for record in self.records if record.note]
-        parts: list[RenderableType] = []
-        if self.records:
-            parts += [rollout_table(self.records), Text(spark(returns), style="green")]
-        if notes:
-            parts.append(Text(notes[-1], style="italic"))
-        return Group(*parts, self._progress)
+    def _render(self) -> RenderableType:
+        if not self._records:
+            return Group(Text("the first rollout is on its way", style="italic"), self._progress)
+        returns = [record.ret for record in self._records if record.ret is not None]
+        notes = [record.note for record in self._records if record.note]
+        parts = [rollout_table(self._records), Text(spark(returns), style="green")]
+        return Group(*parts, Text(notes[-1] if notes else "", style="italic"), self._progress)
+
+
+def line(record: Record) -> str:
+    """A rollout in one line."""
+    terms = ", ".join(f"{name} {_number(value, '.3f')}" for name, value in record.terms.items())
+    return (
+        f"{record.number:4d}  {record.kind:12s}  return {_number(record.ret, '.3f')} ({terms})  "
+        f"{_number(angle(record), '.0f', '°'):>4s}  {outcome(record)}"
+        + (f"  [{record.note}]" if record.note else "")
+    )
 
 
 def _number(value: float | None, form: str, unit: str = "") -> str:

@@ -15,6 +15,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -53,22 +54,34 @@ class Processes:
         self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **environment}
         self._running: list[Running] = []
 
-    def start(self, name: str, command: Sequence[str], stdout: int | None = None) -> Running:
-        """Start a command; with `stdout=subprocess.PIPE` only its stderr goes to the log."""
+    def start(self, name: str, command: Sequence[str], talks: bool = False) -> Running:
+        """Start a command whose output goes to its log, or one that `talks` with the terminal."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"{name}.log"
         with log.open("ab") as output:
             process = subprocess.Popen(
                 command,
                 env=self._environment,
-                stdin=subprocess.DEVNULL,
-                stdout=output if stdout is None else stdout,
-                stderr=output,
-                start_new_session=True,
+                stdin=None if talks else subprocess.DEVNULL,
+                stdout=None if talks else output,
+                stderr=None if talks else output,
+                start_new_session=not talks,
                 preexec_fn=_end_with_parent if sys.platform == "linux" else None,
             )
         self._running.append(Running(name, process, log))
         return self._running[-1]
+
+    def finish(self, running: Running) -> None:
+        """Wait for a process that is to end by itself, while the others go on.
+
+        Raises:
+            ProcessError: It failed, or one of the others ended.
+        """
+        while running.process.poll() is None:
+            self.check(but=running)
+            time.sleep(0.05)
+        self.check(but=running)
+        self._running.remove(running)
 
     def check(self, but: Running | None = None) -> None:
         """Raise when a process has ended, whatever its exit status.

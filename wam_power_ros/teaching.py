@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A series of kinesthetic demonstrations: the arm is made weightless, each movement recorded.
 
-Out on standard output: one JSON line a demonstration, `{"demonstration": 1, "bag": "/path"}`.
-The hand is a person, who presses Enter, or the stand-in's.
+The hand is a person, who presses Enter, or the stand-in's. When the series is complete the paths of
+its bags are written as a JSON list.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from pathlib import Path
 
 import rclpy
 from pydantic import Field
@@ -20,13 +21,15 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros import interface
 from wam_power_ros.params import Params
 
+TIMEOUT = 60.0  # for a service to appear and to agree [s of wall time]
+
 
 class TeachingParams(Params):
     """Parameters of the series."""
 
     demonstrations: int = Field(ge=1)
+    series: str  # file to write the list of bags to
     person: bool  # a person leads the arm; otherwise the stand-in's hand does
-    timeout: float = Field(gt=0.0)  # for a service to appear and to answer [s of wall time]
 
 
 class TeachingError(RuntimeError):
@@ -49,6 +52,7 @@ class Teaching(Node):
             TeachingError: A service does not appear, does not answer in time, or refuses.
         """
         self._call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        bags = []
         for number in range(1, self.params.demonstrations + 1):
             self._ask(f"demonstration {number}: press Enter, then lead the arm")
             self._call(SetBool, interface.RECORD, SetBool.Request(data=True))
@@ -56,10 +60,11 @@ class Teaching(Node):
                 self._ask("press Enter when the movement is over")
             else:
                 self._call(Trigger, interface.HAND_DEMONSTRATE, Trigger.Request())
-            bag = self._call(SetBool, interface.RECORD, SetBool.Request(data=False))
-            sys.stdout.write(json.dumps({"demonstration": number, "bag": bag}) + "\n")
+            bags.append(self._call(SetBool, interface.RECORD, SetBool.Request(data=False)))
+            sys.stdout.write(f"  {number} of {self.params.demonstrations}: {bags[-1]}\n")
             sys.stdout.flush()
         self._call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+        Path(self.params.series).write_text(json.dumps(bags))
 
     def _ask(self, text: str) -> None:
         if self.params.person:
@@ -74,17 +79,17 @@ class Teaching(Node):
         A refusal is asked again until the time is up: a node that has just started may not have
         seen a joint state yet.
         """
-        end = time.monotonic() + self.params.timeout
+        end = time.monotonic() + TIMEOUT
         client = self.create_client(kind, name)
         try:
-            if not client.wait_for_service(self.params.timeout):
-                raise TeachingError(f"{name} did not appear in {self.params.timeout:.0f} s")
+            if not client.wait_for_service(TIMEOUT):
+                raise TeachingError(f"{name} did not appear in {TIMEOUT:.0f} s")
             while True:
                 future = client.call_async(request)
                 left = max(end - time.monotonic(), 1.0)
                 self._executor.spin_until_future_complete(future, left)
                 if not future.done():
-                    raise TeachingError(f"{name} did not answer in {self.params.timeout:.0f} s")
+                    raise TeachingError(f"{name} did not answer in {TIMEOUT:.0f} s")
                 if future.result().success:
                     return str(future.result().message)
                 if time.monotonic() > end:

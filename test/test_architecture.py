@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dependencies point one way: command line, experiments and nodes -> core; stand-ins -> core."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE, STAND_INS = ROOT / "wam_power_ros", ROOT / "hardware_sim"
+ROS = {
+    "rclpy",
+    "builtin_interfaces",
+    "diagnostic_msgs",
+    "geometry_msgs",
+    "lifecycle_msgs",
+    "nav_msgs",
+    "rcl_interfaces",
+    "rosgraph_msgs",
+    "sensor_msgs",
+    "std_msgs",
+    "std_srvs",
+}
+SIMULATOR = {"hardware_sim", "mujoco"}
+# May import ROS: all that speaks it, beside nodes/.
+ROS_EDGE = {"interface", "messages", "params", "real_time", "late_service", "teaching"}
+# May import the stand-ins, and then only inside a function: what runs them in its own process.
+RUNS_STAND_INS = {"cli"}
+# Files, clocks, processes and sockets are theirs; every other module is the core.
+EDGE = ROS_EDGE | {"cli", "live", "processes", "resources", "figures", "report", "session", "bags"}
+OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}
+
+MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])
+CORE = [path for path in PACKAGE.glob("*.py") if path.stem not in {*EDGE, "__init__"}]
+
+
+def imports(path: Path, *, top: bool = False) -> set[str]:
+    """Dotted names a module imports, with `top` only when it is itself imported."""
+    tree = ast.parse(path.read_text())
+    nodes = tree.body if top else ast.walk(tree)
+    names: set[str] = set()
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}: relative imports hide where they point"
+            names.add(node.module or "")
+            names.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return names
+
+
+def roots(names: set[str]) -> set[str]:
+    return {name.partition(".")[0] for name in names}
+
+
+def label(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def test_there_is_something_to_check() -> None:
+    assert len(CORE) > 5
+    assert {"power", "primitive", "policy"} <= {path.stem for path in CORE}
+
+
+@pytest.mark.parametrize("path", CORE, ids=label)
+def test_the_core_knows_neither_ros_nor_simulator_nor_the_outside_world(path: Path) -> None:
+    assert not roots(imports(path)) & (ROS | SIMULATOR | OUTSIDE_WORLD)
+
+
+@pytest.mark.parametrize("path", CORE, ids=label)
+def test_the_core_imports_nothing_of_what_stands_around_it(path: Path) -> None:
+    around = {f"wam_power_ros.{name}" for name in (*EDGE, "nodes", "experiments")}
+    assert not {name for name in imports(path) if name.startswith(tuple(around))}
+
+
+@pytest.mark.parametrize("path", CORE, ids=label)
+def test_the_core_draws_only_from_the_generator_it_is_given(path: Path) -> None:
+    drawn = {
+        node.attr
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Attribute)
+        and node.value.attr == "random"
+    }
+    assert drawn <= {"Generator", "PCG64", "BitGenerator", "SeedSequence"}
+    assert "random" not in roots(imports(path))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=label)
+def test_ros_is_spoken_only_at_the_edge(path: Path) -> None:
+    at_edge = path.parent == PACKAGE / "nodes" or path.parent == STAND_INS
+    if not at_edge and path.stem not in ROS_EDGE:
+        assert not roots(imports(path)) & ROS
+
+
+@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=label)
+def test_only_what_runs_the_stand_ins_itself_imports_them(path: Path) -> None:
+    if path.parent == PACKAGE / "experiments":
+        return
+    allowed = path.parent == PACKAGE and path.stem in RUNS_STAND_INS
+    assert not roots(imports(path, top=allowed)) & SIMULATOR
+
+
+@pytest.mark.parametrize("path", sorted(STAND_INS.rglob("*.py")), ids=label)
+def test_the_stand_ins_know_no_node_and_no_learner(path: Path) -> None:
+    known = {name.split(".")[1] for name in imports(path) if name.startswith("wam_power_ros.")}
+    assert not known & {"nodes", "experiments", "cli", "practice", "power", "session", "controller"}
+
+
+@pytest.mark.parametrize("path", MODULES, ids=label)
+def test_every_module_says_its_licence_in_one_line(path: Path) -> None:
+    assert path.read_text().splitlines()[0] == "# SPDX-License-Identifier: Apache-2.0"

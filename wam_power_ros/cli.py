@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`wam-power`: the one command line. Starts nodes, follows a session, writes its report.
+
+The nodes are processes of their own, the same that `ros2 run wam_power_ros NODE` starts; this one
+opens no socket and imports no rclpy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from wam_power_ros.processes import ProcessError, Processes, Running, private_domain
+from wam_power_ros.resources import share
+
+if TYPE_CHECKING:
+    from wam_power_ros.practice import Record
+
+NODES = {  # executable -> module with a main(); setup.py has the same entry points
+    "torque_controller": "wam_power_ros.nodes.torque_controller",
+    "demonstration_recorder": "wam_power_ros.nodes.demonstration_recorder",
+    "pancake_tracker": "wam_power_ros.nodes.pancake_tracker",
+    "learner": "wam_power_ros.nodes.learner",
+    "wam_sim": "hardware_sim.wam_node",
+    "optitrack_sim": "hardware_sim.optitrack_node",
+}
+SESSIONS = Path("sessions")
+
+
+class UsageError(Exception):
+    """What was asked for cannot be done; the message says what can."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of `wam-power`; returns the exit status."""
+    options = _parser().parse_args(arguments)
+    try:
+        return int(options.command(options) or 0)
+    except (UsageError, ProcessError, FileNotFoundError, ValueError) as error:
+        print(f"wam-power: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="wam-power", description="Teach an arm by hand; let it practise."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    learn = commands.add_parser(
+        "learn",
+        help="teach and learn in simulation, or with --config on an arm; resumes a session",
+        description="Start the nodes, record demonstrations, practise, write a report.",
+    )
+    learn.add_argument("--seed", type=_natural, help="of exploration and stand-in (default 0)")
+    learn.add_argument("--trials", type=_natural, help="budget of rollouts (default: the preset's)")
+    learn.add_argument(
+        "--preset", choices=("flip", "paper"), help="what is learnt and when it stops (flip)"
+    )
+    learn.add_argument("--session", type=Path, help="folder; goes on if it holds a session")
+    learn.add_argument(
+        "--resume", action="store_true", help="go on; without --session with the newest one"
+    )
+    learn.add_argument(
+        "--bags", type=Path, nargs="+", help="learn from these demonstrations; teach none"
+    )
+    _teaching_options(learn)
+    learn.set_defaults(command=_learn)
+
+    teach = commands.add_parser(
+        "teach", help="record demonstrations", description="Record demonstrations by hand."
+    )
+    teach.add_argument("--seed", type=_natural, help="of the stand-in (default 0)")
+    teach.add_argument("--folder", type=Path, help="for the bags (default: demonstrations/NOW)")
+    _teaching_options(teach)
+    teach.set_defaults(command=_teach)
+
+    report = commands.add_parser("report", help="write the report of a session")
+    report.add_argument("session", type=Path, help="folder of the session")
+    report.set_defaults(command=_report)
+
+    run = commands.add_parser(
+        "run",
+        help="start one node, as ros2 run does",
+        description="wam-power run NODE --ros-args ... is ros2 run wam_power_ros NODE "
+        "--ros-args ...",
+    )
+    run.add_argument("node", choices=NODES, metavar="NODE", help=", ".join(NODES))
+    run.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="for the node")
+    run.set_defaults(command=_run)
+    return parser
+
+
+def _teaching_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--demonstrations", type=_natural, default=3, help="how many are taught (default 3)"
+    )
+    parser.add_argument(
+        "--config",
+        metavar="NAME",
+        help="a real driver's set-up, config/NAME.yaml: no stand-in is started, a person teaches",
+    )
+
+
+def _natural(text: str) -> int:
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is negative")
+    return value
+
+
+# Commands
+
+
+def _run(options: argparse.Namespace) -> int:
+    sys.argv = [options.node, *options.rest]
+    return importlib.import_module(NODES[options.node]).main()
+
+
+def _teach(options: argparse.Namespace) -> None:
+    folder = (options.folder or Path("demonstrations") / _now()).resolve()
+    with private_domain() as domain, _nodes(folder / "logs", domain) as processes:
+        _start_arm(processes, folder, options.seed or 0, options.config)
+        bags = _teach_series(processes, folder, options)
+    print("To learn from them:\n  wam-power learn --bags", *map(_shown, bags))
+
+
+def _learn(options: argparse.Namespace) -> int:
+    from wam_power_ros import live, session
+
+    folder = _session_folder(options)
+    begun = session.Session.exists(folder)
+    if begun:
+        header, _, records = session.read(folder)
+        seed = header.seed
+        print(f"Going on with {folder}: {len(records)} rollouts are on record.")
+    else:
+        seed = options.seed or 0
+        print(f"A new session, {folder}; Ctrl-C stops it, nothing learnt is lost.")
+    signal.signal(signal.SIGTERM, _interrupt)
+    again = f"wam-power learn --session {_shown(folder)}"
+    if options.config:
+        again += f" --config {options.config}"
+    try:
+        with private_domain() as domain, _nodes(folder / "logs", domain) as processes:
+            _start_arm(processes, folder, seed, options.config)
+            _start(processes, "pancake_tracker", options.config)
+            bags = [] if begun else [path.resolve() for path in options.bags or []]
+            if not begun and not bags:
+                bags = _teach_series(processes, folder, options)
+            learner = _start(
+                processes,
+                "learner",
+                options.config,
+                session=folder,
+                seed=seed,
+                demonstrations=json.dumps([str(bag) for bag in bags] or [""]),
+                pancake_reset=options.config is None,
+                reset_faults=options.config is None,
+                **({"preset": options.preset} if options.preset else {}),
+                **({"trials": options.trials} if options.trials else {}),
+            )
+            records = _follow(folder, processes, learner)
+    except KeyboardInterrupt:
+        print(f"\nStopped. What was learnt is in {_shown(folder)}. To go on:\n  {again}")
+        return 130
+    except ProcessError:
+        print(f"\nWhat was learnt is in {_shown(folder)}. To go on:\n  {again}")
+        raise
+    print(live.summary(records))
+    return _report(argparse.Namespace(session=folder))
+
+
+def _report(options: argparse.Namespace) -> int:
+    from wam_power_ros import report
+
+    path = report.write(options.session)
+    print(f"Report: {_shown(path)}")
+    return 0
+
+
+# Processes
+
+
+def _nodes(logs: Path, domain: int) -> Processes:
+    return Processes(
+        logs, {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    )
+
+
+def _start_arm(processes: Processes, folder: Path, seed: int, config: str | None) -> None:
+    """The stand-in unless there is a real arm, the controller, and the recorder into `folder`."""
+    if config is None:
+        _start(processes, "wam_sim", None, seed=seed)
+    _start(processes, "torque_controller", config)
+    _start(processes, "demonstration_recorder", config, folder=str(folder / "bags"))
+
+
+def _start(processes: Processes, node: str, config: str | None, **parameters: object) -> Running:
+    """Start a node with config/<node>.yaml, the driver's set-up over it, and some parameters."""
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run", node, "--ros-args"]
+    for name in filter(None, (node, config)):
+        command += ["--params-file", str(share(f"config/{name}.yaml"))]
+    for name, value in parameters.items():
+        text = json.dumps(value) if isinstance(value, bool) else str(value)
+        command += ["-p", f"{name}:={text}"]
+    return processes.start(node, command)
+
+
+def _teach_series(processes: Processes, folder: Path, options: argparse.Namespace) -> list[Path]:
+    """Bags of the series taught in this folder, which is taught now if it was not yet."""
+    series = folder / "demonstrations.json"
+    person = options.config is not None
+    if not series.exists():
+        hand = "a person" if person else "the simulated hand"
+        print(f"Teaching: {options.demonstrations} demonstrations, by {hand}")
+        command = [sys.executable, "-m", "wam_power_ros.teaching", "--ros-args"]
+        command += ["-p", f"demonstrations:={options.demonstrations}"]
+        command += ["-p", f"series:={series}", "-p", f"person:={json.dumps(person)}"]
+        processes.finish(processes.start("teaching", command, talks=True))
+    return [Path(bag) for bag in json.loads(series.read_text())]
+
+
+def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Record]:
+    """Show the session until the learner has ended it; returns its records."""
+    from wam_power_ros import live, session
+
+    log = folder / "rollouts.jsonl"
+    records: Sequence[Record] = ()
+    seen = 0
+    over = False
+    with live.Display() as display:
+        while not over:
+            over = learner.process.poll() is not None
+            processes.check(but=learner)
+            size = log.stat().st_size if log.exists() else 0
+            if size != seen:
+                seen = size
+                header, _, records = session.read(folder)
+                display.show(records, header.settings.budget + header.settings.retests)
+            time.sleep(0.2)
+    return records
+
+
+# Folders
+
+
+def _session_folder(options: argparse.Namespace) -> Path:
+    from wam_power_ros.session import Session, read
+
+    folder = options.session
+    if folder is None and options.resume:
+        begun = [path for path in SESSIONS.glob("*") if Session.exists(path)]
+        if not begun:
+            raise UsageError(f"no session in {SESSIONS.resolve()} to go on with; name --session")
+        folder = max(begun, key=lambda path: (path / "session.yaml").stat().st_mtime)
+    if folder is None:
+        folder = SESSIONS / f"{_now()}-seed-{options.seed or 0}"
+    if options.resume and not Session.exists(folder):
+        raise UsageError(f"{folder} holds no session to go on with")
+    if Session.exists(folder):
+        header, _, _ = read(folder)
+        if options.seed is not None and options.seed != header.seed:
+            raise UsageError(f"{folder} was begun with seed {header.seed}; leave --seed out")
+        if options.preset or options.trials or options.bags:
+            raise UsageError(f"{folder} was begun already; leave --preset, --trials and --bags out")
+    return folder.resolve()
+
+
+def _now() -> str:
+    return datetime.now().strftime("%Y-%m-%d-%H%M%S")
+
+
+def _shown(path: Path) -> Path:
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+if __name__ == "__main__":
+    sys.exit(main())
