@@ -23,12 +23,13 @@ EXTRAS := plain,sim,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 endif
 
-.PHONY: help learn test lint format venv clean
+.PHONY: help learn test lint format build venv clean
 
 help:
 	@echo 'make learn [ARGS="--seed 3"]   the arm learns to flip a pancake, in simulation'
 	@echo 'make test  [ARGS="-k power"]   the tests'
 	@echo 'make lint                      ruff: rules and format'
+	@echo 'make build                     colcon build, with colcon from PyPI'
 	@echo 'make venv                      only the set-up'
 
 venv: $(READY)
@@ -39,7 +40,8 @@ $(READY): requirements.txt setup.py setup.cfg
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV_FLAGS) $(VENV)
 	@$(CONSTRAIN)
-	$(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
+	@echo 'Installing into $(VENV); this is done once and takes a minute or two.'
+	@$(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
 	@touch $@
 
 learn: $(READY)
@@ -55,6 +57,11 @@ lint: $(READY)
 format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+build: $(READY)
+	@[ -x $(BIN)/colcon ] || $(BIN)/python -m pip install --quiet --use-pep517 \
+	    -c $(VENV)/constraints.txt -e '.[build]'
+	$(BIN)/colcon build --packages-select wam_power_ros
 
 clean:
 	rm -rf $(VENV) build install log
