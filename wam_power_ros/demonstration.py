@@ -15,7 +15,7 @@ from wam_power_ros.policy import read_only
 PERIOD = 0.002  # [s] of the control loop
 CUTOFF = 12.0  # [Hz] the hand does nothing faster; encoders and differentiation do
 GAP_MAX = 0.05  # [s] a straight line over more than this is no longer what the hand did
-TRIM_FRACTION = 0.1  # of the peak speed: keeps dip, toss and catch, drops the slow ends
+TRIM_FRACTION = 0.15  # of the peak speed: keeps dip, toss and catch, drops the slow ends
 PAUSE_MAX = 0.25  # [s] a turning point is slow for less than this; a longer pause ends a movement
 
 
