@@ -712,7 +712,7 @@ class Practice:
                     if before + 1 == settings.confirm:
                         self._stop(z, f"a mean succeeded {settings.confirm} times in a row")
                 elif before > 0:
-                    note = f"failed after {before} successes in a row"
+                    note = f"ended after {before} successes in a row"
             elif record.success and settings.mean_every == 0:
                 self._mean_wanted = True
                 note = "a success: the mean is run to confirm it"
