@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: what goes in comes out, another reader agrees, and damage is called by its name."""
+
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+
+from wam_power_ros import bags
+from wam_power_ros.bags import TYPES, BagWriter, read_demonstration, recover, unfinished
+
+NAMES = ("wam_j1", "wam_j2", "wam_j3")
+START = 1_700_000_000_123_456_789
+QOS = [bags.qos(reliable=True, latched=False)]
+LATCHED = [bags.qos(reliable=True, latched=True, depth=1)]
+make = TYPES.types
+
+
+def joint_state(stamp_ns: int, names: tuple[str, ...], q: np.ndarray) -> bytes:
+    time_type = make["builtin_interfaces/msg/Time"]
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    header = make["std_msgs/msg/Header"](stamp=time_type(sec=sec, nanosec=nanosec), frame_id="")
+    empty = np.zeros(0)
+    message = make[bags.JOINT_STATE](
+        header=header, name=list(names), position=np.array(q), velocity=empty, effort=empty
+    )
+    return bytes(TYPES.serialize_cdr(message, bags.JOINT_STATE))
+
+
+def string(text: str) -> bytes:
+    return bytes(TYPES.serialize_cdr(make[bags.STRING](data=text), bags.STRING))
+
+
+def demonstration(path: Path, q: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
+    """A bag of joint states 2 ms apart, with a robot description and a foreign device's states."""
+    writer = BagWriter(path)
+    writer.add("/robot_description", bags.STRING, LATCHED)
+    writer.add("/joint_states", bags.JOINT_STATE, QOS)
+    writer.write("/robot_description", START, string("<robot/>"))
+    for index, row in enumerate(q):
+        stamp_ns = START + 2_000_000 * index
+        writer.write("/joint_states", stamp_ns + 500_000, joint_state(stamp_ns, names, row))
+        writer.write("/joint_states", stamp_ns + 600_000, joint_state(stamp_ns, ("hand",), [0.0]))
+    return writer.close({"joint_names": ",".join(names)})
+
+
+def random_q(count: int = 500, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, len(NAMES)))
+
+
+def test_a_demonstration_comes_back_bit_for_bit_in_the_order_asked_for(tmp_path: Path) -> None:
+    q = random_q()
+    path = demonstration(tmp_path / "demo", q)
+    stamps, back = read_demonstration(path, NAMES)
+    np.testing.assert_array_equal(back, q)
+    np.testing.assert_array_equal(stamps, START + 2_000_000 * np.arange(len(q)))
+    _, swapped = read_demonstration(path, ("wam_j3", "wam_j1"))
+    np.testing.assert_array_equal(swapped, q[:, [2, 0]])
+
+
+def test_an_independent_reader_decodes_the_bag(tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader")
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    q = random_q(50)
+    path = demonstration(tmp_path / "demo", q)
+    with (path / "demo.mcap").open("rb") as file:
+        mcap = reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        found = list(mcap.iter_decoded_messages(topics=["/joint_states"]))
+        summary = mcap.get_summary()
+    ours = [message for *_, message in found if message.name == list(NAMES)]
+    np.testing.assert_array_equal([message.position for message in ours], q)
+    assert ours[1].header.stamp.nanosec == 125_456_789
+    schemas = {schema.name: schema for schema in summary.schemas.values()}
+    assert schemas[bags.JOINT_STATE].encoding == "ros2msg"
+    assert b"MSG: builtin_interfaces/Time" in schemas[bags.JOINT_STATE].data
+
+
+def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", random_q(5))
+    info = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (info["version"], info["storage_identifier"]) == (9, "mcap")
+    assert info["relative_file_paths"] == ["demo.mcap"]
+    assert info["custom_data"] == {"joint_names": "wam_j1,wam_j2,wam_j3"}
+    topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
+    assert topics["/joint_states"]["message_count"] == 10
+    latched = topics["/robot_description"]["topic_metadata"]
+    assert latched["offered_qos_profiles"][0]["durability"] == "transient_local"
+    assert latched["offered_qos_profiles"][0]["reliability"] == "reliable"
+    assert latched["offered_qos_profiles"][0]["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
+    for item in topics.values():
+        assert item["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
+
+
+def test_a_sqlite_bag_of_another_recorder_reads_the_same(tmp_path: Path) -> None:
+    q = random_q(20)
+    with Writer(tmp_path / "old", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        topic = writer.add_connection("/wam/joint_states", bags.JOINT_STATE, typestore=TYPES)
+        for index, row in enumerate(q):
+            stamp_ns = START + 2_000_000 * index
+            writer.write(topic, stamp_ns, joint_state(stamp_ns, NAMES, row))
+    _, back = read_demonstration(tmp_path / "old", NAMES, "/wam/joint_states")
+    np.testing.assert_array_equal(back, q)
+
+
+def test_a_bag_under_way_is_recognisable_and_appears_whole(tmp_path: Path) -> None:
+    path = tmp_path / "demo"
+    writer = BagWriter(path)
+    assert not path.exists()
+    assert unfinished(path).is_dir()
+    with pytest.raises(FileExistsError):
+        BagWriter(path)
+    with pytest.raises(ValueError, match="never closed"):
+        read_demonstration(path, NAMES)
+    with pytest.raises(ValueError, match="still being written"):
+        recover(path)
+    writer.add("/joint_states", bags.JOINT_STATE, QOS)
+    writer.write("/joint_states", START, joint_state(START, NAMES, [1.0, 2.0, 3.0]))
+    writer.close({})
+    assert not unfinished(path).exists()
+    assert read_demonstration(path, NAMES)[1].tolist() == [[1.0, 2.0, 3.0]]
+    with pytest.raises(FileExistsError):
+        BagWriter(path)
+
+
+def test_what_was_flushed_before_a_kill_is_recovered(tmp_path: Path) -> None:
+    script = f"""
+import sys, time
+sys.path[:0] = {sys.path!r}
+from pathlib import Path
+from test_bags import *
+writer = BagWriter(Path({str(tmp_path)!r}) / "demo")
+writer.add("/joint_states", bags.JOINT_STATE, QOS)
+for index, row in enumerate(random_q()):
+    writer.write("/joint_states", START, joint_state(START + index, NAMES, row))
+    if index == 399:
+        writer.flush()
+print("written", flush=True)
+time.sleep(60)
+"""
+    command = [sys.executable, "-c", script]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, cwd=Path(__file__).parent)
+    try:
+        assert process.stdout.readline() == b"written\n"
+        with pytest.raises(ValueError, match="still being written"):
+            recover(tmp_path / "demo")
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+    path = recover(tmp_path / "demo")
+    _, back = read_demonstration(path, NAMES)
+    assert len(back) >= 400
+    np.testing.assert_array_equal(back, random_q()[: len(back)])
+
+
+def test_a_file_cut_anywhere_gives_back_every_complete_message(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/robot_description", bags.STRING, LATCHED)
+    writer.add("/joint_states", bags.JOINT_STATE, QOS)
+    q = random_q(60)
+    for index, row in enumerate(q):
+        writer.write("/joint_states", START + index, joint_state(START + index, NAMES, row))
+        if index % 20 == 19:
+            writer.flush()
+    writer.abandon()
+    file = unfinished(tmp_path / "demo") / "demo" / "demo.mcap"
+    whole = file.read_bytes()
+    recovered = []
+    for cut in [*range(len(whole), 900, -997), 8, 0]:
+        file.write_bytes(whole[:cut])
+        path = recover(tmp_path / "demo")
+        with Reader(path) as reader:
+            recovered.append(reader.message_count)
+            for connection in reader.connections:
+                assert connection.ext.offered_qos_profiles in (QOS, LATCHED)
+        if recovered[-1]:
+            np.testing.assert_array_equal(read_demonstration(path, NAMES)[1], q[: recovered[-1]])
+        path.rename(path.with_name(f"cut_{cut}"))
+    assert recovered[0] == 60
+    assert recovered == sorted(recovered, reverse=True)
+    assert recovered[-1] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda states: states.append((START, NAMES, [1.0, np.nan, 0.0])), "not finite"),
+        (lambda states: states.append((START, NAMES[:2], [1.0, 2.0])), "missing among"),
+        (lambda states: states.append((START, NAMES, [1.0, 2.0])), "2 positions for names"),
+        (lambda states: states.append((START, ("wam_j1",) * 3, [1.0] * 3)), "3 positions for"),
+        (
+            lambda states: states.extend(
+                [(START, NAMES, [1.0] * 3), (START - 1, NAMES, [1.0] * 3)]
+            ),
+            "follows",
+        ),
+        (
+            lambda states: states.extend([(START, NAMES, [1.0] * 3), (START, NAMES, [2.0] * 3)]),
+            "follows",
+        ),
+        (lambda states: states.append((START, ("hand",), [1.0])), "no message on"),
+        (lambda states: None, "no message on"),
+    ],
+)
+def test_states_that_cannot_be_a_demonstration_are_refused_by_name(
+    tmp_path: Path, change: object, why: str
+) -> None:
+    states: list = []
+    change(states)
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", bags.JOINT_STATE, QOS)
+    for index, (stamp_ns, names, q) in enumerate(states):
+        writer.write("/joint_states", START + index, joint_state(stamp_ns, names, q))
+    path = writer.close({})
+    with pytest.raises(ValueError, match=why):
+        read_demonstration(path, NAMES)
+
+
+def test_a_state_that_was_sent_again_counts_once(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", bags.JOINT_STATE, QOS)
+    for stamp_ns in (START, START, START + 2_000_000):
+        writer.write("/joint_states", stamp_ns, joint_state(stamp_ns, NAMES, [1.0, 2.0, 3.0]))
+    assert len(read_demonstration(writer.close({}), NAMES)[0]) == 2
+
+
+def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", random_q(3))
+    with pytest.raises(ValueError, match=r"no topic /joints; it has \['/joint_states'"):
+        read_demonstration(path, NAMES, "/joints")
+    with pytest.raises(ValueError, match="is of type"):
+        read_demonstration(path, NAMES, "/robot_description")
+    with pytest.raises(ValueError, match="not a bag"):
+        read_demonstration(tmp_path, NAMES)
+    with pytest.raises(ValueError, match="not a bag"):
+        read_demonstration(tmp_path / "nowhere", NAMES)
+    with pytest.raises(ValueError, match="not of the common interfaces"):
+        BagWriter(tmp_path / "x").add("/custom", "wam_msgs/msg/RTJointPosition", QOS)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("!!python/object/apply:os.system ['touch {mark}']", "cannot be read"),
+        ("rosbag2_bagfile_information: !!python/name:os.system", "cannot be read"),
+        ("a: &a [x]\nb: *a", "alias"),
+        ("[" * 100_000, "nested deeper"),
+        ("x" * 1_000_001, "1000001 bytes"),
+        ("a: b: c: :", "not YAML"),
+        ("{}", "cannot be read"),
+        ("- 1", "cannot be read"),
+        (
+            "rosbag2_bagfile_information: {version: 9, storage_identifier: mcap, "
+            "relative_file_paths: [../../secret.mcap]}",
+            "cannot be read",
+        ),
+    ],
+)
+def test_a_hostile_metadata_file_is_refused_at_once_and_runs_nothing(
+    tmp_path: Path, text: str, why: str
+) -> None:
+    path = demonstration(tmp_path / "demo", random_q(3))
+    mark = tmp_path / "ran"
+    (path / "metadata.yaml").write_text(text.replace("{mark}", str(mark)))
+    begun = time.monotonic()
+    with pytest.raises(ValueError, match=why):
+        read_demonstration(path, NAMES)
+    assert time.monotonic() - begun < 2.0
+    assert not mark.exists()
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_a_damaged_file_is_refused_or_read_and_nothing_else(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("bags") / "demo"
+    demonstration(path, random_q(3))
+    file = path / "demo.mcap"
+    damaged = bytearray(file.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    file.write_bytes(damaged[: data.draw(st.integers(0, len(damaged)))])
+    try:
+        _, q = read_demonstration(path, NAMES)
+    except ValueError as error:
+        assert str(path) in str(error)
+    else:
+        assert np.isfinite(q).all()
+
+
+def test_gaps_are_counted_in_periods() -> None:
+    stamps = START + 2_000_000 * np.array([0, 1, 2, 2, 3, 6, 7, 8, 20])
+    found = bags.gaps(stamps)
+    assert found.period == pytest.approx(0.002)
+    assert found.missing == 2 + 11
+    assert found.longest == pytest.approx(0.024)
+    assert bags.gaps([START]).missing == 0
+
+
+def test_the_stamp_of_a_serialized_header_is_read_without_decoding() -> None:
+    assert bags.header_stamp(joint_state(START, NAMES, [0.0] * 3)) == START
+    with pytest.raises(ValueError, match="cannot hold a header"):
+        bags.header_stamp(b"\0\1\0\0")
+    assert bags.has_header(bags.JOINT_STATE)
+    assert not bags.has_header(bags.STRING)
+
+
+def test_a_full_disk_leaves_the_bag_unfinished_and_recoverable(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", bags.JOINT_STATE, QOS)
+    q = random_q(1000)
+    allowed = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, allowed[1]))
+    try:
+        with pytest.raises(OSError, match="File too large"):
+            for index, row in enumerate(q):
+                state = joint_state(START + index, NAMES, row)
+                writer.write("/joint_states", START + index, state)
+                if index % 100 == 99:
+                    writer.flush()
+        writer.abandon()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, allowed)
+    assert not (tmp_path / "demo").exists()
+    _, back = read_demonstration(recover(tmp_path / "demo"), NAMES)
+    assert len(back) >= 300
+    np.testing.assert_array_equal(back, q[: len(back)])

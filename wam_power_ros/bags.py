@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: rosbag2 in MCAP, written so that a kill loses a second at most, read by joint name.
+
+A bag under way is in `<name>.unfinished/`; closing it makes it `<name>/` in one rename. A bag that
+was never closed is still there under its first name, and `recover` makes a bag of it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import struct
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+JOINT_STATE = "sensor_msgs/msg/JointState"
+STRING = "std_msgs/msg/String"
+EVENT = "/recorder/event"  # start and stop of the recording, in the bag only
+UNFINISHED = ".unfinished"
+INFINITE = QosTime(9223372036, 854775807)  # how rosbag2 writes a duration without end
+METADATA_MAX = 1_000_000  # bytes of metadata.yaml
+DEPTH_MAX = 20  # of its nesting
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # events only: nothing is built
+
+
+def qos(reliable: bool, latched: bool, depth: int = 10) -> Qos:
+    """A publisher's QoS as a bag notes it, so that playing it back offers the same."""
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=max(depth, 1),  # the graph does not tell: it says 0
+        reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=INFINITE,
+        lifespan=INFINITE,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=INFINITE,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def has_header(msgtype: str) -> bool:
+    """Whether messages of a known type begin with a std_msgs/Header."""
+    fields = TYPES.fielddefs[msgtype][1]
+    return bool(fields) and fields[0][1][1] == "std_msgs/msg/Header"
+
+
+def header_stamp(cdr: bytes) -> int:
+    """Stamp [ns] of a serialized message that begins with a header.
+
+    Raises:
+        ValueError: The bytes are too few for one.
+    """
+    if len(cdr) < 12:
+        raise ValueError(f"message of {len(cdr)} bytes cannot hold a header")
+    sec, nanosec = struct.unpack_from("<iI" if cdr[1] & 1 else ">iI", cdr, 4)
+    return sec * 1_000_000_000 + nanosec
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """What the stamps of a topic say about its completeness.
+
+    Attributes:
+        period: Median time between messages [s].
+        missing: Messages that would fill the intervals longer than 1.5 periods.
+        longest: Longest interval [s].
+    """
+
+    period: float
+    missing: int
+    longest: float
+
+
+def gaps(stamps_ns: Sequence[int] | np.ndarray) -> Gaps:
+    """Look for gaps in the stamps [ns] of one topic; messages sent again count once."""
+    steps = np.diff(np.asarray(stamps_ns, dtype=np.int64))
+    steps = steps[steps > 0]
+    if not len(steps):
+        return Gaps(0.0, 0, 0.0)
+    period = float(np.median(steps))
+    long = steps[steps > 1.5 * period]
+    missing = int(np.sum(np.rint(long / period) - 1.0))
+    return Gaps(period * 1e-9, missing, float(steps.max()) * 1e-9)
+
+
+class BagWriter:
+    """One bag being written; `close` makes it a bag, anything else leaves it unfinished.
+
+    Attributes:
+        path: Where the bag will be.
+        counts: Messages written, by topic.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Begin the bag `path`.
+
+        Raises:
+            FileExistsError: It is there already, finished or not.
+            OSError: The folder cannot be written.
+        """
+        self.path = path
+        self._parent = unfinished(path)
+        if path.exists():
+            raise FileExistsError(f"{path} exists already")
+        self._parent.mkdir(parents=True)
+        self._lock = os.open(self._parent, os.O_RDONLY)
+        fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # `recover` keeps off a live bag
+        self._writer = Writer(
+            self._parent / path.name, version=9, storage_plugin=StoragePlugin.MCAP
+        )
+        self._writer.open()
+        self._connections: dict[str, Connection] = {}
+        self.counts: dict[str, int] = {}
+
+    def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
+        """Add a topic, of a message type in Jazzy's common interfaces.
+
+        Raises:
+            ValueError: The type is not known, so its definition could not go into the bag.
+        """
+        if msgtype not in TYPES.fielddefs:
+            raise ValueError(f"{topic}: type {msgtype} is not of the common interfaces")
+        self._connections[topic] = self._writer.add_connection(
+            topic, msgtype, typestore=TYPES, offered_qos_profiles=list(offered)
+        )
+        self.counts[topic] = 0
+
+    def write(self, topic: str, stamp_ns: int, cdr: bytes) -> None:
+        """Write a serialized message as received at `stamp_ns`; on the disk after `flush`.
+
+        Raises:
+            KeyError: The topic was not added.
+            OSError: The disk refused.
+        """
+        self._writer.write(self._connections[topic], stamp_ns, cdr)
+        self.counts[topic] += 1
+
+    def flush(self) -> None:
+        """Put everything written so far on the disk, readable whatever happens next.
+
+        Raises:
+            OSError: The disk refused.
+        """
+        storage = self._writer.storage
+        if storage.chunk.msgs:
+            storage.close_chunk()
+        storage.bio.flush()
+        os.fsync(storage.bio.fileno())
+
+    def close(self, custom_data: Mapping[str, str]) -> Path:
+        """Finish the bag, with notes for its metadata, and return its path.
+
+        Raises:
+            OSError: The disk refused; the bag stays unfinished.
+        """
+        for key, value in custom_data.items():
+            self._writer.set_custom_data(key, value)
+        self.flush()
+        self._writer.close()
+        written = self._parent / self.path.name
+        for file in (*written.iterdir(), written):
+            _sync(file)
+        written.rename(self.path)
+        self._parent.rmdir()
+        _sync(self.path.parent)
+        os.close(self._lock)
+        return self.path
+
+    def abandon(self) -> None:
+        """Stop writing and leave the bag unfinished, as a kill would."""
+        try:
+            self._writer.abort()
+        except OSError:
+            pass  # the disk that refused before refuses its last bytes too
+        os.close(self._lock)
+
+
+def unfinished(path: Path) -> Path:
+    """Where the bag `path` is kept until it is closed."""
+    return path.with_name(path.name + UNFINISHED)
+
+
+def _sync(path: Path) -> None:
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def read_demonstration(
+    path: Path | str, joint_names: Sequence[str], topic: str = "/joint_states"
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles from a rosbag2 bag, MCAP or SQLite, whoever recorded it.
+
+    Joints are matched by name and time is that of the headers. Messages without any of our joints
+    are another device's and left out, as are repetitions (same stamp, same angles).
+
+    Args:
+        path: Folder of the bag.
+        joint_names: Order of the columns of the result.
+        topic: Of type sensor_msgs/JointState.
+
+    Returns:
+        Stamps (M,) int64 [ns], strictly increasing, and angles (M, nj) [rad].
+
+    Raises:
+        ValueError: Naming what is wrong: no bag, no such topic, joints missing, a value that is not
+            finite, stamps that go back.
+    """
+    path = Path(path)
+    stamps: list[int] = []
+    rows: list[tuple[float, ...]] = []
+    for cdr in _messages(path, topic, JOINT_STATE):
+        stamp_ns, angles = _joint_angles(path, topic, cdr)
+        missing = [name for name in joint_names if name not in angles]
+        if len(missing) == len(joint_names):
+            continue
+        if missing:
+            raise ValueError(f"{path}: joints {missing} missing among {list(angles)} on {topic}")
+        row = tuple(angles[name] for name in joint_names)
+        if not np.isfinite(row).all():
+            raise ValueError(f"{path}: position {row} at {stamp_ns} ns on {topic} is not finite")
+        if stamps and stamp_ns <= stamps[-1]:
+            if stamp_ns == stamps[-1] and row == rows[-1]:
+                continue
+            raise ValueError(f"{path}: stamp {stamp_ns} follows {stamps[-1]} on {topic}")
+        stamps.append(stamp_ns)
+        rows.append(row)
+    if not stamps:
+        raise ValueError(f"{path}: no message on {topic} has the joints {list(joint_names)}")
+    return np.array(stamps, dtype=np.int64), np.array(rows)
+
+
+def _joint_angles(path: Path, topic: str, cdr: bytes) -> tuple[int, dict[str, float]]:
+    try:
+        message = TYPES.deserialize_cdr(cdr, JOINT_STATE)
+    except Exception as error:  # whatever bytes make the decoder raise
+        raise ValueError(f"{path}: a message on {topic} is not a JointState: {error}") from error
+    stamp = message.header.stamp
+    names, position = message.name, message.position.tolist()
+    if len(names) != len(position) or len(set(names)) != len(names):
+        raise ValueError(f"{path}: {len(position)} positions for names {names} on {topic}")
+    return stamp.sec * 1_000_000_000 + stamp.nanosec, dict(zip(names, position, strict=True))
+
+
+def _messages(path: Path, topic: str, msgtype: str) -> list[bytes]:
+    """Serialized messages of a topic, in the order of reception."""
+    if unfinished(path).exists() and not path.exists():
+        raise ValueError(f"{path} was never closed; recover it first")
+    _check_metadata(path)
+    try:
+        with Reader(path) as reader:
+            found = [(item.topic, item.msgtype) for item in reader.connections]
+            kept = [item for item in reader.connections if item.topic == topic]
+            cdrs = [cdr for _, _, cdr in reader.messages(kept)] if kept else []
+    except Exception as error:  # whatever a damaged file makes the reader raise
+        raise ValueError(f"{path} cannot be read as a bag: {error}") from error
+    types = {type_ for name, type_ in found if name == topic}
+    if not types:
+        raise ValueError(f"{path}: no topic {topic}; it has {sorted({name for name, _ in found})}")
+    if types != {msgtype}:
+        raise ValueError(f"{path}: {topic} is of type {sorted(types)}, not {msgtype}")
+    return cdrs
+
+
+def _check_metadata(path: Path) -> None:
+    """Refuse a metadata.yaml that is not one before anything builds objects of it."""
+    file = path / "metadata.yaml"
+    if not file.is_file():
+        raise ValueError(f"{path} is not a bag: it has no metadata.yaml")
+    size = file.stat().st_size
+    if size > METADATA_MAX:
+        raise ValueError(f"{file} has {size} bytes, at most {METADATA_MAX} are believed")
+    depth = 0
+    try:
+        for event in yaml.parse(file.read_text(encoding="utf8"), Loader=LOADER):
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError(f"{file} has an alias, which no bag needs")
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEPTH_MAX:
+                raise ValueError(f"{file} is nested deeper than {DEPTH_MAX}")
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file} is not YAML: {error}") from None
+
+
+def recover(path: Path) -> Path:
+    """Make a bag of what a killed recorder left of `path`, up to the last complete message.
+
+    Returns:
+        Path of the bag, `<name>_recovered`; what was left stays as it is.
+
+    Raises:
+        ValueError: Nothing unfinished there, or it is still being written.
+        OSError: The disk refused.
+    """
+    left = unfinished(path) / path.name / f"{path.name}.mcap"
+    if not left.is_file():
+        raise ValueError(f"{left} is not there: nothing to recover")
+    handle = os.open(unfinished(path), os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise ValueError(f"{path} is still being written") from None
+    finally:
+        os.close(handle)
+    writer = BagWriter(path.with_name(path.name + "_recovered"))
+    names: dict[int, str] = {}
+    topics: dict[int, str] = {}
+    for opcode, body in _records(left.read_bytes()[8:]):
+        if opcode == 0x03:  # schema
+            names[int.from_bytes(body[:2], "little")] = _text(body, 2)[0]
+        elif opcode == 0x04:  # channel
+            channel, schema = struct.unpack_from("<HH", body)
+            if channel not in topics:
+                topics[channel], at = _text(body, 4)
+                profiles = _profiles(body, at)
+                writer.add(topics[channel], names[schema], profiles)
+        elif opcode == 0x05:  # message
+            channel, _, stamp_ns = struct.unpack_from("<HIQ", body)
+            writer.write(topics[channel], stamp_ns, body[22:])
+    return writer.close({"recovered": json.dumps(True)})
+
+
+def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Complete MCAP records of a stream that may end anywhere, those in chunks too."""
+    at = 0
+    while at + 9 <= len(data):
+        opcode, size = struct.unpack_from("<BQ", data, at)
+        body = data[at + 9 : at + 9 + size]
+        at += 9 + size
+        if opcode == 0x06:  # chunk, not compressed: its records begin after 40 bytes
+            yield from _records(body[40:])
+        elif len(body) == size:
+            yield opcode, body
+
+
+def _text(body: bytes, at: int) -> tuple[str, int]:
+    (size,) = struct.unpack_from("<I", body, at)
+    return body[at + 4 : at + 4 + size].decode(), at + 4 + size
+
+
+def _profiles(body: bytes, at: int) -> list[Qos]:
+    """QoS profiles in the metadata of a channel."""
+    encoding_end = _text(body, at)[1]
+    _, value_at = _text(body, encoding_end + 4)
+    profiles = yaml.safe_load(_text(body, value_at)[0]) or []
+    return [
+        qos(
+            item["reliability"] == "reliable",
+            item["durability"] == "transient_local",
+            item["depth"],
+        )
+        for item in profiles
+    ]
+
+
+if __name__ == "__main__":
+    for argument in sys.argv[1:]:
+        sys.stdout.write(f"{recover(Path(argument))}\n")
