@@ -200,21 +200,21 @@ def _nodes(logs: Path, domain: int) -> Processes:
 
 
 def _start_arm(processes: Processes, folder: Path, seed: int, config: str | None) -> None:
-    """The stand-in unless there is a real arm, the controller, and the recorder into `folder`."""
+    """The stand-ins unless there is a real arm, the controller, and the recorder into `folder`."""
     if config is None:
-        _start(processes, "wam_sim", None, seed=seed)
+        _start(processes, "wam_sim", "optitrack_sim", seed=seed)  # one process
     _start(processes, "torque_controller", config)
-    _start(processes, "demonstration_recorder", config, folder=str(folder / "bags"))
+    _start(processes, "demonstration_recorder", config, folder=folder / "bags")
 
 
 def _start(processes: Processes, node: str, config: str | None, **parameters: object) -> Running:
-    """Start a node with config/<node>.yaml, the driver's set-up over it, and some parameters."""
+    """Start a node with config/<node>.yaml, another file over it, and some parameters."""
     command = [sys.executable, "-m", "wam_power_ros.cli", "run", node, "--ros-args"]
     for name in filter(None, (node, config)):
         command += ["--params-file", str(share(f"config/{name}.yaml"))]
     for name, value in parameters.items():
         text = json.dumps(value) if isinstance(value, bool) else str(value)
-        command += ["-p", f"{name}:={text}"]
+        command += ["-p", f"{node}:{name}:={text}"]
     return processes.start(node, command)
 
 
