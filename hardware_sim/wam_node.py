@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""WAM stand-in: torques in, joint states out, with Barrett's services and the bench around the arm.
+
+In lockstep the world steps when the torque for the published state has come; in real time it steps
+500 times a second with whatever has come (see `standins`, which keeps the pace).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from pydantic import Field
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from hardware_sim.driver import HOME, Driver
+from hardware_sim.hand import Hand, wrist_flick
+from hardware_sim.scene import SceneSettings
+from hardware_sim.sensing import MocapFrame, MocapSettings
+from hardware_sim.world import PERIOD, World, WorldSettings
+from wam_power_ros import interface
+from wam_power_ros import policy as policies
+from wam_power_ros.arm import Arm
+from wam_power_ros.late_service import LateTrigger
+from wam_power_ros.params import Params
+
+DEMONSTRATION_START = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+STILL_TICKS = 50
+START_TOLERANCE = 0.05  # [rad] of the arm from q_start for a reset
+
+
+class WamSimParams(Params):
+    """What config/wam_sim.yaml says; ranges of the world's are those of `WorldSettings`."""
+
+    pace: Literal["lockstep", "real_time"]
+    seed: int = Field(ge=0)
+    realtime_priority: int = Field(ge=0, le=98)
+    joint_names: tuple[str, ...] = Field(min_length=7, max_length=7)
+    publish_velocity: bool
+    state_latency: float = Field(ge=0.0)
+    state_jitter: float = Field(ge=0.0)
+    state_loss: float = Field(ge=0.0, le=1.0)
+    command_latency: float = Field(ge=0.0)
+    command_jitter: float = Field(ge=0.0)
+    command_loss: float = Field(ge=0.0, le=1.0)
+    bus_voltage: float
+    command_delay_ticks: int
+    driver_compensates_gravity: bool
+    friction: float
+    pancake_offset_sd: float
+    wind_sd: float
+    torque_scale_sd: float
+    friction_sd: float
+
+    def world(self, mocap: MocapSettings) -> WorldSettings:
+        """The part that concerns the world."""
+        own = {field.name for field in dataclasses.fields(WorldSettings)} & set(self.model_fields)
+        return WorldSettings(
+            **{name: getattr(self, name) for name in own},
+            scene=SceneSettings(friction=self.friction),
+            mocap=mocap,
+        )
+
+
+class WamSim(Node):
+    """The arm as its driver shows it."""
+
+    def __init__(self) -> None:
+        super().__init__("wam_sim", automatically_declare_parameters_from_overrides=True)
+        self.params = params = WamSimParams.of(self)
+        self.on_torque: Callable[[interface.TorqueReading], None] = lambda reading: None
+        self.counters: Counter[str] = Counter()
+        self._label = ""
+        self._policy: policies.Policy | None = None
+        self._demonstrations = 0
+        self._pulling = False
+        self._ticks_left = 0  # until a service may be answered
+
+        self._states = self.create_publisher(
+            JointState, interface.JOINT_STATES, interface.STATE_OUT
+        )
+        self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
+        self._truth = self.create_publisher(String, interface.PANCAKE_TRUTH, interface.LATCHED)
+        self._description = self.create_publisher(
+            String, interface.ROBOT_DESCRIPTION, interface.LATCHED
+        )
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self._write = interface.JointStateWriter(params.joint_names)
+        self.create_subscription(
+            Float64MultiArray, interface.EFFORT_COMMANDS, self._on_torque, interface.COMMAND
+        )
+        self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
+
+    def attach(self, world: World, on_frame: Callable[[MocapFrame, int], None]) -> None:
+        """Take charge of a world; `on_frame` gets its motion-capture frames and stamp offset."""
+        self.world, self._on_frame = world, on_frame
+        lockstep = self.params.pace == "lockstep"
+        # in real time the stamps are those of the system clock, as a driver's are
+        self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
+        self.lockstep = lockstep
+        model_names = [f"wam_j{i}" for i in range(1, 8)]
+        compensates = self.params.driver_compensates_gravity
+        self._driver = Driver(Arm(world.urdf, model_names), compensates, PERIOD)
+        self._description.publish(String(data=world.urdf))
+        serve = self.create_service
+        serve(SetBool, interface.WAM_GRAVITY_COMPENSATE, self._on_gravity_compensate)
+        serve(SetBool, interface.WAM_HOLD, self._on_hold)
+        serve(Trigger, interface.WAM_IDLE, self._on_idle)
+        self._home = LateTrigger(self, interface.WAM_MOVE_HOME, self._begin_home)
+        self._reset = LateTrigger(self, interface.PANCAKE_RESET, self._begin_reset)
+        self._hand = LateTrigger(self, interface.HAND_DEMONSTRATE, self._begin_demonstration)
+
+    # The tick
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the present state [ns]."""
+        return self.world.time_ns + self.stamp_offset_ns
+
+    def tick(self, reading: interface.TorqueReading | None) -> JointState:
+        """Step the world with the newest torque, None if nothing new has come.
+
+        Returns:
+            The state after it: the same message object every time.
+        """
+        world, driver = self.world, self._driver
+        if reading is not None and reading.label != self._label:
+            self._change(reading.label)
+        tau = None if reading is None else reading.tau
+        if driver.engaged:
+            sample = world.joint_state()
+            tau = driver.torque(sample.q, sample.qd)
+        world.step(tau)
+        self._attend()
+        for frame in world.mocap_frames():
+            self._on_frame(frame, self.stamp_offset_ns)
+        return self.state()
+
+    def state(self) -> JointState:
+        """The present state as a message: the same object every time."""
+        sample = self.world.joint_state()
+        qd = sample.qd if self.params.publish_velocity else ()
+        return self._write(self.stamp_ns, sample.q, qd, sample.tau)
+
+    def publish(self, message: JointState) -> None:
+        """Send a state, and in lockstep the clock."""
+        self._states.publish(message)
+        if self.lockstep:
+            self._clocks.publish(Clock(clock=message.header.stamp))
+
+    def _change(self, label: str) -> None:
+        """The controller does something else: a rollout begins or ends with that very tick."""
+        was, self._label = self._label, label
+        if self.world.frozen and label not in ("hold", "inactive"):
+            self.world.release()
+        if was.startswith("rollout "):
+            truth = json.dumps(dataclasses.asdict(self.world.truth()))
+            self._truth.publish(String(data=truth))
+
+    def _on_torque(self, message: Float64MultiArray) -> None:
+        try:
+            reading = interface.torque(message, self.params.joint_names)
+        except ValueError as error:
+            self.counters["torques refused"] += 1
+            self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
+            return
+        self.on_torque(reading)
+
+    # The bench
+
+    def _on_policy(self, message: String) -> None:
+        try:
+            self._policy = policies.from_json(message.data)
+        except ValueError as error:
+            self.counters["policies refused"] += 1
+            self.get_logger().warning(f"policy refused: {error}")
+
+    def _begin_reset(self) -> str | None:
+        """Pancake into the pan; in lockstep the world then waits, frozen, for the rollout."""
+        policy, world = self._policy, self.world
+        if policy is None or len(policy.q_start) != 7:
+            return "refused: no policy for this arm has come"
+        if world.pulled or self._label not in ("", "inactive", "hold", "move_to_start"):
+            return f"refused: the arm is in use (mode {self._label!r})"
+        far = np.abs(world.joint_state().q - policy.q_start).max()
+        if far > START_TOLERANCE:
+            return f"refused: the arm is {far:.3f} rad from the start of {policy.id}"
+        world.reset(policy.id, policy.q_start)
+        if not self.lockstep:
+            world.release()
+        self._ticks_left = STILL_TICKS
+        return None
+
+    def _begin_demonstration(self) -> str | None:
+        self._ticks_left = STILL_TICKS
+        return "refused: the hand is at work" if self.world.pulled else None
+
+    def _attend(self) -> None:
+        """Go on with what a service has asked for, once a tick."""
+        world, waited = self.world, self._ticks_left == 0
+        self._ticks_left = max(0, self._ticks_left - 1)
+        if self._home.pending and (self._driver.arrived or not self._driver.engaged):
+            arrived = self._driver.arrived
+            self._home.finish(arrived, "at home" if arrived else "interrupted")
+        if self._reset.pending and waited:  # by now the controller has come to its fixed point
+            self._reset.finish(True, world.rollout_id)
+        if self._hand.pending and not self._pulling:
+            free = self._label == "gravity_compensation" and not self._driver.engaged
+            if free:
+                self._take_pan()
+            elif waited:
+                self._hand.finish(False, f"refused: the arm is not free (mode {self._label!r})")
+        elif self._pulling and not world.pulled:
+            self._pulling = False
+            self._demonstrations += 1
+            self._hand.finish(True, world.rollout_id)
+
+    def _take_pan(self) -> None:
+        """The hand, another one each time, begins its demonstration."""
+        world, number = self.world, self._demonstrations
+        world.reset(f"demonstration-{number}", DEMONSTRATION_START)
+        rng = np.random.default_rng((self.params.seed, number))
+        world.attach(Hand(wrist_flick(rng), *world.pan_pose))
+        world.release()
+        self._pulling = True
+
+    # Barrett's services
+
+    def _on_gravity_compensate(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        """On: torque commands reach the arm. Off: as idle."""
+        self._driver.release()
+        self.world.idle = not request.data
+        response.success = True
+        return response
+
+    def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        q = self.world.joint_state().q
+        self.world.idle = False
+        self._driver.move(q, q) if request.data else self._driver.release()
+        response.success = True
+        return response
+
+    def _on_idle(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._driver.release()
+        self.world.idle = True
+        response.success = True
+        return response
+
+    def _begin_home(self) -> str | None:
+        self.world.idle = False
+        self._driver.move(self.world.joint_state().q, HOME)
+        return None
+
+    def report(self, values: dict[str, object]) -> None:
+        """Diagnostics, once a second; `values` are those of the loop."""
+        world = self.world
+        doing = "idle" if world.idle else "own motion" if self._driver.engaged else "commanded"
+        values |= {"frozen": world.frozen, "label": self._label, **self.counters}
+        now = self.get_clock().now().to_msg()
+        self._diagnostics.publish(
+            interface.diagnostics(now, "wam_sim: loop", "stand-in", "ok", doing, values)
+        )
+
+
+def main() -> int:
+    """Entry point `wam_sim`: both stand-ins, in one process."""
+    from hardware_sim import standins
+
+    return standins.main()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
