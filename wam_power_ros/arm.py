@@ -127,8 +127,9 @@ class Arm:
         if elbow_link is not None and self.model.existFrame(elbow_link):
             frame = self.model.frames[self._frame(elbow_link)]
             self._elbow = frame.parentJoint
-            self._elbow_point = frame.placement.translation.copy()
-            self._forearm_point = frame.placement.act(_checked("forearm_point", forearm_point, 3))
+            self._elbow_point = tuple(frame.placement.translation.tolist())
+            forearm = frame.placement.act(_checked("forearm_point", forearm_point, 3))
+            self._forearm_point = tuple(forearm.tolist())
 
     def _frame(self, name: str) -> int:
         if not self.model.existFrame(name):
@@ -261,7 +262,7 @@ def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
     return array
 
 
-def _point_speed(twist: np.ndarray, point: np.ndarray) -> float:
+def _point_speed(twist: np.ndarray, point: tuple[float, float, float]) -> float:
     """Speed of a point of a body, from the body's twist in its own frame [m/s]."""
     vx, vy, vz, wx, wy, wz = twist.tolist()
     x, y, z = point

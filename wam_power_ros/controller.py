@@ -60,9 +60,10 @@ TRANSITIONS = {
     Mode.MOVE_TO_START: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
     Mode.ROLLOUT: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
     Mode.REPLAY: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
-    Mode.FAULT: {Mode.HOLD},
+    Mode.FAULT: {Mode.HOLD},  # by `reset` only
 }
 _REFERENCED = {Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY}  # modes that follow a joint reference
+_INTEGERS = (int, np.integer)
 _PASSIVE = {Mode.INACTIVE, Mode.FAULT}  # modes in which nothing can go wrong any more
 
 
@@ -527,7 +528,7 @@ class Controller:
             raise ControllerError("reset refused: the last joint state was not valid")
         if (unrest := self._unrest()) is not None:
             raise ControllerError(f"reset refused: {unrest}")
-        self._enter(Mode.HOLD)
+        self._enter(Mode.HOLD, reset=True)
         self.fault_reason = None
 
     def deactivate(self) -> None:
@@ -535,8 +536,10 @@ class Controller:
         if self._mode not in _PASSIVE:
             self._enter(Mode.INACTIVE)
 
-    def _enter(self, mode: Mode) -> None:
+    def _enter(self, mode: Mode, reset: bool = False) -> None:
         """Change the mode, ending what the old one had under way."""
+        if self._mode is Mode.FAULT and not reset:
+            raise ControllerError(f"{mode.value} refused: fault ({self.fault_reason}); reset first")
         if mode not in TRANSITIONS[self._mode]:
             possible = sorted(other.value for other in TRANSITIONS[self._mode])
             raise ControllerError(
@@ -602,7 +605,7 @@ class Controller:
             [N m], read-only. Shape (n,).
         """
         self._steps += 1
-        if not isinstance(stamp_ns, int | np.integer):
+        if not isinstance(stamp_ns, _INTEGERS):
             return self._reject("rejected")
         stamp_ns = int(stamp_ns)
         stamp = safety.judge_stamp(stamp_ns, self._stamp, self._period_ns)
@@ -613,14 +616,12 @@ class Controller:
             if self._mode not in _PASSIVE:
                 return self._reject("older")
             stamp = Stamp.FIRST  # the driver has started again
-        try:
-            q = np.array(q, dtype=float)
-            qd = self._velocity(stamp, stamp_ns, q) if qd is None else np.array(qd, dtype=float)
-        except (TypeError, ValueError):
+        q = self._read(q, safety.IMPLAUSIBLE_Q)
+        if q is None:
             return self._reject("rejected")
-        if q.shape != self._qd.shape or qd.shape != q.shape:
-            return self._reject("rejected")
-        if not safety.plausible(q.tolist(), qd.tolist()):
+        given = self._velocity(stamp, stamp_ns, q) if qd is None else qd
+        qd = self._read(given, safety.IMPLAUSIBLE_QD)
+        if qd is None:
             return self._reject("rejected")
         return self._answer(stamp, stamp_ns, q, qd)
 
@@ -639,6 +640,16 @@ class Controller:
             self._sent = safety.limit_torque(tau, self._sent, self.settings.period, self.limits)
             self._sent.setflags(write=False)
         return self._sent
+
+    def _read(self, values: object, bound: float) -> np.ndarray | None:
+        """A copy of a joint vector; None when it is not one, not finite or impossibly large."""
+        try:
+            array = np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            return None
+        if array.shape != (self.arm.n,) or not safety.plausible(array.tolist(), bound):
+            return None
+        return array
 
     def _reject(self, why: str) -> np.ndarray:
         self.counters[why] += 1

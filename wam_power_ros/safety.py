@@ -247,8 +247,11 @@ def exceeded(
     return None
 
 
-def plausible(q: list[float], qd: list[float]) -> bool:
-    """Whether every value of a state is finite and one a joint can have."""
-    return all(-IMPLAUSIBLE_Q < x < IMPLAUSIBLE_Q for x in q) and all(
-        -IMPLAUSIBLE_QD < x < IMPLAUSIBLE_QD for x in qd
-    )
+def plausible(values: list[float], bound: float) -> bool:
+    """Whether every value is finite and of a size a joint can have.
+
+    Args:
+        values: Positions [rad] or speeds [rad/s].
+        bound: IMPLAUSIBLE_Q or IMPLAUSIBLE_QD.
+    """
+    return all(-bound < value < bound for value in values)
