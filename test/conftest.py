@@ -15,12 +15,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 import pytest
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
+
+from wam_power_ros import rotations
+from wam_power_ros.arm import Arm
+from wam_power_ros.policy import Basis, Policy
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 T = TypeVar("T")
@@ -128,11 +133,11 @@ class Processes:
         self.started: list[tuple[subprocess.Popen[bytes], Path]] = []
 
     def node(
-        self, module: str, config: str | Path | None = None, **parameters: object
+        self, module: str, *configs: str | Path, **parameters: object
     ) -> subprocess.Popen[bytes]:
-        """Start `python -m module` with a parameter file of `config/` and overrides."""
+        """Start `python -m module` with parameter files of `config/` and overrides."""
         command = [sys.executable, "-m", module, "--ros-args"]
-        if config is not None:
+        for config in configs:
             command += ["--params-file", str(ROOT / "config" / config)]
         for name, value in parameters.items():
             text = str(value).lower() if isinstance(value, bool) else str(value)
@@ -174,6 +179,37 @@ class Processes:
         for process, log in self.started:
             name = " ".join(process.args[1:5])
             sys.stdout.write(f"--- {name}: {process.returncode}\n{log.read_text()}\n")
+
+
+def diagnosis(messages: list[Any], name: str) -> dict[str, str]:
+    """The newest values of a node's diagnostics, with its level and message; empty before any."""
+    for message in reversed(messages):
+        for status in message.status:
+            if status.name.startswith(name):
+                values = {item.key: item.value for item in status.values}
+                return values | {"level": str(status.level[0]), "message": status.message}
+    return {}
+
+
+def lift(policy_id: str) -> Policy:
+    """A policy that lifts the pan by some centimetres and lowers it again."""
+    home = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
+    position, rotation = arm.tool_pose(home)
+    attractors = np.tile(position, (8, 1))
+    attractors[2:5, 2] += 0.05
+    return Policy(
+        id=policy_id,
+        basis=Basis(count=8, duration=0.4, variance=0.001),
+        stiffness=np.tile(300.0 * np.eye(3), (8, 1, 1)),
+        attractors=attractors,
+        damping=32.0,
+        orientation_reference=rotations.quat_xyzw(rotation),
+        rotation_attractors=np.zeros((8, 3)),
+        rotation_stiffness=400.0,
+        rotation_damping=36.0,
+        q_start=home,
+    )
 
 
 @pytest.fixture

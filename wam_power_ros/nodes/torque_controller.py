@@ -184,16 +184,17 @@ class TorqueController(LifecycleNode):
         """Between callbacks: carry the arm when its states stay away (not in lockstep)."""
         if not self._active or self._state_timeout == 0.0:
             return
-        now = time.monotonic_ns()
+        core, now = self._controller, time.monotonic_ns()
         age = now - self._arrived_ns
         if age < self._state_timeout * 1e9 or now - self._sent_ns < 0.9e9 * self._params.period:
             return
         if age > STALE_FAULT_NS:
-            self._controller.fault(f"no joint state for {age // 1_000_000} ms")
+            core.fault(f"no joint state for {age // 1_000_000} ms")
         if age > STALE_IDLE_NS and not self._idle_asked and self._params.idle_service:
             self._idle_asked = True
             self._idle.call_async(Trigger.Request())
-        self._send(self._controller.stale_torque(), self._controller.mode.value)
+        label = core.mode.value if core.mode is Mode.FAULT else core.label
+        self._send(core.stale_torque(), label)
 
     def _send(self, tau: np.ndarray, label: str) -> None:
         self._commands.publish(self._write(self._stamp_ns, label, tau))

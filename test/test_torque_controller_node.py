@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The torque controller over real DDS: its arm is played by the test, state by state."""
+
+from __future__ import annotations
+
+import math
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from conftest import ROOT, Probe, Processes, diagnosis, lift
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros import interface
+from wam_power_ros.arm import Arm
+from wam_power_ros.policy import to_json, with_id
+
+MODULE = "wam_power_ros.nodes.torque_controller"
+NAMES = [f"wam_j{i}" for i in range(1, 8)]
+HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+TICK = 2_000_000  # [ns]
+
+
+class PlayedArm:
+    """An arm that never moves: publishes states and collects torques."""
+
+    def __init__(self, probe: Probe, processes: Processes, **parameters: object) -> None:
+        self.probe = probe
+        quick = {"realtime_priority": 0, "state_timeout": 0.0}
+        self.process = processes.node(MODULE, "torque_controller.yaml", **(quick | parameters))
+        self.torques: list[interface.TorqueReading] = []
+        self.messages = probe.listen(
+            Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
+        )
+        self.diagnostics = probe.listen(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self.stamp_ns = TICK
+        self._publisher = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+
+    def send(
+        self, names: list[str] = NAMES, q: np.ndarray = HOME, qd: np.ndarray | None = None
+    ) -> None:
+        """One state, a tick after the last."""
+        self.stamp_ns += TICK
+        self.again(names, q, np.zeros(len(names)) if qd is None else qd)
+
+    def again(self, names: list[str], q: np.ndarray, qd: np.ndarray) -> None:
+        """A state with the stamp of the last."""
+        message = JointState(name=names, position=list(q), velocity=list(qd))
+        message.header.stamp = interface.stamp(self.stamp_ns)
+        self._publisher.publish(message)
+
+    def answer(self) -> interface.TorqueReading:
+        """The torque that answers the newest state."""
+        return self.probe.until(
+            lambda: next((t for t in self.read() if t.stamp_ns == self.stamp_ns), None),
+            f"torque for stamp {self.stamp_ns}",
+        )
+
+    def read(self) -> list[interface.TorqueReading]:
+        """All torques so far."""
+        while len(self.torques) < len(self.messages):
+            self.torques.append(interface.torque(self.messages[len(self.torques)], NAMES))
+        return self.torques
+
+    def activate(self) -> None:
+        """Repeat states until the controller, which starts itself, holds."""
+
+        def held() -> bool:
+            self.send()
+            self.probe.spin(0.02)
+            return any(torque.label == "hold" for torque in self.read())
+
+        self.probe.until(held, "the controller holds")
+        for _ in range(40):
+            self.send()
+            self.answer()
+
+    def diagnosis(self, condition: Callable[[dict[str, str]], bool], what: str) -> dict[str, str]:
+        """The diagnostics once `condition` is met."""
+        newest = lambda: diagnosis(self.diagnostics, "torque_controller")  # noqa: E731
+        self.probe.until(lambda: newest() and condition(newest()), what)
+        return newest()
+
+
+def test_each_state_gets_one_torque_labelled_with_its_stamp(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    seen = len(arm.read())
+    stamps = []
+    for _ in range(50):
+        arm.send()
+        stamps.append(arm.stamp_ns)
+        arm.answer()
+    probe.spin(0.1)
+    assert [torque.stamp_ns for torque in arm.read()[seen:]] == stamps
+    tau = arm.torques[-1].tau
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
+    np.testing.assert_allclose(tau, gravity, atol=1e-9)
+
+
+def test_names_in_any_order_beside_others_give_the_same_torque(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    arm.send()
+    expected = arm.answer().tau
+    order = [3, 6, 0, 2, 5, 1, 4]
+    arm.send([*(NAMES[i] for i in order), "finger"], np.append(HOME[order], 9.0))
+    assert arm.answer().tau.tolist() == expected.tolist()
+
+
+def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    arm.send()
+    first = arm.answer()
+    arm.again(NAMES, HOME + 0.01, np.zeros(7))
+    probe.until(lambda: [t.stamp_ns for t in arm.read()].count(arm.stamp_ns) == 2, "the repetition")
+    assert arm.torques[-1].tau.tolist() == first.tau.tolist()
+    count = len(arm.torques)
+    arm.stamp_ns -= 3 * TICK
+    arm.again(NAMES, HOME, np.zeros(7))
+    probe.spin(0.3)
+    assert len(arm.read()) == count
+
+
+@pytest.mark.parametrize(
+    ("names", "q", "qd", "named"),
+    [
+        (NAMES[:6], HOME[:6], np.zeros(6), "wam_j7"),
+        (NAMES, np.append(HOME[:6], math.nan), np.zeros(7), "position"),
+        (NAMES, HOME, np.full(7, math.inf), "velocity"),
+    ],
+)
+def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(
+    probe: Probe, processes: Processes, names: list[str], q: np.ndarray, qd: np.ndarray, named: str
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    count = len(arm.read())
+    arm.send(names, q, qd)
+    report = arm.diagnosis(lambda d: d.get("refused: joint state") == "1", "the refusal is told")
+    assert named in report["last refusal"]
+    assert len(arm.read()) == count
+    arm.send()
+    assert np.isfinite(arm.answer().tau).all()
+
+
+def test_states_without_velocity_get_torques_too(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    arm.send()
+    expected = arm.answer().tau
+    for qd in (np.empty(0), np.full(7, math.nan)):
+        arm.send(qd=qd)
+        assert arm.answer().tau.tolist() == expected.tolist()
+
+
+def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
+    policies.publish(String(data=to_json(lift("good"))))
+    arm.diagnosis(lambda d: d["policy"] == "good", "the policy is loaded")
+    bad = to_json(with_id(lift("good"), "bad")).replace("300.0", "NaN", 1)
+    for text in (bad, "{", to_json(with_id(lift("good"), "stiff")).replace("300.0", "9e9")):
+        policies.publish(String(data=text))
+        probe.spin(0.1)
+    report = arm.diagnosis(lambda d: d.get("refused: policy") == "3", "three refusals")
+    assert report["policy"] == "good"
+    arm.send()
+    arm.answer()
+    response = probe.call(Trigger, interface.EXECUTE)
+    assert (response.success, response.message) == (True, "good")
+
+
+def test_the_life_cycle_decides_whether_torques_are_sent(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes, autostart=False)
+
+    def change(transition: int) -> bool:
+        arm.send()
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return probe.call(ChangeState, "/torque_controller/change_state", request).success
+
+    assert not probe.call(Trigger, interface.EXECUTE).success
+    assert change(Transition.TRANSITION_CONFIGURE)
+    probe.spin(1.2)
+    assert not arm.read()
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+    refused = probe.call(ChangeState, "/torque_controller/change_state", request)
+    assert not refused.success  # the last state is too old
+    assert change(Transition.TRANSITION_ACTIVATE)
+    arm.send()
+    assert arm.answer().label == "hold"
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    probe.until(lambda: arm.read()[-1].label == "inactive", "a last torque")
+    count = len(arm.torques)
+    for _ in range(20):
+        arm.send()
+    probe.spin(0.2)
+    assert len(arm.read()) == count
+    assert change(Transition.TRANSITION_CLEANUP)
+
+
+def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
+    probe: Probe, processes: Processes
+) -> None:
+    idled: list[float] = []
+
+    def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        idled.append(time.monotonic())
+        return response
+
+    probe.node.create_service(Trigger, interface.WAM_IDLE, idle)
+    arm = PlayedArm(probe, processes, state_timeout=0.006)
+
+    def streaming(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            arm.send(qd=np.full(7, 0.01))
+            probe.spin(0.0015)
+
+    probe.until(
+        lambda: streaming(0.05) or any(t.label == "hold" for t in arm.read()), "the arm is held"
+    )
+    lost = time.monotonic()
+    probe.until(lambda: arm.read()[-1].label == "fault", "the fault", deadline=5.0)
+    probe.until(lambda: idled, "the driver is asked to idle", deadline=5.0)
+    assert idled[0] - lost > 0.08
+    probe.spin(0.2)
+    stale = arm.read()[-1]
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
+    np.testing.assert_allclose(stale.tau, gravity, atol=1e-9)  # no velocity term
+    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
+    assert report["level"] == "2"
+    arm.send()
+    probe.until(lambda: probe.call(Trigger, interface.RESET).success, "a person resets")
+    arm.send()
+    probe.until(lambda: arm.read()[-1].label in ("hold", "fault"), "an answer")
+
+
+def test_without_lockstep_a_short_silence_is_bridged_and_forgiven(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes, state_timeout=0.006, idle_service='""')
+    for _ in range(600):
+        arm.send()
+        probe.spin(0.002)
+    probe.until(lambda: arm.read() and arm.torques[-1].stamp_ns == arm.stamp_ns, "the answer")
+    before = len(arm.read())
+    probe.spin(0.012)
+    arm.send()
+    probe.spin(0.004)
+    assert len(arm.read()) > before + 1  # torques for a state that had been answered already
+
+
+def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    report = arm.diagnosis(lambda d: d["mode"] == "fault", "a fault")
+    assert "publisher" in report["message"]
+    processes.end(arm.process)
+
+    second = PlayedArm(probe, processes)
+    for _ in range(60):
+        second.send()
+        other.publish(Float64MultiArray(data=[0.0] * 7))
+        probe.spin(0.05)
+    report = second.diagnosis(lambda d: "refused: activation" in d, "the refusal is told")
+    assert report["mode"] == "inactive"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
+    probe: Probe, processes: Processes, number: int
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    assert processes.end(arm.process, number) == 0
+    probe.spin(0.3)
+    last = arm.read()[-1]
+    assert last.label == "inactive"
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
+    np.testing.assert_allclose(last.tau, gravity, atol=1e-9)
+    assert "Traceback" not in processes.output(arm.process)
+
+
+def test_a_driver_that_adds_gravity_is_sent_none(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes, driver_compensates_gravity=True)
+    arm.activate()
+    arm.send()
+    np.testing.assert_allclose(arm.answer().tau, 0.0, atol=1e-9)
+
+
+def test_another_command_type_carries_the_same_torque(probe: Probe, processes: Processes) -> None:
+    topic = "/joint_torque_commands"
+    commands = probe.listen(JointState, topic, interface.COMMAND)
+    arm = PlayedArm(probe, processes, command_type="joint_state", command_topic=topic)
+
+    def commanded() -> bool:
+        arm.send()
+        probe.spin(0.05)
+        return bool(commands) and commands[-1].header.frame_id == "hold"
+
+    probe.until(commanded, "a command as a joint state")
+    reading = interface.torque(commands[-1], NAMES)
+    assert reading.stamp_ns is not None
+    assert np.isfinite(reading.tau).all()
+
+
+def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    on = SetBool.Request(data=True)
+    assert probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
+    arm.send()
+    assert arm.answer().label == "gravity_compensation"
+    assert not probe.call(Trigger, interface.EXECUTE).success
+    assert probe.call(Trigger, interface.STOP).success
+    arm.send()
+    assert arm.answer().label == "hold"
+    refusal = probe.call(Trigger, interface.MOVE_TO_START)
+    assert not refusal.success
+    assert "policy" in refusal.message
+
+
+def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -> None:
+    process: subprocess.Popen[bytes] = processes.node(MODULE, autostart=True)
+    assert process.wait(20.0) == 2
+    assert "joint_names" in processes.output(process)
