@@ -20,6 +20,7 @@ ROTATION_STIFFNESS = 60.0  # [N m/rad]
 ROTATION_DAMPING = 3.0  # [N m s/rad]
 FORCE_MAX = 150.0  # [N] what a person's arm gives
 MOMENT_MAX = 15.0  # [N m]
+HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
 REACH = 0.34  # [m] from the wrist to the pan's centre
 
 
@@ -43,7 +44,11 @@ class HandScript:
 
 
 def wrist_flick(rng: np.random.Generator, spread: float = 1.0) -> HandScript:
-    """A toss from the wrist: dip, release with the front edge rising, under the pancake, cushion.
+    """A toss from the wrist: flick the front edge up, follow under the pancake, cushion its fall.
+
+    It begins at `HOME`, the pan tilted forward and the pancake slid against the front of the rim,
+    as a cook does: from there a flick throws it the same way every time. Out of a level pan, the
+    pancake would slide or not slide to the rim on the way, and throws scatter by 15 cm.
 
     Args:
         rng: what makes this demonstration differ from the next.
@@ -53,22 +58,19 @@ def wrist_flick(rng: np.random.Generator, spread: float = 1.0) -> HandScript:
     def scatter(sd: float, *shape: int) -> np.ndarray:
         return spread * sd * rng.standard_normal(shape)
 
-    pause = 0.25  # at rest before the movement
-    times = np.array([0.0, 0.435, 0.642, 0.937, 1.434]) * (1.0 + 0.04 * float(scatter(1.0)))
-    wrist = np.array([[0, 0], [-0.043, -0.027], [-0.019, -0.014], [-0.016, 0.061], [-0.02, -0.024]])
-    wrist_speed = np.array([[0, 0], [0, 0], [0.84, 0.22], [0, 0], [0, 0]])
-    pitch = np.deg2rad([0.0, -25.0, 4.0, 6.0, 0.0])
-    pitch_rate = np.array([0.0, 0.0, 6.85, 0.0, 0.0])
-    wrist = wrist + np.vstack([np.zeros((1, 2)), scatter(0.006, 4, 2)])
-    wrist_speed = wrist_speed * (1.0 + scatter(0.08, 1, 2))
-    pitch = pitch + np.concatenate([[0.0], scatter(np.deg2rad(2.5), 4)])
-    pitch_rate = pitch_rate * (1.0 + float(scatter(0.06)))
+    pause = 0.25  # at rest before the movement [s]
+    durations = np.array([0.22, 0.30, 0.35]) * (1.0 + scatter(0.06, 3))  # rise, under, cushion [s]
+    wrist = np.array([[0.03, 0.02], [0.03, 0.08], [0.0, 0.02]]) + scatter(0.012, 3, 2)
+    wrist_speed = np.array([0.75, 0.3]) + scatter(0.15, 2)
+    pitch = np.deg2rad([35.0, 30.0, 22.0]) + scatter(np.deg2rad(4.0), 3)
+    pitch_rate = 7.6 * (1.0 + float(scatter(0.08)))
+    still = np.zeros((2, 2))
     return HandScript(
-        np.concatenate([[0.0], times + pause]),
-        np.vstack([wrist[:1], wrist]),
-        np.vstack([wrist_speed[:1], wrist_speed]),
-        np.concatenate([pitch[:1], pitch]),
-        np.concatenate([pitch_rate[:1], pitch_rate]),
+        np.concatenate([[0.0], pause + np.concatenate([[0.0], np.cumsum(durations)])]),
+        np.vstack([still, wrist]),
+        np.vstack([still, wrist_speed, still]),
+        np.concatenate([[0.0, 0.0], pitch]),
+        np.array([0.0, 0.0, pitch_rate, 0.0, 0.0]),
     )
 
 

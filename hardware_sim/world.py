@@ -28,7 +28,7 @@ PERIOD_NS = 2_000_000
 QUIET = "-quiet"  # a rollout whose id ends so is run without any noise
 DELTA_H = 0.12  # [m] over the pan's floor, where a falling pancake is judged
 _WATCHDOG_TICKS = 5  # 10 ms without a command
-_SETTLE_STEPS = 400  # physics steps in which the pancake comes to rest in the pan
+_SETTLE_STEPS = 900  # physics steps in which the pancake comes to rest in the pan
 _TRACE_TICKS = 5  # 100 Hz
 _FOREARM_POINT = np.array([-0.045, -0.35, 0.0])  # in wam_link4: where the safety board looks
 

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bench in one process: stand-in world, controller and tracker wired by calls instead of topics.
+
+What the nodes exchange over DDS passes here as arrays, in the same order and through the same
+core, so a rollout of one seed and id comes out bit for bit as it does there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import yaml
+
+from hardware_sim.hand import HOME, Hand, HandScript
+from hardware_sim.world import Truth, World
+from wam_power_ros.arm import Arm
+from wam_power_ros.controller import Controller, ControllerSettings, Mode
+from wam_power_ros.policy import Policy
+from wam_power_ros.resources import share
+from wam_power_ros.rollout import EndEffectorPath, PancakePath
+from wam_power_ros.tracker import Tracker, TrackerSettings
+
+JOINTS = tuple(f"wam_j{i}" for i in range(1, 8))
+_STILL_TICKS = 40  # ticks a held arm repeats its state before a rollout begins
+
+
+def tracker_settings() -> TrackerSettings:
+    """The tracker's settings of config/pancake_tracker.yaml."""
+    text = share("config/pancake_tracker.yaml").read_text()
+    (values,) = (node["ros__parameters"] for node in yaml.safe_load(text).values())
+    names = {field.name for field in dataclasses.fields(TrackerSettings)}
+    return TrackerSettings(**{name: values[name] for name in names})
+
+
+class Bench:
+    """One arm on which policies are tried, one at a time."""
+
+    def __init__(
+        self,
+        world: World,
+        settings: ControllerSettings | None = None,
+        tracker: TrackerSettings | None = None,
+    ) -> None:
+        """Wire `world` to a controller and a tracker of its own."""
+        self.world = world
+        self.arm = Arm(world.urdf, JOINTS)
+        self.controller = Controller(self.arm, settings)
+        self.tracker = Tracker(tracker or tracker_settings())
+
+    def tick(self) -> None:
+        """State to torque, torque to state."""
+        world = self.world
+        stamp_ns, q, qd, _ = world.joint_state()
+        world.step(self.controller.step(stamp_ns, q, qd))
+        for frame in world.mocap_frames():
+            self.tracker.add(frame.stamp_ns, frame.position, frame.quat_xyzw)
+
+    def demonstrate(self, script: HandScript, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Let a hand move the gravity-compensated arm from home.
+
+        Returns:
+            Stamps (M,) [ns] and joint positions (M, 7) [rad] as the driver reported them.
+        """
+        world = self.world
+        self._place(name, HOME)
+        controller = self.controller
+        controller.set_gravity_compensation(True)
+        for _ in range(_STILL_TICKS):
+            self.tick()
+        world.release()
+        world.attach(Hand(script, *world.pan_pose))
+        stamps, q = [], []
+        while world.pulled:
+            sample = world.joint_state()
+            stamps.append(sample.stamp_ns)
+            q.append(sample.q)
+            self.tick()
+        controller.set_gravity_compensation(False)
+        return np.array(stamps), np.array(q)
+
+    def run(self, policy: Policy) -> tuple[EndEffectorPath, PancakePath, Truth, str]:
+        """Execute a policy.
+
+        Returns:
+            The pan's path, the pancake's as the tracker saw it, what really happened, and the
+            controller's fault, empty when there was none.
+        """
+        world = self.world
+        self._place(policy.id, policy.q_start)
+        controller = self.controller
+        controller.load(policy)
+        controller.move_to_start()
+        while not controller.ready:
+            self.tick()
+        for _ in range(_STILL_TICKS):
+            self.tick()
+        controller.execute()
+        world.release()
+        while controller.mode is Mode.ROLLOUT:
+            self.tick()
+        truth = world.truth()
+        pan = controller.take_finished()
+        start_ns = controller.rollout_stamp_ns
+        if pan is None or start_ns is None:
+            raise RuntimeError(f"rollout {policy.id} left no path")
+        fault = controller.fault_reason or ""
+        end_ns = start_ns + round(float(pan.t[-1]) * 1e9)
+        for _ in range(100):  # frames are delivered late
+            self.tick()
+        pancake = self.tracker.path(policy.id, start_ns, end_ns)
+        return pan, pancake, truth, fault
+
+    def _place(self, rollout_id: str, q_start: np.ndarray) -> None:
+        """Hold the arm still at a place it has been put to; only a stand-in can do that."""
+        self.world.reset(rollout_id, q_start)
+        self.controller = Controller(self.arm, self.controller.settings)
+        self.tick()
+        self.controller.hold()
+        for _ in range(_STILL_TICKS):
+            self.tick()

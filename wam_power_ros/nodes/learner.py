@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Learner: demonstrations and finished rollouts in, policies to try out; all of it logged.
+
+The course of a session is `Practice`, its folder is `Session`; what is here is the conversation:
+publish the policy, bring the arm to its start, see the pancake rest in the pan, execute, take the
+two paths, make the record durable, go on.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path as FilePath
+from typing import Any, Literal, TypeVar
+
+import json
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Odometry, Path
+from pydantic import Field
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros import interface, messages, policy as policies
+from wam_power_ros.arm import Arm
+from wam_power_ros.bags import read_demonstration
+from wam_power_ros.demonstration import from_joint_samples
+from wam_power_ros.params import Params
+from wam_power_ros.practice import Practice, Record, Trial, preset
+from wam_power_ros.primitive import PANCAKE, fit
+from wam_power_ros.real_time import executor_for
+from wam_power_ros.resources import share
+from wam_power_ros.rollout import EndEffectorPath, PancakePath
+from wam_power_ros.session import Session
+
+T = TypeVar("T")
+CONTROLLER = "torque_controller"  # name of the node whose diagnostics tell of faults
+
+
+class LearnerParams(Params):
+    """Parameters of the node; the values are in config/learner.yaml."""
+
+    joint_names: tuple[str, ...]
+    urdf: str  # path, or a file of our share folder
+    tool_frame: str
+    session: str  # folder; empty: none is begun
+    demonstrations: tuple[str, ...]  # bags; not needed to resume
+    preset: Literal["flip", "paper"]
+    trials: int = Field(ge=0)  # budget; 0: the preset's
+    seed: int = Field(ge=0)
+    pancake_reset: bool  # a service puts the pancake back; otherwise a person does
+    reset_faults: bool  # stand-in only: in the lab a person resets the controller
+    record_rollouts: bool
+    service_timeout: float = Field(gt=0.0)  # [s of wall time]
+    rollout_timeout: float = Field(gt=0.0)  # [s of wall time]
+    patience: float = Field(gt=0.0)  # for the pancake to rest in the pan [s of wall time]
+    unusable_max: int = Field(ge=1)  # rollouts in a row that could not be learnt from
+
+
+class Trouble(RuntimeError):
+    """The session cannot go on; what was acknowledged is on disk."""
+
+
+class Learner(Node):
+    """Practises one skill, one rollout at a time."""
+
+    def __init__(self) -> None:
+        super().__init__("learner", automatically_declare_parameters_from_overrides=True)
+        self.params = LearnerParams.of(self)
+        self._arm = Arm(
+            share(self.params.urdf).read_text(), self.params.joint_names, self.params.tool_frame
+        )
+        self._policy_pub = self.create_publisher(String, interface.POLICY, interface.LATCHED)
+        self._pan: tuple[int, EndEffectorPath] | None = None
+        self._pancake: tuple[int, PancakePath] | None = None
+        self._truth: dict[str, Any] | None = None
+        self._fault = ""
+        self._resting = 0  # frames in a row
+        self._pan_start = np.zeros(3)
+        subscribe = self.create_subscription
+        subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
+        subscribe(Path, interface.ROLLOUT_PANCAKE, self._on_pancake, interface.LATCHED)
+        subscribe(Odometry, interface.PANCAKE_STATE, self._on_state, interface.STATE_OUT)
+        subscribe(String, interface.PANCAKE_TRUTH, self._on_truth, interface.LATCHED)
+        subscribe(
+            DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
+        )
+        self._services = {
+            name: self.create_client(Trigger, name)
+            for name in (
+                interface.MOVE_TO_START,
+                interface.EXECUTE,
+                interface.PANCAKE_RESET,
+                interface.RESET,
+            )
+        }
+        self._services[interface.RECORD] = self.create_client(SetBool, interface.RECORD)
+        self._executor = executor_for(self)
+
+    # Messages in
+
+    def _on_end_effector(self, message: Path) -> None:
+        self._pan = self._read(lambda: messages.path(message, EndEffectorPath))
+
+    def _on_pancake(self, message: Path) -> None:
+        self._pancake = self._read(lambda: messages.path(message, PancakePath))
+
+    def _on_state(self, message: Odometry) -> None:
+        state = self._read(lambda: messages.odometry(message))
+        if state is None:
+            return
+        offset = state.position - self._pan_start
+        at_rest = (
+            np.hypot(offset[0], offset[1]) < 0.10
+            and -0.01 < offset[2] < 0.03
+            and np.linalg.norm(state.velocity) < 0.05
+        )
+        self._resting = self._resting + 1 if at_rest else 0
+
+    def _on_truth(self, message: String) -> None:
+        self._truth = self._read(lambda: json.loads(message.data))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.startswith(CONTROLLER):
+                at_fault = status.level == DiagnosticStatus.ERROR
+                self._fault = status.message if at_fault else ""
+
+    def _read(self, convert: Callable[[], T]) -> T | None:
+        try:
+            return convert()
+        except ValueError as error:
+            self.get_logger().warning(f"message ignored: {error}", throttle_duration_sec=1.0)
+            return None
+
+    # Waiting
+
+    def _until(self, condition: Callable[[], object], what: str, timeout: float) -> None:
+        end = time.monotonic() + timeout
+        while not condition():
+            if not rclpy.ok():
+                raise ExternalShutdownException
+            if time.monotonic() > end:
+                raise Trouble(f"not within {timeout:.0f} s: {what}")
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def _call(self, name: str, timeout: float | None = None) -> tuple[bool, str]:
+        request = Trigger.Request()
+        return self._ask(name, request, timeout)
+
+    def _ask(self, name: str, request: object, timeout: float | None = None) -> tuple[bool, str]:
+        timeout = self.params.service_timeout if timeout is None else timeout
+        client = self._services[name]
+        self._until(client.service_is_ready, f"service {name} is offered", timeout)
+        future = client.call_async(request)
+        try:
+            self._until(future.done, f"answer of {name}", timeout)
+        finally:
+            if not future.done():
+                client.remove_pending_request(future)
+        response = future.result()
+        return response.success, response.message
+
+    # A session
+
+    def practise(self) -> None:
+        """Run the session of the parameters to its end, or take it up where it was left."""
+        session, practice = self._open()
+        log = self.get_logger()
+        with session:
+            while (trial := practice.next_trial()) is not None:
+                begun = time.time()
+                record = self._perform(practice, trial, begun)
+                session.append(record)  # on disk before anything else is tried
+                best = practice.best
+                if best is not None:
+                    session.save_policy(best.policy)
+                log.info(f"{_line(record)} {record.note}")
+                if practice.unusable_in_a_row >= self.params.unusable_max:
+                    raise Trouble(
+                        f"{practice.unusable_in_a_row} rollouts in a row could not be learnt "
+                        f"from, the last one: {record.why}"
+                    )
+        best = practice.best
+        log.info(f"session finished: {practice.stopped}. {'' if best is None else best.why}")
+
+    def _open(self) -> tuple[Session, Practice]:
+        params = self.params
+        folder = FilePath(params.session)
+        if Session.exists(folder):
+            session = Session.open(folder)
+        else:
+            settings = preset(params.preset, **({"budget": params.trials} if params.trials else {}))
+            session = Session.begin(folder, settings, params.seed, self._fit_all())
+        practice = Practice.from_records(
+            session.candidates, session.settings, session.seed, session.records
+        )
+        self.get_logger().info(f"session {folder}: {len(session.records)} rollouts on record")
+        return session, practice
+
+    def _fit_all(self) -> list[policies.Policy]:
+        if not any(self.params.demonstrations):
+            raise Trouble("a new session needs demonstrations: name at least one bag")
+        candidates = []
+        for number, bag in enumerate(filter(None, self.params.demonstrations), start=1):
+            stamps_ns, q = read_demonstration(FilePath(bag), self.params.joint_names)
+            demonstration = from_joint_samples(self._arm, stamps_ns, q, trim=True)
+            candidates.append(fit([demonstration], PANCAKE, f"demonstration-{number}"))
+        return candidates
+
+    def _perform(self, practice: Practice, trial: Trial, begun: float) -> Record:
+        """Execute one trial and learn from it, whatever comes of it."""
+        self._pan = self._pancake = self._truth = None
+        self._resting = 0
+        self._pan_start = self._arm.tool_pose(trial.policy.q_start)[0]
+        self._policy_pub.publish(String(data=policies.to_json(trial.policy)))
+        bag = ""
+        self._reach_start(trial)
+        if self.params.pancake_reset:
+            self._insist(interface.PANCAKE_RESET)
+        self._resting = 0
+        self._until(
+            lambda: self._resting >= 3, "the pancake rests in the pan", self.params.patience
+        )
+        if self.params.record_rollouts:
+            self._ask(interface.RECORD, SetBool.Request(data=True))
+        self._insist(interface.EXECUTE)
+        timeout = self.params.rollout_timeout
+        self._until(lambda: _is_of(self._pan, trial), f"path of {trial.id}", timeout)
+        self._until(lambda: _is_of(self._pancake, trial), f"pancake of {trial.id}", timeout)
+        if self.params.record_rollouts:
+            bag = FilePath(self._ask(interface.RECORD, SetBool.Request(data=False))[1]).name
+        if self.count_publishers(interface.PANCAKE_TRUTH):
+            self._until(lambda: self._truth_of(trial), f"truth of {trial.id}", timeout)
+        pan, pancake = self._pan[1], self._pancake[1]
+        fault = self._fault if pan.t[-1] < trial.policy.basis.duration else ""
+        return practice.learn(
+            trial,
+            pan,
+            pancake,
+            fault=fault,
+            bag=bag,
+            truth=self._truth_of(trial),
+            clock={"begun": begun, "took": time.time() - begun},
+        )
+
+    def _truth_of(self, trial: Trial) -> dict[str, Any] | None:
+        truth = self._truth
+        return truth if truth is not None and truth.get("id") == trial.id else None
+
+    def _reach_start(self, trial: Trial) -> None:
+        if self._fault:
+            if self.params.reset_faults:
+                self._call(interface.RESET)
+            else:
+                self.get_logger().warning(f"waiting for a person to reset: {self._fault}")
+        self._insist(interface.MOVE_TO_START, self.params.patience)
+
+    def _insist(self, name: str, timeout: float | None = None) -> None:
+        """Call a service until it agrees; it may refuse while a latched message is on its way."""
+        end = time.monotonic() + (self.params.service_timeout if timeout is None else timeout)
+        while True:
+            done, why = self._call(name, timeout)
+            if done:
+                return
+            if time.monotonic() > end:
+                raise Trouble(f"{name} refused: {why}")
+            self._executor.spin_once(timeout_sec=0.05)
+
+
+def _is_of(arrived: tuple[int, Any] | None, trial: Trial) -> bool:
+    return arrived is not None and arrived[1].id == trial.id
+
+
+def _line(record: Record) -> str:
+    ret = "-" if record.ret is None else f"{record.ret:.3f}"
+    return f"{record.id} {record.kind}: return {ret} {record.why}"
+
+
+def main() -> int:
+    """Entry point of `ros2 run wam_power_ros learner`."""
+    rclpy.init()
+    node = None
+    try:
+        node = Learner()
+        node.practise()
+    except (Trouble, ValueError, OSError) as error:
+        (node.get_logger() if node else rclpy.logging.get_logger("learner")).fatal(str(error))
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
