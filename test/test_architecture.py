@@ -24,8 +24,6 @@ ROS = {
 SIMULATOR = {"hardware_sim", "mujoco"}
 # May import ROS: all that speaks it, beside nodes/.
 ROS_EDGE = {"interface", "messages", "params", "real_time", "late_service", "teaching"}
-# May import the stand-ins, and then only inside a function: what runs them in its own process.
-RUNS_STAND_INS = {"cli"}
 # Files, clocks, processes and sockets are theirs; every other module is the core.
 EDGE = ROS_EDGE | {"cli", "live", "processes", "resources", "figures", "report", "session", "bags"}
 OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}
@@ -34,12 +32,10 @@ MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])
 CORE = [path for path in PACKAGE.glob("*.py") if path.stem not in {*EDGE, "__init__"}]
 
 
-def imports(path: Path, *, top: bool = False) -> set[str]:
-    """Dotted names a module imports, with `top` only when it is itself imported."""
-    tree = ast.parse(path.read_text())
-    nodes = tree.body if top else ast.walk(tree)
+def imports(path: Path) -> set[str]:
+    """Dotted names a module imports, anywhere in it."""
     names: set[str] = set()
-    for node in nodes:
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -94,11 +90,9 @@ def test_ros_is_spoken_only_at_the_edge(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=label)
-def test_only_what_runs_the_stand_ins_itself_imports_them(path: Path) -> None:
-    if path.parent == PACKAGE / "experiments":
-        return
-    allowed = path.parent == PACKAGE and path.stem in RUNS_STAND_INS
-    assert not roots(imports(path, top=allowed)) & SIMULATOR
+def test_only_in_process_experiments_import_the_stand_ins(path: Path) -> None:
+    if path.parent != PACKAGE / "experiments":
+        assert not roots(imports(path)) & SIMULATOR
 
 
 @pytest.mark.parametrize("path", sorted(STAND_INS.rglob("*.py")), ids=label)

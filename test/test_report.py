@@ -79,9 +79,9 @@ def test_the_same_session_gives_the_same_report(folder: Path) -> None:
 
 def test_an_exhibit_without_a_film_says_why(folder: Path) -> None:
     pan, pancake = a_rollout("trial-0006", TURNS[5])
-    shown = report.Exhibit(6, pan, pancake, why_no_film="no <OpenGL> here")
-    html = report.write(folder, shown).read_text()
-    assert "Rollout 6: flipped, caught" in html
+    shown = report.Exhibit("caught.", pan, pancake, t_f=0.8)
+    html = report.write(folder, shown, "no <OpenGL> here").read_text()
+    assert "The answer, trial-0006" in html
     assert "no &lt;OpenGL&gt; here" in html
 
 

@@ -10,7 +10,9 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import os
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
@@ -183,11 +185,35 @@ def _learn(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from wam_power_ros import report
+    from wam_power_ros import report, session
 
-    path = report.write(options.session)
-    print(f"Report: {_shown(path)}")
+    folder = options.session
+    _, _, records = session.read(folder)
+    if any(record.truth for record in records):
+        _exhibit(folder)
+    else:
+        report.write(folder)
+    print(f"Report: {_shown(folder.resolve() / 'report.html')}")
     return 0
+
+
+def _exhibit(folder: Path) -> None:
+    """Write the report of a simulated session, with a film if this machine can render one."""
+    command = [sys.executable, "-m", "wam_power_ros.experiments.exhibit", str(folder)]
+    if (why := _failure(command, os.environ.get("MUJOCO_GL", "egl"))) is not None:
+        print(f"No film of it: {why}")
+        if (why := _failure([*command, "--no-film", why], "disable")) is not None:
+            raise UsageError(f"no report: {why}")
+
+
+def _failure(command: Sequence[str], gl: str) -> str | None:
+    """Run a command; the last thing it said when it failed, None when it did not."""
+    ended = subprocess.run(
+        command, env={**os.environ, "MUJOCO_GL": gl}, capture_output=True, text=True
+    )
+    if ended.returncode == 0:
+        return None
+    return (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
 
 
 # Processes

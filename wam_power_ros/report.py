@@ -36,18 +36,18 @@ class Exhibit:
     """One rollout to be shown in full: what the session's records do not hold.
 
     Attributes:
-        number: Of the rollout.
+        caption: What became of it.
         pan: Path of the pan.
         pancake: Path of the pancake.
+        t_f: When the fall was judged [s].
         film: An animated .webp, None when nothing could render it.
-        why_no_film: The reason then.
     """
 
-    number: int
+    caption: str
     pan: EndEffectorPath
     pancake: PancakePath
+    t_f: float
     film: bytes | None = None
-    why_no_film: str = ""
 
 
 def paper_return(record: Record) -> float:
@@ -67,6 +67,7 @@ def render(
     answer: policy.Policy | None,
     records: Sequence[Record],
     exhibit: Exhibit | None = None,
+    why_no_film: str = "",
 ) -> str:
     """The report.
 
@@ -76,10 +77,11 @@ def render(
         answer: Best policy so far, None while there is none.
         records: The rollouts.
         exhibit: A rollout to be shown in full, if any.
+        why_no_film: Said when there is no film of it.
     """
     parts = [_cards(records), _verdict(header, records)]
     if exhibit is not None:
-        parts.append(_exhibit(exhibit, records))
+        parts.append(_exhibit(exhibit, why_no_film))
     if records:
         parts.append(_curves(header, records))
     if answer is not None:
@@ -99,7 +101,7 @@ def render(
     )
 
 
-def write(folder: Path, exhibit: Exhibit | None = None) -> Path:
+def write(folder: Path, exhibit: Exhibit | None = None, why_no_film: str = "") -> Path:
     """Write `report.html` into a session folder.
 
     Returns:
@@ -114,7 +116,7 @@ def write(folder: Path, exhibit: Exhibit | None = None) -> Path:
     saved = folder / "policy.json"
     answer = policy.from_json(saved.read_text()) if saved.exists() else None
     path = folder / "report.html"
-    path.write_text(render(header, start, answer, records, exhibit), encoding="utf-8")
+    path.write_text(render(header, start, answer, records, exhibit, why_no_film), encoding="utf-8")
     return path
 
 
@@ -168,19 +170,16 @@ def _verdict(header: SessionHeader, records: Sequence[Record]) -> str:
     return f"<p>{escape(' '.join(said))}</p>"
 
 
-def _exhibit(exhibit: Exhibit, records: Sequence[Record]) -> str:
-    record = next((record for record in records if record.number == exhibit.number), None)
-    became = "" if record is None else f": {outcome(record)}"
-    flight = None if record is None else record.flight
-    t_f = None if flight is None else flight.get("t_f")
+def _exhibit(exhibit: Exhibit, why_no_film: str) -> str:
     if exhibit.film is not None:
         film = _image(exhibit.film, "image/webp")
     else:
-        film = f'<p class="quiet">No film: {escape(exhibit.why_no_film)}</p>'
-    figure = figures.rollout(exhibit.pan, exhibit.pancake, t_f)
+        film = f'<p class="quiet">No film: {escape(why_no_film)}</p>'
+    figure = figures.rollout(exhibit.pan, exhibit.pancake, exhibit.t_f)
     return _section(
-        f"Rollout {exhibit.number}{became}",
-        "Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the paper.",
+        f"The answer, {exhibit.pan.id}",
+        f"{exhibit.caption} Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the "
+        "paper; dots are camera frames.",
         film + _image(figures.svg(figure)),
     )
 

@@ -49,8 +49,8 @@ def render(
     except Exception as error:  # each OpenGL library has errors of its own
         raise RuntimeError(f"nothing to render with: {error}") from error
     camera = mujoco.MjvCamera()
-    camera.lookat[:] = (0.4, 0.0, 0.85)
-    camera.distance, camera.azimuth, camera.elevation = 2.5, 110.0, -14.0
+    camera.lookat[:] = (0.42, 0.0, 0.85)
+    camera.distance, camera.azimuth, camera.elevation = 2.1, 105.0, -12.0
     data = mujoco.MjData(model)
     frames = []
     with renderer:
