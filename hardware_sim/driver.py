@@ -11,7 +11,7 @@ from wam_power_ros.arm import Arm
 KP = np.array([900.0, 2500.0, 600.0, 500.0, 50.0, 50.0, 8.0])  # [N m/rad]
 KD = np.array([10.0, 20.0, 5.0, 2.0, 0.5, 0.5, 0.05])  # [N m s/rad]
 TAU_MAX = np.array([25.0, 20.0, 15.0, 15.0, 5.0, 5.0, 5.0])  # [N m]
-HOME = np.array([0.0, -1.95, 0.0, 3.05, 0.0, 0.0, 0.0])  # [rad] Barrett's, just inside the limits
+FOLDED = np.array([0.0, -1.95, 0.0, 3.05, 0.0, 0.0, 0.0])  # [rad] Barrett's, just inside the limits
 SPEED = 0.5  # [rad/s] of a move home
 
 

@@ -20,7 +20,6 @@ ROTATION_STIFFNESS = 60.0  # [N m/rad]
 ROTATION_DAMPING = 3.0  # [N m s/rad]
 FORCE_MAX = 150.0  # [N] what a person's arm gives
 MOMENT_MAX = 15.0  # [N m]
-HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
 REACH = 0.34  # [m] from the wrist to the pan's centre
 
 
@@ -46,7 +45,7 @@ class HandScript:
 def wrist_flick(rng: np.random.Generator, spread: float = 1.0) -> HandScript:
     """A toss from the wrist: flick the front edge up, follow under the pancake, cushion its fall.
 
-    It begins at `HOME`, the pan tilted forward and the pancake slid against the front of the rim,
+    It begins at the world's `HOME`, the pan tilted forward and the pancake slid against the front of the rim,
     as a cook does: from there a flick throws it the same way every time. Out of a level pan, the
     pancake would slide or not slide to the rim on the way, and throws scatter by 15 cm.
 

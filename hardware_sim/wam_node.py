@@ -24,18 +24,17 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from hardware_sim.driver import HOME, Driver
+from hardware_sim.driver import FOLDED, Driver
 from hardware_sim.hand import Hand, wrist_flick
 from hardware_sim.scene import SceneSettings
 from hardware_sim.sensing import MocapFrame, MocapSettings
-from hardware_sim.world import PERIOD, World, WorldSettings
+from hardware_sim.world import HOME, PERIOD, World, WorldSettings
 from wam_power_ros import interface
 from wam_power_ros import policy as policies
 from wam_power_ros.arm import Arm
 from wam_power_ros.late_service import LateTrigger
 from wam_power_ros.params import Params
 
-DEMONSTRATION_START = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 STILL_TICKS = 50
 START_TOLERANCE = 0.05  # [rad] of the arm from q_start for a reset
 
@@ -231,7 +230,7 @@ class WamSim(Node):
     def _take_pan(self) -> None:
         """The hand, another one each time, begins its demonstration."""
         world, number = self.world, self._demonstrations
-        world.reset(f"demonstration-{number}", DEMONSTRATION_START)
+        world.reset(f"demonstration-{number}", HOME)
         rng = np.random.default_rng((self.params.seed, number))
         world.attach(Hand(wrist_flick(rng), *world.pan_pose))
         world.release()
@@ -263,7 +262,7 @@ class WamSim(Node):
 
     def _begin_home(self) -> str | None:
         self.world.idle = False
-        self._driver.move(self.world.joint_state().q, HOME)
+        self._driver.move(self.world.joint_state().q, FOLDED)
         return None
 
     def report(self, values: dict[str, object]) -> None:

@@ -23,6 +23,7 @@ from hardware_sim.sensing import Encoders, Mocap, MocapFrame, MocapSettings
 from wam_power_ros.markers import LAYOUT
 from wam_power_ros.resources import share
 
+HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
 PERIOD = 0.002  # [s]
 PERIOD_NS = 2_000_000
 QUIET = "-quiet"  # a rollout whose id ends so is run without any noise
@@ -162,7 +163,7 @@ class World:
         self._delayed: deque[np.ndarray | None] = deque()
         self._torque_scale = np.ones(7)
         self._release_ns = 0
-        self.reset("start", np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0]))
+        self.reset("start", HOME)
         self.release()
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:

@@ -395,6 +395,20 @@ def test_a_rollout_through_the_wrist_singularity_stays_calm(friction: float) -> 
     assert controller.counters["limited"] < 150
 
 
+def test_the_pan_may_turn_by_more_than_half_a_turn() -> None:
+    q = HOME.copy()
+    q[6] = -2.0
+    turning = np.zeros((8, 3))
+    turning[:, 0] = np.linspace(0.0, 4.0, 8)  # about the handle [rad]
+    still = make_policy(q_start=q, size=0.0)
+    policy = Policy(**{**vars(still), "rotation_attractors": turning})
+    controller, plant = begin(q, controller=make(policy))
+    result = rollout(controller, plant)
+    assert controller.mode is Mode.HOLD, controller.fault_reason
+    assert plant.q[6] == pytest.approx(2.0, abs=0.05)
+    assert deviation(result, policy)[1] < 3.0
+
+
 def test_the_path_covers_the_movement_and_the_settling_and_is_handed_out_once() -> None:
     controller, plant = begin()
     stamp = plant.stamp
@@ -527,6 +541,7 @@ def test_a_state_that_is_not_valid_is_ignored_and_five_are_a_fault(q: object, qd
         answer = tau
     assert controller.mode is Mode.HOLD
     assert controller.counters["rejected"] == 4
+    assert controller.counters["stale"] == 2  # from the third on, g(q) of the last valid state
     check(controller.step(stamp + 5 * PERIOD_NS, q, qd), answer)
     assert controller.mode is Mode.FAULT
     with pytest.raises(ControllerError, match="not valid"):
@@ -576,6 +591,36 @@ def test_overspeed_is_a_fault_in_the_third_state(joint: int) -> None:
     controller.step(stamp + 2 * PERIOD_NS, q, qd)
     assert controller.mode is Mode.FAULT
     assert controller.label == "fault"  # and this very torque is the fallback's
+
+
+def test_teaching_has_a_speed_limit_of_its_own() -> None:
+    limits = safety.limits_of(MODEL, teaching_tool_speed=0.5)
+    for teaching, mode in ((False, Mode.HOLD), (True, Mode.FAULT)):
+        controller, plant = begin(controller=make(limits=limits))
+        controller.set_gravity_compensation(teaching)
+        stamp, q, _ = plant.state()
+        for k in range(4):
+            controller.step(stamp + k * PERIOD_NS, q, np.array([0.8, 0, 0, 0, 0, 0, 0]))
+        assert controller.mode is mode
+
+
+def test_a_rollout_that_leaves_the_workspace_is_a_fault() -> None:
+    top = MODEL.tool_pose(HOME)[0][2] + 0.02
+    limits = safety.limits_of(MODEL, workspace_max=(2.0, 2.0, top))
+    controller, plant = begin(controller=make(limits=limits))
+    controller.execute()
+    run(controller, plant, 2.0)
+    assert controller.mode is Mode.FAULT
+    assert "z =" in controller.fault_reason
+
+
+def test_soft_springs_push_a_taught_arm_off_its_limits() -> None:
+    q = HOME.copy()
+    q[5] = LIMITS.q_max[5] - 0.01
+    controller, plant = begin(q)
+    controller.set_gravity_compensation(True)
+    run(controller, plant, 0.3)
+    assert LIMITS.q_max[5] - plant.q[5] > 0.05
 
 
 def test_a_fault_brings_the_arm_to_rest_carries_it_and_stays_until_reset() -> None:

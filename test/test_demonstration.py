@@ -92,6 +92,15 @@ def test_trimming_forgets_how_long_the_arm_rested(arm: Arm, before: float, after
     assert 0.5 * LENGTH < base.duration < LENGTH
 
 
+def test_the_trimmed_movement_is_a_stretch_of_the_whole(arm: Arm) -> None:
+    whole = from_joint_samples(arm, *recording(seed=3), trim=False)
+    part = from_joint_samples(arm, *recording(seed=3))
+    first = int(np.argmin(np.linalg.norm(whole.q - part.q[0], axis=1)))
+    stretch = slice(first, first + len(part.t))
+    for name in ("q", "position", "velocity", "acceleration"):
+        assert getattr(whole, name)[stretch] == pytest.approx(getattr(part, name), abs=1e-9)
+
+
 def test_an_earlier_smaller_movement_is_left_out(arm: Arm) -> None:
     base = from_joint_samples(arm, *recording(3.0))
     stamps, q = recording(3.0)
@@ -166,7 +175,12 @@ def test_a_wrong_recording_is_refused_and_the_fault_named(arm: Arm, name: str, w
 
 @pytest.mark.parametrize(
     ("setting", "words"),
-    [({"cutoff": 0.0}, "cutoff"), ({"period": 0.0}, "period"), ({"trim_fraction": 1.0}, "trim")],
+    [
+        ({"cutoff": 0.0}, "cutoff"),
+        ({"period": 0.0}, "period"),
+        ({"trim_start": 1.0}, "trim_start"),
+        ({"trim_end": 0.0}, "trim_end"),
+    ],
 )
 def test_a_senseless_setting_is_refused(arm: Arm, setting: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):

@@ -280,6 +280,50 @@ def test_a_wild_frame_in_the_flight_changes_little() -> None:
         assert np.linalg.norm(spoilt.position - flight.position) < 0.004
 
 
+def test_a_frame_slightly_off_counts_less() -> None:
+    rng = np.random.default_rng(16)
+    moved = []
+    for _ in range(6):
+        truth = toss(rng, vz=2.4, half_turns=1.0)
+        path = frames(truth, rng)
+        flight = observe_flight(truth.pan, path)
+        k = int(np.argmin(np.abs(path.t - truth.t_f)))
+        position = path.position.copy()
+        position[k] += [0.012, 0.012, -0.012]
+        spoilt = observe_flight(truth.pan, replace(path, position=position))
+        moved.append(np.linalg.norm(spoilt.position - flight.position))
+    assert np.median(moved) < 0.0025
+
+
+def test_a_bounce_between_two_frames_does_not_spoil_the_flight() -> None:
+    rng = np.random.default_rng(13)
+    for _ in range(5):
+        truth = toss(rng, vz=2.4, half_turns=1.0, air=0.0)
+        path = frames(truth, rng)
+        flight = observe_flight(truth.pan, path)
+        last = np.flatnonzero((path.t > truth.t_f) & (path.position[:, 2] > 1.0))
+        start = (last[-1] if len(last) else int(np.argmax(path.t > truth.t_f))) + 1
+        s = path.t[start:] - path.t[start] + 0.03
+        position = path.position.copy()
+        arc = 0.96 + np.maximum(1.6 * s - 0.5 * G * s**2, 0.0)
+        position[start:, 2] = np.where(s < 0.3, arc, position[start:, 2])
+        bounced = observe_flight(truth.pan, replace(path, position=position))
+        assert bounced.t_f == pytest.approx(flight.t_f, abs=0.002)
+        assert np.linalg.norm(bounced.position - flight.position) < 0.003
+
+
+def test_cameras_worse_than_believed_are_noticed() -> None:
+    rng = np.random.default_rng(14)
+    late, stds = [], []
+    for _ in range(25):
+        truth = toss(rng, vz=2.4, half_turns=1.0)
+        flight = observe_flight(truth.pan, frames(truth, rng, noise=8.0))
+        late.append(abs(flight.t_f - truth.t_f) / flight.t_f_std)
+        stds.append(flight.position_std[:2].max())
+    assert np.mean(np.array(late) <= 3.0) >= 0.95
+    assert np.median(stds) > 0.001
+
+
 def test_a_low_toss_is_no_toss() -> None:
     rng = np.random.default_rng(1)
     truth = toss(rng, vz=1.3, half_turns=0.2)

@@ -4,14 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Annotated
 
 import pytest
 import rclpy
+import yaml
+from conftest import ROOT
 from pydantic import Field
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from hardware_sim.optitrack_node import OptitrackSimParams
+from hardware_sim.wam_node import WamSimParams
+from wam_power_ros.interface import COMMAND_TYPES
+from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.params import Params
 
 
@@ -93,3 +100,33 @@ def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., No
     assert node.get_parameter("heat").value == GOOD["heat"]
     (result,) = node.set_parameters([Parameter("use_sim_time", value=True)])
     assert result.successful
+
+
+@pytest.mark.parametrize(
+    ("file", "node", "params"),
+    [
+        ("torque_controller.yaml", "torque_controller", TorqueControllerParams),
+        ("wam_sim.yaml", "wam_sim", WamSimParams),
+        ("optitrack_sim.yaml", "optitrack_sim", OptitrackSimParams),
+    ],
+)
+def test_a_yaml_holds_exactly_what_its_node_reads(
+    file: str, node: str, params: type[Params]
+) -> None:
+    values = yaml.safe_load((ROOT / "config" / file).read_text())[node]["ros__parameters"]
+    assert set(values) == set(params.model_fields)
+    lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
+    params(**(values | lists))
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "config").glob("driver_*.yaml")))
+def test_a_driver_set_up_overrides_only_what_exists(path: Path) -> None:
+    text = (ROOT / "config/torque_controller.yaml").read_text()
+    base = yaml.safe_load(text)["torque_controller"]["ros__parameters"]
+    values = yaml.safe_load(path.read_text())["torque_controller"]["ros__parameters"]
+    assert set(values) <= set(base)
+    merged = {k: tuple(v) if isinstance(v, list) else v for k, v in (base | values).items()}
+    params = TorqueControllerParams(**merged)
+    assert params.driver_compensates_gravity
+    assert len(params.joint_names) == len(params.model_joint_names)
+    assert params.command_type in COMMAND_TYPES

@@ -210,6 +210,52 @@ def test_coordination_matrices_are_symmetric_with_eigenvalues_in_the_range(refit
     assert values.max() == pytest.approx(500.0)
 
 
+def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> None:
+    demonstration = toss()
+    policy = fit([demonstration], replace(PANCAKE, refit=False), "p")
+    h = activations(policy.basis, demonstration.t)
+    d = demonstration
+    y = d.acceleration / 325.0 + d.velocity * 32.0 / 325.0 + d.position
+    inverses = []
+    for i in range(8):
+        covariance = np.cov((h[:, i : i + 1] * (y - policy.attractors[i])).T)
+        covariance += 1e-3 * np.trace(covariance) / 3.0 * np.eye(3)
+        inverses.append(np.linalg.inv(covariance))
+    values = np.linalg.eigvalsh(inverses)
+    scale = (500.0 - 150.0) / (values.max() - values.min())
+    expected = (np.array(inverses) - values.min() * np.eye(3)) * scale + 150.0 * np.eye(3)
+    assert policy.stiffness == pytest.approx(expected, abs=0.02)
+
+
+def test_the_same_movement_at_two_speeds_is_fitted_as_one_of_the_mean_speed() -> None:
+    demonstration = toss()
+
+    def slower(factor: float) -> Demonstration:
+        return replace(
+            demonstration,
+            t=demonstration.t * factor,
+            velocity=demonstration.velocity / factor,
+            acceleration=demonstration.acceleration / factor**2,
+            period=demonstration.period * factor,
+        )
+
+    both = fit([demonstration, slower(1.4)], PANCAKE, "p")
+    mean = fit([slower(1.2)], PANCAKE, "p")
+    assert both.basis.duration == pytest.approx(mean.basis.duration)
+    assert both.attractors == pytest.approx(mean.attractors, abs=1e-6)
+    assert both.rotation_attractors == pytest.approx(mean.rotation_attractors, abs=1e-6)
+
+
+def test_angular_velocity_is_that_of_the_turning_matrix() -> None:
+    rng = np.random.default_rng(0)
+    r, rd = rng.normal(size=(2, 20, 3))
+    r[0] = 1e-6 * r[0]
+    step = 1e-6
+    turn = rotations.exp(r + step * rd) @ np.swapaxes(rotations.exp(r - step * rd), 1, 2)
+    omega = rotations.log(turn) / (2.0 * step)
+    assert primitive._angular_velocity(r, rd) == pytest.approx(omega, abs=1e-6)
+
+
 def test_the_plain_attractors_are_those_of_the_mean_stiffness() -> None:
     demonstration = toss()
     policy = fit([demonstration], replace(PANCAKE, refit=False), "p")

@@ -111,6 +111,13 @@ def test_landing_return_rises_with_the_turn_and_falls_with_the_miss(
     assert landing_return(flight(2.0 * math.pi - angle, miss)).total == pytest.approx(here)
 
 
+def test_landing_and_catching_count_by_the_rotation_squared() -> None:
+    quarter = landing_return(flight(math.pi / 2.0, miss=0.3)).terms
+    assert quarter["rotation"] == pytest.approx(0.4 * 0.5)
+    assert quarter["landing"] == pytest.approx(0.3 * 0.25 * math.exp(-1.0))
+    assert quarter["caught"] == pytest.approx(0.2 * 0.25)
+
+
 def test_catching_an_unturned_pancake_is_worth_little() -> None:
     assert landing_return(flight(0.3)).terms["caught"] < 0.01
     assert landing_return(flight(math.pi)).terms["caught"] == pytest.approx(0.2)

@@ -15,7 +15,8 @@ from wam_power_ros.policy import read_only
 PERIOD = 0.002  # [s] of the control loop
 CUTOFF = 12.0  # [Hz] the hand does nothing faster; encoders and differentiation do
 GAP_MAX = 0.05  # [s] a straight line over more than this is no longer what the hand did
-TRIM_FRACTION = 0.15  # of the peak speed: keeps dip, toss and catch, drops the slow ends
+TRIM_START = 0.05  # of the peak speed: the dip before a toss is slow, and is needed
+TRIM_END = 0.15  # of the peak speed: the cushion after the catch is slower, and only blurs the fit
 PAUSE_MAX = 0.25  # [s] a turning point is slow for less than this; a longer pause ends a movement
 
 
@@ -86,7 +87,8 @@ def from_joint_samples(
     cutoff: float = CUTOFF,
     gap_max: float = GAP_MAX,
     trim: bool = True,
-    trim_fraction: float = TRIM_FRACTION,
+    trim_start: float = TRIM_START,
+    trim_end: float = TRIM_END,
 ) -> Demonstration:
     """Resample on the device's own stamps, smooth without delay, differentiate, trim.
 
@@ -100,9 +102,10 @@ def from_joint_samples(
         period: Of the result [s].
         cutoff: -3 dB of the smoothing [Hz] (cubic Savitzky-Golay, zero phase).
         gap_max: Longest time between samples [s].
-        trim: Keep only the movement around the peak speed of the tool, between the first and the
-            last crossing of `trim_fraction` of that peak; pauses above PAUSE_MAX end it.
-        trim_fraction: In (0, 1).
+        trim: Keep only the movement around the peak speed of the tool; slower than a share of
+            that peak for longer than PAUSE_MAX is no part of it.
+        trim_start: That share before the peak, in (0, 1).
+        trim_end: That share after the peak, in (0, 1).
 
     Raises:
         ValueError: Stamps that do not increase, a gap, a value that is not finite, a wrong shape,
@@ -123,7 +126,7 @@ def from_joint_samples(
     first, last = 0, len(q) - 1
     if trim:
         velocity = savgol_filter(position, window, 3, deriv=1, delta=period, axis=0)
-        first, last = _movement(np.linalg.norm(velocity, axis=1), trim_fraction, period)
+        first, last = _movement(np.linalg.norm(velocity, axis=1), trim_start, trim_end, period)
     # Smoothing sees half a window beyond the movement and nothing farther away.
     start = min(max(first - half, 0), len(q) - window)
     stop = max(min(last + half + 1, len(q)), start + window)
@@ -230,16 +233,21 @@ def _half_window(period: float, cutoff: float) -> int:
     return max(2, math.ceil((4.0 * nyquist / cutoff + 4.6) / 3.2))
 
 
-def _movement(speed: np.ndarray, fraction: float, period: float) -> tuple[int, int]:
+def _movement(speed: np.ndarray, start: float, end: float, period: float) -> tuple[int, int]:
     """First and last sample of the movement that holds the peak speed."""
-    if not 0.0 < fraction < 1.0:
-        raise ValueError(f"trim_fraction = {fraction} must be in (0, 1)")
+    for name, share in (("trim_start", start), ("trim_end", end)):
+        if not 0.0 < share < 1.0:
+            raise ValueError(f"{name} = {share} must be in (0, 1)")
     peak = int(np.argmax(speed))
     if speed[peak] < 0.05:
         raise ValueError(f"peak speed {speed[peak]} m/s; a movement has at least 0.05 m/s")
-    fast = np.flatnonzero(speed >= fraction * speed[peak])
-    pauses = np.flatnonzero(np.diff(fast) * period > PAUSE_MAX)
-    starts = np.concatenate([[0], pauses + 1])
-    ends = np.concatenate([pauses, [len(fast) - 1]])
-    k = int(np.searchsorted(fast[starts], peak, side="right")) - 1
-    return int(fast[starts[k]]), int(fast[ends[k]])
+    before = _reach(speed[peak::-1] >= start * speed[peak], period)
+    after = _reach(speed[peak:] >= end * speed[peak], period)
+    return peak - before, peak + after
+
+
+def _reach(fast: np.ndarray, period: float) -> int:
+    """Last fast sample from the first on, before a pause above PAUSE_MAX."""
+    samples = np.flatnonzero(fast)
+    pauses = np.flatnonzero(np.diff(samples) * period > PAUSE_MAX)
+    return int(samples[pauses[0]] if len(pauses) else samples[-1])

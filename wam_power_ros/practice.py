@@ -126,7 +126,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
         "power": {"sigma": 6, "weights": "sharpened", "sharpness": 0.3, "decay": 0.97},
         "ret": "landing",
-        "choice": "flick",
+        "choice": "return",
         "budget": 60,
         "mean_every": 5,
         "landing_gain": 0.7,

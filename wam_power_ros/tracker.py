@@ -22,12 +22,12 @@ SECOND = 1_000_000_000  # [ns]
 GRAVITY = 9.81  # [m/s^2]
 HISTORY = 20 * SECOND  # kept for paths
 INTERVAL_MIN = SECOND // 1000  # receipt stamps come in pairs ~0.1 ms apart: one frame, sent twice
-FROZEN_FRAMES, FROZEN_TIME = 10, 3 * SECOND // 10  # bit-identical poses: noise never repeats
+FROZEN_FRAMES, FROZEN_TIME = 10, 3 * SECOND // 10  # of bit-identical poses
 REJECTS = 5  # jumps in a row that lose the pancake
 REACQUIRE = 5  # frames that agree with each other, and are the pancake again
 SET_BACK = 10  # frames in a row from the past: the clock was set back
 COAST = SECOND // 10  # how long a hidden pancake is taken to fly on
-WINDOW = SECOND // 10 + INTERVAL_MIN  # of the velocity
+WINDOW = SECOND // 10  # of the velocity, or two periods if that is longer
 UNIT = 1e-3  # how far from 1 the length of a quaternion may be
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # (x, y, z) -> (x, -z, y)
 
@@ -137,6 +137,7 @@ class Tracker:
         self._latency = round(settings.latency_offset * 1e9)
         self._box = np.array([settings.workspace_low, settings.workspace_high])
         self._patience = round(2e9 / settings.rate)  # [ns] without a frame
+        self._window = max(WINDOW, self._patience) + INTERVAL_MIN
         self.counts: Counter[str] = Counter()
         self.fault = ""
         self._restart()
@@ -147,8 +148,7 @@ class Tracker:
         self._frames: deque[_Frame] = deque()
         self._since = 0  # stamp from which on the frames are one movement
         self._state: TrackedState | None = None
-        self._raw, self._raw_since, self._same = b"", 0, 0  # pose, its first stamp, its repeats
-        self._kept = 0  # of these repeats, how many are in the path
+        self._raw, self._raw_since, self._repeats = b"", 0, 0  # last pose, its first stamp
         self._behind = self._rejects = self._agree = 0
         self._candidate: _Frame | None = None
 
@@ -163,7 +163,8 @@ class Tracker:
             quat_xyzw: Unit. Shape (4,).
 
         Returns:
-            The state, or None: the frame was refused (`fault` says why), or it is the first.
+            The state, or None: the frame was refused (`fault` says why), or it is the first after a
+            gap, with no velocity yet.
 
         Raises:
             ValueError: An array of another shape.
@@ -174,8 +175,10 @@ class Tracker:
             return self._refuse(fault)
         frame = self._in_base(stamp_ns - self._latency, position, quat_xyzw)
         self.latest_ns = frame.stamp_ns
-        if self._is_frozen(frame.stamp_ns, position.tobytes() + quat_xyzw.tobytes()):
-            return self._refuse("frozen", Validity.FROZEN)
+        if self._is_repeated(frame.stamp_ns, position.tobytes() + quat_xyzw.tobytes()):
+            held = frame.stamp_ns - self._raw_since
+            frozen = self._repeats >= FROZEN_FRAMES and held >= FROZEN_TIME
+            return self._refuse("pose repeated", Validity.FROZEN if frozen else None)
         if not ((self._box[0] <= frame.position) & (frame.position <= self._box[1])).all():
             return self._refuse("out of workspace")
         if not self._is_reachable(frame):
@@ -260,17 +263,13 @@ class Tracker:
             return "stamp too close"
         return ""
 
-    def _is_frozen(self, stamp_ns: int, raw: bytes) -> bool:
-        if raw != self._raw:
-            self._raw, self._raw_since, self._same, self._kept = raw, stamp_ns, 0, 0
-            return False
-        self._same += 1
-        if self._same + 1 < FROZEN_FRAMES or stamp_ns - self._raw_since < FROZEN_TIME:
-            return False
-        while self._kept:  # taken for still until now
-            self._frames.pop()
-            self._kept -= 1
-        return True
+    def _is_repeated(self, stamp_ns: int, raw: bytes) -> bool:
+        """Whether a pose is the last one, bit for bit, which no measurement with noise ever is."""
+        if raw == self._raw:
+            self._repeats += 1
+            return True
+        self._raw, self._raw_since, self._repeats = raw, stamp_ns, 1
+        return False
 
     def _is_reachable(self, frame: _Frame) -> bool:
         """Whether the pancake could have flown here, or has been around here for some frames."""
@@ -296,7 +295,6 @@ class Tracker:
     def _accept(self, frame: _Frame) -> TrackedState | None:
         self._rejects = self._agree = 0
         self._candidate = None
-        self._kept += self._same > 0
         self._frames.append(frame)
         while frame.stamp_ns - self._frames[0].stamp_ns > HISTORY:
             self._frames.popleft()
@@ -308,7 +306,7 @@ class Tracker:
     def _estimate(self, last: _Frame) -> TrackedState | None:
         recent: list[_Frame] = []
         for frame in reversed(self._frames):
-            if frame.stamp_ns < max(last.stamp_ns - WINDOW, self._since):
+            if frame.stamp_ns < max(last.stamp_ns - self._window, self._since):
                 break
             recent.append(frame)
         if len(recent) < 2:
@@ -340,6 +338,23 @@ def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> str:
     if abs(float(np.linalg.norm(quat_xyzw)) - 1.0) > UNIT:
         return "quaternion not of unit length"
     return ""
+
+
+class ClockOffset:
+    """How late frames come after their stamps: their latency, and how far two clocks are apart."""
+
+    def __init__(self, count: int = 100) -> None:
+        """Over the newest `count` frames."""
+        self._ages: deque[int] = deque(maxlen=count)
+
+    def add(self, stamp_ns: int, received_ns: int) -> None:
+        """Take a frame with its stamp and, by this machine's clock, its receipt [ns]."""
+        self._ages.append(received_ns - stamp_ns)
+
+    @property
+    def seconds(self) -> float:
+        """The age nearest to 0 [s]: what is left of it is not jitter."""
+        return min(self._ages, key=abs, default=0) * 1e-9
 
 
 def falling(path: PancakePath, span: float = 0.2) -> np.ndarray | None:

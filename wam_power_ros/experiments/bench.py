@@ -12,8 +12,8 @@ import dataclasses
 import numpy as np
 import yaml
 
-from hardware_sim.hand import HOME, Hand, HandScript
-from hardware_sim.world import Truth, World
+from hardware_sim.hand import Hand, HandScript
+from hardware_sim.world import HOME, Truth, World
 from wam_power_ros.arm import Arm
 from wam_power_ros.controller import Controller, ControllerSettings, Mode
 from wam_power_ros.policy import Policy

@@ -28,7 +28,7 @@ def teach(bench: Bench, seed: int, count: int, settings: FitSettings = PANCAKE) 
     policies = []
     for number in range(count):
         script = wrist_flick(np.random.default_rng([seed, number]))
-        stamps_ns, q = bench.demonstrate(script, f"demonstration-{number + 1}")
+        stamps_ns, q = bench.demonstrate(script, f"demonstration-{number}")
         demonstration = from_joint_samples(bench.arm, stamps_ns, q)
         policies.append(fit([demonstration], settings, f"demonstration-{number + 1}"))
     return policies

@@ -24,6 +24,7 @@ class TorqueControllerParams(Params):
     realtime_priority: int = Field(ge=0, le=98)
     hardware_id: str
     joint_names: Annotated[tuple[str, ...], Field(min_length=1)]
+    model_joint_names: Annotated[tuple[str, ...], Field(min_length=1)]
     state_topic: str
     velocity_topic: str
     command_topic: str
@@ -55,7 +56,11 @@ class TorqueControllerParams(Params):
         Raises:
             ValueError: The URDF does not hold the arm these parameters name.
         """
-        arm = Arm(urdf, self.joint_names, self.tool_frame)
+        if len(self.model_joint_names) != len(self.joint_names):
+            raise ValueError(
+                f"model_joint_names {self.model_joint_names} must be as many as joint_names"
+            )
+        arm = Arm(urdf, self.model_joint_names, self.tool_frame)
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,
