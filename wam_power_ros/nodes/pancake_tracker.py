@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pancake tracker: motion capture in; the pancake's state, and its path through a rollout, out.
+
+Thin over `tracker.Tracker`. A rollout's path is the frames between its stamps, whatever arrived
+when; it goes out when a frame of the rollout's end or later has come, or none for a while.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import NamedTuple
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry, Path
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import PointCloud2
+
+from wam_power_ros import interface, real_time
+from wam_power_ros.params import Params
+from wam_power_ros.rollout import EndEffectorPath, PancakePath
+from wam_power_ros.tracker import (
+    ClockOffset,
+    TrackedState,
+    Tracker,
+    TrackerSettings,
+    Validity,
+    falling,
+)
+
+LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # every other is an error
+FRAMES_IN = QoSProfile(  # every frame counts for a path, so a burst must not push any out
+    depth=500,
+    reliability=interface.MOCAP_IN.reliability,
+    durability=interface.MOCAP_IN.durability,
+)
+
+
+class PancakeTrackerParams(Params):
+    """See config/pancake_tracker.yaml."""
+
+    pose_topic: str
+    markers_topic: str
+    rate: float
+    up_axis: str
+    world_to_base: tuple[float, ...]
+    latency_offset: float
+    workspace_low: tuple[float, ...]
+    workspace_high: tuple[float, ...]
+    speed_max: float
+    noise: float
+    silence: float
+    clock_offset_max: float
+
+
+class _Rollout(NamedTuple):
+    """A finished rollout whose path is owed."""
+
+    id: str
+    start_ns: int
+    end_ns: int
+    asked_ns: int  # when, on the watch
+
+
+class PancakeTracker(Node):
+    """One state per frame of the motion capture, one path per rollout."""
+
+    def __init__(self) -> None:
+        super().__init__("pancake_tracker", automatically_declare_parameters_from_overrides=True)
+        self._params = params = PancakeTrackerParams.of(self)
+        if bool(params.pose_topic) == bool(params.markers_topic):
+            raise ValueError(
+                f"give pose_topic or markers_topic, not {params.pose_topic!r} and "
+                f"{params.markers_topic!r}"
+            )
+        fields = TrackerSettings.__dataclass_fields__
+        self._tracker = Tracker(TrackerSettings(**params.model_dump(include=set(fields))))
+        self._owed: _Rollout | None = None
+        self._offset = ClockOffset()
+        self._trouble = ""  # the last thing refused, or wrong with a path
+        self._sim_time = self.get_parameter("use_sim_time").value
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._watch = self.get_clock() if self._sim_time else steady
+        self._heard_ns = self._watch.now().nanoseconds
+
+        publish, subscribe = self.create_publisher, self.create_subscription
+        self._states = publish(Odometry, interface.PANCAKE_STATE, interface.STATE_OUT)
+        self._paths = publish(Path, interface.ROLLOUT_PANCAKE, interface.LATCHED)
+        self._diagnostics = publish(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        if params.markers_topic:
+            self._read, self._add = interface.markers, self._tracker.add_markers
+            subscribe(PointCloud2, params.markers_topic, self._on_frame, FRAMES_IN)
+        else:
+            self._read, self._add = interface.pose, self._tracker.add
+            subscribe(PoseStamped, params.pose_topic, self._on_frame, FRAMES_IN)
+        subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
+        self.create_timer(0.5 / params.rate, self._look, clock=steady)
+        self.create_timer(1.0, self._report, clock=steady)
+
+    def _on_frame(self, message: PoseStamped | PointCloud2) -> None:
+        try:
+            stamp_ns, _, *seen = self._read(message)
+        except ValueError as error:
+            self._refuse(error)
+            return
+        self._heard_ns = self._watch.now().nanoseconds
+        if not self._sim_time:
+            self._offset.add(stamp_ns, self.get_clock().now().nanoseconds)
+        state = self._add(stamp_ns, *seen)
+        if state is not None:
+            self._publish(state)
+        elif self._tracker.fault:
+            self._trouble = self._tracker.fault
+            self.get_logger().warning(f"refused: {self._trouble}", throttle_duration_sec=1.0)
+        self._answer_if_complete()
+
+    def _on_end_effector(self, message: Path) -> None:
+        try:
+            start_ns, pan = interface.path(message, EndEffectorPath)
+        except ValueError as error:
+            self._refuse(error)
+            return
+        if self._owed is not None:
+            self._answer()  # its frames will not come any more
+        end_ns = start_ns + round(float(pan.t[-1]) * 1e9)
+        self._owed = _Rollout(pan.id, start_ns, end_ns, self._watch.now().nanoseconds)
+        self._answer_if_complete()
+
+    def _refuse(self, error: ValueError) -> None:
+        self._tracker.refuse("message not valid")
+        self._trouble = str(error)
+        self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
+
+    def _publish(self, state: TrackedState) -> None:
+        reading = interface.StateReading(state.stamp_ns, interface.BASE_FRAME, *state[1:6])
+        self._states.publish(interface.odometry_message(reading, interface.PANCAKE_FRAME))
+
+    def _look(self) -> None:
+        """Coast through an occlusion; give up waiting for frames that do not come."""
+        now_ns = self._watch.now().nanoseconds
+        silent_ns = max(now_ns - self._heard_ns, 0)
+        state = self._tracker.at(self._tracker.latest_ns + silent_ns)
+        if state is not None and state.validity is Validity.OCCLUDED:
+            self._publish(state)
+        if self._owed is not None:
+            waited_ns = min(silent_ns, now_ns - self._owed.asked_ns)
+            if waited_ns > self._params.silence * 1e9:
+                self._answer()
+
+    def _answer_if_complete(self) -> None:
+        if self._owed is not None and self._tracker.latest_ns >= self._owed.end_ns:
+            self._answer()
+
+    def _answer(self) -> None:
+        """Publish the path that is owed."""
+        rollout, self._owed = self._owed, None
+        path = self._tracker.path(rollout.id, rollout.start_ns, rollout.end_ns)
+        down = falling(path)
+        if down is not None and down[2] > -0.87 * math.hypot(*down):  # 30 degrees
+            self._complain(f"the pancake falls along {down.round(1)}: up_axis or world_to_base?")
+        if abs(self._offset.seconds) > self._params.clock_offset_max:
+            self._complain(f"{rollout.id} not scored: stamps {self._offset.seconds:.3f} s off")
+            nothing = np.zeros(0)
+            path = PancakePath(rollout.id, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
+        message = interface.path_message(path, rollout.start_ns, interface.BASE_FRAME)
+        self._paths.publish(message)
+
+    def _complain(self, text: str) -> None:
+        self._trouble = text
+        self.get_logger().error(text)
+
+    def _report(self) -> None:
+        tracker = self._tracker
+        level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
+        offset, worst = self._offset.seconds, self._params.clock_offset_max
+        if not tracker.latest_ns:
+            level, text = "stale", "no frame yet"
+        elif abs(offset) > 0.5 * worst:
+            level = "error" if abs(offset) > worst else "warn"
+            text = f"stamps {offset:.3f} s off: synchronise the clocks or set latency_offset"
+        values = {
+            **tracker.counts,
+            "clock offset [s]": f"{offset:.4f}",
+            "last trouble": self._trouble,
+        }
+        self._diagnostics.publish(
+            interface.diagnostics(
+                self.get_clock().now().to_msg(),
+                "pancake_tracker: pancake",
+                "motion capture",
+                level,
+                text,
+                values,
+            )
+        )
+
+
+def main() -> int:
+    """Entry point of `ros2 run wam_power_ros pancake_tracker`."""
+    return real_time.run(PancakeTracker)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
