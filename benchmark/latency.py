@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""State to torque in real time: the controller beside a bare echo of the same messages.
+
+    python -m benchmark.latency [--seconds 60] [--load 0]
+
+The stand-in publishes 500 states a second on the wall clock. The controller answers each with a
+torque, the echo, a bare rclpy node in a process of its own, with the same message holding zeros.
+Both are timed by the stand-in's process, in the same run and with the same scheduling, so machine
+and middleware cancel in the ratio.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from wam_power_ros import interface, real_time
+from wam_power_ros.processes import Processes, Running, private_domain
+
+NAMES = [f"wam_j{i}" for i in range(1, 8)]
+ECHO = "/echo/commands"
+PERIOD_NS = 2_000_000
+PRIORITY = {"stand-in": 70, "controller": 60, "echo": 60}
+ROOT = Path(__file__).resolve().parents[1]
+
+
+class Echo(Node):
+    """The least a node can do at 500 Hz: message in, message out."""
+
+    def __init__(self, priority: int) -> None:
+        super().__init__("echo")
+        self._write = interface.TorqueWriter(NAMES, "multiarray")
+        self._zero = np.zeros(len(NAMES))
+        self._out = self.create_publisher(Float64MultiArray, ECHO, interface.COMMAND)
+        self.create_subscription(
+            JointState, interface.JOINT_STATES, self._on_state, interface.STATE_IN
+        )
+        real_time.request(priority)
+
+    def _on_state(self, message: JointState) -> None:
+        stamp_ns = interface.nanoseconds(message.header.stamp)
+        self._out.publish(self._write(stamp_ns, "echo", self._zero))
+
+
+def stand_in(report: Path) -> int:
+    """Run the stand-ins, timing each state's answers; the figures go to `report` at the end."""
+    from hardware_sim.standins import StandIns
+
+    sent: dict[int, int] = {}  # stamp -> when it was published [ns, steady clock]
+    answered: dict[str, dict[int, int]] = {interface.EFFORT_COMMANDS: {}, ECHO: {}}
+
+    def on_answer(topic: str, message: Float64MultiArray) -> None:
+        now = time.monotonic_ns()
+        stamp_ns = int(message.layout.dim[0].label.partition(" ")[0])
+        answered[topic].setdefault(stamp_ns, now)
+
+    def make() -> StandIns:
+        bench = StandIns()
+        publish = bench.wam.publish
+
+        def timed(message: JointState) -> None:
+            sent[interface.nanoseconds(message.header.stamp)] = time.monotonic_ns()
+            publish(message)
+
+        bench.wam.publish = timed
+        for topic in answered:
+            bench.wam.create_subscription(
+                Float64MultiArray, topic, partial(on_answer, topic), interface.STATE_IN
+            )
+        return bench
+
+    status = real_time.run(make, spin=lambda bench, ended: bench.spin(ended))
+    rows = [
+        (at, *(times.get(stamp_ns, 0) for times in answered.values()))
+        for stamp_ns, at in sent.items()
+    ]
+    np.save(report, np.array(rows, dtype=np.int64))  # (states, 3) [ns]
+    return status
+
+
+def measure(seconds: float, fifo: bool, load: int) -> dict[str, dict[str, float]]:
+    """One run; figures of the controller and of the echo, and CPU of each process [%]."""
+    module = [sys.executable, "-m"]
+    with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
+        report = Path(folder) / "times.npy"
+        environment = {
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        }
+        priority = {name: value if fifo else 0 for name, value in PRIORITY.items()}
+        configs = [
+            f"--params-file={ROOT}/config/{name}.yaml" for name in ("wam_sim", "optitrack_sim")
+        ]
+        configs = [part for config in configs for part in config.split("=", 1)]
+        with Processes(Path(folder), environment) as processes:
+            arm = processes.start(
+                "stand-in",
+                [*module, "benchmark.latency", "--role", str(report), "--ros-args", *configs]
+                + ["-p", "wam_sim:pace:=real_time"]
+                + ["-p", f"wam_sim:realtime_priority:={priority['stand-in']}"],
+            )
+            controller = processes.start(
+                "controller",
+                [*module, "wam_power_ros.nodes.torque_controller", "--ros-args", "--params-file"]
+                + [f"{ROOT}/config/torque_controller.yaml"]
+                + ["-p", f"realtime_priority:={priority['controller']}"],
+            )
+            echo = processes.start(
+                "echo", [*module, "benchmark.latency", "--role", f"echo {priority['echo']}"]
+            )
+            busy = [
+                processes.start(f"load {i}", [sys.executable, "-c", "while True: pass"])
+                for i in range(load)
+            ]
+            time.sleep(6.0)  # discovery, and imports
+            begun_ns, before = time.monotonic_ns(), _cpu([arm, controller, echo])
+            time.sleep(seconds)
+            ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
+            processes.check()
+            del busy
+        rows = np.load(report)
+    rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
+    cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
+    return {
+        "controller": {**_figures(rows, 1), "cpu": cpu["controller"]},
+        "echo": {**_figures(rows, 2), "cpu": cpu["echo"]},
+        "stand-in": {"rate": len(rows) / seconds, "cpu": cpu["stand-in"]},
+    }
+
+
+def _figures(rows: np.ndarray, column: int) -> dict[str, float]:
+    """Share of periods met [%] and quantiles of the latency [us]; a lost answer counts as missed."""
+    answered = rows[rows[:, column] > 0]
+    latency = (answered[:, column] - answered[:, 0]) * 1e-3
+    met = 100.0 * np.count_nonzero(latency <= PERIOD_NS * 1e-3) / max(len(rows), 1)
+    quantiles = np.percentile(latency, [50.0, 99.0, 99.9]) if len(latency) else np.full(3, np.nan)
+    return {"met": met, **dict(zip(("p50", "p99", "p99.9"), quantiles.tolist(), strict=True))}
+
+
+def _cpu(running: list[Running]) -> dict[str, float]:
+    """CPU time of each process so far [s]."""
+    tick = os.sysconf("SC_CLK_TCK")
+    times = {}
+    for item in running:
+        fields = Path(f"/proc/{item.process.pid}/stat").read_text().rpartition(")")[2].split()
+        times[item.name] = (int(fields[11]) + int(fields[12])) / tick
+    return times
+
+
+def may_schedule() -> bool:
+    """Whether SCHED_FIFO is permitted here."""
+    ask = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(70))"
+    return subprocess.run([sys.executable, "-c", ask], capture_output=True).returncode == 0
+
+
+def table(title: str, figures: dict[str, dict[str, float]]) -> str:
+    """The figures of one run, readable."""
+    controller, echo, arm = figures["controller"], figures["echo"], figures["stand-in"]
+    lines = [
+        f"{title} (stand-in: {arm['rate']:.1f} states/s, {arm['cpu']:.0f} % CPU)",
+        "              periods met   p50 [us]   p99 [us]   p99.9 [us]   CPU [%]",
+    ]
+    for name, row in (("controller", controller), ("echo", echo)):
+        lines.append(
+            f"  {name:12s}{row['met']:9.2f} %{row['p50']:11.0f}{row['p99']:11.0f}"
+            f"{row['p99.9']:13.0f}{row['cpu']:10.1f}"
+        )
+    ratio = [controller[key] / echo[key] for key in ("p50", "p99", "p99.9", "cpu")]
+    lines.append(
+        f"  {'ratio':12s}{'':11s}{ratio[0]:11.2f}{ratio[1]:11.2f}{ratio[2]:13.2f}{ratio[3]:10.2f}"
+    )
+    return "\n".join(lines)
+
+
+def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n")) -> int:
+    """Measure with and without SCHED_FIFO."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each run")
+    parser.add_argument("--load", type=int, default=0, help="busy processes beside")
+    parser.add_argument("--json", type=Path, help="write the figures there too")
+    parser.add_argument("--role", help=argparse.SUPPRESS)
+    options, _ = parser.parse_known_args()
+    if options.role:
+        role, _, priority = options.role.partition(" ")
+        if role == "echo":
+            return real_time.run(lambda: Echo(int(priority)))
+        return stand_in(Path(options.role))
+    results = {}
+    for title, fifo in (("SCHED_FIFO", True), ("plain scheduling", False)):
+        if fifo and not may_schedule():
+            say(f"{title}: skipped, not permitted here (rtprio in /etc/security/limits.d)")
+            continue
+        results[title] = measure(options.seconds, fifo, options.load)
+        say(table(title, results[title]))
+    if options.json:
+        options.json.write_text(json.dumps(results, indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
