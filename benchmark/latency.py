@@ -102,36 +102,36 @@ def measure(seconds: float, fifo: bool, load: int) -> dict[str, dict[str, float]
             "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
         }
         priority = {name: value if fifo else 0 for name, value in PRIORITY.items()}
-        configs = [
-            f"--params-file={ROOT}/config/{name}.yaml" for name in ("wam_sim", "optitrack_sim")
-        ]
-        configs = [part for config in configs for part in config.split("=", 1)]
+        configs = []
+        for name in ("wam_sim", "optitrack_sim"):
+            configs += ["--params-file", f"{ROOT}/config/{name}.yaml"]
         with Processes(Path(folder), environment) as processes:
             arm = processes.start(
                 "stand-in",
-                [*module, "benchmark.latency", "--role", str(report), "--ros-args", *configs]
-                + ["-p", "wam_sim:pace:=real_time"]
-                + ["-p", f"wam_sim:realtime_priority:={priority['stand-in']}"],
+                [
+                    *(*module, "benchmark.latency", "--role", str(report), "--ros-args", *configs),
+                    *("-p", "wam_sim:pace:=real_time"),
+                    *("-p", f"wam_sim:realtime_priority:={priority['stand-in']}"),
+                ],
             )
             controller = processes.start(
                 "controller",
-                [*module, "wam_power_ros.nodes.torque_controller", "--ros-args", "--params-file"]
-                + [f"{ROOT}/config/torque_controller.yaml"]
-                + ["-p", f"realtime_priority:={priority['controller']}"],
+                [
+                    *(*module, "wam_power_ros.nodes.torque_controller", "--ros-args"),
+                    *("--params-file", f"{ROOT}/config/torque_controller.yaml"),
+                    *("-p", f"realtime_priority:={priority['controller']}"),
+                ],
             )
             echo = processes.start(
                 "echo", [*module, "benchmark.latency", "--role", f"echo {priority['echo']}"]
             )
-            busy = [
+            for i in range(load):
                 processes.start(f"load {i}", [sys.executable, "-c", "while True: pass"])
-                for i in range(load)
-            ]
             time.sleep(6.0)  # discovery, and imports
             begun_ns, before = time.monotonic_ns(), _cpu([arm, controller, echo])
             time.sleep(seconds)
             ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
             processes.check()
-            del busy
         rows = np.load(report)
     rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
     cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
@@ -143,7 +143,7 @@ def measure(seconds: float, fifo: bool, load: int) -> dict[str, dict[str, float]
 
 
 def _figures(rows: np.ndarray, column: int) -> dict[str, float]:
-    """Share of periods met [%] and quantiles of the latency [us]; a lost answer counts as missed."""
+    """Share of periods met [%], quantiles of the latency [us]; a lost answer counts as missed."""
     answered = rows[rows[:, column] > 0]
     latency = (answered[:, column] - answered[:, 0]) * 1e-3
     met = 100.0 * np.count_nonzero(latency <= PERIOD_NS * 1e-3) / max(len(rows), 1)
