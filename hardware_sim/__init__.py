@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stand-ins for the WAM and for OptiTrack: same topics, rates, stamps and watchdogs as the drivers."""
+"""Stand-ins for the WAM and for OptiTrack: topics, rates, stamps and watchdogs of the drivers."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The MuJoCo scene: the arm of the URDF, the pan's contact surfaces, and the pancake."""
+"""The MuJoCo scene: the arm of the URDF, the pan's contact surfaces, the pancake and the air."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ PAN_RADIUS = 0.139  # [m]
 PANCAKE_RADIUS = 0.09  # [m]
 PANCAKE_HALF_HEIGHT = 0.0025  # [m]
 PANCAKE_MASS = 0.026  # [kg], the paper's
+SITES = ("elbow", "forearm", "pan")  # their speeds matter; the safety board watches the first two
 
+_FOREARM_POINT = [-0.045, -0.35, 0.0]  # [m] in wam_link4: 350 mm beyond the elbow
 _RIM_SEGMENTS = 16
 _RIM_HEIGHT = 0.035  # [m]
 _RIM_FLARE = 0.6  # [rad] outward: the pan of a person, and a catch forgives some centimetres
-_PAN, _PANCAKE = 1, 2  # collision bits: only the pancake touches the pan, and nothing else touches
+_PAN, _PANCAKE = 1, 2  # collision bits: the pancake touches pan and ground, nothing else touches
 
 
 @dataclass(frozen=True)
@@ -25,53 +27,86 @@ class SceneSettings:
     """What of the scene is a choice.
 
     Attributes:
-        timestep: physics step [s].
-        friction: sliding friction between pancake and pan.
+        timestep: Physics step [s].
+        friction: Sliding friction between pancake and pan.
         air_density: [kg/m^3]; drag only.
+
+    Raises:
+        ValueError: A value out of range.
     """
 
     timestep: float = 0.001
     friction: float = 0.2
     air_density: float = 1.2
 
+    def __post_init__(self) -> None:
+        if not 0.0 < self.timestep <= 0.002:
+            raise ValueError(f"timestep {self.timestep} s must be positive, at most 0.002")
+        for name in ("friction", "air_density"):
+            if not 0.0 <= getattr(self, name) <= 10.0:
+                raise ValueError(f"{name} {getattr(self, name)} must be 0 to 10")
 
-def build(urdf: str, settings: SceneSettings) -> mujoco.MjModel:
+
+def build(urdf: str, settings: SceneSettings | None = None) -> mujoco.MjModel:
     """Compile the scene.
 
     Args:
-        urdf: text of the arm's URDF, with a link `pan` as design: z the normal, origin on the floor.
-        settings: see there.
+        urdf: Text of the arm's URDF, with links `wam_link4` and `pan`: z the pan's normal, origin
+            on its floor.
+        settings: None for the defaults.
 
     Returns:
-        A model whose first degrees of freedom are the arm's joints and whose last six the pancake's.
+        A model whose first degrees of freedom are the arm's joints, and the last six the pancake's.
+
+    Raises:
+        ValueError: The text is no URDF.
     """
-    spec = mujoco.MjSpec.from_string(urdf)
+    settings = settings or SceneSettings()
+    spec = arm(urdf)
     option = spec.option
     option.timestep = settings.timestep
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.density = settings.air_density
-    for joint in ElementTree.fromstring(urdf).iter("joint"):
-        dynamics = joint.find("dynamics")
-        if dynamics is not None:
-            spec.joint(joint.get("name")).armature = float(dynamics.get("armature", "0"))
-    for geom in spec.geoms:  # the URDF's shapes are for drawing only
-        geom.contype = geom.conaffinity = 0
-        geom.group = 1
+    forearm = spec.body("wam_link4")
+    forearm.add_site(name="elbow", group=4)
+    forearm.add_site(name="forearm", pos=_FOREARM_POINT, group=4)
+    spec.body("pan").add_site(name="pan", group=4)
     _add_pan(spec.body("pan"), settings)
     _add_pancake(spec.worldbody, settings)
-    spec.worldbody.add_light(pos=[0.5, -1.0, 3.0], dir=[0.0, 0.3, -1.0], castshadow=True)
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[3.0, 3.0, 0.1],
-        rgba=[0.93, 0.93, 0.91, 1.0],
-        contype=0,
-        conaffinity=0,
-    )
+    _add_surroundings(spec, settings)
     model = spec.compile()
     # The ellipsoid model's added mass and lift would cancel the flip of a thin disc: drag alone.
-    model.geom_fluid[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "pancake"), 4:12] = 0.0
+    model.geom_fluid[model.geom("pancake").id, 4:12] = 0.0
     return model
+
+
+def arm(urdf: str) -> mujoco.MjSpec:
+    """The arm alone as the URDF has it: rotors and friction included, its shapes only drawn.
+
+    Args:
+        urdf: Text of the URDF.
+
+    Raises:
+        ValueError: The text is no URDF.
+    """
+    try:
+        tree = ElementTree.fromstring(urdf)
+    except ElementTree.ParseError as error:
+        raise ValueError(f"the robot description is no URDF: {error}") from None
+    extension = ElementTree.SubElement(tree, "mujoco")
+    ElementTree.SubElement(extension, "compiler", discardvisual="false", fusestatic="false")
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))
+    for joint in spec.joints:  # MuJoCo reads no armature from a URDF
+        dynamics = tree.find(f"./joint[@name='{joint.name}']/dynamics")
+        if dynamics is not None:
+            joint.armature = float(dynamics.get("armature", "0"))
+        joint.solimp_friction = [0.99, 0.999, 0.001, 0.5, 2.0]  # by default a loaded joint creeps
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 0
+        geom.density = 0.0  # masses are those of the URDF
+        geom.group = 1
+    return spec
 
 
 def _contact(settings: SceneSettings) -> dict[str, object]:
@@ -102,14 +137,14 @@ def _add_pan(pan: mujoco.MjsBody, settings: SceneSettings) -> None:
         angle = 2.0 * np.pi * k / _RIM_SEGMENTS
         tilt = np.array([np.cos(_RIM_FLARE / 2), 0.0, np.sin(_RIM_FLARE / 2), 0.0])  # about y
         turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])  # about z
-        quat = np.zeros(4)
-        mujoco.mju_mulQuat(quat, turn, tilt)
+        quat_wxyz = np.zeros(4)
+        mujoco.mju_mulQuat(quat_wxyz, turn, tilt)
         pan.add_geom(
             name=f"pan_rim{k}",
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[0.002, width, 0.5 * length],
             pos=[outward * np.cos(angle), outward * np.sin(angle), 0.5 * _RIM_HEIGHT],
-            quat=quat,
+            quat=quat_wxyz,
             rgba=colour,
             **contact,
         )
@@ -139,3 +174,18 @@ def _add_pancake(world: mujoco.MjsBody, settings: SceneSettings) -> None:
             contype=0,
             conaffinity=0,
         )
+
+
+def _add_surroundings(spec: mujoco.MjSpec, settings: SceneSettings) -> None:
+    """Ground for a pancake that missed, and a light."""
+    world = spec.worldbody
+    world.add_geom(
+        name="ground",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[3.0, 3.0, 0.1],
+        rgba=[0.93, 0.93, 0.91, 1.0],
+        contype=_PAN,
+        conaffinity=_PANCAKE,
+        **_contact(settings),
+    )
+    world.add_light(pos=[0.5, -1.0, 3.0], dir=[0.0, 0.3, -1.0], castshadow=True)

@@ -4,37 +4,57 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
-# Motor encoders of 4096 counts, seen at the joint [rad]
-ENCODER_RESOLUTION = np.array([3.65, 2.72, 4.56, 8.52, 7.91, 7.91, 10.27]) * 1e-5
+from hardware_sim.motors import joint_motion, motor_motion
+from wam_power_ros import rotations
+
+_COUNTS = 4096  # of a motor's encoder, a revolution
 
 
 class Encoders:
-    """Quantised positions, differenced and low-passed as libbarrett does."""
+    """Motor positions in whole counts, differenced and low-passed as libbarrett does.
+
+    Attributes:
+        q: [rad]; seven.
+        qd: [rad/s]; seven.
+
+    Args:
+        period: From one reading to the next [s].
+        cutoff: Of the first-order low-pass of the velocity [rad/s].
+    """
 
     def __init__(self, period: float, cutoff: float = 180.0) -> None:
-        """Encoders read every `period` [s], velocity filtered at `cutoff` [rad/s]."""
-        self._rate = 1.0 / period
-        self._share = 1.0 - math.exp(-cutoff * period)
-        self._scale = 1.0 / ENCODER_RESOLUTION
-        self.q = np.zeros(7)  # [rad]
-        self.qd = np.zeros(7)  # [rad/s]
+        self._keep = math.exp(-cutoff * period)
+        self._gain = (1.0 - self._keep) / period
+        self.q: tuple[float, ...] = (0.0,) * 7
+        self.qd: tuple[float, ...] = (0.0,) * 7
 
-    def reset(self, q: np.ndarray) -> None:
-        """At rest at `q` (7,) [rad]."""
-        self.q = np.rint(q * self._scale) * ENCODER_RESOLUTION
-        self.qd = np.zeros(7)
+    def reset(self, q: Sequence[float]) -> None:
+        """At rest at these joint positions [rad]; seven."""
+        self.q = _counted(q)
+        self.qd = (0.0,) * 7
 
-    def read(self, q: np.ndarray) -> None:
-        """One period later, the joints at `q` (7,) [rad]."""
-        counted = np.rint(q * self._scale) * ENCODER_RESOLUTION
-        self.qd = self.qd + self._share * ((counted - self.q) * self._rate - self.qd)
-        self.q = counted
+    def read(self, q: Sequence[float]) -> None:
+        """One period later, the joints at these positions [rad]; seven."""
+        now, before, keep, gain = _counted(q), self.q, self._keep, self._gain
+        self.qd = tuple(
+            [
+                keep * qd + gain * (new - old)
+                for qd, new, old in zip(self.qd, now, before, strict=True)
+            ]
+        )
+        self.q = now
+
+
+def _counted(q: Sequence[float]) -> tuple[float, ...]:
+    """Joint positions as the motors' encoders see them."""
+    counts, count = _COUNTS / math.tau, math.tau / _COUNTS
+    return joint_motion([count * round(counts * position) for position in motor_motion(q)])
 
 
 @dataclass(frozen=True)
@@ -91,17 +111,19 @@ class Mocap:
         self._rng = rng
         self._next_ns = now_ns + 5_000_000 + int(rng.uniform(0.0, self._period_ns))
 
-    def sample(self, now_ns: int, position: np.ndarray, rotation: np.ndarray) -> None:
-        """Expose a frame if one is due; the body is at `position` (3,), `rotation` (9,) or (3, 3)."""
-        if now_ns < self._next_ns:
-            return
+    def due(self, now_ns: int) -> bool:
+        """Whether the next frame is to be exposed."""
+        return now_ns >= self._next_ns
+
+    def expose(self, now_ns: int, position: np.ndarray, rotation: np.ndarray) -> None:
+        """Take the frame that is due; the body is at `position` (3,) [m], `rotation` (3, 3)."""
         self._next_ns += self._period_ns
         settings, rng = self._settings, self._rng
         noise = rng.standard_normal((4, 3)) * settings.noise
         lost, hidden, which = rng.random(), rng.random(), int(rng.integers(4))
         if lost < settings.dropout:
             return
-        markers = position + self._layout @ rotation.reshape(3, 3).T + noise
+        markers = position + self._layout @ rotation.T + noise
         centre = markers.mean(axis=0)
         u, _, vt = np.linalg.svd(self._centred.T @ (markers - centre))
         fitted = (u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt).T
@@ -111,7 +133,7 @@ class Mocap:
             MocapFrame(
                 now_ns,
                 centre - fitted @ self._layout.mean(axis=0),
-                _quat_xyzw(fitted),
+                rotations.quat_xyzw(fitted),
                 markers,
             )
         )
@@ -123,9 +145,3 @@ class Mocap:
         due = [f for f in self._waiting if f.stamp_ns + self._latency_ns <= now_ns]
         self._waiting = self._waiting[len(due) :]
         return due
-
-
-def _quat_xyzw(rotation: np.ndarray) -> np.ndarray:
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, rotation.ravel())
-    return quat[[1, 2, 3, 0]]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The stand-in's world: a WAM with a pan, a pancake, sensors and motors. Steps; no ROS, no sleep.
 
-After `reset(rollout_id, ...)` all that follows is a function of the seed, the id and the torques,
-so a rollout comes out the same on any machine, however long it took to get there.
+After `reset(rollout_id, ...)` all that follows is a function of the seed, the id and the torques
+from the release on, so a rollout comes out the same on any machine, however it got there.
 """
 
 from __future__ import annotations
@@ -17,21 +17,28 @@ import mujoco
 import numpy as np
 
 from hardware_sim import scene
-from hardware_sim.motors import Motors
+from hardware_sim.motors import MOTOR_OF_JOINT, Motors
 from hardware_sim.scene import SceneSettings
 from hardware_sim.sensing import Encoders, Mocap, MocapFrame, MocapSettings
+from wam_power_ros import rotations
+from wam_power_ros.arm import Arm
 from wam_power_ros.markers import LAYOUT
 from wam_power_ros.resources import share
 
-HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
+N = 7  # joints
+JOINTS = tuple(f"wam_j{number}" for number in range(1, N + 1))
 PERIOD = 0.002  # [s]
 PERIOD_NS = 2_000_000
 QUIET = "-quiet"  # a rollout whose id ends so is run without any noise
 DELTA_H = 0.12  # [m] over the pan's floor, where a falling pancake is judged
+HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
+HOME.setflags(write=False)
 _WATCHDOG_TICKS = 5  # 10 ms without a command
-_SETTLE_STEPS = 900  # physics steps in which the pancake comes to rest in the pan
+_SETTLE_STEPS = 900  # physics steps, at most, in which the pancake comes to rest in the pan
+_SETTLE_LOOK = 50  # steps after which it is looked at
+_SETTLED = 0.003  # [m/s] and [rad/s]: it is at rest
+_LOG_TICKS = 5000  # after a release that are logged: 10 s
 _TRACE_TICKS = 5  # 100 Hz
-_FOREARM_POINT = np.array([-0.045, -0.35, 0.0])  # in wam_link4: where the safety board looks
 
 
 @dataclass(frozen=True)
@@ -39,14 +46,19 @@ class WorldSettings:
     """Choices of the stand-in; the defaults are the arm as it is.
 
     Attributes:
-        bus_voltage: of the motors [V].
-        command_delay_ticks: control periods from a state to the torque that answers it.
-        pancake_offset_sd: of where the pancake lies in the pan, an axis [m].
-        wind_sd: of a steady draught a rollout, an axis [m/s].
-        torque_scale_sd: of each joint's torque constant a rollout, as a share.
-        friction_sd: of each joint's Coulomb friction a rollout, as a share.
-        driver_compensates_gravity: the arm adds g(q) to what is commanded.
-        watchdog_damping: of the arm's own fallback [1/s].
+        bus_voltage: Of the motors [V].
+        command_delay_ticks: Control periods from a state to the torque that answers it.
+        pancake_offset_sd: Of where the pancake lies in the pan, an axis [m].
+        wind_sd: Of a steady draught a rollout, an axis [m/s].
+        torque_scale_sd: Of each joint's torque constant a rollout, as a share.
+        friction_sd: Of each joint's Coulomb friction a rollout, as a share.
+        driver_compensates_gravity: The arm adds g(q) to what is commanded.
+        watchdog_damping: Of the arm's own fallback [1/s].
+        scene: What there is.
+        mocap: How it is seen.
+
+    Raises:
+        ValueError: A value out of range.
     """
 
     bus_voltage: float = 48.0
@@ -65,7 +77,9 @@ class WorldSettings:
             raise ValueError(f"command_delay_ticks {self.command_delay_ticks} must be 0 to 50")
         for name in ("pancake_offset_sd", "wind_sd", "torque_scale_sd", "friction_sd"):
             if not 0.0 <= getattr(self, name) < 10.0:
-                raise ValueError(f"{name} {getattr(self, name)} must not be negative")
+                raise ValueError(f"{name} {getattr(self, name)} must be from 0 to below 10")
+        if not 0.0 <= self.watchdog_damping <= 100.0:
+            raise ValueError(f"watchdog_damping {self.watchdog_damping} must be 0 to 100")
 
 
 class JointSample(NamedTuple):
@@ -74,34 +88,39 @@ class JointSample(NamedTuple):
     stamp_ns: int
     q: np.ndarray  # (7,) [rad]
     qd: np.ndarray  # (7,) [rad/s]
-    tau: np.ndarray  # (7,) commanded [N m]
+    tau: np.ndarray  # (7,) commanded, the driver's own gravity torque included [N m]
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What really happened in a rollout, seen by nobody but the simulator.
+    """What really happened since a release (in its first 10 s), seen by nobody but the simulator.
 
     Attributes:
-        id: of the rollout.
-        caught: the pancake lies flat on the pan's floor (centre under 12 mm, |cos| over .98).
-        flipped: it lies on its other side.
-        tossed: it rose over `DELTA_H` and fell through it again.
-        angle: turned from rest until then, about the axis across the throw [rad].
-        true_flip: caught, flipped, and turned by 150 to 240 degrees in the air.
-        apex: highest point over the pan's height at the start [m].
-        landing_error: pancake less pan when it fell through `DELTA_H`, along x and y [m]. (2,)
-        peak_qd: [rad/s]. (7,)
-        peak_tau: [N m]. (7,)
-        peak_elbow_speed, peak_forearm_speed, peak_pan_speed: [m/s]; the forearm's at 350 mm.
-        beyond_no_load: a joint was faster than its motor can turn unloaded.
-        saturated: share of ticks in which a motor could not give what was commanded.
+        id: Of the rollout.
+        caught: The pancake lies flat on the pan's floor now (centre under 12 mm, |cos| over .98).
+        flipped: It lies on its other side.
+        tossed: It rose over `DELTA_H` and fell through it again.
+        t_f: When it fell through [s since the release]; None when not tossed.
+        angle_deg: Turned from rest until then, about the axis of the throw, beyond half a turn as
+            well [degrees].
+        true_flip: Caught, flipped, and turned by 150 to 240 degrees in the air.
+        apex: Highest point over the pan's height at the start [m].
+        landing_error: Pancake less pan at t_f, along x and y [m]; two.
+        peak_qd: [rad/s]; seven.
+        peak_tau: Of what the motors gave [N m]; seven.
+        peak_elbow_speed: [m/s].
+        peak_forearm_speed: 350 mm beyond the elbow [m/s].
+        peak_pan_speed: [m/s].
+        beyond_no_load: A motor was turned faster than its bus voltage turns it unloaded.
+        saturated: Share of ticks in which a motor could not give what was commanded.
     """
 
     id: str
     caught: bool
     flipped: bool
     tossed: bool
-    angle: float
+    t_f: float | None
+    angle_deg: float
     true_flip: bool
     apex: float
     landing_error: list[float]
@@ -125,52 +144,73 @@ class Puller(Protocol):
 
 
 class World:
-    """One arm, one pan, one pancake."""
+    """One arm, one pan, one pancake.
+
+    Attributes:
+        time_ns: Now [ns].
+        frozen: The clock and the cameras go on, physics, encoders and commands wait for `release`.
+        idle: The motors are shorted and commands have no effect.
+        urdf: Text of the arm's description.
+        motors: The torque-speed envelope.
+        trace: Positions of joints and pancake since the release, 100 a second, once it is set to
+            []; None keeps none.
+
+    Args:
+        settings: None for the defaults.
+        seed: Of every noise.
+    """
 
     def __init__(self, settings: WorldSettings | None = None, seed: int = 0) -> None:
-        """Build the scene; `seed` is that of every noise."""
         self.settings = settings = settings or WorldSettings()
         self.seed = seed
         self.urdf = share("urdf/wam7.urdf").read_text()
         self.model = model = scene.build(self.urdf, settings.scene)
         self.data = data = mujoco.MjData(model)
-        self._scratch = mujoco.MjData(model)
+        self._arm = Arm(self.urdf, JOINTS)  # the driver's own idea of gravity
         self._substeps = round(PERIOD / settings.scene.timestep)
         self.motors = Motors(settings.bus_voltage)
         self._encoders = Encoders(PERIOD)
         self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
         self._pan = model.body("pan").id
-        self._pancake = model.body("pancake").id
-        self._elbow = model.body("wam_link4").id
-        self._friction = model.dof_frictionloss[:7].copy()
+        self._friction = model.dof_frictionloss[:N].copy()
+        self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:N]).tolist()
         # views into MuJoCo's own arrays
-        self._q, self._qd = data.qpos[:7], data.qvel[:7]
-        self._pancake_q, self._pancake_v = data.qpos[7:14], data.qvel[7:13]
+        self._q, self._qd, self._applied = data.qpos[:N], data.qvel[:N], data.qfrc_applied[:N]
+        self._pancake_q = data.qpos[N:]
         self._pan_position = data.xpos[self._pan]
-        self._pan_matrix = data.xmat[self._pan]
-        self._pancake_matrix = np.zeros(9)
+        self._pan_rotation = data.xmat[self._pan].reshape(3, 3)
+        self._sites = data.site_xpos
         self._velocity = np.zeros(6)
+        # what happened, one row a tick
+        self._log_q = np.empty((_LOG_TICKS, model.nq))
+        self._log_v = np.empty((_LOG_TICKS, model.nv))
+        self._log_tau = np.empty((_LOG_TICKS, N))
+        self._log_sites = np.empty((_LOG_TICKS, *self._sites.shape))
 
         self.time_ns = PERIOD_NS
         self.frozen = False
         self.idle = False
-        self.trace: list[np.ndarray] | None = None  # of joints and pancake, set to [] to record
-        self._puller: Puller | None = None
-        self._puller_start_ns = 0
-        self._since_command = 0
-        self._command = np.zeros(7)
-        self._effort = np.zeros(7)
-        self._delayed: deque[np.ndarray | None] = deque()
-        self._torque_scale = np.ones(7)
-        self._release_ns = 0
+        self.trace: list[np.ndarray] | None = None
+        self._delayed: deque[list[float] | None] = deque()
         self.reset("start", HOME)
         self.release()
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
-        """Arm at rest at `q_start` (7,) [rad], the pancake at rest in the pan, all of it frozen.
+        """Put the arm at rest and the pancake at rest in the pan, and freeze them.
 
         What follows the release depends on the seed and `rollout_id` alone.
+
+        Args:
+            rollout_id: A name; what ends in `QUIET` has no noise but that of the cameras.
+            q_start: [rad]. Shape (7,).
+
+        Raises:
+            ValueError: A joint is not finite or outside its limits.
         """
+        q_start = np.array(q_start, dtype=float)
+        low, high = self.model.jnt_range[:N].T
+        if q_start.shape != (N,) or not np.all((low <= q_start) & (q_start <= high)):
+            raise ValueError(f"q_start {q_start.tolist()} must be {N} joints within their limits")
         key = [self.seed, zlib.crc32(rollout_id.encode())]
         rng = np.random.default_rng(key)
         self._mocap_rng = np.random.default_rng([*key, 1])
@@ -179,42 +219,47 @@ class World:
         loud = 0.0 if rollout_id.endswith(QUIET) else 1.0
         offset = loud * settings.pancake_offset_sd * rng.standard_normal(2)
         wind = loud * settings.wind_sd * rng.standard_normal(3)
-        self._torque_scale = 1.0 + loud * settings.torque_scale_sd * rng.standard_normal(7)
-        friction = 1.0 + loud * settings.friction_sd * rng.standard_normal(7)
-        model.dof_frictionloss[:7] = self._friction * np.maximum(friction, 0.0)
+        scale = 1.0 + loud * settings.torque_scale_sd * rng.standard_normal(N)
+        friction = 1.0 + loud * settings.friction_sd * rng.standard_normal(N)
+        self._torque_scale: list[float] = scale.tolist()
+        model.dof_frictionloss[:N] = self._friction * np.maximum(friction, 0.0)
         model.opt.wind[:] = 0.0
 
         mujoco.mj_resetData(model, data)
         self._q[:] = q_start
         mujoco.mj_kinematics(model, data)
-        rotation = self._pan_matrix.reshape(3, 3)
-        self._pancake_q[:3] = self._pan_position + rotation @ np.array([*offset, 0.004])
-        mujoco.mju_mat2Quat(self._pancake_q[3:], self._pan_matrix)
-        for _ in range(_SETTLE_STEPS):
+        self._pancake_q[:3] = self._pan_position + self._pan_rotation @ [*offset, 0.003]
+        mujoco.mju_mat2Quat(self._pancake_q[3:], data.xmat[self._pan])
+        gravity = self._arm.gravity(q_start)
+        self._applied[:] = gravity
+        for step in range(1, _SETTLE_STEPS + 1):
             mujoco.mj_step(model, data)
             self._q[:] = q_start
             self._qd[:] = 0.0
+            if step % _SETTLE_LOOK == 0 and np.abs(data.qvel[N:]).max() < _SETTLED:
+                break
         data.qvel[:] = 0.0
         data.qacc_warmstart[:] = 0.0
         data.time = 0.0
-        mujoco.mj_forward(model, data)
         model.opt.wind[:] = wind
+        mujoco.mj_forward(model, data)
 
-        self._encoders.reset(self._q)
-        self._delayed = deque([None] * settings.command_delay_ticks)
+        self._encoders.reset(q_start.tolist())
+        self._command = [0.0] * N if settings.driver_compensates_gravity else gravity.tolist()
+        self._effort: list[float] = gravity.tolist()
+        self._delayed = deque([self._command] * settings.command_delay_ticks)
         self._since_command = 0
-        self._puller = None
-        self.frozen = True
+        self._puller: Puller | None = None
+        self._puller_start_ns = 0
         self.idle = False
-        self._clear_truth()
+        self.frozen = True
+        self._restart_log()
 
     def release(self) -> None:
         """Let the physics go on from the frozen state."""
         self.frozen = False
-        self._release_ns = self.time_ns
         self._mocap.restart(self.time_ns, self._mocap_rng)
-        if self.trace is not None:
-            self.trace.clear()
+        self._restart_log()
 
     def attach(self, puller: Puller) -> None:
         """Let something pull at the pan from now on."""
@@ -228,11 +273,14 @@ class World:
     @property
     def pan_pose(self) -> tuple[np.ndarray, np.ndarray]:
         """Position (3,) [m] and rotation (3, 3) of the pan."""
-        return self._pan_position.copy(), self._pan_matrix.reshape(3, 3).copy()
+        return self._pan_position.copy(), self._pan_rotation.copy()
 
     def joint_state(self) -> JointSample:
         """The joints as sensed now."""
-        return JointSample(self.time_ns, self._encoders.q, self._encoders.qd, self._effort)
+        encoders = self._encoders
+        return JointSample(
+            self.time_ns, np.array(encoders.q), np.array(encoders.qd), np.array(self._effort)
+        )
 
     def mocap_frames(self) -> list[MocapFrame]:
         """Frames that have come in since the last call."""
@@ -242,158 +290,183 @@ class World:
         """One tick of 2 ms.
 
         Args:
-            tau_cmd: commanded torques (7,) [N m], or None when no command has come: the last one
+            tau_cmd: Commanded torques (7,) [N m], or None when no command has come: the last one
                 holds for 10 ms, then the arm compensates its own gravity, damped.
+
+        Raises:
+            ValueError: The torques are not seven finite numbers.
         """
+        command = None if tau_cmd is None else tau_cmd.tolist()
+        if command is not None and not (len(command) == N and math.isfinite(sum(command))):
+            raise ValueError(f"torques {command} must be {N} finite numbers")
         self.time_ns += PERIOD_NS
-        if tau_cmd is not None:
-            self._effort = tau_cmd
-        self._delayed.append(tau_cmd)
-        command = self._delayed.popleft()
-        if command is not None:
-            self._command, self._since_command = command, 0
-        else:
-            self._since_command += 1
         if not self.frozen:
+            self._delayed.append(command)
+            command = self._delayed.popleft()
+            if command is None:
+                self._since_command += 1
+            else:
+                self._command, self._since_command = command, 0
             self._advance()
-            self._encoders.read(self._q)
-            self._observe()
-        mujoco.mju_quat2Mat(self._pancake_matrix, self._pancake_q[3:])
-        self._mocap.sample(self.time_ns, self._pancake_q[:3], self._pancake_matrix)
+            self._encoders.read(self._q.tolist())
+            self._record()
+        if self._mocap.due(self.time_ns):
+            self._mocap.expose(self.time_ns, self._pancake_q[:3].copy(), self._pancake_rotation())
 
     def _advance(self) -> None:
-        data = self.data
+        """Motors and physics of one tick."""
+        qd = self._qd.tolist()
         if self.idle:
-            tau = self.motors.braking(self._qd)
-        elif self._since_command > _WATCHDOG_TICKS:
-            tau = self._own_gravity() - self.settings.watchdog_damping * self.model.dof_M0[:7] * (
-                self._qd
-            )
-            tau = self.motors.limit(tau, self._qd)
+            self._effort = [0.0] * N
+            self._applied[:] = self.motors.braking(qd)
         else:
-            command = self._command
-            if self.settings.driver_compensates_gravity:
-                command = command + self._own_gravity()
-            tau = self.motors.limit(command, self._qd)
-            self._saturated += tau is not command
-            tau = tau * self._torque_scale
-        data.qfrc_applied[:7] = tau
-        self._tau = tau
+            wanted = self._wanted()
+            self._effort = wanted
+            given = self.motors.limit(wanted, qd)
+            self._saturated += given is not wanted
+            self._applied[:] = [a * b for a, b in zip(given, self._torque_scale, strict=True)]
         if self._puller is None:
-            mujoco.mj_step(self.model, data, self._substeps)
-            return
-        for substep in range(self._substeps):
-            self._pull(substep)
-            mujoco.mj_step(self.model, data)
+            mujoco.mj_step(self.model, self.data, self._substeps)
+        else:
+            for substep in range(self._substeps):
+                self._pull(substep)
+
+    def _wanted(self) -> list[float]:
+        """Torques the driver asks of the motors."""
+        if self._since_command > _WATCHDOG_TICKS:
+            damped = zip(self._gravity(), self._watchdog_damping, self._encoders.qd, strict=True)
+            return [g - d * qd for g, d, qd in damped]
+        if self.settings.driver_compensates_gravity:
+            return [a + b for a, b in zip(self._command, self._gravity(), strict=True)]
+        return self._command
+
+    def _gravity(self) -> list[float]:
+        return self._arm.gravity(np.array(self._encoders.q)).tolist()
 
     def _pull(self, substep: int) -> None:
-        data = self.data
+        """One physics step under the hand's wrench."""
+        model, data = self.model, self.data
+        mujoco.mj_step1(model, data)
         if self._puller is not None:
             mujoco.mj_objectVelocity(
-                self.model, data, mujoco.mjtObj.mjOBJ_XBODY, self._pan, self._velocity, 0
+                model, data, mujoco.mjtObj.mjOBJ_XBODY, self._pan, self._velocity, 0
             )
             elapsed = (self.time_ns - PERIOD_NS - self._puller_start_ns) * 1e-9
             wrench = self._puller.wrench(
                 elapsed + substep * self.settings.scene.timestep,
                 self._pan_position,
-                self._pan_matrix.reshape(3, 3),
+                self._pan_rotation,
                 self._velocity[[3, 4, 5, 0, 1, 2]],
             )
-            if wrench is not None:
-                applied = data.xfrc_applied[self._pan]
+            applied = data.xfrc_applied[self._pan]
+            if wrench is None:
+                self._puller = None
+                applied[:] = 0.0
+            else:  # MuJoCo wants it at the centre of mass
                 applied[:3] = wrench[:3]
-                arm = self._pan_position - data.xipos[self._pan]
-                applied[3:] = wrench[3:] + np.cross(arm, wrench[:3])
-                return
-            self._puller = None
-        data.xfrc_applied[self._pan] = 0.0
+                lever = self._pan_position - data.xipos[self._pan]
+                applied[3:] = wrench[3:] + np.cross(lever, wrench[:3])
+        mujoco.mj_step2(model, data)
 
-    def _own_gravity(self) -> np.ndarray:
-        scratch = self._scratch
-        scratch.qpos[:] = self.data.qpos
-        scratch.qvel[:] = 0.0
-        mujoco.mj_fwdPosition(self.model, scratch)
-        mujoco.mj_fwdVelocity(self.model, scratch)
-        return scratch.qfrc_bias[:7].copy()
+    def _pancake_rotation(self) -> np.ndarray:
+        matrix = np.empty(9)
+        mujoco.mju_quat2Mat(matrix, self._pancake_q[3:])
+        return matrix.reshape(3, 3)
 
     # What really happened
 
-    def _clear_truth(self) -> None:
-        self._ticks = 0
+    def _restart_log(self) -> None:
+        self._rows = 0
         self._saturated = 0
-        self._peak_qd = np.zeros(7)
-        self._peak_tau = np.zeros(7)
-        self._peaks = [0.0, 0.0, 0.0]
-        self._tau = np.zeros(7)
-        mujoco.mju_quat2Mat(self._pancake_matrix, self._pancake_q[3:])
-        self._side = self._pancake_matrix.reshape(3, 3)[:, 2] @ self._pan_matrix.reshape(3, 3)[:, 2]
-        self._normal_x, self._normal_z = self._pancake_matrix[2], self._pancake_matrix[8]
-        self._angle = 0.0
-        self._pan_height = float(self._pan_position[2])
-        self._apex = 0.0
-        self._above = False
-        self._toss: tuple[float, float, float] | None = None  # angle, error x, error y
+        if self.trace is not None:
+            self.trace.clear()
+        self._pan_start = self._pan_position.copy()
+        self._normal_start = self._pancake_rotation()[:, 2].copy()
 
-    def _observe(self) -> None:
-        self._ticks += 1
-        np.maximum(self._peak_qd, np.abs(self._qd), out=self._peak_qd)
-        np.maximum(self._peak_tau, np.abs(self._tau), out=self._peak_tau)
-        if self._ticks % 2 == 0:
-            self._observe_speeds()
-        x, y, z = self._pancake_q[:3].tolist()
-        w, i, j, k = self._pancake_q[3:].tolist()
-        normal_x, normal_z = 2.0 * (i * k + w * j), 1.0 - 2.0 * (i * i + j * j)
-        # turned about +y: from z towards x
-        self._angle += math.atan2(
-            self._normal_z * normal_x - self._normal_x * normal_z,
-            self._normal_x * normal_x + self._normal_z * normal_z,
-        )
-        self._normal_x, self._normal_z = normal_x, normal_z
-        self._apex = max(self._apex, z - self._pan_height)
-        pan_x, pan_y, pan_z = self._pan_position.tolist()
-        above = z > pan_z + DELTA_H
-        if self._above and not above and self._toss is None:
-            self._toss = (self._angle, x - pan_x, y - pan_y)
-        self._above = above
-        if self.trace is not None and self._ticks % _TRACE_TICKS == 1:
-            self.trace.append(self.data.qpos.copy())
-
-    def _observe_speeds(self) -> None:
-        velocity, point = self._velocity, mujoco.mjtObj.mjOBJ_XBODY
-        mujoco.mj_objectVelocity(self.model, self.data, point, self._elbow, velocity, 0)
-        wx, wy, wz, vx, vy, vz = velocity.tolist()
-        a, b, c = (self.data.xmat[self._elbow].reshape(3, 3) @ _FOREARM_POINT).tolist()
-        elbow = math.sqrt(vx * vx + vy * vy + vz * vz)
-        forearm = math.hypot(vx + wy * c - wz * b, vy + wz * a - wx * c, vz + wx * b - wy * a)
-        mujoco.mj_objectVelocity(self.model, self.data, point, self._pan, velocity, 0)
-        pan = math.hypot(*velocity[3:].tolist())
-        self._peaks = [max(p, s) for p, s in zip(self._peaks, (elbow, forearm, pan), strict=True)]
+    def _record(self) -> None:
+        row, data = self._rows, self.data
+        if row == _LOG_TICKS:
+            return
+        if self.trace is not None and row % _TRACE_TICKS == 0:
+            self.trace.append(data.qpos.copy())
+        self._log_q[row] = data.qpos
+        self._log_v[row] = data.qvel
+        self._log_tau[row] = self._applied
+        self._log_sites[row] = self._sites
+        self._rows = row + 1
 
     def truth(self) -> Truth:
         """What has happened since the release."""
-        rotation = self._pan_matrix.reshape(3, 3)
-        offset = rotation.T @ (self._pancake_q[:3] - self._pan_position)
-        mujoco.mju_quat2Mat(self._pancake_matrix, self._pancake_q[3:])
-        side = float(self._pancake_matrix.reshape(3, 3)[:, 2] @ rotation[:, 2])
-        within = math.hypot(offset[0], offset[1]) < scene.PAN_RADIUS
-        caught = bool(within and abs(offset[2]) < 0.012 and abs(side) > 0.98)
-        flipped = bool(side * self._side < 0.0)
-        angle, *error = self._toss or (0.0, math.nan, math.nan)
-        beyond = self._peak_qd > self.motors.no_load_speed
+        rows = self._rows
+        height = self._log_q[:rows, N + 2]
+        pan = self._log_sites[:rows, scene.SITES.index("pan")]
+        error, angle, t_f = [0.0, 0.0], 0.0, None
+        at = _fallen(height - pan[:, 2])
+        if at is not None:
+            t_f = (at + 1) * PERIOD
+            error = (self._log_q[at, N : N + 2] - pan[at, :2]).tolist()
+            angle = math.degrees(self._turned(at))
+        speeds = np.zeros(len(scene.SITES))
+        if rows > 1:
+            steps = np.diff(self._log_sites[:rows], axis=0)
+            speeds = np.linalg.norm(steps, axis=2).max(axis=0) / PERIOD
+        qd = self._log_v[:rows, :N]
+        motor_speeds = np.abs(qd @ MOTOR_OF_JOINT.T).max(axis=0, initial=0.0)
+        caught, flipped = self._lies()
         return Truth(
             id=self.rollout_id,
             caught=caught,
             flipped=flipped,
-            tossed=self._toss is not None,
-            angle=angle,
-            true_flip=caught and flipped and 150.0 <= math.degrees(abs(angle)) <= 240.0,
-            apex=self._apex,
-            landing_error=[e if math.isfinite(e) else 0.0 for e in error],
-            peak_qd=self._peak_qd.tolist(),
-            peak_tau=self._peak_tau.tolist(),
-            peak_elbow_speed=self._peaks[0],
-            peak_forearm_speed=self._peaks[1],
-            peak_pan_speed=self._peaks[2],
-            beyond_no_load=bool(beyond.any()),
-            saturated=self._saturated / max(self._ticks, 1),
+            tossed=at is not None,
+            t_f=t_f,
+            angle_deg=angle,
+            true_flip=caught and flipped and 150.0 <= angle <= 240.0,
+            apex=float(height.max(initial=self._pan_start[2]) - self._pan_start[2]),
+            landing_error=error,
+            peak_qd=np.abs(qd).max(axis=0, initial=0.0).tolist(),
+            peak_tau=np.abs(self._log_tau[:rows]).max(axis=0, initial=0.0).tolist(),
+            peak_elbow_speed=float(speeds[0]),
+            peak_forearm_speed=float(speeds[1]),
+            peak_pan_speed=float(speeds[2]),
+            beyond_no_load=bool((motor_speeds > self.motors.motor_no_load_speed).any()),
+            saturated=self._saturated / max(rows, 1),
         )
+
+    def _lies(self) -> tuple[bool, bool]:
+        """Whether the pancake lies flat in the pan, and on its other side."""
+        position, pan = self._arm.tool_pose(self._q)
+        x, y, z = (pan.T @ (self._pancake_q[:3] - position)).tolist()
+        cosine = float(self._pancake_rotation()[:, 2] @ pan[:, 2])
+        flat = abs(z) < 0.012 and abs(cosine) > 0.98 and math.hypot(x, y) < scene.PAN_RADIUS
+        return flat, cosine < 0.0
+
+    def _turned(self, end: int) -> float:
+        """Angle of the pancake's normal from the release to a row of the log, unfolded [rad]."""
+        quat_xyzw = self._log_q[: end + 1, [N + 4, N + 5, N + 6, N + 3]]
+        x, y, z, w = quat_xyzw.T
+        normals = np.stack(
+            [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1
+        )
+        begin = max(0, end - round(0.1 / PERIOD))  # the last 0.1 s of the flight
+        omega = rotations.matrix(quat_xyzw[begin:]) @ self._log_v[begin : end + 1, N + 3 :, None]
+        axis = omega.mean(axis=0)[:, 0]
+        axis -= (axis @ self._normal_start) * self._normal_start  # a disc may spin on itself
+        length = float(np.linalg.norm(axis))
+        if length < 1e-6:
+            return 0.0
+        axis /= length
+        across = np.cross(axis, self._normal_start)
+        return float(np.unwrap(np.arctan2(normals @ across, normals @ self._normal_start))[-1])
+
+
+def _fallen(height: np.ndarray) -> int | None:
+    """First index after the highest point at which a height is under `DELTA_H`, if it ever rose."""
+    risen = np.flatnonzero(height > DELTA_H)
+    if len(risen) == 0:
+        return None
+    up = risen[0]
+    down = np.flatnonzero(height[up:] < DELTA_H)
+    stop = up + down[0] if len(down) else len(height)
+    apex = up + int(np.argmax(height[up:stop]))
+    under = np.flatnonzero(height[apex:] < DELTA_H)
+    return apex + int(under[0]) if len(under) else None
