@@ -287,7 +287,7 @@ def test_a_frame_slightly_off_counts_less() -> None:
         truth = toss(rng, vz=2.4, half_turns=1.0)
         path = frames(truth, rng)
         flight = observe_flight(truth.pan, path)
-        k = int(np.argmin(np.abs(path.t - truth.t_f)))
+        k = int(np.argmin(np.abs(path.t - 0.5 * (truth.release + truth.t_f))))
         position = path.position.copy()
         position[k] += [0.012, 0.012, -0.012]
         spoilt = observe_flight(truth.pan, replace(path, position=position))
@@ -315,12 +315,12 @@ def test_a_bounce_between_two_frames_does_not_spoil_the_flight() -> None:
 def test_cameras_worse_than_believed_are_noticed() -> None:
     rng = np.random.default_rng(14)
     late, stds = [], []
-    for _ in range(25):
+    for _ in range(40):
         truth = toss(rng, vz=2.4, half_turns=1.0)
         flight = observe_flight(truth.pan, frames(truth, rng, noise=8.0))
         late.append(abs(flight.t_f - truth.t_f) / flight.t_f_std)
         stds.append(flight.position_std[:2].max())
-    assert np.mean(np.array(late) <= 3.0) >= 0.95
+    assert np.mean(np.array(late) <= 3.0) >= 0.9
     assert np.median(stds) > 0.001
 
 
@@ -357,6 +357,21 @@ def test_a_pancake_beside_the_pan_or_on_edge_does_not_rest_in_it() -> None:
     quat = np.where(end[:, None], tilted, path.quat_xyzw)
     assert not observe_flight(truth.pan, replace(path, quat_xyzw=quat)).resting
     assert not observe_flight(truth.pan, without(path, end)).resting
+
+
+def test_one_bad_frame_before_the_toss_spoils_nothing() -> None:
+    rng = np.random.default_rng(18)
+    truth = toss(rng, vz=2.3, half_turns=1.0)
+    path = frames(truth, rng)
+    flight = observe_flight(truth.pan, path)
+    for k in range(4):
+        for shift in (0.0, 0.3):
+            position, quat = path.position.copy(), path.quat_xyzw.copy()
+            position[k, 0] += shift
+            quat[k] = [1.0, 0.0, 0.0, 0.0]
+            spoilt = observe_flight(truth.pan, replace(path, position=position, quat_xyzw=quat))
+            assert spoilt.seen
+            assert spoilt.angle == pytest.approx(flight.angle, abs=0.01)
 
 
 def test_losing_the_view_is_told_and_never_breaks_the_numbers() -> None:

@@ -23,6 +23,7 @@ from wam_power_ros.rollout import EndEffectorPath, PancakePath
 DELTA_H = 0.12  # [m] must exceed the pancake's radius: its edge may not have touched the pan yet
 _GRID = 0.001  # [s]
 _HUBER = 2.5  # standard deviations beyond which a frame counts less
+_SLOWED_MIN = 0.2  # 1 + decay s, from which on the spin is not extrapolated
 _UNKNOWN = 1.0  # [m], [s] or [rad]: the standard deviation of what was not seen
 
 
@@ -36,11 +37,12 @@ class FlightSettings:
         clearance: Gap between its lower edge and the pan's floor above which it flies [m]; the
             height of the pan's rim, over which the edge may still slide below that.
         position_noise: Of the tracked centre [m]: 0.25 mm for four markers of 0.5 mm, and as much
-            again for what drag that changes with the attitude adds to the model's.
+            again for the model's.
         tilt_noise: Of the tracked normal, each way [rad].
-        drag: Prior mean of c in xdd = g - c |v| v [1/m].
-        drag_std: Its standard deviation [1/m].
-        spin_decay: Prior mean of the decay of the spin [1/s].
+        drag: c in xdd = g - c |v| v for a middling attitude [1/m].
+        acceleration_std: Of what attitude and draught add to that, at mid-flight [m/s^2].
+        jerk_std: Of how fast that changes [m/s^3].
+        spin_decay: Prior mean of the relative decay of the spin at mid-flight [1/s].
         spin_decay_std: Its standard deviation [1/s].
         spin_std: Prior of the angular velocity, each way [rad/s]; decides only where the frames are
             too far apart to count the turns.
@@ -60,10 +62,11 @@ class FlightSettings:
     clearance: float = 0.03
     position_noise: float = 0.0005
     tilt_noise: float = 0.0035
-    drag: float = 0.2
-    drag_std: float = 0.2
-    spin_decay: float = 0.4
-    spin_decay_std: float = 0.6
+    drag: float = 0.3
+    acceleration_std: float = 0.5
+    jerk_std: float = 5.0
+    spin_decay: float = 0.8
+    spin_decay_std: float = 0.8
     spin_std: float = 12.0
     precession_std: float = 3.0
     release_std: float = 0.35
@@ -233,21 +236,17 @@ class _Frames:
         # The first frames show the pancake flat in the pan: their mean is the body-frame normal.
         body = np.matmul(np.swapaxes(matrix, 1, 2), pan_normal[:, :, None])[:, :, 0]  # (M, 3)
         flat = (np.abs(height) < settings.rest_height) & (aside < settings.pan_radius)
-        count = 0
-        if len(t) and flat[0]:
-            flat &= body @ body[0] > math.cos(0.1)
-            count = int(np.argmin(flat)) if not flat.all() else len(t)
+        resting = _first_alike(flat, body)
         normal = np.zeros((len(t), 3))
-        if count:
-            normal = matrix @ _unit(body[:count].mean(axis=0))
+        if len(resting):
+            normal = matrix @ _unit(body[resting].mean(axis=0))
         cosine = np.sum(normal * pan_normal, axis=1)
         sine = np.sqrt(np.clip(1.0 - cosine**2, 0.0, 1.0))
         # Away from the pan its floor, extended, means nothing: there only the height counts.
         away = aside > settings.pan_radius + 2.0 * settings.radius
         gap = np.where(away, offset[:, 2] - settings.radius, height - sine * settings.radius)
-        return _Frames(
-            t, position, normal, start, count, height, aside, cosine, gap > settings.clearance
-        )
+        flying = gap > settings.clearance
+        return _Frames(t, position, normal, start, len(resting), height, aside, cosine, flying)
 
     def end(self, pan: EndEffectorPath, settings: FlightSettings) -> tuple[bool, bool]:
         """Whether it rests in the pan at the end, and whether it is seen reversed there."""
@@ -263,48 +262,63 @@ class _Frames:
         return resting, cosine < 0.0
 
 
+def _first_alike(flat: np.ndarray, body: np.ndarray) -> np.ndarray:
+    """Indices of the first flat frames in a row with the same body-frame normal (within 6 deg).
+
+    Of the first five the one most like the others leads, so that one bad frame spoils nothing.
+    """
+    candidates = np.flatnonzero(flat)
+    first = candidates[:5]
+    if len(first) == 0:
+        return first
+    leader = body[first[int(np.argmax((body[first] @ body[first].T).sum(axis=1)))]]
+    alike = body[candidates] @ leader > math.cos(0.1)
+    start = int(np.argmax(alike))
+    length = int(np.argmin(alike[start:])) if not alike[start:].all() else len(alike) - start
+    return candidates[start : start + length]
+
+
 @dataclass(frozen=True, eq=False)
 class _Arc:
-    """p(t) = p0 + v s + g s^2/2 + c w(s), s = t - origin: a parabola with first-order drag.
+    """p(t) = p0 + v s + (g + a) s^2/2 + j s^3/6 + c w(s), s = t - origin.
 
-    w is the double integral of -|v| v along the plain parabola.
+    A parabola with the drag of a middling attitude, w being the double integral of -|v| v along
+    the plain parabola; a and j, small, are what the attitude and a draught make of that.
     """
 
     t: np.ndarray  # (m,) frames used
     used: np.ndarray  # (m,) their indices
     origin: float
-    theta: np.ndarray  # (7,) p0, v, c
-    covariance: np.ndarray  # (7, 7)
+    theta: np.ndarray  # (12,) p0, v, a, j
+    covariance: np.ndarray  # (12, 12)
     velocity0: np.ndarray  # (3,) of the plain parabola that w is taken along
-    gravity: float
-    noise: float
-
-    def drag(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _drag(np.atleast_1d(t) - self.origin, self.velocity0, self.gravity)
+    settings: FlightSettings
 
     def position(self, t: np.ndarray) -> np.ndarray:
-        s = np.atleast_1d(t)[:, None] - self.origin
-        fall = np.array([0.0, 0.0, -0.5 * self.gravity])
-        drag, _ = self.drag(t)
-        return self.theta[:3] + s * self.theta[3:6] + s * s * fall + self.theta[6] * drag
+        s = np.atleast_1d(t) - self.origin
+        drag, _ = _drag(s, self.velocity0, self.settings)
+        return _powers(s) @ self.theta + _fall(s, self.settings) + drag
 
     def at_crossing(self, t_f: float, slope: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Position at t_f and both standard deviations; the crossing moves with the fit."""
-        s = t_f - self.origin
-        drag, drag_rate = self.drag(np.array([t_f]))
-        jacobian = np.hstack([np.eye(3), s * np.eye(3), drag.T])  # (3, 7)
-        velocity = self.theta[3:6] + self.theta[6] * drag_rate[0]
-        velocity = velocity + np.array([0.0, 0.0, -self.gravity * s])
-        dt = -jacobian[2] / slope  # (7,)
+        step = 1e-4
+        before, now, after = self.position(t_f + step * np.array([-1.0, 0.0, 1.0]))
+        velocity = (after - before) / (2.0 * step)
+        jacobian = _powers(np.array([t_f - self.origin]))[0]  # (3, 12)
+        dt = -jacobian[2] / slope  # (12,)
         moved = jacobian + np.outer(velocity, dt)
-        variance = np.einsum("ij,jk,ik->i", moved, self.covariance, moved) + self.noise**2
-        t_f_std = math.sqrt(dt @ self.covariance @ dt + (self.noise / slope) ** 2)
-        return self.position(np.array([t_f]))[0], np.sqrt(variance), t_f_std
+        noise = self.settings.position_noise
+        variance = np.einsum("ij,jk,ik->i", moved, self.covariance, moved) + noise**2
+        t_f_std = math.sqrt(dt @ self.covariance @ dt + (noise / slope) ** 2)
+        return now, np.sqrt(variance), t_f_std
 
 
 @dataclass(frozen=True, eq=False)
 class _Spin:
-    """n(t) = exp(Omega (s - decay s^2/2)) n0, s = t - origin."""
+    """n(t) = exp(Omega ln(1 + decay s) / decay) n0, s = t - origin.
+
+    The spin Omega / (1 + decay s) is that of a drag which grows with its square.
+    """
 
     origin: float
     release: float
@@ -317,7 +331,8 @@ class _Spin:
         return _spun(self.theta, np.atleast_1d(t) - self.origin, self.normal0)
 
     def rate(self, t: float) -> float:
-        return float(np.linalg.norm(self.theta[2:5]) * (1.0 - self.theta[5] * (t - self.origin)))
+        slowed = 1.0 + self.theta[5] * (t - self.origin)
+        return float(np.linalg.norm(self.theta[2:5]) / max(slowed, _SLOWED_MIN))
 
     def normal_at(self, t_f: float, t_f_std: float) -> tuple[np.ndarray, np.ndarray]:
         """Normal at t_f and its covariance (3, 3)."""
@@ -351,13 +366,24 @@ class _Spin:
         return axis, half_turns * math.pi + folded
 
 
-def _drag(s: np.ndarray, velocity: np.ndarray, gravity: float) -> tuple[np.ndarray, np.ndarray]:
-    """w(s) and its rate: integrals of -|v| v from 0 along a parabola. Shapes (m, 3)."""
+def _powers(s: np.ndarray) -> np.ndarray:
+    """Design of p0 + v s + a s^2/2 + j s^3/6. Shape (m, 3, 12)."""
+    powers = np.stack([np.ones_like(s), s, s**2 / 2.0, s**3 / 6.0], axis=1)  # (m, 4)
+    return np.einsum("mk,ij->mikj", powers, np.eye(3)).reshape(-1, 3, 12)
+
+
+def _fall(s: np.ndarray, settings: FlightSettings) -> np.ndarray:
+    return np.outer(-0.5 * settings.gravity * s * s, [0.0, 0.0, 1.0])
+
+
+def _drag(
+    s: np.ndarray, velocity: np.ndarray, settings: FlightSettings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Drag c w(s) and its rate: integrals of -c |v| v from 0 along a parabola. Shapes (m, 3)."""
     low, high = min(float(s.min()), 0.0) - _GRID, max(float(s.max()), 0.0) + _GRID
     grid = np.linspace(low, high, max(int((high - low) / 0.002), 8))
-    v = velocity + grid[:, None] * np.array([0.0, 0.0, -gravity])
-    drag = -np.linalg.norm(v, axis=1, keepdims=True) * v
-    rate = _integral(drag, grid)
+    v = velocity + np.outer(grid, [0.0, 0.0, -settings.gravity])
+    rate = _integral(-settings.drag * np.linalg.norm(v, axis=1, keepdims=True) * v, grid)
     return _interp(s, grid, _integral(rate, grid)), _interp(s, grid, rate)
 
 
@@ -377,35 +403,27 @@ def _fit_arc(frames: _Frames, settings: FlightSettings) -> _Arc | None:
     t, position = frames.t[used], frames.position[used]
     origin = float(t.mean())
     s = t - origin
-    fall = np.array([0.0, 0.0, -0.5 * settings.gravity])
-    target = position - (s * s)[:, None] * fall
-    velocity = np.polyfit(s, target, 1)[0] if len(t) > 1 else np.zeros(3)
-    prior = np.zeros((7, 7))
-    prior[6, 6] = settings.drag_std**-2
+    target = position - _fall(s, settings)
+    velocity = np.polyfit(s, target, 1)[0]
+    design = _powers(s)  # (m, 3, 12)
+    prior = np.diag(np.repeat([0.0, 0.0, settings.acceleration_std**-2, settings.jerk_std**-2], 3))
     weights = np.ones(len(t))
     for _ in range(8):
-        drag, _ = _drag(s, velocity, settings.gravity)
-        design = np.zeros((len(t), 3, 7))  # rows of p = p0 + s v + w c
-        design[:, :, :3] = np.eye(3)
-        design[:, :, 3:6] = s[:, None, None] * np.eye(3)
-        design[:, :, 6] = drag
+        drag, _ = _drag(s, velocity, settings)
         scale = weights / settings.position_noise**2
         information = np.einsum("m,mij,mik->jk", scale, design, design) + prior
-        right = np.einsum("m,mij,mi->j", scale, design, target)
-        right[6] += settings.drag * prior[6, 6]
         covariance = np.linalg.inv(information)
-        theta = covariance @ right
-        residual = np.linalg.norm(target - design @ theta, axis=1) / settings.position_noise
+        theta = covariance @ np.einsum("m,mij,mi->j", scale, design, target - drag)
+        distance = np.linalg.norm(target - drag - design @ theta, axis=1)
+        residual = distance / settings.position_noise
         weights = np.minimum(1.0, _HUBER / np.maximum(residual, 1e-9))
         velocity = theta[3:6]
     # Where frames scatter more than the cameras do, say so.
-    freedom = 3 * len(t) - 6
-    excess = float(np.sum(weights * residual**2)) / max(freedom, 1)
+    freedom = 3 * len(t) - 12
     if freedom > 0:
+        excess = float(np.sum(weights * residual**2)) / freedom
         covariance = covariance * max(1.0, excess)
-    return _Arc(
-        t, used, origin, theta, covariance, velocity, settings.gravity, settings.position_noise
-    )
+    return _Arc(t, used, origin, theta, covariance, velocity, settings)
 
 
 def _highest_run(frames: _Frames) -> np.ndarray:
@@ -497,7 +515,11 @@ def _spun(theta: np.ndarray, s: np.ndarray, normal0: np.ndarray) -> np.ndarray:
     """Normals after the turn theta[:2] of normal0 and the spin theta[2:]. Shape (m, 3)."""
     first, second = _tangents(normal0)
     start = rotations.exp(theta[0] * first + theta[1] * second) @ normal0
-    return rotations.exp((s - 0.5 * theta[5] * s * s)[:, None] * theta[2:5]) @ start
+    decay = theta[5] * s
+    small = np.abs(decay) < 1e-6
+    safe = np.where(small, 1.0, np.maximum(decay, _SLOWED_MIN - 1.0))
+    elapsed = s * np.where(small, 1.0 - 0.5 * decay, np.log1p(safe) / safe)
+    return rotations.exp(elapsed[:, None] * theta[2:5]) @ start
 
 
 def _turn(
