@@ -12,6 +12,7 @@ import json
 import os
 import struct
 import sys
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,6 +108,7 @@ class BagWriter:
     Attributes:
         path: Where the bag will be.
         counts: Messages written, by topic.
+        stamps: Header stamps written [ns], by topic that has them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -129,6 +131,7 @@ class BagWriter:
         self._writer.open()
         self._connections: dict[str, Connection] = {}
         self.counts: dict[str, int] = {}
+        self.stamps: dict[str, array[int]] = {}
 
     def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
         """Add a topic, of a message type in Jazzy's common interfaces.
@@ -142,6 +145,8 @@ class BagWriter:
             topic, msgtype, typestore=TYPES, offered_qos_profiles=list(offered)
         )
         self.counts[topic] = 0
+        if has_header(msgtype):
+            self.stamps[topic] = array("q")
 
     def write(self, topic: str, stamp_ns: int, cdr: bytes) -> None:
         """Write a serialized message as received at `stamp_ns`; on the disk after `flush`.
@@ -152,6 +157,20 @@ class BagWriter:
         """
         self._writer.write(self._connections[topic], stamp_ns, cdr)
         self.counts[topic] += 1
+        if topic in self.stamps and len(cdr) >= 12:
+            self.stamps[topic].append(header_stamp(cdr))
+
+    def event(self, event: str, reason: str, stamp_ns: int) -> None:
+        """Note an event of the recording itself in the bag, on EVENT.
+
+        Raises:
+            OSError: The disk refused.
+        """
+        if EVENT not in self.counts:
+            self.add(EVENT, STRING, [qos(reliable=True, latched=True, depth=1)])
+        text = json.dumps({"event": event, "reason": reason})
+        message = TYPES.types[STRING](data=text)
+        self.write(EVENT, stamp_ns, bytes(TYPES.serialize_cdr(message, STRING)))
 
     def flush(self) -> None:
         """Put everything written so far on the disk, readable whatever happens next.
@@ -196,6 +215,15 @@ class BagWriter:
 def unfinished(path: Path) -> Path:
     """Where the bag `path` is kept until it is closed."""
     return path.with_name(path.name + UNFINISHED)
+
+
+def free_path(directory: Path, stem: str) -> Path:
+    """The first of stem, stem_2, stem_3... that is no bag yet, finished or not."""
+    path, number = directory / stem, 1
+    while path.exists() or unfinished(path).exists():
+        number += 1
+        path = directory / f"{stem}_{number}"
+    return path
 
 
 def _sync(path: Path) -> None:

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Demonstration recorder: `/recorder/record` true and false in, a bag each time out.
+
+Messages are written as they came, never decoded. The bag is `rollout_<id>` when a policy has come
+since the last recording began, else `demo_<date>_<time>`.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+from wam_power_ros import __version__, bags, interface, policy, real_time
+from wam_power_ros.nodes.raw_topics import RawTopics
+from wam_power_ros.params import Params
+
+MEGABYTE = 1_000_000
+
+
+class DemonstrationRecorderParams(Params):
+    """See config/demonstration_recorder.yaml."""
+
+    directory: str
+    state_topic: str
+    topics: tuple[str, ...]
+    latched_topics: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    source: Literal["sim", "hardware"]
+    free_to_start: float
+    free_to_continue: float
+
+
+class DemonstrationRecorder(Node):
+    """One bag per recording."""
+
+    def __init__(self) -> None:
+        name = "demonstration_recorder"
+        super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        self._params = params = DemonstrationRecorderParams.of(self)
+        self._directory = Path(params.directory).expanduser().absolute()
+        self._writer: bags.BagWriter | None = None
+        self._last: dict[str, bytes] = {}  # message of the latched topics
+        self._policy_id = ""  # of a policy that came since the last recording began
+        self._trouble = ""  # what ended a recording
+        self._note = ""  # on the last bag
+        self._clock = Clock(clock_type=ClockType.SYSTEM_TIME)
+
+        self._state_topic = self.resolve_topic_name(params.state_topic)
+        self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
+        topics = dict.fromkeys((params.state_topic, *params.topics, *params.latched_topics))
+        self._topics = RawTopics(self, topics, self._on_message)
+        self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self.create_service(SetBool, interface.RECORD, self._on_record)
+        self.create_timer(1.0, self._look_after, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        for left in sorted(self._directory.glob(f"*{bags.UNFINISHED}")):
+            self.get_logger().warning(f"{left} was never closed: see bags/README.md")
+
+    def _on_message(self, topic: str, cdr: bytes) -> None:
+        if topic in self._latched:
+            self._last[topic] = cdr
+        if self._writer is not None:
+            try:
+                self._write(topic, cdr)
+            except OSError as error:
+                self._give_up(error)
+
+    def _on_policy(self, message: String) -> None:
+        try:
+            self._policy_id = policy.from_json(message.data).id
+        except ValueError as error:
+            self.get_logger().warning(f"policy refused: {error}", throttle_duration_sec=1.0)
+
+    def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        try:
+            response.message = self._start() if request.data else self._stop("asked to")
+            response.success = True
+        except (OSError, ValueError) as error:
+            response.message = str(error)
+            self.get_logger().warning(f"refused: {error}")
+        return response
+
+    def _start(self) -> str:
+        """Begin a bag; the message is its path."""
+        if self._writer is not None:
+            raise ValueError(f"already recording {self._writer.path}")
+        self._directory.mkdir(parents=True, exist_ok=True)
+        if (free := self._free()) < self._params.free_to_start:
+            needed = self._params.free_to_start
+            raise ValueError(f"{free:.0f} MB free in {self._directory}, {needed:.0f} MB needed")
+        self._topics.look()
+        kind = "rollout" if self._policy_id else "demo"
+        stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
+        self._writer = bags.BagWriter(bags.free_path(self._directory, f"{kind}_{stem}"))
+        self._policy_id = self._trouble = self._note = ""
+        try:
+            self._writer.event("start", kind, self._now())
+            for topic, cdr in self._last.items():
+                self._write(topic, cdr)
+        except OSError as error:
+            self._give_up(error)
+            raise
+        self.get_logger().info(f"recording {self._writer.path}")
+        return str(self._writer.path)
+
+    def _stop(self, reason: str) -> str:
+        """Close the bag; the message is its path and, on a second line, what is missing."""
+        writer = self._writer
+        if writer is None:
+            raise ValueError("not recording")
+        gaps = {topic: bags.gaps(stamps) for topic, stamps in writer.stamps.items()}
+        states = gaps.get(self._state_topic, bags.Gaps(0.0, 0, 0.0))
+        try:
+            writer.event("stop", reason, self._now())
+            writer.close(
+                {
+                    "joint_names": json.dumps(self._params.joint_names),
+                    "rate": f"{1.0 / states.period:.1f}" if states.period else "0",
+                    "source": self._params.source,
+                    "version": f"wam_power_ros {__version__}",
+                    "missing": json.dumps({topic: item.missing for topic, item in gaps.items()}),
+                }
+            )
+        except OSError as error:
+            self._give_up(error)
+            raise
+        self._writer = None
+        self.get_logger().info(f"recorded {writer.path}: {sum(writer.counts.values())} messages")
+        if states.missing:
+            longest = f"longest gap {states.longest:.3f} s"
+            self._note = f"{states.missing} messages missing on {self._state_topic}, {longest}"
+            self.get_logger().warning(self._note)
+        return "\n".join(filter(None, (str(writer.path), self._note)))
+
+    def _write(self, topic: str, cdr: bytes) -> None:
+        if topic not in self._writer.counts:
+            self._writer.add(topic, self._topics.msgtype(topic), self._topics.offered(topic))
+        self._writer.write(topic, self._now(), cdr)
+
+    def _now(self) -> int:
+        return self._clock.now().nanoseconds
+
+    def _free(self) -> float:
+        return shutil.disk_usage(self._directory).free / MEGABYTE
+
+    def _give_up(self, error: OSError) -> None:
+        """Leave the bag unfinished and go on: nothing else depends on the disk."""
+        writer, self._writer = self._writer, None
+        writer.abandon()
+        self._trouble = f"{writer.path} left unfinished: {error}"
+        self.get_logger().error(self._trouble)
+
+    def _look_after(self) -> None:
+        """Each second: what came goes to the disk, and how it stands is told."""
+        try:
+            if self._writer is not None:
+                self._writer.flush()
+                if self._free() < self._params.free_to_continue:
+                    self._stop("disk nearly full")
+                    self._trouble = f"stopped below {self._params.free_to_continue:.0f} MB free"
+        except OSError as error:
+            if self._writer is not None:
+                self._give_up(error)
+        self._report()
+
+    def _report(self) -> None:
+        writer = self._writer
+        counts = writer.counts if writer else {}
+        level, text = "ok", f"recording {writer.path}" if writer else "idle"
+        if self._trouble:
+            level, text = "error", self._trouble
+        elif self._note:
+            level, text = "warn", self._note
+        elif writer and self._state_topic not in counts:
+            level, text = "warn", f"nothing yet on {self._state_topic}"
+        silent = [topic for topic in self._topics.names if topic not in counts]
+        values = {**counts, "without a message": silent}
+        name, now = "demonstration_recorder: bag", self.get_clock().now().to_msg()
+        self._diagnostics.publish(interface.diagnostics(now, name, "disk", level, text, values))
+
+    def close(self) -> None:
+        """Finish the bag before the process ends."""
+        if self._writer is not None:
+            try:
+                self._stop("shutdown")
+            except OSError as error:
+                self.get_logger().error(f"bag not closed: {error}")
+
+
+def main() -> int:
+    """Entry point of `ros2 run wam_power_ros demonstration_recorder`."""
+    return real_time.run(DemonstrationRecorder)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
