@@ -20,6 +20,7 @@ ROS = {
     "sensor_msgs",
     "std_msgs",
     "std_srvs",
+    "trajectory_msgs",
 }
 SIMULATOR = {"hardware_sim", "mujoco"}
 # May import ROS: all that speaks it, beside nodes/.

@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
 
     learn = commands.add_parser(
         "learn",
-        help="teach and learn in simulation, or with --config on an arm; resumes a session",
+        help="teach and learn in simulation, or with --driver on an arm; resumes a session",
         description="Start the nodes, record demonstrations, practise, write a report.",
     )
     learn.add_argument("--seed", type=_natural, help="of exploration and stand-in (default 0)")
@@ -109,9 +109,9 @@ def _teaching_options(parser: argparse.ArgumentParser) -> None:
         "--demonstrations", type=_natural, default=3, help="how many are taught (default 3)"
     )
     parser.add_argument(
-        "--config",
+        "--driver",
         metavar="NAME",
-        help="a real driver's set-up, config/NAME.yaml: no stand-in is started, a person teaches",
+        help="of a real arm, config/driver_NAME.yaml: no stand-in is started, a person teaches",
     )
 
 
@@ -133,7 +133,7 @@ def _run(options: argparse.Namespace) -> int:
 def _teach(options: argparse.Namespace) -> None:
     folder = (options.folder or Path("demonstrations") / _now()).resolve()
     with private_domain() as domain, _nodes(folder / "logs", domain) as processes:
-        _start_arm(processes, folder, options.seed or 0, options.config)
+        _start_arm(processes, folder, options.seed or 0, options.driver)
         bags = _teach_series(processes, folder, options)
     print("To learn from them:\n  wam-power learn --bags", *map(_shown, bags))
 
@@ -152,24 +152,24 @@ def _learn(options: argparse.Namespace) -> int:
         print(f"A new session, {folder}; Ctrl-C stops it, nothing learnt is lost.")
     signal.signal(signal.SIGTERM, _interrupt)
     again = f"wam-power learn --session {_shown(folder)}"
-    if options.config:
-        again += f" --config {options.config}"
+    if options.driver:
+        again += f" --driver {options.driver}"
     try:
         with private_domain() as domain, _nodes(folder / "logs", domain) as processes:
-            _start_arm(processes, folder, seed, options.config)
-            _start(processes, "pancake_tracker", options.config)
+            _start_arm(processes, folder, seed, options.driver)
+            _start(processes, "pancake_tracker", options.driver)
             bags = [] if begun else [path.resolve() for path in options.bags or []]
             if not begun and not bags:
                 bags = _teach_series(processes, folder, options)
             learner = _start(
                 processes,
                 "learner",
-                options.config,
+                options.driver,
                 session=folder,
                 seed=seed,
                 demonstrations=json.dumps([str(bag) for bag in bags] or [""]),
-                pancake_reset=options.config is None,
-                reset_faults=options.config is None,
+                pancake_reset=options.driver is None,
+                reset_faults=options.driver is None,
                 **({"preset": options.preset} if options.preset else {}),
                 **({"trials": options.trials} if options.trials else {}),
             )
@@ -225,29 +225,43 @@ def _nodes(logs: Path, domain: int) -> Processes:
     )
 
 
-def _start_arm(processes: Processes, folder: Path, seed: int, config: str | None) -> None:
+def _start_arm(processes: Processes, folder: Path, seed: int, driver: str | None) -> None:
     """The stand-ins unless there is a real arm, the controller, and the recorder into `folder`."""
-    if config is None:
-        _start(processes, "wam_sim", "optitrack_sim", seed=seed)  # one process
-    _start(processes, "torque_controller", config)
-    _start(processes, "demonstration_recorder", config, folder=folder / "bags")
+    if driver is None:
+        processes.start(
+            "wam_sim", [*_node("wam_sim", seed=seed), "--params-file", _config("optitrack_sim")]
+        )
+    _start(processes, "torque_controller", driver)
+    source = "sim" if driver is None else "hardware"
+    _start(processes, "demonstration_recorder", driver, directory=folder / "bags", source=source)
 
 
-def _start(processes: Processes, node: str, config: str | None, **parameters: object) -> Running:
-    """Start a node with config/<node>.yaml, another file over it, and some parameters."""
+def _start(processes: Processes, node: str, driver: str | None, **parameters: object) -> Running:
+    """Start a node; in simulation on the stand-in's time, else with the driver's set-up."""
+    if driver is None:  # the stand-in keeps the time, and waits for everyone
+        return processes.start(node, _node(node, use_sim_time=True, **parameters))
+    setup = ["--params-file", _config(f"driver_{driver}")]
+    return processes.start(node, [*_node(node, **parameters), *setup])
+
+
+def _config(name: str) -> str:
+    return str(share(f"config/{name}.yaml"))
+
+
+def _node(node: str, **parameters: object) -> list[str]:
+    """Command that runs a node with its own file of config/ and some parameters over it."""
     command = [sys.executable, "-m", "wam_power_ros.cli", "run", node, "--ros-args"]
-    for name in filter(None, (node, config)):
-        command += ["--params-file", str(share(f"config/{name}.yaml"))]
+    command += ["--params-file", _config(node)]
     for name, value in parameters.items():
         text = json.dumps(value) if isinstance(value, bool) else str(value)
         command += ["-p", f"{node}:{name}:={text}"]
-    return processes.start(node, command)
+    return command
 
 
 def _teach_series(processes: Processes, folder: Path, options: argparse.Namespace) -> list[Path]:
     """Bags of the series taught in this folder, which is taught now if it was not yet."""
     series = folder / "demonstrations.json"
-    person = options.config is not None
+    person = options.driver is not None
     if not series.exists():
         hand = "a person" if person else "the simulated hand"
         print(f"Teaching: {options.demonstrations} demonstrations, by {hand}")
