@@ -135,13 +135,13 @@ class WamSim(Node):
         Returns:
             The state after it: the same message object every time.
         """
-        world, driver = self.world, self._driver
+        world = self.world
         if reading is not None and reading.label != self._label:
             self._change(reading.label)
         tau = None if reading is None else reading.tau
-        if driver.engaged:
+        if self._driver.engaged:
             sample = world.joint_state()
-            tau = driver.torque(sample.q, sample.qd)
+            tau = self._driver.torque(sample.q, sample.qd)
         world.step(tau)
         self._attend()
         for frame in world.mocap_frames():

@@ -103,6 +103,23 @@ def test_velocities_of_their_own_topic_may_be_nameless() -> None:
         read.velocity(JointState(velocity=[1.0] * 6))
 
 
+def test_a_joint_movement_comes_back_in_our_order() -> None:
+    rng = np.random.default_rng(1)
+    movement = interface.JointMovement(np.array([0.0, 0.5, 1.25]), rng.normal(size=(3, 7)))
+    order = [3, 6, 0, 2, 5, 1, 4]
+    shuffled = interface.joint_movement_message(
+        [NAMES[i] for i in order], movement._replace(q=movement.q[:, order])
+    )
+    back = interface.joint_movement(shuffled, NAMES)
+    np.testing.assert_array_equal(back.t, movement.t)
+    np.testing.assert_array_equal(back.q, movement.q)
+    shuffled.points[1].positions[0] = math.nan
+    with pytest.raises(ValueError, match="finite"):
+        interface.joint_movement(shuffled, NAMES)
+    with pytest.raises(ValueError, match="missing"):
+        interface.joint_movement(shuffled, [*NAMES, "elbow"])
+
+
 @given(STAMPS, SEVEN, st.sampled_from(["multiarray", "joint_state"]))
 def test_a_torque_says_which_state_it_answers(
     stamp_ns: int, tau: list[float], command_type: str

@@ -19,6 +19,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from hardware_sim.link import Link
 from wam_power_ros import interface
@@ -266,6 +267,22 @@ def test_barretts_services_hold_idle_and_give_the_arm_back(
     probe.until(home.done, "the move home is answered")
     assert not home.result().success  # idle came between
     assert probe.call(SetBool, interface.WAM_GRAVITY_COMPENSATE, SetBool.Request(data=True)).success
+
+
+def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Processes) -> None:
+    bench = Bench(probe, processes, "lockstep")
+    bench.control()
+    movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
+    t = np.linspace(0.0, 2.0, 41)
+    swing = 0.2 * np.sin(np.pi * t / 2.0) ** 2  # out and back, at rest at both ends
+    q = bench.state().q + swing[:, None] * np.eye(7)[3]
+    movements.publish(interface.joint_movement_message(NAMES, interface.JointMovement(t, q)))
+    start = bench.state().q[3]
+    bench.messages.clear()
+    message = bench.insist(interface.REPLAY)
+    moved = max(bench.state(i).q[3] for i in range(len(bench.messages))) - start
+    assert moved == pytest.approx(0.2, abs=0.03)
+    assert "rms error 0.0" in message
 
 
 def test_a_driver_without_velocities_is_stood_in_for_too(

@@ -18,6 +18,7 @@ from lifecycle_msgs.srv import ChangeState
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros import interface
 from wam_power_ros.arm import Arm
@@ -344,6 +345,57 @@ def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: 
     refusal = probe.call(Trigger, interface.MOVE_TO_START)
     assert not refusal.success
     assert "policy" in refusal.message
+
+
+def test_a_driver_may_name_its_joints_otherwise_than_the_model(
+    probe: Probe, processes: Processes
+) -> None:
+    names = [f"q{i}" for i in range(1, 8)]
+    arm = PlayedArm(probe, processes, joint_names=f"[{', '.join(names)}]")
+
+    def answered() -> bool:
+        arm.send(names)
+        probe.spin(0.02)
+        return bool(arm.read()) and arm.read()[-1].label == "hold"
+
+    probe.until(answered, "the controller holds")
+
+
+def test_in_simulated_time_states_may_stay_away(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes, state_timeout=0.006, use_sim_time=True)
+    arm.activate()
+    count = len(arm.read())
+    probe.spin(0.5)
+    assert len(arm.read()) == count
+    arm.send()
+    assert arm.answer().label == "hold"
+
+
+def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
+    assert "refused" in probe.call(Trigger, interface.REPLAY).message
+    t = np.linspace(0.0, 0.1, 6)
+    still = interface.JointMovement(t, np.tile(HOME, (6, 1)))
+    movements.publish(interface.joint_movement_message(NAMES[:6], still._replace(q=still.q[:, :6])))
+    arm.diagnosis(lambda d: d.get("refused: replay trajectory") == "1", "the refusal is told")
+    movements.publish(interface.joint_movement_message(NAMES, still))
+    probe.spin(0.2)
+    replay = probe.begin(Trigger, interface.REPLAY)
+    labels = set()
+
+    def done() -> bool:
+        arm.send()
+        labels.add(arm.answer().label)
+        return replay.done()
+
+    probe.until(done, "the replay has ended")
+    assert replay.result().success
+    assert "rms" in replay.result().message
+    assert "replay" in labels
 
 
 def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from wam_power_ros.messages import PoseReading as PoseReading
 from wam_power_ros.messages import StateReading as StateReading
@@ -40,6 +41,7 @@ MARKERS = "/pointCloud"
 PANCAKE_STATE = "/pancake/state"
 PANCAKE_TRUTH = "/pancake/truth"  # stand-in only: logged, never learnt from
 POLICY = "/policy"
+REPLAY_TRAJECTORY = "/replay/trajectory"
 ROLLOUT_END_EFFECTOR = "/rollout/end_effector"
 ROLLOUT_PANCAKE = "/rollout/pancake"
 ROBOT_DESCRIPTION = "/robot_description"
@@ -51,6 +53,7 @@ EXECUTE = "/rollout/execute"
 STOP = "/controller/stop"
 RESET = "/controller/reset"
 MOVE_TO_START = "/controller/move_to_start"
+REPLAY = "/controller/replay"
 GRAVITY_COMPENSATION = "/controller/gravity_compensation"
 RECORD = "/recorder/record"
 WAM_GRAVITY_COMPENSATE = "/wam/gravityCompensate"
@@ -118,7 +121,7 @@ class JointStateReader:
         """
         names = message.name
         if names != self._seen:
-            index = self._lookup(names)
+            index = self.lookup(names)
             if index is None:
                 return None
             self._seen, self._index = list(names), index
@@ -147,7 +150,7 @@ class JointStateReader:
         if not names:
             qd = _joint_values("velocity", message.velocity, len(self.joint_names))
         else:
-            index = self._lookup(names)
+            index = self.lookup(names)
             if index is None:
                 return None
             qd = _joint_values("velocity", message.velocity, len(names))[index]
@@ -155,7 +158,8 @@ class JointStateReader:
             raise ValueError(f"velocity {qd.tolist()} must be finite")
         return qd
 
-    def _lookup(self, names: Sequence[str]) -> np.ndarray | None:
+    def lookup(self, names: Sequence[str]) -> np.ndarray | None:
+        """Where our joints are in `names` (nj,), None when none is; ValueError as for a message."""
         place = {name: i for i, name in enumerate(names)}
         missing = [name for name in self.joint_names if name not in place]
         if len(missing) == len(self.joint_names):
@@ -190,6 +194,42 @@ class JointStateWriter:
         message.velocity = array("d", qd)
         message.effort = array("d", tau)
         return message
+
+
+class JointMovement(NamedTuple):
+    """A recorded joint movement, to be replayed."""
+
+    t: np.ndarray  # (N,) [s]
+    q: np.ndarray  # (N, nj) [rad]
+
+
+def joint_movement(message: JointTrajectory, joint_names: Sequence[str]) -> JointMovement:
+    """Read a movement; only its times and positions count, matched by name.
+
+    Raises:
+        ValueError: a joint missing or doubled, a length that does not fit, a value not finite.
+    """
+    index = JointStateReader(joint_names).lookup(message.joint_names)
+    if index is None or not message.points:
+        raise ValueError(f"trajectory of {message.joint_names} has no point of {list(joint_names)}")
+    size = len(message.joint_names)
+    rows = [_joint_values("position", point.positions, size)[index] for point in message.points]
+    q = np.array(rows)  # (N, nj)
+    if not np.isfinite(q).all():
+        raise ValueError("positions of the trajectory must be finite")
+    times = [point.time_from_start for point in message.points]
+    return JointMovement(np.array([time.sec + 1e-9 * time.nanosec for time in times]), q)
+
+
+def joint_movement_message(joint_names: Sequence[str], movement: JointMovement) -> JointTrajectory:
+    """A movement as a trajectory message."""
+    message = JointTrajectory(joint_names=list(joint_names))
+    for t, q in zip(movement.t, movement.q, strict=True):
+        sec, nanosec = divmod(round(float(t) * 1e9), 1_000_000_000)
+        point = JointTrajectoryPoint(positions=array("d", q))
+        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
+        message.points.append(point)
+    return message
 
 
 # Torques

@@ -20,6 +20,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros import interface, real_time
 from wam_power_ros import policy as policies
@@ -31,6 +32,7 @@ from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.resources import share
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+MOVING = (Mode.MOVE_TO_START, Mode.REPLAY)
 STALE_FAULT_NS = 20_000_000  # without a state for longer, the fault is latched
 STALE_IDLE_NS = 100_000_000  # and for longer still, the driver is asked to idle
 
@@ -47,6 +49,7 @@ class TorqueController(LifecycleNode):
         self._active = False
         self._refused: Counter[str] = Counter()
         self._trouble = ""  # the last refusal, for the diagnostics
+        self._movement: interface.JointMovement | None = None  # to be replayed
         self._qd: np.ndarray | None = None  # of the velocity topic
         self._stamp_ns = 0  # of the last state
         self._arrived_ns = self._sent_ns = 0  # steady clock
@@ -72,6 +75,9 @@ class TorqueController(LifecycleNode):
         if params.velocity_topic:
             subscribe(JointState, params.velocity_topic, self._on_velocity, interface.STATE_IN)
         subscribe(String, interface.POLICY, self._on_policy, interface.LATCHED)
+        subscribe(
+            JointTrajectory, interface.REPLAY_TRAJECTORY, self._on_movement, interface.LATCHED
+        )
         if not params.urdf:
             subscribe(String, interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED)
         serve = self.create_service
@@ -80,6 +86,7 @@ class TorqueController(LifecycleNode):
         serve(Trigger, interface.RESET, self._on_reset)
         serve(SetBool, interface.GRAVITY_COMPENSATION, self._on_gravity_compensation)
         self._move = LateTrigger(self, interface.MOVE_TO_START, self._begin_move)
+        self._replay = LateTrigger(self, interface.REPLAY, self._begin_replay)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._look_after, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
@@ -137,7 +144,7 @@ class TorqueController(LifecycleNode):
         self._send(self._controller.stale_torque(), "inactive")
         self._active = False
         self._controller.deactivate()
-        self._answer_move()
+        self._answer_moves()
 
     def _unfit(self) -> str | None:
         age = time.monotonic_ns() - self._arrived_ns
@@ -168,8 +175,8 @@ class TorqueController(LifecycleNode):
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
             self._paths.publish(interface.path_message(path, start_ns, self._params.base_frame))
-        if self._move.pending:
-            self._answer_move()
+        if self._move.pending or self._replay.pending:
+            self._answer_moves()
         return None
 
     def _on_velocity(self, message: JointState) -> None:
@@ -210,6 +217,12 @@ class TorqueController(LifecycleNode):
         except (ValueError, ControllerError) as error:
             self._refuse("policy", error)
 
+    def _on_movement(self, message: JointTrajectory) -> None:
+        try:
+            self._movement = interface.joint_movement(message, self._params.joint_names)
+        except ValueError as error:
+            self._refuse("replay trajectory", error)
+
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
 
@@ -217,6 +230,8 @@ class TorqueController(LifecycleNode):
         return self._try(response, lambda core: core.execute())
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        for movement in (self._move, self._replay):
+            movement.finish(False, "stopped")
         return self._try(response, lambda core: core.stop())
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -244,15 +259,25 @@ class TorqueController(LifecycleNode):
         refusal = self._try(Trigger.Response(), lambda core: core.move_to_start())
         return None if refusal.success else refusal.message
 
-    def _answer_move(self) -> None:
-        mode = self._controller.mode
-        if mode is Mode.MOVE_TO_START or (mode is Mode.HOLD and not self._controller.at_rest):
+    def _begin_replay(self) -> str | None:
+        if self._movement is None:
+            return f"refused: nothing valid has come on {interface.REPLAY_TRAJECTORY}"
+        movement = self._movement
+        refusal = self._try(Trigger.Response(), lambda core: core.start_replay(movement))
+        return None if refusal.success else refusal.message
+
+    def _answer_moves(self) -> None:
+        """Answer who asked for a movement, once the arm rests or the movement was broken off."""
+        core, mode = self._controller, self._controller.mode
+        if mode in MOVING or (mode is Mode.HOLD and not core.at_rest):
             return
-        if self._controller.ready:
-            self._move.finish(True, self._controller.policy_id)
-        else:
-            reason = self._controller.fault_reason or f"mode is {mode.value}, not at the start"
-            self._move.finish(False, f"move_to_start failed: {reason}")
+        reason = core.fault_reason or f"mode is {mode.value}"
+        self._move.finish(core.ready, core.policy_id if core.ready else f"failed: {reason}")
+        if self._replay.pending:
+            done = mode is Mode.HOLD
+            error = core.replay_rms
+            text = "" if error is None else f"rms error {error.max():.4f} rad in the worst joint"
+            self._replay.finish(done, text if done else f"failed: {reason}")
 
     # Ten times and once a second
 
@@ -263,8 +288,8 @@ class TorqueController(LifecycleNode):
             self._autostart = self.trigger_activate() is not SUCCESS
         if self._active and (intruder := self._guard.intruder()):
             self._controller.fault(intruder)
-        if self._move.pending:
-            self._answer_move()
+        if self._move.pending or self._replay.pending:
+            self._answer_moves()
 
     def _report(self) -> None:
         core, now = self._controller, self.get_clock().now().to_msg()
