@@ -15,8 +15,8 @@ from wam_power_ros.policy import read_only
 PERIOD = 0.002  # [s] of the control loop
 CUTOFF = 12.0  # [Hz] the hand does nothing faster; encoders and differentiation do
 GAP_MAX = 0.05  # [s] a straight line over more than this is no longer what the hand did
-TRIM_START = 0.05  # of the peak speed: the dip before a toss is slow, and is needed
-TRIM_END = 0.15  # of the peak speed: the cushion after the catch is slower, and only blurs the fit
+TRIM_START = 0.15  # of the peak speed: a slow beginning is left out, the toss is fitted finer
+TRIM_END = 0.05  # of the peak speed: following under the pancake and cushioning it are kept
 PAUSE_MAX = 0.25  # [s] a turning point is slow for less than this; a longer pause ends a movement
 
 
