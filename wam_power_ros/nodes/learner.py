@@ -8,13 +8,12 @@ two paths, make the record durable, go on.
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path as FilePath
 from typing import Any, Literal, TypeVar
-
-import json
 
 import numpy as np
 import rclpy
@@ -26,7 +25,8 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros import interface, messages, policy as policies
+from wam_power_ros import interface, messages
+from wam_power_ros import policy as policies
 from wam_power_ros.arm import Arm
 from wam_power_ros.bags import read_demonstration
 from wam_power_ros.demonstration import from_joint_samples
@@ -90,7 +90,7 @@ class Learner(Node):
         subscribe(
             DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
         )
-        self._services = {
+        self._offers = {
             name: self.create_client(Trigger, name)
             for name in (
                 interface.MOVE_TO_START,
@@ -99,7 +99,7 @@ class Learner(Node):
                 interface.RESET,
             )
         }
-        self._services[interface.RECORD] = self.create_client(SetBool, interface.RECORD)
+        self._offers[interface.RECORD] = self.create_client(SetBool, interface.RECORD)
         self._executor = executor_for(self)
 
     # Messages in
@@ -155,7 +155,7 @@ class Learner(Node):
 
     def _ask(self, name: str, request: object, timeout: float | None = None) -> tuple[bool, str]:
         timeout = self.params.service_timeout if timeout is None else timeout
-        client = self._services[name]
+        client = self._offers[name]
         self._until(client.service_is_ready, f"service {name} is offered", timeout)
         future = client.call_async(request)
         try:
