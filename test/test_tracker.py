@@ -148,7 +148,15 @@ def test_a_pancake_put_elsewhere_by_hand_is_found_again() -> None:
     assert [state is None for state in states] == [True] * 5 + [False] * 3
     assert tracker.validity is Validity.OK
     assert tracker.counts["found again"] == 1
-    assert np.linalg.norm(states[-1].velocity) < 0.05  # nothing of the old place in it
+
+
+def test_the_velocity_after_a_jump_has_nothing_of_the_old_place_in_it() -> None:
+    tracker = Tracker(dataclasses.replace(SETTINGS, rate=240.0))
+    rng = np.random.default_rng(0)
+    for index in range(30):
+        place = PAN - np.array([0.0, 0.0, 1.2 * (index >= 20)]) + rng.normal(0.0, 0.0005, 3)
+        state = tracker.add(START + index * 4_166_667, place, LEVEL)
+    assert np.linalg.norm(state.velocity) < 0.5
 
 
 def test_a_hidden_pancake_coasts_for_a_tenth_of_a_second_and_then_is_lost() -> None:

@@ -96,8 +96,7 @@ def _matches(wanted: np.ndarray, found: np.ndarray, tolerance: float) -> Iterato
             continue
         error = np.abs(found[list(match)] - wanted[: len(match), len(match), None])  # (k, m)
         for point in np.flatnonzero((error < tolerance).all(axis=0)):
-            if point not in match:
-                stack.append((*match, int(point)))
+            stack.append((*match, int(point)))
 
 
 def _rigid(body: np.ndarray, points: np.ndarray) -> MarkerFit:
