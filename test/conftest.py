@@ -79,7 +79,7 @@ class Probe:
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def until(self, condition: Callable[[], T], what: str, deadline: float = 20.0) -> T:
+    def until(self, condition: Callable[[], T], what: str, deadline: float = 60.0) -> T:
         """Dispatch callbacks until `condition()` is true, fail after `deadline` [s]."""
         end = time.monotonic() + deadline
         while not (result := condition()):
@@ -97,7 +97,7 @@ class Probe:
         return client.call_async(service_type.Request() if request is None else request)
 
     def call(
-        self, service_type: type, name: str, request: object = None, deadline: float = 20.0
+        self, service_type: type, name: str, request: object = None, deadline: float = 60.0
     ) -> Any:  # noqa: ANN401 (each service has its own type)
         """Call a service and wait for its response."""
         future = self.begin(service_type, name, request)

@@ -73,7 +73,7 @@ def test_a_late_answer_comes_late_and_a_refusal_at_once(probe: Probe, processes:
 
 def test_a_refused_configuration_ends_the_process_with_its_reason(processes: Processes) -> None:
     process = processes.start([sys.executable, "-c", NODE, "bad"])
-    assert process.wait(20.0) == 2
+    assert process.wait(60.0) == 2
     assert "heat -1 must be positive" in processes.output(process)
     assert "Traceback" not in processes.output(process)
 

@@ -213,14 +213,16 @@ def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
 ) -> None:
     bench = Bench(probe, processes, "real_time", realtime_priority=70)
     clouds = probe.listen(PointCloud2, interface.MARKERS, interface.MOCAP_IN)
-    probe.spin(0.2)
     bench.messages.clear()
-    probe.spin(2.0)
-    stamps = [bench.state(i).stamp_ns for i in range(len(bench.messages))]
-    assert len(stamps) == pytest.approx(1000, rel=0.1)
-    assert set(np.diff(stamps)) == {TICK}
-    assert abs(time.time_ns() - stamps[-1]) < 200_000_000
-    assert len(clouds) == pytest.approx(66, rel=0.3)
+    begun = time.time_ns()
+    probe.until(lambda: len(bench.messages) >= 1000, "a thousand states")
+    stamps = [bench.state(i).stamp_ns for i in range(1000)]
+    assert set(np.diff(stamps)) == {TICK}  # none lost, none between
+    assert abs(stamps[0] - begun) < 500_000_000  # as the system clock says
+    assert time.time_ns() >= stamps[-1]  # not faster than that
+    probe.until(lambda: len(clouds) >= 50, "camera frames")
+    spacing = np.diff([interface.markers(cloud)[0] for cloud in clouds])
+    assert np.median(spacing) == pytest.approx(1e9 / 30.0, abs=TICK)
     assert interface.markers(clouds[-1])[2].shape == (4, 3)
 
 
@@ -343,5 +345,5 @@ def test_a_link_without_faults_delivers_at_once() -> None:
 
 def test_optitrack_sim_alone_says_where_it_runs(processes: Processes) -> None:
     process = processes.node("hardware_sim.optitrack_node")
-    assert process.wait(20.0) == 2
+    assert process.wait(60.0) == 2
     assert "start wam_sim" in processes.output(process)

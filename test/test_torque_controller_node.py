@@ -400,5 +400,5 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
 
 def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -> None:
     process: subprocess.Popen[bytes] = processes.node(MODULE, autostart=True)
-    assert process.wait(20.0) == 2
+    assert process.wait(60.0) == 2
     assert "joint_names" in processes.output(process)
