@@ -45,9 +45,9 @@ class HandScript:
 def wrist_flick(rng: np.random.Generator, spread: float = 1.0) -> HandScript:
     """A toss from the wrist: flick the front edge up, follow under the pancake, cushion its fall.
 
-    It begins at the world's `HOME`, the pan tilted forward and the pancake slid against the front of the rim,
-    as a cook does: from there a flick throws it the same way every time. Out of a level pan, the
-    pancake would slide or not slide to the rim on the way, and throws scatter by 15 cm.
+    It begins at the world's `HOME`, the pan tilted forward and the pancake slid against the front
+    of the rim, as a cook does: from there a flick throws it the same way every time. Out of a level
+    pan, the pancake would slide or not slide to the rim on the way, and throws scatter by 15 cm.
 
     Args:
         rng: what makes this demonstration differ from the next.
@@ -107,8 +107,9 @@ class Hand:
 
         Args:
             t: since the hand took the pan [s].
-            position, rotation: of the pan, (3,) [m] and (3, 3).
-            twist: its velocity [m/s] and angular velocity [rad/s]. (6,)
+            position: of the pan [m]. Shape (3,)
+            rotation: of the pan. Shape (3, 3)
+            twist: its velocity [m/s] and angular velocity [rad/s]. Shape (6,)
         """
         if t > self._end + self._relax:
             return None

@@ -110,19 +110,14 @@ class Motors:
         for torque, speed, (peak, no_load, slope) in zip(
             wanted, motor_motion(qd), self._envelope, strict=True
         ):
-            if torque >= 0.0:
-                most = slope * (no_load - speed)
-                if torque <= peak and torque <= most:
-                    given.append(torque)
-                    continue
-                given.append(min(peak, max(most, -peak)))
-            else:
-                least = -slope * (no_load + speed)
-                if torque >= -peak and torque >= least:
-                    given.append(torque)
-                    continue
-                given.append(max(-peak, min(least, peak)))
-            within = False
+            most, least = slope * (no_load - speed), -slope * (no_load + speed)
+            if most < torque or peak < torque:
+                torque = min(peak, max(most, -peak))
+                within = False
+            elif torque < least or torque < -peak:
+                torque = max(-peak, min(least, peak))
+                within = False
+            given.append(torque)
         return tau if within else _joint_torques(given)
 
     def braking(self, qd: Sequence[float]) -> Sequence[float]:

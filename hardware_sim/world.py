@@ -464,9 +464,9 @@ def _fallen(height: np.ndarray) -> int | None:
     risen = np.flatnonzero(height > DELTA_H)
     if len(risen) == 0:
         return None
-    up = risen[0]
+    up = int(risen[0])
     down = np.flatnonzero(height[up:] < DELTA_H)
-    stop = up + down[0] if len(down) else len(height)
+    stop = up + int(down[0]) if len(down) else len(height)
     apex = up + int(np.argmax(height[up:stop]))
     under = np.flatnonzero(height[apex:] < DELTA_H)
     return apex + int(under[0]) if len(under) else None
