@@ -30,13 +30,10 @@ class Link:
         if self._rng.random() < self._loss:
             return
         delay = max(0.0, self._latency + self._jitter * self._rng.standard_normal())
-        due_ns = now_ns + round(delay * 1e9)
-        if self._under_way:
-            due_ns = max(due_ns, self._under_way[-1][0])  # nothing overtakes
-        self._under_way.append((due_ns, item))
+        self._under_way.append((now_ns + round(delay * 1e9), item))
 
     def take(self, now_ns: int) -> list[Any]:
-        """Items that have arrived by `now_ns` [ns], in order."""
+        """Items that have arrived by `now_ns` [ns], in order: none overtakes the one before."""
         arrived = []
         while self._under_way and self._under_way[0][0] <= now_ns:
             arrived.append(self._under_way.popleft()[1])
