@@ -188,8 +188,14 @@ class WamSim(Node):
             self.get_logger().warning(f"policy refused: {error}")
 
     def _begin_reset(self) -> str | None:
-        """Pancake into the pan; in lockstep the world then waits, frozen, for the rollout."""
+        """Pancake into the pan; in lockstep the world then waits, frozen, for what comes next.
+
+        While teaching, the arm is led back to where demonstrations begin as well.
+        """
         policy, world = self._policy, self.world
+        if self._label == "gravity_compensation" and not world.pulled:
+            self._put_back(f"demonstration-{self._demonstrations}", HOME)
+            return None
         if policy is None or len(policy.q_start) != 7:
             return "refused: no policy for this arm has come"
         if world.pulled or self._label not in ("", "inactive", "hold", "move_to_start"):
@@ -197,11 +203,14 @@ class WamSim(Node):
         far = np.abs(world.joint_state().q - policy.q_start).max()
         if far > START_TOLERANCE:
             return f"refused: the arm is {far:.3f} rad from the start of {policy.id}"
-        world.reset(policy.id, policy.q_start)
-        if not self.lockstep:
-            world.release()
-        self._ticks_left = STILL_TICKS
+        self._put_back(policy.id, policy.q_start)
         return None
+
+    def _put_back(self, name: str, q: np.ndarray) -> None:
+        self.world.reset(name, q)
+        if not self.lockstep:
+            self.world.release()
+        self._ticks_left = STILL_TICKS
 
     def _begin_demonstration(self) -> str | None:
         self._ticks_left = STILL_TICKS
@@ -230,10 +239,13 @@ class WamSim(Node):
     def _take_pan(self) -> None:
         """The hand, another one each time, begins its demonstration."""
         world, number = self.world, self._demonstrations
-        world.reset(f"demonstration-{number}", HOME)
+        name = f"demonstration-{number}"
+        if world.rollout_id != name:  # the jump back to the start is for /pancake/reset to make
+            world.reset(name, HOME)
         rng = np.random.default_rng((self.params.seed, number))
+        if world.frozen:
+            world.release()
         world.attach(Hand(wrist_flick(rng), *world.pan_pose))
-        world.release()
         self._pulling = True
 
     # Barrett's services

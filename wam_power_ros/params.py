@@ -7,12 +7,17 @@ A node subclasses `Params` with typed, bounded fields and no defaults, is constr
 
 from __future__ import annotations
 
-from typing import TypeVar
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
+import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.node import Node
-from rclpy.parameter import Parameter
+
+if TYPE_CHECKING:  # the same parameters are read without ROS by what runs in one process
+    from rcl_interfaces.msg import SetParametersResult
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
 
 P = TypeVar("P", bound="Params")
 OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
@@ -38,19 +43,39 @@ class Params(BaseModel):
             for name, parameter in given
             if not name.startswith(OF_ROS)
         }
+        params = cls._checked(node.get_name(), values)
+        node.add_on_set_parameters_callback(_refuse)
+        return params
+
+    @classmethod
+    def of_file(cls: type[P], path: Path, node: str) -> P:
+        """Read the parameters that a YAML file gives `node`, as it would read them itself.
+
+        Raises:
+            ValueError: as for `of`, or the file has nothing for that node.
+        """
         try:
-            params = cls(**values)
+            given = yaml.safe_load(path.read_text())[node]["ros__parameters"]
+        except (yaml.YAMLError, KeyError, TypeError) as error:
+            raise ValueError(f"{path} has no parameters for {node}: {error!r}") from None
+        values = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
+        return cls._checked(f"{node} in {path}", values)
+
+    @classmethod
+    def _checked(cls: type[P], whose: str, values: Mapping[str, object]) -> P:
+        try:
+            return cls(**values)
         except ValidationError as error:
             faults = "; ".join(
                 f"{'.'.join(map(str, fault['loc'])) or 'all'}: {fault['msg']}"
                 for fault in error.errors()
             )
-            raise ValueError(f"parameters of {node.get_name()} refused: {faults}") from None
-        node.add_on_set_parameters_callback(_refuse)
-        return params
+            raise ValueError(f"parameters of {whose} refused: {faults}") from None
 
 
 def _refuse(parameters: list[Parameter]) -> SetParametersResult:
+    from rcl_interfaces.msg import SetParametersResult
+
     fixed = [parameter.name for parameter in parameters if not parameter.name.startswith(OF_ROS)]
     reason = f"{fixed} are read at start: change the YAML and start the node again"
     return SetParametersResult(successful=not fixed, reason=reason if fixed else "")

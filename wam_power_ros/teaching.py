@@ -55,6 +55,8 @@ class Teaching(Node):
         bags = []
         for number in range(1, self.params.demonstrations + 1):
             self._ask(f"demonstration {number}: press Enter, then lead the arm")
+            if not self.params.person:  # back to the start, and the pancake into the pan
+                self._call(Trigger, interface.PANCAKE_RESET, Trigger.Request())
             self._call(SetBool, interface.RECORD, SetBool.Request(data=True))
             if self.params.person:
                 self._ask("press Enter when the movement is over")

@@ -14,14 +14,13 @@ import yaml
 
 from hardware_sim.hand import Hand, HandScript
 from hardware_sim.world import HOME, Truth, World
-from wam_power_ros.arm import Arm
 from wam_power_ros.controller import Controller, ControllerSettings, Mode
+from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.policy import Policy
 from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.tracker import Tracker, TrackerSettings
 
-JOINTS = tuple(f"wam_j{i}" for i in range(1, 8))
 _STILL_TICKS = 40  # ticks a held arm repeats its state before a rollout begins
 
 
@@ -40,13 +39,14 @@ class Bench:
         self,
         world: World,
         settings: ControllerSettings | None = None,
-        tracker: TrackerSettings | None = None,
     ) -> None:
-        """Wire `world` to a controller and a tracker of its own."""
+        """Wire `world` to a controller and a tracker of its own, set as config/ sets the nodes."""
         self.world = world
-        self.arm = Arm(world.urdf, JOINTS)
-        self.controller = Controller(self.arm, settings)
-        self.tracker = Tracker(tracker or tracker_settings())
+        file = share("config/torque_controller.yaml")
+        as_set = TorqueControllerParams.of_file(file, "torque_controller").controller(world.urdf)
+        self.arm = as_set.arm
+        self.controller = Controller(self.arm, settings or as_set.settings)
+        self.tracker = Tracker(tracker_settings())
 
     def tick(self) -> None:
         """State to torque, torque to state."""

@@ -116,7 +116,7 @@ class DemonstrationRecorder(Node):
         return str(self._writer.path)
 
     def _stop(self, reason: str) -> str:
-        """Close the bag; the message is its path and, on a second line, what is missing."""
+        """Close the bag; the message is its path."""
         writer = self._writer
         if writer is None:
             raise ValueError("not recording")
@@ -142,7 +142,7 @@ class DemonstrationRecorder(Node):
             longest = f"longest gap {states.longest:.3f} s"
             self._note = f"{states.missing} messages missing on {self._state_topic}, {longest}"
             self.get_logger().warning(self._note)
-        return "\n".join(filter(None, (str(writer.path), self._note)))
+        return str(writer.path)
 
     def _write(self, topic: str, cdr: bytes) -> None:
         if topic not in self._writer.counts:

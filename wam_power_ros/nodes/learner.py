@@ -39,6 +39,7 @@ from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import Session
 
 T = TypeVar("T")
+FAULT_PATIENCE = 2.5  # for the diagnostics that name a fault, which come once a second [s]
 CONTROLLER = "torque_controller"  # name of the node whose diagnostics tell of faults
 
 
@@ -81,7 +82,7 @@ class Learner(Node):
         self._truth: dict[str, Any] | None = None
         self._fault = ""
         self._resting = 0  # frames in a row
-        self._pan_start = np.zeros(3)
+        self._pan_at_start = (np.zeros(3), np.eye(3))
         subscribe = self.create_subscription
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
         subscribe(Path, interface.ROLLOUT_PANCAKE, self._on_pancake, interface.LATCHED)
@@ -114,7 +115,8 @@ class Learner(Node):
         state = self._read(lambda: messages.odometry(message))
         if state is None:
             return
-        offset = state.position - self._pan_start
+        position, rotation = self._pan_at_start
+        offset = rotation.T @ (state.position - position)  # in the pan, which may be tilted
         at_rest = (
             np.hypot(offset[0], offset[1]) < 0.10
             and -0.01 < offset[2] < 0.03
@@ -216,20 +218,21 @@ class Learner(Node):
     def _perform(self, practice: Practice, trial: Trial, begun: float) -> Record:
         """Execute one trial and learn from it, whatever comes of it."""
         self._pan = self._pancake = self._truth = None
+        self._fault = ""
         self._resting = 0
-        self._pan_start = self._arm.tool_pose(trial.policy.q_start)[0]
+        self._pan_at_start = self._arm.tool_pose(trial.policy.q_start)
         self._policy_pub.publish(String(data=policies.to_json(trial.policy)))
         bag = ""
         self._reach_start(trial)
         if self.params.pancake_reset:
-            self._insist(interface.PANCAKE_RESET)
+            self._insist(interface.PANCAKE_RESET, trial)
         self._resting = 0
         self._until(
             lambda: self._resting >= 3, "the pancake rests in the pan", self.params.patience
         )
         if self.params.record_rollouts:
             self._ask(interface.RECORD, SetBool.Request(data=True))
-        self._insist(interface.EXECUTE)
+        self._insist(interface.EXECUTE, trial)
         timeout = self.params.rollout_timeout
         self._until(lambda: _is_of(self._pan, trial), f"path of {trial.id}", timeout)
         self._until(lambda: _is_of(self._pancake, trial), f"pancake of {trial.id}", timeout)
@@ -238,7 +241,8 @@ class Learner(Node):
         if self.count_publishers(interface.PANCAKE_TRUTH):
             self._until(lambda: self._truth_of(trial), f"truth of {trial.id}", timeout)
         pan, pancake = self._pan[1], self._pancake[1]
-        fault = self._fault if pan.t[-1] < trial.policy.basis.duration else ""
+        whole = trial.policy.basis.duration + practice.settings.settle_time
+        fault = self._fault_of(pan, whole)
         return practice.learn(
             trial,
             pan,
@@ -249,27 +253,47 @@ class Learner(Node):
             clock={"begun": begun, "took": time.time() - begun},
         )
 
+    def _fault_of(self, pan: EndEffectorPath, whole: float) -> str:
+        """The controller's fault when it cut the rollout short, as its diagnostics tell it."""
+        if pan.t[-1] > whole - 0.05:
+            return ""
+        end = time.monotonic() + FAULT_PATIENCE
+        while not self._fault and time.monotonic() < end:
+            self._executor.spin_once(timeout_sec=0.05)
+        return self._fault
+
     def _truth_of(self, trial: Trial) -> dict[str, Any] | None:
         truth = self._truth
         return truth if truth is not None and truth.get("id") == trial.id else None
 
     def _reach_start(self, trial: Trial) -> None:
-        if self._fault:
-            if self.params.reset_faults:
-                self._call(interface.RESET)
-            else:
-                self.get_logger().warning(f"waiting for a person to reset: {self._fault}")
-        self._insist(interface.MOVE_TO_START, self.params.patience)
-
-    def _insist(self, name: str, timeout: float | None = None) -> None:
-        """Call a service until it agrees; it may refuse while a latched message is on its way."""
-        end = time.monotonic() + (self.params.service_timeout if timeout is None else timeout)
+        """Bring the arm to the start of the policy, out of a fault if need be."""
+        end = time.monotonic() + self.params.patience
         while True:
-            done, why = self._call(name, timeout)
-            if done:
+            done, why = self._call(interface.MOVE_TO_START, self.params.patience)
+            if done and why == trial.id:
                 return
             if time.monotonic() > end:
-                raise Trouble(f"{name} refused: {why}")
+                raise Trouble(f"{interface.MOVE_TO_START} refused: {why}")
+            if "fault" in why and self.params.reset_faults:
+                self._call(interface.RESET)
+            else:
+                self.get_logger().warning(f"the arm is not at its start: {why}", once=True)
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _insist(self, name: str, trial: Trial) -> None:
+        """Call a service until it has done it for this trial.
+
+        Topics and services are not ordered: it may be asked before the policy has come, and then
+        refuses, or answers with the id of the last one.
+        """
+        end = time.monotonic() + self.params.service_timeout
+        while True:
+            done, answer = self._call(name)
+            if done and answer == trial.id:
+                return
+            if time.monotonic() > end:
+                raise Trouble(f"{name} for {trial.id} refused: {answer}")
             self._executor.spin_once(timeout_sec=0.05)
 
 
