@@ -104,7 +104,6 @@ def arm(urdf: str) -> mujoco.MjSpec:
         joint.solimp_friction = [0.99, 0.999, 0.001, 0.5, 2.0]  # by default a loaded joint creeps
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
-        geom.density = 0.0  # masses are those of the URDF
         geom.group = 1
     return spec
 

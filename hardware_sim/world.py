@@ -239,8 +239,6 @@ class World:
             if step % _SETTLE_LOOK == 0 and np.abs(data.qvel[N:]).max() < _SETTLED:
                 break
         data.qvel[:] = 0.0
-        data.qacc_warmstart[:] = 0.0
-        data.time = 0.0
         model.opt.wind[:] = wind
         mujoco.mj_forward(model, data)
 

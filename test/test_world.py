@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -104,6 +105,38 @@ def test_the_guarded_points_are_those_of_the_arm_model(arm: Arm, world: World) -
     np.testing.assert_allclose(moved, arm.reference_point_speeds(LEVEL, qd), rtol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("q", "tool_plate"),  # from Barrett's DH table, computed apart from this model
+    [
+        ((0.0,) * 7, (0.0, 0.0, 1.2569)),
+        ((0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0), (0.43670872, 0.0, 1.14538996)),
+        ((0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0), (0.17853346, 0.0, 1.2342937)),
+        ((0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0), (0.02919702, 0.0, 1.24944478)),
+        ((0.0, -2.0, 0.0, 3.13, 0.0, 0.0, 0.0), (-0.212, 0.0, 0.353)),
+    ],
+)
+def test_the_tool_plate_is_where_barretts_table_has_it(
+    q: tuple[float, ...], tool_plate: tuple[float, ...]
+) -> None:
+    position, _ = Arm(URDF, JOINTS, tool_frame="wam_tool_plate").tool_pose(np.array(q))
+    np.testing.assert_allclose(position, tool_plate, atol=6e-4 if q[1] == -2.0 else 1e-7)
+
+
+def test_the_arm_without_its_pan_weighs_what_the_facts_sheet_says(arm: Arm) -> None:
+    tree = ElementTree.fromstring(URDF)
+    pan = tree.find("link[@name='pan']")
+    pan.remove(pan.find("inertial"))
+    bare = Arm(ElementTree.tostring(tree, encoding="unicode"), JOINTS)
+    q = np.array([0.0, 0.6, 0.0, 1.6, 0.0, 0.0, 0.0])
+    links = np.diag(bare.mass_matrix(q)) - bare.armature
+    sheet = [1.039, 1.495, 0.179, 0.126, 0.00084, 0.00077, 0.00008]
+    np.testing.assert_allclose(links, sheet, rtol=4e-3, atol=6e-6)
+    rng = np.random.default_rng(0)
+    poses = rng.uniform(arm.q_min, arm.q_max, size=(5000, 7))
+    worst = np.abs([bare.gravity(pose) for pose in poses]).max(axis=0)
+    np.testing.assert_allclose(worst, [0.0, 28.1, 6.6, 5.2, 0.15, 0.14, 0.0], rtol=0.1, atol=0.01)
+
+
 # The arm
 
 
@@ -141,6 +174,38 @@ def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_carries_
     np.testing.assert_allclose(now.tau, Arm(calm.urdf, JOINTS).gravity(now.q), atol=0.5)
     run(calm, pushed, 5)  # commands are heard again
     assert (calm.joint_state().tau == pushed).all()
+
+
+def test_an_arm_that_carries_itself_brakes_itself() -> None:
+    speeds = []
+    for damping in (0.0, 5.0):
+        world = World(replace(CALM, watchdog_damping=damping))
+        begin(world)
+        run(world, None, 10)
+        world.data.qvel[3] = 2.0
+        run(world, None, 50)
+        speeds.append(world.data.qvel[3])
+    assert speeds[1] < 0.75 * speeds[0]
+
+
+def test_what_pulls_at_the_pan_pulls_at_its_centre(calm: World, arm: Arm) -> None:
+    """A torque of minus J^T times the wrench balances it."""
+    pull = np.array([20.0, 5.0, 40.0, 0.0, 2.0, 1.0])
+
+    class Weight:
+        def wrench(self, t: float, *_: np.ndarray) -> np.ndarray | None:
+            return pull if t < 0.3 else None
+
+    gravity = begin(calm)
+    balance = gravity - arm.jacobian(LEVEL).T @ pull
+    run(calm, balance, calm.settings.command_delay_ticks)
+    calm.attach(Weight())
+    run(calm, balance, 100)
+    assert calm.pulled
+    assert np.abs(calm.data.qvel[:7]).max() < 0.01
+    run(calm, gravity, 100)
+    assert not calm.pulled
+    assert not calm.data.xfrc_applied.any()
 
 
 def test_an_idle_arm_sinks_slowly_whatever_is_commanded(calm: World) -> None:
@@ -428,6 +493,27 @@ def test_a_pancake_thrown_over_is_caught_on_its_other_side(calm: World) -> None:
     run(calm, begin_gravity(calm), 300)
     truth = calm.truth()
     assert (truth.caught, truth.flipped, truth.true_flip) == (True, True, True)
+
+
+@pytest.mark.parametrize(
+    ("moved", "tilt", "caught"),
+    [
+        ((0.0, 0.0, 0.0), 0.0, True),
+        ((0.04, 0.02, 0.0), math.pi, True),
+        ((0.0, 0.0, 0.015), 0.0, False),  # still in the air
+        ((0.15, 0.0, 0.0), 0.0, False),  # beside
+        ((0.0, 0.0, 0.0), 0.25, False),  # leaning on the rim
+    ],
+)
+def test_caught_is_flat_in_the_pan(
+    calm: World, moved: tuple[float, ...], tilt: float, caught: bool
+) -> None:
+    begin(calm)
+    calm.data.qpos[7:10] += moved
+    calm.data.qpos[10:14] = [math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0]
+    truth = calm.truth()
+    assert truth.caught == caught
+    assert truth.flipped == (tilt > 1.0)
 
 
 def begin_gravity(world: World) -> np.ndarray:
