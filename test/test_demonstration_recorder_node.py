@@ -281,15 +281,21 @@ def test_no_recording_begins_without_a_place_for_it(
     assert bench.node.poll() is None
 
 
+@pytest.mark.parametrize("size", [0, 1_500_000])  # met by the flush, or by a message itself
 def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(
-    probe: Probe, processes: Processes, tmp_path: Path
+    probe: Probe, processes: Processes, tmp_path: Path, size: int
 ) -> None:
     bench = Bench(probe, processes, tmp_path)
+    robot = latched(probe, interface.ROBOT_DESCRIPTION, "")
     path = bench.start()
     allowed = (200_000, resource.getrlimit(resource.RLIMIT_FSIZE)[1])
     resource.prlimit(bench.node.pid, resource.RLIMIT_FSIZE, allowed)
+    if size:
+        bench.send(300)
+        robot.publish(String(data="x" * size))
     bench.send(1500)
     bench.status("left unfinished")
+    robot.publish(String(data=""))
     assert len(bags.read_demonstration(bags.recover(path), NAMES)[0]) >= 100
     resource.prlimit(bench.node.pid, resource.RLIMIT_FSIZE, (allowed[1], allowed[1]))
     again = bench.start()  # and the next one is as any other

@@ -46,7 +46,8 @@ class Bench:
         as_set = TorqueControllerParams.of_file(file, "torque_controller").controller(world.urdf)
         self.arm = as_set.arm
         self.controller = Controller(self.arm, settings or as_set.settings)
-        self.tracker = Tracker(tracker_settings())
+        self._tracker_settings = tracker_settings()
+        self.tracker = Tracker(self._tracker_settings)
 
     def tick(self) -> None:
         """State to torque, torque to state."""
@@ -54,7 +55,8 @@ class Bench:
         stamp_ns, q, qd, _ = world.joint_state()
         world.step(self.controller.step(stamp_ns, q, qd))
         for frame in world.mocap_frames():
-            self.tracker.add(frame.stamp_ns, frame.position, frame.quat_xyzw)
+            quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # as a message
+            self.tracker.add(frame.stamp_ns, frame.position, quat_xyzw)
 
     def demonstrate(self, script: HandScript, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Let a hand move the gravity-compensated arm from home.
@@ -115,6 +117,7 @@ class Bench:
         """Hold the arm still at a place it has been put to; only a stand-in can do that."""
         self.world.reset(rollout_id, q_start)
         self.controller = Controller(self.arm, self.controller.settings)
+        self.tracker = Tracker(self._tracker_settings)
         self.tick()
         self.controller.hold()
         for _ in range(_STILL_TICKS):
