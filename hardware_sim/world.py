@@ -62,7 +62,7 @@ class WorldSettings:
     """
 
     bus_voltage: float = 48.0
-    command_delay_ticks: int = 1
+    command_delay_ticks: int = 2
     pancake_offset_sd: float = 0.003
     wind_sd: float = 0.1
     torque_scale_sd: float = 0.01
