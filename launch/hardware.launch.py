@@ -11,8 +11,7 @@ from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
@@ -20,8 +19,8 @@ from launch import LaunchContext, LaunchDescription
 PACKAGE = "wam_power_ros"
 
 
-def controller(context: LaunchContext) -> list[Node]:
-    """The torque controller, once the driver's file is known."""
+def nodes(context: LaunchContext) -> list[Node]:
+    """Every node with its own file and the driver's over it, once that is known."""
     config = Path(get_package_share_directory(PACKAGE)) / "config"
     driver = LaunchConfiguration("driver").perform(context)
     given = Path(driver).expanduser()
@@ -29,34 +28,31 @@ def controller(context: LaunchContext) -> list[Node]:
     if not overrides.is_file():
         known = sorted(path.stem.removeprefix("driver_") for path in config.glob("driver_*.yaml"))
         raise ValueError(f"no driver set-up {overrides}; known: {known}, or give a .yaml file")
-    return [
-        Node(
-            package=PACKAGE,
-            executable="torque_controller",
-            parameters=[
-                str(config / "torque_controller.yaml"),
-                str(overrides),
-                {"autostart": False},
-            ],
-            output="screen",
+    session = LaunchConfiguration("session").perform(context)
+
+    def node(name: str, **more: object) -> Node:
+        parameters = [str(config / f"{name}.yaml"), str(overrides), *more.pop("parameters", [])]
+        return Node(
+            package=PACKAGE, executable=name, parameters=parameters, output="screen", **more
         )
+
+    started = [
+        node("torque_controller", parameters=[{"autostart": False}]),
+        node(
+            "pancake_tracker",
+            remappings=[("/pancake/pose", LaunchConfiguration("pose_topic"))],
+        ),
+        node("demonstration_recorder"),
     ]
+    if session:
+        demonstrations = LaunchConfiguration("demonstrations").perform(context).split()
+        given = {"session": session, "demonstrations": demonstrations or [""]}
+        started.append(node("learner", parameters=[given]))
+    return started
 
 
 def generate_launch_description() -> LaunchDescription:
     """See the module."""
-    config = Path(get_package_share_directory(PACKAGE)) / "config"
-    session = LaunchConfiguration("session")
-
-    def node(name: str, **more: object) -> Node:
-        return Node(
-            package=PACKAGE,
-            executable=name,
-            parameters=[str(config / f"{name}.yaml")],
-            output="screen",
-            **more,
-        )
-
     return LaunchDescription(
         [
             DeclareLaunchArgument("driver", description="name of a driver_*.yaml, or its path"),
@@ -64,23 +60,9 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "session", default_value="", description="folder; '': no learner"
             ),
-            OpaqueFunction(function=controller),
-            node(
-                "pancake_tracker",
-                remappings=[("/pancake/pose", LaunchConfiguration("pose_topic"))],
+            DeclareLaunchArgument(
+                "demonstrations", default_value="", description="bags a new session begins from"
             ),
-            node("demonstration_recorder"),
-            node(
-                "learner",
-                ros_arguments=[
-                    "-p",
-                    ["learner:session:=", session],
-                    "-p",
-                    "learner:pancake_reset:=false",
-                    "-p",
-                    "learner:reset_faults:=false",
-                ],
-                condition=IfCondition(PythonExpression(["'", session, "' != ''"])),
-            ),
+            OpaqueFunction(function=nodes),
         ]
     )

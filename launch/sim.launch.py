@@ -2,7 +2,7 @@
 """The bench: stand-ins, torque controller, tracker and recorder; `session` adds the learner.
 
 ros2 launch wam_power_ros sim.launch.py pace:=real_time
-ros2 launch wam_power_ros sim.launch.py session:=/tmp/flip
+ros2 launch wam_power_ros sim.launch.py session:=/tmp/flip demonstrations:="['/tmp/bags/demo_1']"
 """
 
 from pathlib import Path
@@ -44,6 +44,9 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "session", default_value="", description="folder; '': no learner"
             ),
+            DeclareLaunchArgument(
+                "demonstrations", default_value="['']", description="bags a new session begins from"
+            ),
             Node(  # one process, two nodes: its parameters are addressed to the one they are for
                 package=PACKAGE,
                 executable="wam_sim",
@@ -62,7 +65,12 @@ def generate_launch_description() -> LaunchDescription:
             node("demonstration_recorder"),
             node(
                 "learner",
-                ros_arguments=["-p", ["learner:session:=", session]],
+                ros_arguments=[
+                    "-p",
+                    ["learner:session:=", session],
+                    "-p",
+                    ["learner:demonstrations:=", LaunchConfiguration("demonstrations")],
+                ],
                 condition=IfCondition(PythonExpression(["'", session, "' != ''"])),
             ),
         ]

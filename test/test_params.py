@@ -18,6 +18,9 @@ from rclpy.parameter import Parameter
 from hardware_sim.optitrack_node import OptitrackSimParams
 from hardware_sim.wam_node import WamSimParams
 from wam_power_ros.interface import COMMAND_TYPES
+from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
+from wam_power_ros.nodes.learner import LearnerParams
+from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.params import Params
 
@@ -108,6 +111,13 @@ def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., No
         ("torque_controller.yaml", "torque_controller", TorqueControllerParams),
         ("wam_sim.yaml", "wam_sim", WamSimParams),
         ("optitrack_sim.yaml", "optitrack_sim", OptitrackSimParams),
+        ("learner.yaml", "learner", LearnerParams),
+        ("pancake_tracker.yaml", "pancake_tracker", PancakeTrackerParams),
+        (
+            "demonstration_recorder.yaml",
+            "demonstration_recorder",
+            DemonstrationRecorderParams,
+        ),
     ],
 )
 def test_a_yaml_holds_exactly_what_its_node_reads(
@@ -130,3 +140,14 @@ def test_a_driver_set_up_overrides_only_what_exists(path: Path) -> None:
     assert params.driver_compensates_gravity
     assert len(params.joint_names) == len(params.model_joint_names)
     assert params.command_type in COMMAND_TYPES
+    for node, kind in (
+        ("demonstration_recorder", DemonstrationRecorderParams),
+        ("learner", LearnerParams),
+    ):
+        own = yaml.safe_load((ROOT / f"config/{node}.yaml").read_text())[node]["ros__parameters"]
+        over = yaml.safe_load(path.read_text())[node]["ros__parameters"]
+        assert set(over) <= set(own)
+        merged = {k: tuple(v) if isinstance(v, list) else v for k, v in (own | over).items()}
+        # a bag of this driver's joints is one the learner can read
+        assert kind(**merged).joint_names == params.joint_names
+    assert tuple(merged["model_joint_names"]) == params.model_joint_names

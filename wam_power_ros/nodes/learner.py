@@ -46,7 +46,8 @@ CONTROLLER = "torque_controller"  # name of the node whose diagnostics tell of f
 class LearnerParams(Params):
     """Parameters of the node; the values are in config/learner.yaml."""
 
-    joint_names: tuple[str, ...]
+    joint_names: tuple[str, ...]  # as the driver has them in the bags
+    model_joint_names: tuple[str, ...]  # the same in the URDF
     urdf: str  # path, or a file of our share folder
     tool_frame: str
     session: str  # folder; empty: none is begun
@@ -73,9 +74,12 @@ class Learner(Node):
     def __init__(self) -> None:
         super().__init__("learner", automatically_declare_parameters_from_overrides=True)
         self.params = LearnerParams.of(self)
-        self._arm = Arm(
-            share(self.params.urdf).read_text(), self.params.joint_names, self.params.tool_frame
-        )
+        params = self.params
+        if len(params.model_joint_names) != len(params.joint_names):
+            raise ValueError(
+                f"model_joint_names {params.model_joint_names} must be as many as joint_names"
+            )
+        self._arm = Arm(share(params.urdf).read_text(), params.model_joint_names, params.tool_frame)
         self._policy_pub = self.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._pan: tuple[int, EndEffectorPath] | None = None
         self._pancake: tuple[int, PancakePath] | None = None
