@@ -96,9 +96,13 @@ class Mocap:
     """Samples the pancake: markers with noise, a pose fitted to them, delivered late."""
 
     def __init__(self, layout: np.ndarray, settings: MocapSettings) -> None:
-        """Track a body with markers at `layout` (4, 3) [m] in its own frame."""
+        """Track a body with markers at `layout` (4, 3) [m] in its own frame, all at z = 0."""
+        if layout[:, 2].any():
+            raise ValueError(f"z of the markers {layout[:, 2].tolist()} must be 0")
         self._layout = layout
-        self._centred = layout - layout.mean(axis=0)
+        self._centre = layout.mean(axis=0)
+        self._flat = (layout - self._centre)[:, :2]
+        self._mean = np.full(len(layout), 1.0 / len(layout))
         self._settings = settings
         self._period_ns = round(1e9 / settings.rate)
         self._latency_ns = round(settings.latency * 1e9)
@@ -123,20 +127,13 @@ class Mocap:
         lost, hidden, which = rng.random(), rng.random(), int(rng.integers(4))
         if lost < settings.dropout:
             return
-        markers = position + self._layout @ rotation.T + noise
-        centre = markers.mean(axis=0)
-        u, _, vt = np.linalg.svd(self._centred.T @ (markers - centre))
-        fitted = (u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt).T
+        markers = position + self._layout.dot(rotation.T) + noise
+        fitted = _flat_fit(self._flat, markers)
+        centre = self._mean.dot(markers) - fitted.dot(self._centre)
         if hidden < settings.occlusion:
             markers = np.delete(markers, which, axis=0)
-        self._waiting.append(
-            MocapFrame(
-                now_ns,
-                centre - fitted @ self._layout.mean(axis=0),
-                rotations.quat_xyzw(fitted),
-                markers,
-            )
-        )
+        quat_xyzw = rotations.quat_xyzw(fitted)
+        self._waiting.append(MocapFrame(now_ns, centre, quat_xyzw, markers))
 
     def delivered(self, now_ns: int) -> list[MocapFrame]:
         """Frames that have come in by now, oldest first."""
@@ -145,3 +142,33 @@ class Mocap:
         due = [f for f in self._waiting if f.stamp_ns + self._latency_ns <= now_ns]
         self._waiting = self._waiting[len(due) :]
         return due
+
+
+def _flat_fit(flat: np.ndarray, markers: np.ndarray) -> np.ndarray:
+    """Least-squares rotation of markers in a plane: the polar factor of a 3 x 2 matrix, in full.
+
+    Args:
+        flat: x and y of the markers in the body's frame, about their mean [m]. Shape (m, 2).
+        markers: Where they are seen [m]. Shape (m, 3).
+
+    Returns:
+        Shape (3, 3).
+    """
+    (ax, bx), (ay, by), (az, bz) = markers.T.dot(flat).tolist()
+    aa, ab, bb = (
+        ax * ax + ay * ay + az * az,
+        ax * bx + ay * by + az * bz,
+        bx * bx + by * by + bz * bz,
+    )
+    root = math.sqrt(aa * bb - ab * ab)  # of the determinant of S = ((aa, ab), (ab, bb))
+    scale = 1.0 / (root * math.sqrt(aa + bb + 2.0 * root))
+    p, q, r = scale * (bb + root), -scale * ab, scale * (aa + root)  # S^-1/2 = ((p, q), (q, r))
+    xx, xy, xz = p * ax + q * bx, p * ay + q * by, p * az + q * bz
+    yx, yy, yz = q * ax + r * bx, q * ay + r * by, q * az + r * bz
+    return np.array(
+        (
+            (xx, yx, xy * yz - xz * yy),
+            (xy, yy, xz * yx - xx * yz),
+            (xz, yz, xx * yy - xy * yx),
+        )
+    )

@@ -12,6 +12,7 @@ free, so a person may push the elbow aside.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from wam_power_ros.arm import Dynamics, Motion
 
@@ -89,7 +90,15 @@ class TorqueLaw:
         if self.null_damping:
             # M qd is the momentum of all joint motion, J^T Lambda (J qd) that of the tool's.
             wanted += self.null_damping * motion.twist
-            wrench = np.linalg.solve(apparent, wanted)
+            wrench = _solved(apparent, wanted)
             free = self.null_damping * dynamics.mass.dot(qd)
             return dynamics.bias + wrench.dot(jacobian) - free
-        return dynamics.bias + np.linalg.solve(apparent, wanted).dot(jacobian)
+        return dynamics.bias + _solved(apparent, wanted).dot(jacobian)
+
+
+def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solution of a symmetric positive definite system, by Cholesky: LAPACK without wrapping."""
+    _, solution, info = dposv(matrix, right)
+    if info:
+        raise np.linalg.LinAlgError("the arm is singular")
+    return solution
