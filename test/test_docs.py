@@ -2,6 +2,8 @@
 """The README names what there is, and what it names is there."""
 
 import importlib
+import importlib.util
+import math
 import re
 from pathlib import Path
 
@@ -9,9 +11,11 @@ import pytest
 
 from wam_power_ros import interface
 from wam_power_ros.cli import NODES
+from wam_power_ros.practice import preset
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
+PAGES = ["README.md", "docs/method.md", "docs/hardware.md", "docs/safety.md"]
 NAMES = sorted(
     value
     for name, value in vars(interface).items()
@@ -51,9 +55,59 @@ def test_code_and_test_of_every_equation_are_there(row: list[str]) -> None:
         assert f"def {name}(" in tests
 
 
-@pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\((?!https?:)([^)#]+)\)", README))))
-def test_every_link_of_the_readme_leads_somewhere(link: str) -> None:
-    assert (ROOT / link).exists()
+def links(path: Path) -> list[str]:
+    return sorted(set(re.findall(r"\]\((?!https?:)([^)#]+)[^)]*\)", path.read_text())))
+
+
+@pytest.mark.parametrize(
+    ("page", "link"), [(page, link) for page in PAGES for link in links(ROOT / page)]
+)
+def test_every_link_leads_somewhere(page: str, link: str) -> None:
+    assert ((ROOT / page).parent / link).exists()
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_test_that_holds_a_promise_is_there(page: str) -> None:
+    tests = "\n".join(path.read_text() for path in (ROOT / "test").glob("test_*.py"))
+    named = re.findall(r"`(test_\w+)`", (ROOT / page).read_text())
+    assert [name for name in named if f"def {name}(" not in tests] == []
+
+
+@pytest.mark.parametrize("page", PAGES[1:])
+def test_every_name_of_a_module_is_there(page: str) -> None:
+    named = re.findall(r"`(?:wam_power_ros\.)?([a-z_.]+)\.(\w+)`", (ROOT / page).read_text())
+    for module, name in named:
+        package = "" if module.startswith("hardware_sim") else "wam_power_ros."
+        if importlib.util.find_spec(f"{package}{module}") is not None:
+            assert hasattr(importlib.import_module(f"{package}{module}"), name), (module, name)
+
+
+@pytest.mark.parametrize("name", ["paper", "flip"])
+def test_the_method_tells_the_numbers_of_the_presets(name: str) -> None:
+    text = " ".join((ROOT / "docs/method.md").read_text().split())
+    settings = preset(name)
+    told = {
+        "paper": [
+            f"{settings.noise.stiffness:.0%} of the mean stiffness".replace("%", " %"),
+            f"{100 * settings.noise.attractor:.0f} cm for each",
+            f"budget {settings.budget}",
+            f"σ = {settings.power.sigma} ",
+            f"R ≥ {settings.success_return}, confirmed",
+            f"re-tested {settings.retests} times",
+        ],
+        "flip": [
+            f"{settings.noise.stiffness:.0%} of the mean stiffness".replace("%", " %"),
+            f"{1000 * settings.noise.attractor:.0f} mm, {settings.noise.rotation} rad",
+            f"shrinking by {1 - settings.power.decay:.0%}".replace("%", " %"),
+            f"moved by {settings.landing_gain} of the measured miss",
+            f"along x, {settings.landing_limit} m at most",
+            f"exp((R_k − R_max)/({settings.power.sharpness} ",
+            f"at least {math.degrees(settings.success_angle):.0f} degrees",
+            f"{math.degrees(settings.success_angle + settings.confirm_margin):.0f} degrees (ending",
+            f"{settings.budget} rollouts",
+        ],
+    }
+    assert [words for words in told[name] if words not in text] == []
 
 
 @pytest.mark.parametrize("target", re.findall(r"^make (\w+)", README, re.MULTILINE))
