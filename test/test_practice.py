@@ -334,7 +334,7 @@ def test_the_demonstration_is_chosen_by_how_it_reproduces() -> None:
     aside = reproduced("aside", 0.5, landing_error=[0.14, 0.1, 0.0])
     nice = reproduced("nice", 0.4)
     blind = reproduced("blind", None)
-    settings = preset("flip")
+    settings = preset("flip", choice="flick")
     index, why = choose_demonstration([flat, weak, low, near, aside, nice, blind], settings)
     assert index == 5
     assert why == (
