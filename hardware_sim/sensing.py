@@ -111,8 +111,9 @@ class Mocap:
         self._next_ns = 0
 
     def restart(self, now_ns: int, rng: np.random.Generator) -> None:
-        """Frames and noise from now on depend on `rng` alone; the phase of the frames is random."""
+        """Frames from this moment on, and their random phase, depend on `rng` alone."""
         self._rng = rng
+        self._waiting = [frame for frame in self._waiting if frame.stamp_ns < now_ns]
         self._next_ns = now_ns + 5_000_000 + int(rng.uniform(0.0, self._period_ns))
 
     def due(self, now_ns: int) -> bool:

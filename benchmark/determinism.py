@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One seed, three times: over DDS, over DDS on a busy machine, and in one process.
+
+    python -m benchmark.determinism [--seed 41] [--trials 8] [--demonstrations 4]
+
+Each teaches its own demonstrations, fits, practises and re-tests. Compared are the fitted policies
+and every field of `rollouts.jsonl` but `clock`, all that tells of the wall clock. (A rollout's bag
+is named after its trial; the bench records none, so the name is left out there.)
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from benchmark.sessions import candidates, differences, learn, records, verdict
+
+
+@contextmanager
+def busy(processes: int) -> Iterator[None]:
+    """Keep as many cores busy meanwhile."""
+    command = [sys.executable, "-c", "while True: pass"]
+    started = [subprocess.Popen(command) for _ in range(processes)]
+    try:
+        yield
+    finally:
+        for process in started:
+            process.kill()
+            process.wait()
+
+
+def on_the_bench(seed: int, trials: int, demonstrations: int) -> tuple[list[object], list[object]]:
+    """Fitted policies and records of the session in one process."""
+    from hardware_sim.world import World, WorldSettings
+    from wam_power_ros.experiments.bench import Bench
+    from wam_power_ros.experiments.pancake import practise, teach
+    from wam_power_ros.policy import to_json
+    from wam_power_ros.practice import preset
+
+    bench = Bench(World(WorldSettings(), seed))
+    policies = teach(bench, seed, demonstrations)
+    kept: list[object] = []
+    practise(
+        bench,
+        policies,
+        preset("flip", budget=trials),
+        seed,
+        lambda record: kept.append(json.loads(record.to_json())),
+    )
+    fitted = [json.loads(to_json(policy)) for policy in policies]
+    without = [{key: row[key] for key in row if key not in ("clock", "bag")} for row in kept]
+    return [{key: row[key] for key in row if key != "id"} for row in fitted], without
+
+
+def main() -> int:
+    """Run the three, print what differs; status 1 if anything does."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=41)
+    parser.add_argument("--trials", type=int, default=8)
+    parser.add_argument("--demonstrations", type=int, default=4)
+    parser.add_argument("--folder", type=Path, help="for the sessions, which are then kept")
+    options = parser.parse_args()
+    arguments = []
+    for name in ("seed", "trials", "demonstrations"):
+        arguments += [f"--{name}", str(getattr(options, name))]
+    cores = os.cpu_count() or 1
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.folder or Path(scratch)
+        quiet, loaded = folder / "quiet", folder / "busy"
+        took = learn(quiet, *arguments)
+        with busy(cores):
+            longer = learn(loaded, *arguments)
+        begun = time.monotonic()
+        fitted, practised = on_the_bench(options.seed, options.trials, options.demonstrations)
+        bench = time.monotonic() - begun
+        count = len(records(quiet))
+        say = sys.stdout.write
+        say(
+            f"seed {options.seed}, {count} rollouts: {took:.0f} s over DDS, {longer:.0f} s beside "
+            f"{cores} busy processes, {bench:.0f} s in one process\n"
+        )
+        found = []
+        for what, pair in {
+            "policies fitted, quiet and busy": (candidates(quiet), candidates(loaded)),
+            "rollouts, quiet and busy": (records(quiet, "clock"), records(loaded, "clock")),
+            "policies fitted, over DDS and in one process": (candidates(quiet), fitted),
+            "rollouts, over DDS and in one process": (records(quiet, "clock", "bag"), practised),
+        }.items():
+            found.append(list(differences(*pair)))
+            say(verdict(what, found[-1]) + "\n")
+    return int(any(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learner is killed (-9) again and again; its session ends as if nothing had happened.
+
+    python -m benchmark.kill [--seed 42] [--kills 10] [--trials 8] [--demonstrations 4]
+
+An undisturbed session comes first. Then another learns from the same bags, on nodes that keep
+running: its learner is killed at random moments (of the seed) and started again with the same
+folder. No line of `rollouts.jsonl` that was there before a kill may change, and in the end all
+must be equal but `clock` and `bag`: a recording that a kill cut short keeps its name, so the bag
+of the rollout run again is rollout_<id>_2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.sessions import ENVIRONMENT, ROOT, differences, learn, lines, records, verdict
+from wam_power_ros.bags import UNFINISHED
+from wam_power_ros.processes import Processes, private_domain
+
+LONGEST = 10.0  # a learner lives [s]
+
+
+def node(name: str, *configs: str, **parameters: object) -> list[str]:
+    """Command that runs a node with its own parameters and more."""
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run", name, "--ros-args"]
+    for config in (name, *configs):
+        command += ["--params-file", f"{ROOT}/config/{config}.yaml"]
+    for key, value in parameters.items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        command += ["-p", f"{name}:{key}:={text}"]
+    return command
+
+
+def learn_killed(
+    folder: Path, bags: list[str], seed: int, trials: int, kills: int
+) -> tuple[list[str], list[str]]:
+    """A session whose learner is killed.
+
+    Returns:
+        What was lost, and a line about every kill.
+    """
+    rng = np.random.default_rng(seed)
+    lost, report, kept = [], [], []
+    command = node(
+        "learner",
+        use_sim_time=True,
+        session=str(folder),
+        seed=seed,
+        trials=trials,
+        demonstrations=bags,
+    )
+    with private_domain() as domain:
+        environment = ENVIRONMENT | {"ROS_DOMAIN_ID": str(domain)}
+        others = Processes(folder / "logs", environment)
+        learners = Processes(folder / "logs", environment)
+        with others, learners:
+            others.start("wam_sim", node("wam_sim", "optitrack_sim", seed=seed))
+            for name in ("torque_controller", "pancake_tracker"):
+                others.start(name, node(name, use_sim_time=True))
+            directory = str(folder / "bags")
+            recorder = node("demonstration_recorder", use_sim_time=True, directory=directory)
+            others.start("demonstration_recorder", recorder)
+            for kill in range(1, kills + 1):
+                life = float(rng.uniform(0.5, LONGEST))
+                learner = learners.start("learner", command)
+                time.sleep(life)
+                if learner.process.poll() is not None:
+                    raise RuntimeError(f"the session ended before kill {kill}\n{learner.tail}")
+                before = lines(folder)
+                learner.process.kill()
+                learner.process.wait()
+                others.check()
+                recording = any((folder / "bags").glob(f"*{UNFINISHED}"))
+                for old in (kept, before):
+                    if lines(folder)[: len(old)] != old:
+                        lost.append(f"kill {kill}: a line that was on disk has changed")
+                kept = lines(folder)
+                report.append(
+                    f"  {kill:2d}: after {life:4.1f} s, {len(kept):2d} rollouts on record"
+                    + (", while recording" if recording else "")
+                )
+            last = Processes(folder / "logs", environment)
+            with last:
+                last.finish(last.start("learner", command))
+            others.check()
+    if lines(folder)[: len(kept)] != kept:
+        lost.append("a line that was on disk has changed after the last kill")
+    return lost, report
+
+
+def main() -> int:
+    """Run both sessions, print what differs; status 1 if anything does."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=42)
+    parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--trials", type=int, default=8)
+    parser.add_argument("--demonstrations", type=int, default=4)
+    parser.add_argument("--folder", type=Path, help="for the sessions, which are then kept")
+    options = parser.parse_args()
+    seed, say = options.seed, sys.stdout.write
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = (options.folder or Path(scratch)).resolve()
+        undisturbed, killed = folder / "undisturbed", folder / "killed"
+        arguments = []
+        for name in ("seed", "trials", "demonstrations"):
+            arguments += [f"--{name}", str(getattr(options, name))]
+        took = learn(undisturbed, *arguments)
+        bags = json.loads((undisturbed / "demonstrations.json").read_text())
+        begun = time.monotonic()
+        lost, report = learn_killed(killed, bags, seed, options.trials, options.kills)
+        longer = time.monotonic() - begun
+        found = [
+            *lost,
+            *differences(records(undisturbed, "clock", "bag"), records(killed, "clock", "bag")),
+        ]
+        for record in records(killed):
+            if not (killed / "bags" / str(record["bag"]) / "metadata.yaml").exists():
+                found.append(f"{record['id']}: no bag {record['bag']!r}")
+        bags_left = sorted(path.name for path in (killed / "bags").iterdir())
+        say(f"seed {seed}, {len(lines(undisturbed))} rollouts: {took:.0f} s undisturbed, ")
+        say(f"{longer:.0f} s with {options.kills} kills\n" + "\n".join(report) + "\n")
+        say(f"bags: {len(bags_left)}, of rollouts cut short as well\n")
+        say(verdict("rollouts, undisturbed and killed", found) + "\n")
+    return int(bool(found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

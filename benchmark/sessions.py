@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole sessions over DDS for `determinism` and `kill`, and what differs between two of them."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+ENVIRONMENT = {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+    "MUJOCO_GL": "disable",  # the report needs no film here
+}
+
+
+def learn(folder: Path, *arguments: str) -> float:
+    """Run `wam-power learn` in a folder; its wall time [s]."""
+    folder.mkdir(parents=True, exist_ok=True)
+    command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
+    begun = time.monotonic()
+    with (folder / "learn.log").open("ab") as log:
+        subprocess.run(
+            [*command, *arguments], env=os.environ | ENVIRONMENT, stdout=log, stderr=log, check=True
+        )
+    return time.monotonic() - begun
+
+
+def lines(folder: Path) -> list[bytes]:
+    """The complete lines of a session's log."""
+    log = folder / "rollouts.jsonl"
+    return log.read_bytes().splitlines(keepends=True) if log.exists() else []
+
+
+def records(folder: Path, *without: str) -> list[dict[str, object]]:
+    """The rollouts of a session, less some fields."""
+    found = [json.loads(line) for line in lines(folder)]
+    return [{key: row[key] for key in row if key not in without} for row in found]
+
+
+def candidates(folder: Path) -> list[object]:
+    """The policies that were fitted, without their names."""
+    found = [json.loads(path.read_text()) for path in sorted(folder.glob("candidates/*.json"))]
+    return [{key: row[key] for key in row if key != "id"} for row in found]
+
+
+def differences(one: object, other: object, where: str = "") -> Iterator[str]:
+    """Every leaf of two JSON values that is not the same, bit for bit."""
+    if isinstance(one, dict) and isinstance(other, dict):
+        for key in sorted(one.keys() | other.keys()):
+            yield from differences(one.get(key), other.get(key), f"{where}.{key}")
+    elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
+        for index, pair in enumerate(zip(one, other, strict=True)):
+            yield from differences(*pair, f"{where}[{index}]")
+    elif repr(one) != repr(other):
+        lengths = [f"{len(x)} items" if isinstance(x, list) else repr(x) for x in (one, other)]
+        yield f"{where}: {lengths[0]} and {lengths[1]}"
+
+
+def verdict(what: str, found: list[str]) -> str:
+    """One line if nothing differs, else the first differences."""
+    if not found:
+        return f"{what}: identical, bit for bit"
+    shown = "\n".join(f"  {line}" for line in found[:20])
+    return f"{what}: {len(found)} values differ\n{shown}"
