@@ -39,6 +39,7 @@ from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import Session
 
 T = TypeVar("T")
+CLOCKS_APART = 0.2  # most that arm and motion capture may be [s]; the tracker scores no more
 FAULT_PATIENCE = 2.5  # for the diagnostics that name a fault, which come once a second [s]
 CONTROLLER = "torque_controller"  # name of the node whose diagnostics tell of faults
 
@@ -86,6 +87,7 @@ class Learner(Node):
         self._truth: dict[str, Any] | None = None
         self._fault = ""
         self._resting = 0  # frames in a row
+        self._rested_ns = 0  # stamp of the last of them
         self._pan_at_start = (np.zeros(3), np.eye(3))
         subscribe = self.create_subscription
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
@@ -127,6 +129,7 @@ class Learner(Node):
             and np.linalg.norm(state.velocity) < 0.05
         )
         self._resting = self._resting + 1 if at_rest else 0
+        self._rested_ns = state.stamp_ns
 
     def _on_truth(self, message: String) -> None:
         self._truth = self._read(lambda: json.loads(message.data))
@@ -179,13 +182,12 @@ class Learner(Node):
         session, practice = self._open()
         log = self.get_logger()
         with session:
+            self._keep_best(session, practice)  # this may be where the last learner was killed
             while (trial := practice.next_trial()) is not None:
                 begun = time.time()
                 record = self._perform(practice, trial, begun)
                 session.append(record)  # on disk before anything else is tried
-                best = practice.best
-                if best is not None:
-                    session.save_policy(best.policy)
+                self._keep_best(session, practice)
                 log.info(f"{_line(record)} {record.note}")
                 if practice.unusable_in_a_row >= self.params.unusable_max:
                     raise Trouble(
@@ -194,6 +196,10 @@ class Learner(Node):
                     )
         best = practice.best
         log.info(f"session finished: {practice.stopped}. {'' if best is None else best.why}")
+
+    def _keep_best(self, session: Session, practice: Practice) -> None:
+        if (best := practice.best) is not None:
+            session.save_policy(best.policy)
 
     def _open(self) -> tuple[Session, Practice]:
         params = self.params
@@ -221,12 +227,8 @@ class Learner(Node):
 
     def _perform(self, practice: Practice, trial: Trial, begun: float) -> Record:
         """Execute one trial and learn from it, whatever comes of it."""
-        self._pan = self._pancake = self._truth = None
-        self._fault = ""
         self._resting = 0
         self._pan_at_start = self._arm.tool_pose(trial.policy.q_start)
-        self._policy_pub.publish(String(data=policies.to_json(trial.policy)))
-        bag = ""
         self._reach_start(trial)
         if self.params.pancake_reset:
             self._insist(interface.PANCAKE_RESET, trial)
@@ -234,17 +236,17 @@ class Learner(Node):
         self._until(
             lambda: self._resting >= 3, "the pancake rests in the pan", self.params.patience
         )
+        rested_ns = self._rested_ns
         if self.params.record_rollouts:
-            self._ask(interface.RECORD, SetBool.Request(data=True))
+            self._begin_bag(trial)
+        self._pan = self._pancake = self._truth = None
+        self._fault = ""
         self._insist(interface.EXECUTE, trial)
-        timeout = self.params.rollout_timeout
-        self._until(lambda: _is_of(self._pan, trial), f"path of {trial.id}", timeout)
-        self._until(lambda: _is_of(self._pancake, trial), f"pancake of {trial.id}", timeout)
-        if self.params.record_rollouts:
-            bag = FilePath(self._ask(interface.RECORD, SetBool.Request(data=False))[1]).name
+        pan, pancake = self._paths_of(trial, rested_ns)
+        bag = self._end_bag() if self.params.record_rollouts else ""
         if self.count_publishers(interface.PANCAKE_TRUTH):
+            timeout = self.params.rollout_timeout
             self._until(lambda: self._truth_of(trial), f"truth of {trial.id}", timeout)
-        pan, pancake = self._pan[1], self._pancake[1]
         whole = trial.policy.basis.duration + practice.settings.settle_time
         fault = self._fault_of(pan, whole)
         return practice.learn(
@@ -256,6 +258,39 @@ class Learner(Node):
             truth=self._truth_of(trial),
             clock={"begun": begun, "took": time.time() - begun},
         )
+
+    def _paths_of(self, trial: Trial, rested_ns: int) -> tuple[EndEffectorPath, PancakePath]:
+        """The two paths of the rollout that began after the pancake rested.
+
+        A rollout of the same trial whose learner was killed has left its paths on the latched
+        topics: they began earlier.
+        """
+        earliest_ns = rested_ns - round(CLOCKS_APART * 1e9)
+        timeout = self.params.rollout_timeout
+        self._until(
+            lambda: _is_of(self._pan, trial) and self._pan[0] > earliest_ns,
+            f"path of {trial.id}",
+            timeout,
+        )
+        start_ns, pan = self._pan
+        self._until(
+            lambda: _is_of(self._pancake, trial) and self._pancake[0] == start_ns,
+            f"pancake of {trial.id}",
+            timeout,
+        )
+        return pan, self._pancake[1]
+
+    def _begin_bag(self, trial: Trial) -> None:
+        begun, why = self._ask(interface.RECORD, SetBool.Request(data=True))
+        if not begun and self._end_bag():  # left open by a learner that was killed
+            begun, why = self._ask(interface.RECORD, SetBool.Request(data=True))
+        if not begun:
+            self.get_logger().warning(f"{trial.id} is not recorded: {why}")
+
+    def _end_bag(self) -> str:
+        """Name of the bag that was being recorded, or nothing."""
+        ended, path = self._ask(interface.RECORD, SetBool.Request(data=False))
+        return FilePath(path).name if ended else ""
 
     def _fault_of(self, pan: EndEffectorPath, whole: float) -> str:
         """The controller's fault when it cut the rollout short, as its diagnostics tell it."""
@@ -273,7 +308,8 @@ class Learner(Node):
     def _reach_start(self, trial: Trial) -> None:
         """Bring the arm to the start of the policy, out of a fault if need be."""
         end = time.monotonic() + self.params.patience
-        while True:
+        while True:  # the policy each time: during a rollout, a killed learner's, it is refused
+            self._policy_pub.publish(String(data=policies.to_json(trial.policy)))
             done, why = self._call(interface.MOVE_TO_START, self.params.patience)
             if done and why == trial.id:
                 return
