@@ -13,7 +13,7 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -37,6 +37,7 @@ SCHEMA = "wam_power_ros/rollout/1"
 
 _LONGEST_GAP = 0.2  # s without a frame after which a pancake counts as lost: six frames at 30 Hz
 _FALLEN = 0.05  # m under the pan's floor: a pancake last seen there was not lost but dropped
+_REDRAWS_MAX = 20
 _CUT_SHORT = 0.05  # s a path may be shorter than the rollout
 # Motion limits as `safety.exceeded` names them: a policy runs into these by itself.
 _OWN_FAULT = re.compile(r"\b(joint \d+|tool|elbow|forearm) at .*(limit|workspace)")
@@ -174,6 +175,7 @@ class Trial:
         z: coordinates of that policy. Shape (size,)
         theta: the same in their own units. Shape (size,)
         attempt: 1, or more when earlier rollouts of the same z could not be learnt from.
+        redrawn: number of samples that were forbidden before this one.
         why: what the trial is for, in words.
     """
 
@@ -185,6 +187,7 @@ class Trial:
     z: np.ndarray
     theta: np.ndarray
     attempt: int
+    redrawn: int
     why: str
 
 
@@ -212,7 +215,7 @@ class Record(BaseModel):
 
     Attributes:
         schema_: version of this layout ("schema" in JSON).
-        number, id, kind, demonstration, attempt: of the trial.
+        number, id, kind, demonstration, attempt, redrawn: of the trial.
         z, theta: what was executed, in scaled coordinates and in their own units.
         learnt: whether the learner was or may be told.
         learnt_as: coordinates it is told, landing correction included; None when not learnt.
@@ -237,6 +240,7 @@ class Record(BaseModel):
     kind: Kind
     demonstration: str
     attempt: int = Field(ge=1)
+    redrawn: int = Field(default=0, ge=0)
     z: list[float]
     theta: list[float]
     learnt: bool
@@ -339,13 +343,21 @@ class Practice:
       the last one; it is re-tested and not changed any more.
     """
 
-    def __init__(self, candidates: Sequence[Policy], settings: PracticeSettings, seed: int) -> None:
+    def __init__(
+        self,
+        candidates: Sequence[Policy],
+        settings: PracticeSettings,
+        seed: int,
+        forbidden: Callable[[Policy], str] = lambda policy: "",
+    ) -> None:
         """Begin a session.
 
         Args:
             candidates: policies fitted to the demonstrations, each with an id of its own.
             settings: see there.
             seed: of the exploration, >= 0.
+            forbidden: why the arm must not try a sampled policy, empty if it may; what is
+                forbidden is drawn again. The same policy must always get the same answer.
 
         Raises:
             ValueError: no candidates, two of the same id, or a budget that leaves no practice.
@@ -362,6 +374,7 @@ class Practice:
             )
         self.settings = settings
         self.seed = seed
+        self._forbidden = forbidden
         self._candidates = tuple(candidates)
         self._parameters = {
             policy.id: Parameters(policy, settings.variant, settings.noise) for policy in candidates
@@ -390,13 +403,14 @@ class Practice:
         settings: PracticeSettings,
         seed: int,
         records: Sequence[Record],
+        forbidden: Callable[[Policy], str] = lambda policy: "",
     ) -> Practice:
         """Practice as it was after the last of `records`.
 
         Raises:
             ValueError: the records are not those of such a session; names the first that differs.
         """
-        practice = cls(candidates, settings, seed)
+        practice = cls(candidates, settings, seed, forbidden)
         for record in records:
             practice.replay(record)
         return practice
@@ -487,8 +501,12 @@ class Practice:
 
     def next_trial(self) -> Trial | None:
         """Rollout to execute now, the same until it is learnt from; None when finished."""
+        return self._next_trial(None)
+
+    def _next_trial(self, redrawn: int | None) -> Trial | None:
+        """The next trial; `redrawn` is known when it is replayed."""
         if self._pending is None and not self.finished:
-            kind, demonstration, z, attempt, why = self._plan()
+            kind, demonstration, z, attempt, redrawn, why = self._plan(redrawn)
             number = len(self._records) + 1
             id = f"trial-{number:04d}"
             parameters = self._parameters[demonstration]
@@ -496,7 +514,9 @@ class Practice:
             theta = parameters.theta(z)
             z.setflags(write=False)
             theta.setflags(write=False)
-            self._pending = Trial(number, id, kind, demonstration, policy, z, theta, attempt, why)
+            self._pending = Trial(
+                number, id, kind, demonstration, policy, z, theta, attempt, redrawn, why
+            )
         return self._pending
 
     def learn(
@@ -562,6 +582,7 @@ class Practice:
             kind=trial.kind,
             demonstration=trial.demonstration,
             attempt=trial.attempt,
+            redrawn=trial.redrawn,
             z=trial.z.tolist(),
             theta=trial.theta.tolist(),
             learnt=learnt,
@@ -591,7 +612,7 @@ class Practice:
         Raises:
             ValueError: the record is not that of the trial that is due.
         """
-        trial = self.next_trial()
+        trial = self._next_trial(record.redrawn)
         if trial is None:
             raise ValueError(f"record {record.number} ({record.id}) comes after the session's end")
         for name in ("number", "id", "kind", "demonstration", "attempt"):
@@ -610,16 +631,16 @@ class Practice:
         self._follow(record)
         self._records.append(record)
 
-    def _plan(self) -> tuple[Kind, str, np.ndarray, int, str]:
-        """Kind, demonstration, z, attempt and purpose of the next trial."""
+    def _plan(self, redrawn: int | None) -> tuple[Kind, str, np.ndarray, int, int, str]:
+        """Kind, demonstration, z, attempt, redraws and purpose of the next trial."""
         if self._retry is not None:
             retry = self._retry
             why = f"attempt {retry.attempt}: {retry.why}"
-            return retry.kind, retry.demonstration, retry.z, retry.attempt, why
+            return retry.kind, retry.demonstration, retry.z, retry.attempt, 0, why
         if self._learner is None or self._demonstration is None:
             candidate = self._candidates[len(self._reproductions)]
             zero = np.zeros(self._parameters[candidate.id].size)
-            return "reproduction", candidate.id, zero, 1, f"reproduces {candidate.id}"
+            return "reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}"
         kind: Kind = "explore"
         if self._answer is not None:
             kind, z = "retest", self._answer
@@ -631,8 +652,19 @@ class Practice:
             kind, z, why = "mean", self._learner.mean, "the mean, without noise"
         else:
             why = f"explores about the mean with noise {self._learner.noise:.2f}"
-            z = self._learner.ask()
-        return kind, self._demonstration, z, 1, why
+            z, redrawn = self._sample(self._learner, self._parameters[self._demonstration], redrawn)
+            return kind, self._demonstration, z, 1, redrawn, why
+        return kind, self._demonstration, z, 1, 0, why
+
+    def _sample(
+        self, learner: Power, parameters: Parameters, redrawn: int | None
+    ) -> tuple[np.ndarray, int]:
+        """A sample that is not forbidden, and how many were; the last one if all are."""
+        for count in range(_REDRAWS_MAX + 1 if redrawn is None else redrawn + 1):
+            z = learner.ask()
+            if redrawn is None and not self._forbidden(parameters.policy(z, "sample")[0]):
+                break
+        return z, count
 
     def _is_mean_turn(self) -> bool:
         every = self.settings.mean_every

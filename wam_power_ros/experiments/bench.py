@@ -17,6 +17,7 @@ from hardware_sim.world import HOME, Truth, World
 from wam_power_ros.controller import Controller, ControllerSettings, Mode
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.policy import Policy
+from wam_power_ros.rehearsal import rehearse
 from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.tracker import Tracker, TrackerSettings
@@ -48,6 +49,10 @@ class Bench:
         self.controller = Controller(self.arm, settings or as_set.settings)
         self._tracker_settings = tracker_settings()
         self.tracker = Tracker(self._tracker_settings)
+
+    def forbids(self, policy: Policy) -> str:
+        """Why a rehearsal of this policy would end in a fault, empty when it would not."""
+        return rehearse(self.arm, self.controller.settings, policy).fault
 
     def tick(self) -> None:
         """State to torque, torque to state."""

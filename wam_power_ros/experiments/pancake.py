@@ -50,12 +50,10 @@ def practise(
         seed: of the exploration.
         report: called with every record.
     """
-    practice = Practice(candidates, settings, seed)
+    practice = Practice(candidates, settings, seed, bench.forbids)
     while (trial := practice.next_trial()) is not None:
         pan, pancake, truth, fault = bench.run(trial.policy)
-        record = practice.learn(
-            trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth)
-        )
+        record = practice.learn(trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth))
         if report is not None:
             report(record)
     return practice

@@ -30,10 +30,12 @@ from wam_power_ros import policy as policies
 from wam_power_ros.arm import Arm
 from wam_power_ros.bags import read_demonstration
 from wam_power_ros.demonstration import from_joint_samples
+from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.params import Params
 from wam_power_ros.practice import Practice, Record, Trial, preset
 from wam_power_ros.primitive import PANCAKE, fit
 from wam_power_ros.real_time import executor_for
+from wam_power_ros.rehearsal import rehearse
 from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import Session
@@ -51,6 +53,7 @@ class LearnerParams(Params):
     model_joint_names: tuple[str, ...]  # the same in the URDF
     urdf: str  # path, or a file of our share folder
     tool_frame: str
+    controller: str  # the controller's parameters, to rehearse with: path, or a file of ours
     session: str  # folder; empty: none is begun
     demonstrations: tuple[str, ...]  # bags; not needed to resume
     preset: Literal["flip", "paper"]
@@ -80,7 +83,11 @@ class Learner(Node):
             raise ValueError(
                 f"model_joint_names {params.model_joint_names} must be as many as joint_names"
             )
-        self._arm = Arm(share(params.urdf).read_text(), params.model_joint_names, params.tool_frame)
+        urdf = share(params.urdf).read_text()
+        self._arm = Arm(urdf, params.model_joint_names, params.tool_frame)
+        controller = share(params.controller)
+        as_set = TorqueControllerParams.of_file(controller, "torque_controller")
+        self._rehearsed = as_set.controller(urdf).settings
         self._policy_pub = self.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._pan: tuple[int, EndEffectorPath] | None = None
         self._pancake: tuple[int, PancakePath] | None = None
@@ -210,10 +217,14 @@ class Learner(Node):
             settings = preset(params.preset, **({"budget": params.trials} if params.trials else {}))
             session = Session.begin(folder, settings, params.seed, self._fit_all())
         practice = Practice.from_records(
-            session.candidates, session.settings, session.seed, session.records
+            session.candidates, session.settings, session.seed, session.records, self._forbidden
         )
         self.get_logger().info(f"session {folder}: {len(session.records)} rollouts on record")
         return session, practice
+
+    def _forbidden(self, policy: policies.Policy) -> str:
+        """Why the arm must not try a policy: the fault in which its rehearsal ends."""
+        return rehearse(self._arm, self._rehearsed, policy).fault
 
     def _fit_all(self) -> list[policies.Policy]:
         if not any(self.params.demonstrations):
