@@ -4,6 +4,7 @@
 Works in buffers of its own, so one `Arm` belongs to one thread; every array it returns is new.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -146,15 +147,14 @@ class Arm:
         """
         model, data, tool = self.model, self._data, self._tool
         pin.forwardKinematics(model, data, q, qd, self._zero)
-        pin.updateFramePlacement(model, data, tool)
-        placement = data.oMf[tool]
+        placement = pin.updateFramePlacement(model, data, tool)
         twist = pin.getFrameVelocity(model, data, tool, _AXES).vector
         elbow_speed = forearm_speed = 0.0
         if self._elbow is not None:
-            elbow = data.v[self._elbow].vector
+            elbow = data.v[self._elbow].vector.tolist()
             elbow_speed = _point_speed(elbow, self._elbow_point)
             forearm_speed = _point_speed(elbow, self._forearm_point)
-        linear = twist[:3]
+        vx, vy, vz, *_ = twist.tolist()
         return Motion(
             position=placement.translation.copy(),
             rotation=placement.rotation.copy(),
@@ -162,7 +162,7 @@ class Arm:
             drift=pin.getFrameClassicalAcceleration(model, data, tool, _AXES).vector,
             elbow_speed=elbow_speed,
             forearm_speed=forearm_speed,
-            tool_speed=float(linear.dot(linear)) ** 0.5,
+            tool_speed=math.sqrt(vx * vx + vy * vy + vz * vz),
         )
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
@@ -262,11 +262,11 @@ def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
     return array
 
 
-def _point_speed(twist: np.ndarray, point: tuple[float, float, float]) -> float:
+def _point_speed(twist: list[float], point: tuple[float, float, float]) -> float:
     """Speed of a point of a body, from the body's twist in its own frame [m/s]."""
-    vx, vy, vz, wx, wy, wz = twist.tolist()
+    vx, vy, vz, wx, wy, wz = twist
     x, y, z = point
     vx += wy * z - wz * y
     vy += wz * x - wx * z
     vz += wx * y - wy * x
-    return float(vx * vx + vy * vy + vz * vz) ** 0.5
+    return math.sqrt(vx * vx + vy * vy + vz * vz)

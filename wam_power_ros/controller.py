@@ -692,7 +692,7 @@ class Controller:
             sent = np.minimum(np.maximum(tau, -limits.torque), limits.torque)
         else:
             sent = safety.limit_torque(tau, self._sent, dt, limits)
-            if (sent != tau).any():
+            if sent is not tau:
                 counters["limited"] += 1
         sent.setflags(write=False)
         self._sent = sent
@@ -704,7 +704,7 @@ class Controller:
         """What the mode wants, before the limits; a fault when that cannot be computed."""
         try:
             tau = self._laws[self._mode](stamp_ns, q, qd, motion)
-            wrong = None if math.isfinite(tau.sum()) else "the torque was not finite"
+            wrong = None if math.isfinite(sum(tau.tolist())) else "the torque was not finite"
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             wrong = f"no torque: {error}"
         if wrong is not None:
@@ -722,7 +722,7 @@ class Controller:
             self.counters["gaps"] += 1
             if dt > self.settings.stale:
                 self.fault(f"no joint state for {dt * 1e3:.0f} ms")
-        jump = float(np.abs(q - self._q).max())
+        jump = max(map(abs, (q - self._q).tolist()))
         if jump > self.limits.q_jump * max(1.0, dt / self.settings.period):
             self.counters["jumps"] += 1
             if self._mode is not Mode.GRAVITY_COMPENSATION:  # there nothing refers to a posture

@@ -8,6 +8,7 @@ arrays of any leading shape are vectorised. Nothing here modifies an argument.
 
 import itertools
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -53,6 +54,8 @@ def log(matrix: np.ndarray) -> np.ndarray:
     Returns:
         [rad]. Shape (..., 3).
     """
+    if np.ndim(matrix) == 2:
+        return np.array(_vector_of_one(*_quat_of_one(*np.ravel(matrix).tolist())))
     return rotation_vector(quat_xyzw(matrix))
 
 
@@ -125,8 +128,13 @@ def normalised(quat_xyzw: np.ndarray) -> np.ndarray:
         ValueError: A quaternion is not finite or has zero length.
     """
     quat = np.asarray(quat_xyzw, dtype=float)
-    norm = np.sqrt(np.sum(quat * quat, axis=-1, keepdims=True))
-    if not np.all(np.isfinite(norm) & (norm > _TINY)):
+    if quat.ndim == 1:
+        norm = math.sqrt(sum([value * value for value in quat.tolist()]))
+        directed = _TINY < norm < math.inf
+    else:
+        norm = np.sqrt(np.sum(quat * quat, axis=-1, keepdims=True))
+        directed = np.all(np.isfinite(norm) & (norm > _TINY))
+    if not directed:
         raise ValueError(f"quaternion {quat} has no direction; its length must be above {_TINY}")
     return quat / norm
 
@@ -142,19 +150,22 @@ def rotation_vector(quat_xyzw: np.ndarray) -> np.ndarray:
     """
     quat = np.asarray(quat_xyzw, dtype=float)
     if quat.ndim == 1:
-        x, y, z, w = quat.tolist()
-        sine = math.sqrt(x * x + y * y + z * z)
-        if sine < _TINY:
-            scale = 2.0 if w >= 0.0 else -2.0
-        else:
-            scale = 2.0 * math.atan2(math.copysign(sine, w), abs(w)) / sine
-        return np.array((x * scale, y * scale, z * scale))
+        return np.array(_vector_of_one(*quat.tolist()))
     vector, w = quat[..., :3], quat[..., 3]
     sine = np.sqrt(np.sum(vector * vector, axis=-1))
     small = sine < _TINY
     angle = 2.0 * np.arctan2(np.copysign(sine, w), np.abs(w))
     scale = np.where(small, np.copysign(2.0, w), angle / np.where(small, 1.0, sine))
     return vector * scale[..., None]
+
+
+def _vector_of_one(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+    sine = math.sqrt(x * x + y * y + z * z)
+    if sine < _TINY:
+        scale = 2.0 if w >= 0.0 else -2.0
+    else:
+        scale = 2.0 * math.atan2(math.copysign(sine, w), abs(w)) / sine
+    return x * scale, y * scale, z * scale
 
 
 def quat_of_vector(rotation_vector: np.ndarray) -> np.ndarray:
@@ -182,16 +193,21 @@ def multiply(a_xyzw: np.ndarray, b_xyzw: np.ndarray) -> np.ndarray:
     Returns:
         Shape (..., 4).
     """
-    ax, ay, az, aw = np.moveaxis(np.asarray(a_xyzw, dtype=float), -1, 0)
-    bx, by, bz, bw = np.moveaxis(np.asarray(b_xyzw, dtype=float), -1, 0)
-    return np.stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ],
-        axis=-1,
+    a, b = np.asarray(a_xyzw, dtype=float), np.asarray(b_xyzw, dtype=float)
+    if a.ndim == b.ndim == 1:
+        return np.array(_product(a.tolist(), b.tolist()))
+    return np.stack(_product(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), axis=-1)
+
+
+def _product(a: Sequence, b: Sequence) -> tuple:
+    """Components of the product from those of the factors: four numbers each, or four arrays."""
+    ax, ay, az, aw = a
+    bx, by, bz, bw = b
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
     )
 
 

@@ -10,6 +10,7 @@ because an old velocity would feed energy in.
 """
 
 import enum
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -142,7 +143,7 @@ def judge_stamp(stamp_ns: int, last_ns: int | None, period_ns: int) -> Stamp:
 def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limits) -> np.ndarray:
     """The torque nearest to the wanted one that keeps the limits of size and of change per second.
 
-    When `tau` is within both limits, the result is `tau` bit for bit.
+    When `tau` is within both limits, the result is `tau` itself.
 
     Args:
         tau: Wanted, finite [N m]. Shape (n,).
@@ -153,6 +154,13 @@ def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limit
     Returns:
         [N m]. Shape (n,).
     """
+    most, rate = limits.torque.tolist(), limits.torque_rate.tolist()
+    for wanted, last, peak, change in zip(tau.tolist(), previous.tolist(), most, rate, strict=True):
+        step = change * dt
+        if not (last - step <= wanted <= last + step and -peak <= wanted <= peak):
+            break
+    else:
+        return tau
     step = limits.torque_rate * dt
     low = np.maximum(previous - step, -limits.torque)
     high = np.minimum(previous + step, limits.torque)
@@ -172,12 +180,16 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     Returns:
         [N m]. Shape (n,).
     """
-    below = limits.q_min + limits.spring_range - q
-    above = q - limits.q_max + limits.spring_range
-    depth = np.maximum(below, 0.0) - np.maximum(above, 0.0)
-    if not depth.any():
+    width = limits.spring_range
+    for x, low, high in zip(q.tolist(), limits.q_min.tolist(), limits.q_max.tolist(), strict=True):
+        if low + width - x > 0.0 or x - high + width > 0.0:
+            break
+    else:
         return None
-    share = np.minimum(np.maximum(depth / limits.spring_range, -2.0), 2.0)
+    below = limits.q_min + width - q
+    above = q - limits.q_max + width
+    depth = np.maximum(below, 0.0) - np.maximum(above, 0.0)
+    share = np.minimum(np.maximum(depth / width, -2.0), 2.0)
     return share * limits.spring_torque
 
 
@@ -229,19 +241,21 @@ def exceeded(
         boxed: Whether the workspace box applies.
     """
     qd_max, q_min, q_max = limits.qd_max.tolist(), limits.q_min.tolist(), limits.q_max.tolist()
-    for i, speed in enumerate(qd):
-        if not -qd_max[i] <= speed <= qd_max[i]:
-            return f"joint {i + 1} at {speed:.2f} rad/s, limit {qd_max[i]:.2f}"
-        if (q[i] > q_max[i] and speed > 0.05) or (q[i] < q_min[i] and speed < -0.05):
-            return f"joint {i + 1} at {q[i]:.3f} rad, limits {q_min[i]:.3f} to {q_max[i]:.3f}"
+    for i, (x, speed, low, high, fastest) in enumerate(
+        zip(q, qd, q_min, q_max, qd_max, strict=True), start=1
+    ):
+        if not -fastest <= speed <= fastest:
+            return f"joint {i} at {speed:.2f} rad/s, limit {fastest:.2f}"
+        if (x > high and speed > 0.05) or (x < low and speed < -0.05):
+            return f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
     if motion.tool_speed > tool_speed:
         return f"tool at {motion.tool_speed:.2f} m/s, limit {tool_speed:.2f}"
     for name, speed in (("elbow", motion.elbow_speed), ("forearm", motion.forearm_speed)):
         if speed > limits.elbow_speed:
             return f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
     if boxed:
-        low, high = limits.workspace_min.tolist(), limits.workspace_max.tolist()
-        for axis, x, a, b in zip("xyz", motion.position.tolist(), low, high, strict=True):
+        corners = limits.workspace_min.tolist(), limits.workspace_max.tolist()
+        for axis, x, a, b in zip("xyz", motion.position.tolist(), *corners, strict=True):
             if not a <= x <= b:
                 return f"tool at {axis} = {x:.3f} m, workspace {a:.3f} to {b:.3f}"
     return None
@@ -254,4 +268,5 @@ def plausible(values: list[float], bound: float) -> bool:
         values: Positions [rad] or speeds [rad/s].
         bound: IMPLAUSIBLE_Q or IMPLAUSIBLE_QD.
     """
-    return all(-bound < value < bound for value in values)
+    # The sum, because no comparison with a NaN tells anything.
+    return math.isfinite(sum(values)) and -bound < min(values) and max(values) < bound

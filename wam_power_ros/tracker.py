@@ -8,6 +8,7 @@ path. Stamps are `int` nanoseconds and never added up, so results do not depend 
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from dataclasses import dataclass
 from enum import Enum
@@ -135,7 +136,6 @@ class Tracker:
         matrix = rotations.matrix(pose[3:]) @ (Y_UP if settings.up_axis == "y" else np.eye(3))
         self._rotation, self._quat, self._origin = matrix, rotations.quat_xyzw(matrix), pose[:3]
         self._latency = round(settings.latency_offset * 1e9)
-        self._box = np.array([settings.workspace_low, settings.workspace_high])
         self._patience = round(2e9 / settings.rate)  # [ns] without a frame
         self._window = max(WINDOW, self._patience) + INTERVAL_MIN
         self.counts: Counter[str] = Counter()
@@ -179,7 +179,9 @@ class Tracker:
             held = frame.stamp_ns - self._raw_since
             frozen = self._repeats >= FROZEN_FRAMES and held >= FROZEN_TIME
             return self._refuse("pose repeated", Validity.FROZEN if frozen else None)
-        if not ((self._box[0] <= frame.position) & (frame.position <= self._box[1])).all():
+        low, high = self._settings.workspace_low, self._settings.workspace_high
+        place = zip(low, frame.position.tolist(), high, strict=True)
+        if not all(least <= x <= most for least, x, most in place):
             return self._refuse("out of workspace")
         if not self._is_reachable(frame):
             self._rejects += 1
@@ -289,7 +291,7 @@ class Tracker:
 
     def _gate(self, last: _Frame, frame: _Frame, patience: int) -> bool:
         dt = min(frame.stamp_ns - last.stamp_ns, patience) * 1e-9
-        step = float(np.linalg.norm(frame.position - last.position))
+        step = math.dist(frame.position, last.position)
         return step <= self._settings.speed_max * dt + 5.0 * self._settings.noise
 
     def _accept(self, frame: _Frame) -> TrackedState | None:
@@ -312,10 +314,13 @@ class Tracker:
         if len(recent) < 2:
             return None
         t = np.array([(frame.stamp_ns - last.stamp_ns) * 1e-9 for frame in recent])  # (n,)
-        slope = (t - t.mean()) / np.sum((t - t.mean()) ** 2)  # (n,) of the line least squares fits
-        quats = np.array([frame.quat_xyzw for frame in recent])  # (n, 4)
+        t -= t.mean()
+        slope = t / t.dot(t)  # (n,) of the line least squares fits
         inverse = last.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
-        turns = rotations.rotation_vector(rotations.multiply(quats, inverse))  # (n, 3)
+        turns = [
+            rotations.rotation_vector(rotations.multiply(frame.quat_xyzw, inverse))
+            for frame in recent
+        ]  # (n, 3)
         return TrackedState(
             last.stamp_ns,
             last.position,
@@ -331,11 +336,12 @@ def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> str:
     """Why a pose cannot be one, or ""."""
     if position.shape != (3,) or quat_xyzw.shape != (4,):
         raise ValueError(f"pose of shapes {position.shape}, {quat_xyzw.shape}, not (3,), (4,)")
-    if not (np.isfinite(position).all() and np.isfinite(quat_xyzw).all()):
+    place, turn = position.tolist(), quat_xyzw.tolist()
+    if not all(map(math.isfinite, place + turn)):
         return "not finite"
-    if not position.any():
+    if not any(place):
         return "zero pose"
-    if abs(float(np.linalg.norm(quat_xyzw)) - 1.0) > UNIT:
+    if abs(math.hypot(*turn) - 1.0) > UNIT:
         return "quaternion not of unit length"
     return ""
 
