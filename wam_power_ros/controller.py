@@ -827,7 +827,7 @@ class Controller:
     def _sample(self, rollout: _Rollout, k: int, motion: Motion) -> None:
         every = round(self.settings.path_period / self.settings.period)
         row = rollout.count
-        rollout.t[row] = k * self.settings.period
+        rollout.t[row] = k * self._period_ns * 1e-9  # the float that a stamp comes back as
         rollout.position[row] = motion.position
         rollout.quat_xyzw[row] = rotations.quat_xyzw(motion.rotation)
         rollout.count += 1
