@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rollout in one process beside its bare MuJoCo steps: what everything else costs.
+
+    python -m benchmark.rollout [--repeats 15]
+
+A demonstrated toss is executed on the bench: the stand-in's world, the controller and the tracker,
+wired by calls. The forces of each physics step are recorded and played back through `mj_step`
+alone, from the same state to, bit for bit, the same end: so the contacts are the same too. Rollout
+and playback take turns, and the best of each counts: what disturbs a busy machine only adds. All
+times are of the processor in this thread, so what other processes take does not count.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from hardware_sim.sensing import Encoders, Mocap
+from hardware_sim.world import World
+from wam_power_ros.arm import Arm
+from wam_power_ros.controller import Controller, Mode
+from wam_power_ros.experiments.bench import Bench
+from wam_power_ros.experiments.pancake import teach
+from wam_power_ros.flight import observe_flight
+from wam_power_ros.policy import Policy
+from wam_power_ros.torque_law import TorqueLaw
+from wam_power_ros.tracker import Tracker
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+
+
+class Part(NamedTuple):
+    """A function to time, and the part of the rollout it is reported as."""
+
+    owner: object
+    name: str
+    label: str
+
+
+PARTS = (
+    Part(World, "reset", "world: reset"),
+    Part(mujoco, "mj_step", "MuJoCo"),
+    Part(World, "step", "world: motors, log"),
+    Part(World, "joint_state", "world: state out"),
+    Part(Encoders, "read", "world: encoders"),
+    Part(Mocap, "expose", "world: cameras"),
+    Part(World, "truth", "world: truth"),
+    Part(Controller, "step", "controller: checks, limits, policy"),
+    Part(Arm, "motion", "controller: kinematics"),
+    Part(Arm, "dynamics", "controller: dynamics"),
+    Part(TorqueLaw, "torque", "controller: torque law"),
+    Part(Controller, "load", "controller: load"),
+    Part(Tracker, "add", "tracker"),
+)
+
+
+@dataclass
+class Recording:
+    """The physics steps of one rollout, those in which the pancake settles first."""
+
+    settling_steps: int = 0
+    settling: np.ndarray = field(default_factory=lambda: np.empty(0))  # state before them
+    start: np.ndarray = field(default_factory=lambda: np.empty(0))  # state at the release
+    end: np.ndarray = field(default_factory=lambda: np.empty(0))
+    forces: list[np.ndarray] = field(default_factory=list)  # of each tick (nv,) [N m]
+
+
+@contextmanager
+def replaced(owner: object, name: str, value: object) -> Iterator[None]:
+    """Exchange an attribute for the time of a `with`."""
+    original = getattr(owner, name)
+    setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        setattr(owner, name, original)
+
+
+def state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """All that the next step depends on."""
+    values = np.empty(mujoco.mj_stateSize(model, _STATE))
+    mujoco.mj_getState(model, data, values, _STATE)
+    return values
+
+
+def record(bench: Bench, policy: Policy) -> Recording:
+    """Execute a policy and keep what its physics steps depend on."""
+    recording = Recording()
+    step = mujoco.mj_step
+
+    def recorded(model: mujoco.MjModel, data: mujoco.MjData, count: int = 1) -> None:
+        if count == 1:  # of `World.reset`; a tick takes several at once
+            if not recording.settling_steps:
+                recording.settling = state(model, data)
+            recording.settling_steps += 1
+        else:
+            if not recording.forces:
+                recording.start = state(model, data)
+            recording.forces.append(data.qfrc_applied.copy())
+        step(model, data, count)
+
+    with replaced(mujoco, "mj_step", recorded):
+        bench.run(policy)
+    recording.end = state(bench.world.model, bench.world.data)
+    return recording
+
+
+class Playback:
+    """The recorded physics alone."""
+
+    def __init__(self, world: World, recording: Recording) -> None:
+        self._world, self._recording = world, recording
+        self._data = mujoco.MjData(world.model)
+
+    def settle(self) -> float:
+        """Time the steps in which the pancake settles [s]."""
+        model, data, recording = self._world.model, self._data, self._recording
+        wind = model.opt.wind.copy()
+        model.opt.wind[:] = 0.0
+        mujoco.mj_setState(model, data, recording.settling, _STATE)
+        q, qd = data.qpos[:7], data.qvel[:7]
+        q_start = q.copy()
+        begin = time.thread_time()
+        for _ in range(recording.settling_steps):
+            mujoco.mj_step(model, data)
+            q[:] = q_start
+            qd[:] = 0.0
+        seconds = time.thread_time() - begin
+        model.opt.wind[:] = wind
+        return seconds
+
+    def fly(self) -> float:
+        """Time the steps from the release on [s].
+
+        Raises:
+            RuntimeError: They did not end where the rollout did.
+        """
+        model, data, recording = self._world.model, self._data, self._recording
+        mujoco.mj_setState(model, data, recording.start, _STATE)
+        applied, substeps = data.qfrc_applied, round(0.002 / model.opt.timestep)
+        begin = time.thread_time()
+        for force in recording.forces:
+            applied[:] = force
+            mujoco.mj_step(model, data, substeps)
+        seconds = time.thread_time() - begin
+        if not np.array_equal(state(model, data), recording.end):
+            raise RuntimeError("the playback has ended elsewhere than the rollout")
+        return seconds
+
+
+class Clock:
+    """Seconds spent in functions, less what they spend in others that are timed as well."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._inner = [0.0]
+
+    def timed(self, function: Callable[..., object], label: str) -> Callable[..., object]:
+        """The same function, on this clock."""
+
+        def run(*args: object) -> object:
+            self._inner.append(0.0)
+            begin = time.thread_time()
+            result = function(*args)
+            spent = time.thread_time() - begin
+            self.seconds[label] += spent - self._inner.pop()
+            self._inner[-1] += spent
+            return result
+
+        return run
+
+
+def by_part(bench: Bench, policy: Policy) -> dict[str, float]:
+    """Where the time of one rollout goes [s]; its sum is a little more than that of an untimed."""
+    clock = Clock()
+    with ExitStack() as stack:
+        for part in PARTS:
+            timed = clock.timed(getattr(part.owner, part.name), part.label)
+            stack.enter_context(replaced(part.owner, part.name, timed))
+        clock.timed(bench.run, "bench")(policy)
+    return clock.seconds
+
+
+def control_step(bench: Bench, policy: Policy) -> float:
+    """Median time of the controller's step from the release to the end of the rollout [s]."""
+    times: list[float] = []
+    step = Controller.step
+
+    def timed(controller: Controller, *args: object) -> object:
+        begin = time.thread_time()
+        torque = step(controller, *args)
+        if controller.mode is Mode.ROLLOUT:
+            times.append(time.thread_time() - begin)
+        return torque
+
+    with replaced(Controller, "step", timed):
+        bench.run(policy)
+    return float(np.median(times))
+
+
+def seconds_of(function: Callable[[], object]) -> float:
+    """Time of one call [s]."""
+    begin = time.thread_time()
+    function()
+    return time.thread_time() - begin
+
+
+def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n")) -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=15)
+    repeats = parser.parse_args().repeats
+    bench = Bench(World(None, seed=1))
+    (policy,) = teach(bench, seed=1, count=1)
+    recording = record(bench, policy)
+    playback = Playback(bench.world, recording)
+    wholes, settles, flights, medians = [], [], [], []
+    parts: dict[str, float] = defaultdict(lambda: np.inf)
+    for _ in range(repeats):
+        wholes.append(seconds_of(lambda: bench.run(policy)))
+        settles.append(playback.settle())
+        flights.append(playback.fly())
+        medians.append(control_step(bench, policy))
+        for label, seconds in by_part(bench, policy).items():
+            parts[label] = min(parts[label], seconds)
+    pan, pancake, truth, _ = bench.run(policy)
+    observing = min(seconds_of(lambda: observe_flight(pan, pancake)) for _ in range(repeats))
+
+    whole, settle, flight = min(wholes), min(settles), min(flights)
+    ticks = len(recording.forces)
+    simulated = 0.002 * ticks
+    say(f"rollout of {simulated:.2f} s, {ticks} ticks; tossed {truth.tossed}")
+    say(f"rollouts a second        {1.0 / whole:8.1f}")
+    say(f"times real time          {simulated / whole:8.1f}")
+    say(f"whole rollout            {whole * 1e3:8.1f} ms")
+    bare = (
+        f"{(settle + flight) * 1e3:8.1f} ms, {settle * 1e3:.1f} of them while the pancake settles"
+    )
+    say(f"its bare MuJoCo steps    {bare}")
+    say(f"whole over bare          {whole / (settle + flight):8.2f}")
+    say(f"control step, median     {min(medians) * 1e6:8.1f} us")
+    say(f"observing the flight     {observing * 1e3:8.1f} ms, not in the above")
+    say("microseconds a tick, best of each part, timing included")
+    for label, seconds in sorted(parts.items(), key=lambda item: -item[1]):
+        say(f"  {label:36s}{seconds / ticks * 1e6:8.1f}")
+
+
+if __name__ == "__main__":
+    main()
