@@ -23,6 +23,7 @@ from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.tracker import Tracker, TrackerSettings
 
 _STILL_TICKS = 40  # ticks a held arm repeats its state before a rollout begins
+_LATE_TICKS = 100  # that are waited at most for the rollout's last frame, as frames come late
 
 
 def tracker_settings() -> TrackerSettings:
@@ -113,7 +114,9 @@ class Bench:
             raise RuntimeError(f"rollout {policy.id} left no path")
         fault = controller.fault_reason or ""
         end_ns = start_ns + round(float(pan.t[-1]) * 1e9)
-        for _ in range(100):  # frames are delivered late
+        for _ in range(_LATE_TICKS):
+            if self.tracker.latest_ns >= end_ns:
+                break
             self.tick()
         pancake = self.tracker.path(policy.id, start_ns, end_ns)
         return pan, pancake, truth, fault
