@@ -42,9 +42,9 @@ def rehearse(
     arm: Arm,
     settings: ControllerSettings,
     policy: Policy,
-    margin: float = 0.95,
+    margin: float = 0.9,
 ) -> Rehearsal:
-    """Execute a policy on the model, from its start to the end of its movement.
+    """Execute a policy on the model, from its start until the arm has settled.
 
     Args:
         arm: The model; its buffers are used.
@@ -86,7 +86,7 @@ def rehearse(
         rest()
     controller.execute()
     qd_peak, elbow_peak, tool_peak = np.zeros(arm.n), 0.0, 0.0
-    for _ in range(round(policy.basis.duration / settings.period)):
+    while True:
         tau = controller.step(stamp_ns, q, qd)
         if controller.mode is not Mode.ROLLOUT:
             break
