@@ -4,10 +4,10 @@
     python -m benchmark.kill [--seed 42] [--kills 10] [--trials 8] [--demonstrations 4]
 
 An undisturbed session comes first. Then another learns from the same bags, on nodes that keep
-running: its learner is killed at random moments (of the seed) and started again with the same
-folder. No line of `rollouts.jsonl` that was there before a kill may change, and in the end all
-must be equal but `clock` and `bag`: a recording that a kill cut short keeps its name, so the bag
-of the rollout run again is rollout_<id>_2.
+running: its learner is killed at random moments (of the seed), up to five seconds after its start
+or after its first rollout, and started again with the same folder. No line of `rollouts.jsonl`
+that was there before a kill may change, and in the end all must be equal but `clock` and `bag`: a
+recording that a kill cut short keeps its name, so the rollout run again is in rollout_<id>_2.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from benchmark.sessions import ENVIRONMENT, ROOT, differences, learn, lines, rec
 from wam_power_ros.bags import UNFINISHED
 from wam_power_ros.processes import Processes, private_domain
 
-LONGEST = 10.0  # a learner lives [s]
+PATIENCE = 120.0  # for a rollout [s]
 
 
 def node(name: str, *configs: str, **parameters: object) -> list[str]:
@@ -69,11 +69,14 @@ def learn_killed(
             recorder = node("demonstration_recorder", use_sim_time=True, directory=directory)
             others.start("demonstration_recorder", recorder)
             for kill in range(1, kills + 1):
-                life = float(rng.uniform(0.5, LONGEST))
+                rollouts, life = int(rng.integers(2)), float(rng.uniform(0.2, 5.0))
                 learner = learners.start("learner", command)
+                end = time.monotonic() + PATIENCE
+                while len(lines(folder)) < len(kept) + rollouts and time.monotonic() < end:
+                    time.sleep(0.01)
                 time.sleep(life)
-                if learner.process.poll() is not None:
-                    raise RuntimeError(f"the session ended before kill {kill}\n{learner.tail}")
+                if learner.process.poll() is not None or time.monotonic() > end:
+                    raise RuntimeError(f"no session to kill ({kill})\n{learner.tail}")
                 before = lines(folder)
                 learner.process.kill()
                 learner.process.wait()
@@ -84,8 +87,8 @@ def learn_killed(
                         lost.append(f"kill {kill}: a line that was on disk has changed")
                 kept = lines(folder)
                 report.append(
-                    f"  {kill:2d}: after {life:4.1f} s, {len(kept):2d} rollouts on record"
-                    + (", while recording" if recording else "")
+                    f"  {kill:2d}: {life:3.1f} s after its {('start', 'first rollout')[rollouts]}, "
+                    f"{len(kept)} on record{', recording' * recording}"
                 )
             last = Processes(folder / "logs", environment)
             with last:
