@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy, toss
 
-from wam_power_ros.policy import to_json
+from wam_power_ros.policy import Policy, to_json
 from wam_power_ros.practice import (
     Assessment,
     Practice,
@@ -494,3 +494,38 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
         assert damage != line
         with pytest.raises(ValueError):
             Record.from_json(damage)
+
+
+def test_forbidden_samples_are_drawn_again_and_only_what_is_allowed_is_tried() -> None:
+    def forbidden(policy: Policy) -> str:
+        return "too far out" if policy.attractors[3, 0] > CANDIDATES[0].attractors[3, 0] else ""
+
+    practice = Practice(CANDIDATES[:1], preset("flip", budget=20, retests=0), 3, forbidden)
+    tried = []
+    while (trial := practice.next_trial()) is not None:
+        tried.append(trial)
+        practice.note(trial, toss(trial, practice.settings))
+    explored = [trial for trial in tried if trial.kind == "explore"]
+    assert not any(forbidden(trial.policy) for trial in explored)
+    assert sum(record.redrawn for record in practice.records) > 0
+
+
+def test_a_replayed_practice_redraws_without_asking_what_is_forbidden() -> None:
+    def parity(policy: Policy) -> str:
+        return "odd" if int(policy.attractors[0, 0] * 1e6) % 2 else ""
+
+    def never(policy: Policy) -> str:
+        raise AssertionError(f"asked about {policy.id}")
+
+    practice = Practice(CANDIDATES, preset("flip", budget=20, retests=0), 3, parity)
+    records = run(practice, rollouts=12)
+    assert any(record.redrawn for record in records)
+    again = Practice.from_records(CANDIDATES, practice.settings, 3, records, never)
+    assert again.records == practice.records
+
+
+def test_when_every_sample_is_forbidden_the_practice_still_goes_on() -> None:
+    practice = Practice(CANDIDATES, preset("flip", budget=8, retests=0), 3, lambda policy: "no")
+    records = run(practice)
+    assert len(records) == 8
+    assert {record.redrawn for record in records if record.kind == "explore"} == {20}
