@@ -151,3 +151,6 @@ def test_a_driver_set_up_overrides_only_what_exists(path: Path) -> None:
         # a bag of this driver's joints is one the learner can read
         assert kind(**merged).joint_names == params.joint_names
     assert tuple(merged["model_joint_names"]) == params.model_joint_names
+    # and what it rehearses with has the limits that the controller has
+    files = [ROOT / file for file in merged["controller"]]
+    assert TorqueControllerParams.of_file(files[0], "torque_controller", *files[1:]) == params

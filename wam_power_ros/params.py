@@ -48,17 +48,24 @@ class Params(BaseModel):
         return params
 
     @classmethod
-    def of_file(cls: type[P], path: Path, node: str) -> P:
-        """Read the parameters that a YAML file gives `node`, as it would read them itself.
+    def of_file(cls: type[P], path: Path, node: str, *over: Path) -> P:
+        """Read the parameters that YAML files give `node`, as it would read them itself.
+
+        Args:
+            path: of the node's own file.
+            node: its name.
+            over: files that override it, the last one most.
 
         Raises:
-            ValueError: as for `of`, or the file has nothing for that node.
+            ValueError: as for `of`, or a file has nothing for that node.
         """
-        try:
-            given = yaml.safe_load(path.read_text())[node]["ros__parameters"]
-        except (yaml.YAMLError, KeyError, TypeError) as error:
-            raise ValueError(f"{path} has no parameters for {node}: {error!r}") from None
-        values = {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
+        values: dict[str, object] = {}
+        for file in (path, *over):
+            try:
+                given = yaml.safe_load(file.read_text())[node]["ros__parameters"]
+            except (yaml.YAMLError, KeyError, TypeError) as error:
+                raise ValueError(f"{file} has no parameters for {node}: {error!r}") from None
+            values |= {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
         return cls._checked(f"{node} in {path}", values)
 
     @classmethod

@@ -53,7 +53,7 @@ class LearnerParams(Params):
     model_joint_names: tuple[str, ...]  # the same in the URDF
     urdf: str  # path, or a file of our share folder
     tool_frame: str
-    controller: str  # the controller's parameters, to rehearse with: path, or a file of ours
+    controller: tuple[str, ...] = Field(min_length=1)  # its parameters, to rehearse with: files
     session: str  # folder; empty: none is begun
     demonstrations: tuple[str, ...]  # bags; not needed to resume
     preset: Literal["flip", "paper"]
@@ -85,8 +85,8 @@ class Learner(Node):
             )
         urdf = share(params.urdf).read_text()
         self._arm = Arm(urdf, params.model_joint_names, params.tool_frame)
-        controller = share(params.controller)
-        as_set = TorqueControllerParams.of_file(controller, "torque_controller")
+        own, *over = (share(file) for file in params.controller)
+        as_set = TorqueControllerParams.of_file(own, "torque_controller", *over)
         self._rehearsed = as_set.controller(urdf).settings
         self._policy_pub = self.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._pan: tuple[int, EndEffectorPath] | None = None
