@@ -660,10 +660,12 @@ class Practice:
         self, learner: Power, parameters: Parameters, redrawn: int | None
     ) -> tuple[np.ndarray, int]:
         """A sample that is not forbidden, and how many were; the last one if all are."""
-        for count in range(_REDRAWS_MAX + 1 if redrawn is None else redrawn + 1):
+        last = _REDRAWS_MAX if redrawn is None else redrawn
+        for count in range(last + 1):
             z = learner.ask()
-            if redrawn is None and not self._forbidden(parameters.policy(z, "sample")[0]):
-                break
+            if redrawn is None and count < last:
+                if not self._forbidden(parameters.policy(z, "sample")[0]):
+                    break
         return z, count
 
     def _is_mean_turn(self) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench in one process: stand-in world, controller and tracker wired by calls instead of topics.
+"""The bench in one process: stand-in world, controller and tracker wired by calls, not topics.
 
 What the nodes exchange over DDS passes here as arrays, in the same order and through the same
 core, so a rollout of one seed and id comes out bit for bit as it does there.
