@@ -287,6 +287,25 @@ def test_a_blocked_move_is_a_fault() -> None:
     assert "rad away" in controller.fault_reason
 
 
+def test_a_held_arm_that_was_carried_off_does_not_spring_back() -> None:
+    def idle(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        cut = np.zeros(7) if t < 0.3 else -np.array(sent[-1])  # no torque reaches the motors
+        return cut - 3.0 * qd * (t >= 0.3)
+
+    sent = [np.zeros(7)]
+    controller, plant = begin(push=idle)
+    for _ in range(3000):
+        sent.append(controller.step(*plant.state()))
+        plant.step(sent[-1])
+        if controller.mode is Mode.FAULT:
+            break
+    assert "rad away" in controller.fault_reason
+    q, plant.push = plant.q.copy(), None  # the board lets torques through again
+    run(controller, plant, 1.0)
+    assert np.abs(plant.q - q).max() < 0.2
+    assert controller.mode is Mode.FAULT
+
+
 def test_a_replay_follows_the_recording_and_reports_its_error() -> None:
     t = np.linspace(0.0, 1.5, 300)
     wave = 0.5 * (1.0 - np.cos(2.0 * np.pi * t / 1.5))[:, None]
