@@ -86,8 +86,11 @@ class WamSim(Node):
         self._pulling = False
         self._ticks_left = 0  # until a service may be answered
 
+        lockstep = params.pace == "lockstep"  # as fast as it goes: no reader may lose by it
         self._states = self.create_publisher(
-            JointState, interface.JOINT_STATES, interface.STATE_OUT
+            JointState,
+            interface.JOINT_STATES,
+            interface.STATE_OUT_LOCKSTEP if lockstep else interface.STATE_OUT,
         )
         self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
         self._truth = self.create_publisher(String, interface.PANCAKE_TRUTH, interface.LATCHED)

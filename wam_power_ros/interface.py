@@ -79,6 +79,7 @@ def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE"
 
 # QoS: publish reliable, subscribe best effort, except what is latched
 STATE_OUT = _qos(10)
+STATE_OUT_LOCKSTEP = _qos(4000)  # what a recorder that falls behind has missed is sent again
 STATE_IN = _qos(10, "BEST_EFFORT")
 STATE_RECORD = _qos(4000, "BEST_AVAILABLE")  # a recorder may fall behind, it may not lose
 COMMAND = _qos(1)
