@@ -6,8 +6,8 @@
 A demonstrated toss is executed on the bench: the stand-in's world, the controller and the tracker,
 wired by calls. The forces of each physics step are recorded and played back through `mj_step`
 alone, from the same state to, bit for bit, the same end: so the contacts are the same too. Rollout
-and playback take turns, and the best of each counts: what disturbs a busy machine only adds. All
-times are of the processor in this thread, so what other processes take does not count.
+and playback take turns. Every repeat does the same work tick for tick, so the best of each tick
+counts, in both: what disturbs a busy machine only adds.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import argparse
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -121,25 +121,25 @@ class Playback:
         self._world, self._recording = world, recording
         self._data = mujoco.MjData(world.model)
 
-    def settle(self) -> float:
-        """Time the steps in which the pancake settles [s]."""
+    def settle(self) -> np.ndarray:
+        """Time the steps in which the pancake settles [s]. Shape (steps,)."""
         model, data, recording = self._world.model, self._data, self._recording
         wind = model.opt.wind.copy()
         model.opt.wind[:] = 0.0
         mujoco.mj_setState(model, data, recording.settling, _STATE)
         q, qd = data.qpos[:7], data.qvel[:7]
         q_start = q.copy()
-        begin = time.thread_time()
+        stamps = [time.perf_counter()]
         for _ in range(recording.settling_steps):
             mujoco.mj_step(model, data)
             q[:] = q_start
             qd[:] = 0.0
-        seconds = time.thread_time() - begin
+            stamps.append(time.perf_counter())
         model.opt.wind[:] = wind
-        return seconds
+        return np.diff(stamps)
 
-    def fly(self) -> float:
-        """Time the steps from the release on [s].
+    def fly(self) -> np.ndarray:
+        """Time the ticks from the release on [s]. Shape (ticks,).
 
         Raises:
             RuntimeError: They did not end where the rollout did.
@@ -147,21 +147,21 @@ class Playback:
         model, data, recording = self._world.model, self._data, self._recording
         mujoco.mj_setState(model, data, recording.start, _STATE)
         applied, substeps = data.qfrc_applied, round(0.002 / model.opt.timestep)
-        begin = time.thread_time()
+        stamps = [time.perf_counter()]
         for force in recording.forces:
             applied[:] = force
             mujoco.mj_step(model, data, substeps)
-        seconds = time.thread_time() - begin
+            stamps.append(time.perf_counter())
         if not np.array_equal(state(model, data), recording.end):
             raise RuntimeError("the playback has ended elsewhere than the rollout")
-        return seconds
+        return np.diff(stamps)
 
 
 class Clock:
-    """Seconds spent in functions, less what they spend in others that are timed as well."""
+    """Seconds spent in each call of functions, less those in others that are timed as well."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = defaultdict(float)
+        self.seconds: dict[str, list[float]] = defaultdict(list)
         self._inner = [0.0]
 
     def timed(self, function: Callable[..., object], label: str) -> Callable[..., object]:
@@ -169,18 +169,18 @@ class Clock:
 
         def run(*args: object) -> object:
             self._inner.append(0.0)
-            begin = time.thread_time()
+            begin = time.perf_counter()
             result = function(*args)
-            spent = time.thread_time() - begin
-            self.seconds[label] += spent - self._inner.pop()
+            spent = time.perf_counter() - begin
+            self.seconds[label].append(spent - self._inner.pop())
             self._inner[-1] += spent
             return result
 
         return run
 
 
-def by_part(bench: Bench, policy: Policy) -> dict[str, float]:
-    """Where the time of one rollout goes [s]; its sum is a little more than that of an untimed."""
+def by_part(bench: Bench, policy: Policy) -> dict[str, list[float]]:
+    """Time of each call of each part [s]; their sum is a little more than an untimed rollout's."""
     clock = Clock()
     with ExitStack() as stack:
         for part in PARTS:
@@ -190,28 +190,48 @@ def by_part(bench: Bench, policy: Policy) -> dict[str, float]:
     return clock.seconds
 
 
-def control_step(bench: Bench, policy: Policy) -> float:
-    """Median time of the controller's step from the release to the end of the rollout [s]."""
+def by_tick(bench: Bench, policy: Policy) -> np.ndarray:
+    """Time of one rollout, cut where the world begins a tick [s]. Shape (ticks + 1,)."""
+    stamps = [time.perf_counter()]
+    step = World.step
+
+    def stamped(world: World, torque: np.ndarray | None) -> None:
+        stamps.append(time.perf_counter())
+        step(world, torque)
+
+    with replaced(World, "step", stamped):
+        bench.run(policy)
+    stamps.append(time.perf_counter())
+    return np.diff(stamps)
+
+
+def control_steps(bench: Bench, policy: Policy) -> list[float]:
+    """Time of each of the controller's steps in a rollout [s]."""
     times: list[float] = []
     step = Controller.step
 
     def timed(controller: Controller, *args: object) -> object:
-        begin = time.thread_time()
+        begin = time.perf_counter()
         torque = step(controller, *args)
         if controller.mode is Mode.ROLLOUT:
-            times.append(time.thread_time() - begin)
+            times.append(time.perf_counter() - begin)
         return torque
 
     with replaced(Controller, "step", timed):
         bench.run(policy)
-    return float(np.median(times))
+    return times
+
+
+def best(times: Sequence[Sequence[float]]) -> np.ndarray:
+    """The best of all repeats (repeats, calls) for each call. Shape (calls,)."""
+    return np.min(times, axis=0)
 
 
 def seconds_of(function: Callable[[], object]) -> float:
     """Time of one call [s]."""
-    begin = time.thread_time()
+    begin = time.perf_counter()
     function()
-    return time.thread_time() - begin
+    return time.perf_counter() - begin
 
 
 def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n")) -> None:
@@ -223,19 +243,20 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     (policy,) = teach(bench, seed=1, count=1)
     recording = record(bench, policy)
     playback = Playback(bench.world, recording)
-    wholes, settles, flights, medians = [], [], [], []
-    parts: dict[str, float] = defaultdict(lambda: np.inf)
+    wholes, settles, flights, controls = [], [], [], []
+    parts: dict[str, list[list[float]]] = defaultdict(list)
     for _ in range(repeats):
-        wholes.append(seconds_of(lambda: bench.run(policy)))
+        wholes.append(by_tick(bench, policy))
         settles.append(playback.settle())
         flights.append(playback.fly())
-        medians.append(control_step(bench, policy))
-        for label, seconds in by_part(bench, policy).items():
-            parts[label] = min(parts[label], seconds)
+        controls.append(control_steps(bench, policy))
+        for label, calls in by_part(bench, policy).items():
+            parts[label].append(calls)
     pan, pancake, truth, _ = bench.run(policy)
     observing = min(seconds_of(lambda: observe_flight(pan, pancake)) for _ in range(repeats))
 
-    whole, settle, flight = min(wholes), min(settles), min(flights)
+    whole, settle, flight = (float(best(times).sum()) for times in (wholes, settles, flights))
+    seconds = {label: float(best(calls).sum()) for label, calls in parts.items()}
     ticks = len(recording.forces)
     simulated = 0.002 * ticks
     say(f"rollout of {simulated:.2f} s, {ticks} ticks; tossed {truth.tossed}")
@@ -247,11 +268,11 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     )
     say(f"its bare MuJoCo steps    {bare}")
     say(f"whole over bare          {whole / (settle + flight):8.2f}")
-    say(f"control step, median     {min(medians) * 1e6:8.1f} us")
+    say(f"control step, median     {np.median(best(controls)) * 1e6:8.1f} us")
     say(f"observing the flight     {observing * 1e3:8.1f} ms, not in the above")
-    say("microseconds a tick, best of each part, timing included")
-    for label, seconds in sorted(parts.items(), key=lambda item: -item[1]):
-        say(f"  {label:36s}{seconds / ticks * 1e6:8.1f}")
+    say("microseconds a tick by part, timing included")
+    for label in sorted(seconds, key=seconds.get, reverse=True):
+        say(f"  {label:36s}{seconds[label] / ticks * 1e6:8.1f}")
 
 
 if __name__ == "__main__":

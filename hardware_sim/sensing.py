@@ -116,6 +116,10 @@ class Mocap:
         self._waiting = [frame for frame in self._waiting if frame.stamp_ns < now_ns]
         self._next_ns = now_ns + 5_000_000 + int(rng.uniform(0.0, self._period_ns))
 
+    def forget(self) -> None:
+        """Deliver none of the frames that are on their way."""
+        self._waiting = []
+
     def due(self, now_ns: int) -> bool:
         """Whether the next frame is to be exposed."""
         return now_ns >= self._next_ns

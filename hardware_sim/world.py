@@ -243,6 +243,7 @@ class World:
         mujoco.mj_forward(model, data)
 
         self._encoders.reset(q_start.tolist())
+        self._mocap.forget()
         self._command = [0.0] * N if settings.driver_compensates_gravity else gravity.tolist()
         self._effort: list[float] = gravity.tolist()
         self._delayed = deque([self._command] * settings.command_delay_ticks)

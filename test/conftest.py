@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 import pytest
 import rclpy
+from hypothesis import settings
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -28,6 +29,8 @@ from wam_power_ros.arm import Arm
 from wam_power_ros.policy import Basis, Policy
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+settings.register_profile("any machine", deadline=None)  # however busy it is
+settings.load_profile("any machine")
 T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[1]
 

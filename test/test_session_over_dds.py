@@ -113,10 +113,18 @@ def summary(bag: Path) -> dict[str, tuple[str, str, str, dict[str, Any]]]:
 
 @pytest.fixture(scope="module")
 def demonstration(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The bag of one demonstration, recorded by `wam-power teach`."""
+    """The bag of one demonstration, recorded by `wam-power teach`; the recorder falls behind."""
     folder = tmp_path_factory.mktemp("teach")
     arguments = ("--seed", str(SEED), "--demonstrations", "1", "--folder", "taught")
-    status, output = ended(wam_power(folder, "teach", *arguments))
+    teaching = wam_power(folder, "teach", *arguments)
+    begun = (folder / "taught" / "bags").glob
+    wait_for(lambda: any(begun("*")) or teaching.poll() is not None, "a recording")
+    for pid in children(teaching):
+        if "demonstration_recorder" in Path(f"/proc/{pid}/cmdline").read_text():
+            os.kill(pid, signal.SIGSTOP)
+            time.sleep(0.3)
+            os.kill(pid, signal.SIGCONT)
+    status, output = ended(teaching)
     assert status == 0, output
     (bag,) = (folder / "taught" / "bags").iterdir()
     assert str(bag.relative_to(folder)) in output.splitlines()[-1]

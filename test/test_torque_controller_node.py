@@ -285,12 +285,15 @@ def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
     processes.end(arm.process)
 
     second = PlayedArm(probe, processes)
-    for _ in range(60):
+
+    def refused() -> dict[str, str]:
         second.send()
         other.publish(Float64MultiArray(data=[0.0] * 7))
         probe.spin(0.05)
-    report = second.diagnosis(lambda d: "refused: activation" in d, "the refusal is told")
-    assert report["mode"] == "inactive"
+        report = diagnosis(second.diagnostics, "torque_controller")
+        return report if "refused: activation" in report else {}
+
+    assert probe.until(refused, "the refusal is told")["mode"] == "inactive"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -43,13 +43,11 @@ class Dynamics(NamedTuple):
     Attributes:
         jacobian: Joint speeds to the tool's twist. Shape (6, n).
         inverse_mass: M(q)^-1, rotors included. Shape (n, n).
-        mass: M(q) [kg m^2], rotors included. Shape (n, n).
         bias: C(q, qd) qd + g(q) [N m]. Shape (n,).
     """
 
     jacobian: np.ndarray
     inverse_mass: np.ndarray
-    mass: np.ndarray
     bias: np.ndarray
 
 
@@ -166,7 +164,7 @@ class Arm:
         )
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
-        """Jacobian, mass matrix and bias torque of one state.
+        """Jacobian, inverse mass matrix and bias torque of one state.
 
         Args:
             q: [rad]. Shape (n,).
@@ -176,7 +174,6 @@ class Arm:
         return Dynamics(
             jacobian=pin.computeFrameJacobian(model, data, q, self._tool, _AXES),
             inverse_mass=pin.computeMinverse(model, data, q),
-            mass=pin.crba(model, data, q),
             bias=pin.nonLinearEffects(model, data, q, qd),
         )
 

@@ -209,7 +209,7 @@ def _exhibit(folder: Path) -> None:
 def _failure(command: Sequence[str], gl: str) -> str | None:
     """Run a command; the last thing it said when it failed, None when it did not."""
     ended = subprocess.run(
-        command, env={**os.environ, "MUJOCO_GL": gl}, capture_output=True, text=True
+        command, env={**os.environ, "MUJOCO_GL": gl}, stderr=subprocess.PIPE, text=True
     )
     if ended.returncode == 0:
         return None

@@ -3,17 +3,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
+import statistics
+from collections.abc import Mapping, Sequence
 from types import TracebackType
+from typing import Any
 
+import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from wam_power_ros.flight import Flight
 from wam_power_ros.practice import Record
+from wam_power_ros.returns import pancake_return
 
 SHOWN = 14  # newest rollouts in the table
 BARS = "▁▂▃▄▅▆▇█"
@@ -37,6 +43,18 @@ def angle(record: Record) -> float | None:
     """How far the pancake had turned at t_f [degree], None when that is not known."""
     turned = (record.flight or {}).get("angle")
     return None if turned is None else abs(math.degrees(turned))
+
+
+def paper_return(record: Record) -> float:
+    """Eq. 5 of a rollout, whatever the session learnt from; NaN when no pancake was seen."""
+    seen = set(record.flight or ()) == {field.name for field in dataclasses.fields(Flight)}
+    if record.ret is None or record.flight is None or not seen:
+        return math.nan
+    fields = {
+        name: np.array(value) if isinstance(value, list) else value
+        for name, value in record.flight.items()
+    }
+    return pancake_return(Flight(**fields)).total
 
 
 def spark(values: Sequence[float], width: int = 60) -> str:
@@ -88,15 +106,42 @@ def summary(records: Sequence[Record]) -> str:
     retests = [record for record in records if record.kind == "retest"]
     if retests:
         caught = sum(outcome(record) == "flipped, caught" for record in retests)
-        lines.append(f"re-tests of the answer: {caught} of {len(retests)} flipped and caught")
+        paper = [r for r in map(paper_return, retests) if math.isfinite(r)]
+        lines.append(
+            f"re-tests of the answer: {caught} of {len(retests)} flipped and caught; "
+            + (f"Eq. 5 {statistics.mean(paper):.3f}, at least {min(paper):.3f}" if paper else "")
+        )
         known = [record.truth for record in retests if record.truth]
         if known:
-            true = sum(bool(t.get("caught") and t.get("flipped")) for t in known)
-            lines.append(f"  the simulator's own verdict: {true} of {len(known)}")
+            lines += _verdict(known)
     stopped = [record.note for record in records if record.note]
     if stopped:
         lines.append(f"last decision: {stopped[-1]}")
     return "\n".join(lines)
+
+
+def _verdict(truths: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What the simulator knows of some rollouts, in lines."""
+    flipped = sum(bool(t.get("caught") and t.get("flipped")) for t in truths)
+    true = sum(bool(t.get("true_flip")) for t in truths)
+    lines = [
+        f"  the simulator's own verdict: {flipped} of {len(truths)} flipped and caught, "
+        f"{true} by a true flip (150 to 240 degrees in the air)"
+    ]
+    if all("peak_qd" in truth for truth in truths):
+        qd = np.max([truth["peak_qd"] for truth in truths], axis=0)
+        elbow, forearm, pan = (
+            max(truth[f"peak_{point}_speed"] for truth in truths)
+            for point in ("elbow", "forearm", "pan")
+        )
+        beyond = sum(bool(truth["beyond_no_load"]) for truth in truths)
+        lines += [
+            f"  peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's "
+            f"no-load speed in {beyond} of {len(truths)}",
+            f"  peak speeds of elbow {elbow:.2f}, point 350 mm beyond it {forearm:.2f}, "
+            f"pan {pan:.2f} m/s",
+        ]
+    return lines
 
 
 class Display:

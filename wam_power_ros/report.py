@@ -21,10 +21,8 @@ import numpy as np
 import yaml
 
 from wam_power_ros import figures, policy, session
-from wam_power_ros.flight import Flight
-from wam_power_ros.live import angle, outcome
+from wam_power_ros.live import angle, outcome, paper_return
 from wam_power_ros.practice import Record
-from wam_power_ros.returns import pancake_return
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import SessionHeader
 
@@ -48,17 +46,6 @@ class Exhibit:
     pancake: PancakePath
     t_f: float
     film: bytes | None = None
-
-
-def paper_return(record: Record) -> float:
-    """Eq. 5 of a rollout, whatever the session learnt from; NaN when nothing was seen."""
-    if record.ret is None or record.flight is None:
-        return math.nan
-    fields = {
-        name: np.array(value) if isinstance(value, list) else value
-        for name, value in record.flight.items()
-    }
-    return pancake_return(Flight(**fields)).total
 
 
 def render(

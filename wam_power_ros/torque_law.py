@@ -91,7 +91,7 @@ class TorqueLaw:
             # M qd is the momentum of all joint motion, J^T Lambda (J qd) that of the tool's.
             wanted += self.null_damping * motion.twist
             wrench = _solved(apparent, wanted)
-            free = self.null_damping * dynamics.mass.dot(qd)
+            free = self.null_damping * _solved(dynamics.inverse_mass, qd)
             return dynamics.bias + wrench.dot(jacobian) - free
         return dynamics.bias + _solved(apparent, wanted).dot(jacobian)
 

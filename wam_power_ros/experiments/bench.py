@@ -22,7 +22,7 @@ from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.tracker import Tracker, TrackerSettings
 
-_STILL_TICKS = 40  # ticks a held arm repeats its state before a rollout begins
+_STILL_TICKS = 25  # ticks a held arm repeats its state before a rollout begins
 _LATE_TICKS = 100  # that are waited at most for the rollout's last frame, as frames come late
 
 
@@ -128,5 +128,3 @@ class Bench:
         self.tracker = Tracker(self._tracker_settings)
         self.tick()
         self.controller.hold()
-        for _ in range(_STILL_TICKS):
-            self.tick()

@@ -17,7 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from hardware_sim.world import World
+from hardware_sim.world import QUIET, Truth, World
 from wam_power_ros import figures, policy, report, session
 from wam_power_ros.experiments.bench import Bench
 from wam_power_ros.flight import observe_flight
@@ -94,13 +94,12 @@ def run(folder: Path, film: bool) -> report.Exhibit:
     answer = policy.from_json(saved.read_text())
     world = World(seed=header.seed)
     world.trace = []
-    pan, pancake, truth, fault = Bench(world).run(answer)
+    bench = Bench(world)
+    calm = bench.run(policy.with_id(answer, f"answer{QUIET}"))
+    sys.stdout.write(f"without noise the answer {_outcome(calm[2], calm[3])}\n")
+    pan, pancake, truth, fault = bench.run(answer)
     flight = observe_flight(pan, pancake, header.settings.delta_h)
-    caption = fault or (
-        f"turned {abs(truth.angle_deg):.0f}° until it came down, "
-        f"{'flipped' if truth.flipped else 'not flipped'} and "
-        f"{'caught' if truth.caught else 'dropped'}."
-    )
+    caption = f"{_outcome(truth, fault)}."
     path = folder / "film.webp"
     if film:
         figures.save_film(render(world, world.trace), path, FILM_RATE)
@@ -110,6 +109,14 @@ def run(folder: Path, film: bool) -> report.Exhibit:
         pancake=pancake,
         t_f=flight.t_f,
         film=path.read_bytes() if film else None,
+    )
+
+
+def _outcome(truth: Truth, fault: str) -> str:
+    return fault or (
+        f"turned {abs(truth.angle_deg):.0f}° until it came down, "
+        f"{'flipped' if truth.flipped else 'not flipped'} and "
+        f"{'caught' if truth.caught else 'dropped'}"
     )
 
 
