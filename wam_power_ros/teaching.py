@@ -21,6 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros import interface
 from wam_power_ros.params import Params
 
+RECORDER = "demonstration_recorder"
 TIMEOUT = 60.0  # for a service to appear and to agree [s of wall time]
 
 
@@ -52,6 +53,8 @@ class Teaching(Node):
             TeachingError: A service does not appear, does not answer in time, or refuses.
         """
         self._call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        if not self.params.person:  # who takes longer than any node does
+            self._wait_for_recorder()
         bags = []
         for number in range(1, self.params.demonstrations + 1):
             self._ask(f"demonstration {number}: press Enter, then lead the arm")
@@ -67,6 +70,17 @@ class Teaching(Node):
             sys.stdout.flush()
         self._call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
         Path(self.params.series).write_text(json.dumps(bags))
+
+    def _wait_for_recorder(self) -> None:
+        """A recorder that has just started offers its service before it hears the arm."""
+        end = time.monotonic() + TIMEOUT
+        while not any(
+            info.node_name == RECORDER
+            for info in self.get_subscriptions_info_by_topic(interface.JOINT_STATES)
+        ):
+            if time.monotonic() > end:
+                raise TeachingError(f"{RECORDER} did not listen in {TIMEOUT:.0f} s")
+            time.sleep(0.05)
 
     def _ask(self, text: str) -> None:
         if self.params.person:
