@@ -15,7 +15,10 @@ from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from wam_power_ros import bags
+from wam_power_ros.arm import Arm
 from wam_power_ros.bags import TYPES, BagWriter, read_demonstration, recover, unfinished
+from wam_power_ros.demonstration import from_joint_samples
+from wam_power_ros.resources import share
 
 NAMES = ("wam_j1", "wam_j2", "wam_j3")
 START = 1_700_000_000_123_456_789
@@ -334,3 +337,19 @@ def test_a_full_disk_leaves_the_bag_unfinished_and_recoverable(tmp_path: Path) -
     _, back = read_demonstration(recover(tmp_path / "demo"), NAMES)
     assert len(back) >= 300
     np.testing.assert_array_equal(back, q[: len(back)])
+
+
+WAM_JOINTS = [f"wam_j{number}" for number in range(1, 8)]
+
+
+@pytest.mark.parametrize("bag", sorted(share("bags").glob("demo_*")), ids=lambda bag: bag.name)
+def test_the_bags_that_are_shipped_hold_a_toss(bag: Path) -> None:
+    arm = Arm(share("urdf/wam7.urdf").read_text(), WAM_JOINTS)
+    stamps_ns, q = read_demonstration(bag, WAM_JOINTS)
+    demonstration = from_joint_samples(arm, stamps_ns, q)
+    assert 0.5 < demonstration.duration < 1.5
+    assert demonstration.velocity[:, 2].max() > 1.5  # [m/s] upward
+
+
+def test_there_are_bags_to_begin_with() -> None:
+    assert len(sorted(share("bags").glob("demo_*"))) >= 3
