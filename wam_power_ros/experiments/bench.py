@@ -50,6 +50,7 @@ class Bench:
         self.controller = Controller(self.arm, settings or as_set.settings)
         self._tracker_settings = tracker_settings()
         self.tracker = Tracker(self._tracker_settings)
+        self._truth: Truth | None = None  # of the last rollout
 
     def forbids(self, policy: Policy) -> str:
         """Why a rehearsal of this policy would end in a fault, empty when it would not."""
@@ -59,7 +60,11 @@ class Bench:
         """State to torque, torque to state."""
         world = self.world
         stamp_ns, q, qd, _ = world.joint_state()
-        world.step(self.controller.step(stamp_ns, q, qd))
+        was = self.controller.mode
+        tau = self.controller.step(stamp_ns, q, qd)
+        if was is Mode.ROLLOUT and self.controller.mode is not was:
+            self._truth = world.truth()  # before the step, as the stand-in tells it
+        world.step(tau)
         for frame in world.mocap_frames():
             quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # as a message
             self.tracker.add(frame.stamp_ns, frame.position, quat_xyzw)
@@ -107,10 +112,10 @@ class Bench:
         world.release()
         while controller.mode is Mode.ROLLOUT:
             self.tick()
-        truth = world.truth()
+        truth = self._truth
         pan = controller.take_finished()
         start_ns = controller.rollout_stamp_ns
-        if pan is None or start_ns is None:
+        if pan is None or start_ns is None or truth is None:
             raise RuntimeError(f"rollout {policy.id} left no path")
         fault = controller.fault_reason or ""
         end_ns = start_ns + round(float(pan.t[-1]) * 1e9)

@@ -250,7 +250,7 @@ class Learner(Node):
         rested_ns = self._rested_ns
         if self.params.record_rollouts:
             self._begin_bag(trial)
-        self._pan = self._pancake = self._truth = None
+        self._truth = None
         self._fault = ""
         self._insist(interface.EXECUTE, trial)
         pan, pancake = self._paths_of(trial, rested_ns)
