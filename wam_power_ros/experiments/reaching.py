@@ -27,10 +27,11 @@ from wam_power_ros.primitive import REACHING, activations, fit, reproduce_many
 from wam_power_ros.returns import reaching_return
 
 VARIANTS = ("full", "diagonal")
-# One for each variant; rotation and catch shift are not learnt here.
+# The best of 13 (full) and of 5 (diagonal) tried on the first 60 tuning seeds; the diagonal's is
+# at the edge of what was tried. Rotation and catch shift are not learnt here.
 NOISE = {
-    "full": NoiseScales(stiffness=0.3, attractor=0.025, rotation=0.1, catch_shift=0.1),
-    "diagonal": NoiseScales(stiffness=0.6, attractor=0.05, rotation=0.1, catch_shift=0.1),
+    "full": NoiseScales(stiffness=0.6, attractor=0.025, rotation=0.1, catch_shift=0.1),
+    "diagonal": NoiseScales(stiffness=0.6, attractor=0.1, rotation=0.1, catch_shift=0.1),
 }
 POWER = PowerSettings(sigma=3, decay=0.965)  # of the authors' own scripts
 CHUNK = 10  # runs evaluated together; fixed, so that results do not depend on the number of jobs
