@@ -372,7 +372,8 @@ def deviation(result: SimpleNamespace, policy: Policy) -> tuple[float, float]:
     for k in range(steps):
         ideal = rotations.exp(vector) @ reference
         angles.append(np.linalg.norm(rotations.log(result.rotation[k] @ ideal.T)))
-        omega = omega + 0.002 * primitive.angular_acceleration(tables, k, vector, omega)
+        twist = np.concatenate([np.zeros(3), omega])
+        omega = omega + 0.002 * primitive.acceleration(tables, k, np.zeros(3), vector, twist)[3:]
         vector = vector + 0.002 * omega
     away = np.linalg.norm(result.position[:steps] - x, axis=1)
     rms = np.sqrt(np.mean(np.square([away, angles]), axis=1))

@@ -14,9 +14,7 @@ from wam_power_ros.primitive import (
     PANCAKE,
     REACHING,
     FitSettings,
-    acceleration,
     activations,
-    angular_acceleration,
     fit,
     phase,
     positive_definite,
@@ -93,6 +91,12 @@ def test_the_canonical_system_gives_back_the_time() -> None:
         time_of_phase(np.array([0.5, 0.0]), 2.0)
 
 
+def linear_acceleration(
+    tables: primitive.Tables, k: int, x: np.ndarray, xd: np.ndarray
+) -> np.ndarray:
+    return primitive.acceleration(tables, k, x, np.zeros(3), [*xd, 0.0, 0.0, 0.0])[:3]
+
+
 def test_tabulated_acceleration_is_equation_1() -> None:
     policy = fit([toss()], PANCAKE, "p")
     tables = tabulate(policy)
@@ -104,20 +108,21 @@ def test_tabulated_acceleration_is_equation_1() -> None:
             h[i] * (policy.stiffness[i] @ (policy.attractors[i] - x) - policy.damping * xd)
             for i in range(8)
         )
-        assert acceleration(tables, k, x, xd) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        both = primitive.acceleration(tables, k, x, x, np.tile(xd, 2))
+        assert both[:3] == pytest.approx(expected, rel=1e-9, abs=1e-9)
         turn = sum(
             h[i] * (400.0 * (policy.rotation_attractors[i] - x) - 36.0 * xd) for i in range(8)
         )
-        assert angular_acceleration(tables, k, x, xd) == pytest.approx(turn, rel=1e-9, abs=1e-9)
+        assert both[3:] == pytest.approx(turn, rel=1e-9, abs=1e-9)
 
 
 def test_the_last_row_holds_for_ever() -> None:
     tables = tabulate(fit([toss()], PANCAKE, "p"))
     assert tables.rows == 426
-    x, xd = np.ones(3), np.zeros(3)
-    end = acceleration(tables, tables.rows - 1, x, xd)
-    assert np.array_equal(acceleration(tables, tables.rows, x, xd), end)
-    assert np.array_equal(acceleration(tables, 10**6, x, xd), end)
+    state = np.ones(3), np.ones(3), np.zeros(6)
+    end = primitive.acceleration(tables, tables.rows - 1, *state)
+    assert np.array_equal(primitive.acceleration(tables, tables.rows, *state), end)
+    assert np.array_equal(primitive.acceleration(tables, 10**6, *state), end)
 
 
 def test_tables_cannot_be_written() -> None:
@@ -133,7 +138,7 @@ def test_reproduction_is_the_acceleration_integrated_velocity_first() -> None:
     for k in range(500):
         assert path[k] == pytest.approx(x, abs=1e-10)
         assert speed[k] == pytest.approx(xd, abs=1e-9)
-        xd = xd + DT * acceleration(tables, k, x, xd)
+        xd = xd + DT * linear_acceleration(tables, k, x, xd)
         x = x + DT * xd
 
 
@@ -162,7 +167,7 @@ def test_a_movement_made_by_equation_1_gives_back_its_attractors() -> None:
     tables = tabulate(truth)
     x, xd = reproduce(tables, np.array([0.7, 0.0, 0.9]), np.zeros(3))
     states = enumerate(zip(x, xd, strict=True))
-    xdd = np.array([acceleration(tables, k, *state) for k, state in states])
+    xdd = np.array([linear_acceleration(tables, k, *state) for k, state in states])
     h = activations(truth.basis, np.arange(len(x)) * DT)
     found = primitive._attractors(h, truth.stiffness, xdd + truth.damping * xd, x)
     assert found == pytest.approx(truth.attractors, abs=1e-6)
@@ -176,7 +181,9 @@ def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     r, omega, path = demonstration.rotation_vector[0], np.zeros(3), []
     for k in range(tables.rows):
         path.append(r)
-        omega = omega + DT * angular_acceleration(tables, k, r, omega)
+        omega = (
+            omega + DT * primitive.acceleration(tables, k, np.zeros(3), r, [0, 0, 0, *omega])[3:]
+        )
         r = r + DT * omega
     assert rmse(np.array(path), demonstration.rotation_vector) < math.radians(1.5)
 

@@ -62,12 +62,13 @@ TRANSITIONS = {
     Mode.REPLAY: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
     Mode.FAULT: {Mode.HOLD},  # by `reset` only
 }
-_REFERENCED = {Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY}  # modes that follow a joint reference
+_REFERENCED = (Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY)  # modes that follow a joint reference
 # A rotation vector's spring pulls about the wrong axis the more, the longer the vector: at 2.4 rad
 # the orientation becomes unstable.
 TURN_MAX = 2.0
 _INTEGERS = (int, np.integer)
-_PASSIVE = {Mode.INACTIVE, Mode.FAULT}  # modes in which nothing can go wrong any more
+_PASSIVE = (Mode.INACTIVE, Mode.FAULT)  # modes in which nothing can go wrong any more
+_BOXED = (Mode.ROLLOUT, Mode.REPLAY)  # modes in which the tool must stay in the workspace
 
 
 @dataclass(frozen=True)
@@ -723,8 +724,11 @@ class Controller:
             self.counters["gaps"] += 1
             if dt > self.settings.stale:
                 self.fault(f"no joint state for {dt * 1e3:.0f} ms")
+        allowed = self.limits.q_jump * max(1.0, dt / self.settings.period)
+        if math.dist(q.tolist(), self._q.tolist()) <= allowed:  # no joint went farther than that
+            return
         jump = max(map(abs, (q - self._q).tolist()))
-        if jump > self.limits.q_jump * max(1.0, dt / self.settings.period):
+        if jump > allowed:
             self.counters["jumps"] += 1
             if self._mode is not Mode.GRAVITY_COMPENSATION:  # there nothing refers to a posture
                 self.fault(f"a joint jumped by {jump:.3f} rad from one state to the next")
@@ -735,7 +739,7 @@ class Controller:
             return
         teaching = mode is Mode.GRAVITY_COMPENSATION
         tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
-        boxed = mode in (Mode.ROLLOUT, Mode.REPLAY)
+        boxed = mode in _BOXED
         reason = safety.exceeded(q.tolist(), qd.tolist(), motion, limits, tool_speed, boxed)
         self._exceeded = 0 if reason is None else self._exceeded + 1
         if reason is not None and self._exceeded >= limits.periods:
@@ -817,13 +821,12 @@ class Controller:
             return self._reference_torque(stamp_ns, q, qd, motion)
         if k >= rollout.next_sample:
             self._sample(rollout, k, motion)
-        vector = rotations.log(motion.rotation.dot(rollout.reference))
-        if vector.dot(vector) > TURN_MAX**2:
+        vector = rotations.log(motion.rotation.dot(rollout.reference)).tolist()
+        if math.hypot(*vector) > TURN_MAX:
             raise ValueError(f"the tool is turned by more than {TURN_MAX} rad from the reference")
-        tables, twist = rollout.tables, motion.twist
-        wanted = np.empty(6)
-        wanted[:3] = primitive.acceleration(tables, k, motion.position, twist[:3])
-        wanted[3:] = primitive.angular_acceleration(tables, k, vector, twist[3:])
+        wanted = primitive.acceleration(
+            rollout.tables, k, motion.position, vector, motion.twist.tolist()
+        )
         return self.settings.law.torque(motion, self.arm.dynamics(q, qd), qd, wanted)
 
     def _sample(self, rollout: _Rollout, k: int, motion: Motion) -> None:

@@ -121,42 +121,45 @@ def tabulate(policy: Policy, dt: float = PERIOD) -> Tables:
     )
 
 
-def acceleration(tables: Tables, k: int, x: np.ndarray, xd: np.ndarray) -> np.ndarray:
-    """Wanted acceleration of Eq. 1 at tick k.
-
-    Args:
-        tables: From `tabulate`.
-        k: Tick since the start, not negative; beyond the last row the last row holds.
-        x: Position [m]. Shape (3,).
-        xd: Velocity [m/s]. Shape (3,).
-
-    Returns:
-        [m/s^2]. Shape (3,).
-    """
-    b = tables.b
-    if k >= len(b):
-        k = -1
-    return b[k] - tables.a[k].dot(x) - tables.damping * xd
-
-
-def angular_acceleration(
-    tables: Tables, k: int, rotation: np.ndarray, omega: np.ndarray
+def acceleration(
+    tables: Tables,
+    k: int,
+    position: np.ndarray,
+    rotation: Sequence[float],
+    twist: Sequence[float],
 ) -> np.ndarray:
-    """Wanted angular acceleration at tick k, the same law on the rotation vector.
+    """Wanted acceleration of the tool at tick k: Eq. 1, and the same law on the rotation vector.
 
     Args:
         tables: From `tabulate`.
         k: Tick since the start, not negative; beyond the last row the last row holds.
-        rotation: r of R = exp(r) R_ref, in the base frame [rad]. Shape (3,).
-        omega: Angular velocity in the base frame [rad/s]. Shape (3,).
+        position: x [m]. Shape (3,).
+        rotation: r of R = exp(r) R_ref, in the base frame [rad]; three.
+        twist: Linear [m/s] and angular [rad/s] velocity in the base frame; six.
 
     Returns:
-        [rad/s^2]. Shape (3,).
+        Linear [m/s^2] and angular [rad/s^2]. Shape (6,).
     """
-    b = tables.rotation_b
-    if k >= len(b):
+    if k >= len(tables.b):
         k = -1
-    return b[k] - tables.rotation_stiffness * rotation - tables.rotation_damping * omega
+    # Plain floats: one operation on three numbers as an array costs more than all of these.
+    x, y, z = tables.b[k].tolist()
+    ax, ay, az = tables.a[k].dot(position).tolist()
+    u, v, w = tables.rotation_b[k].tolist()
+    ru, rv, rw = rotation
+    xd, yd, zd, ud, vd, wd = twist
+    damping, stiffness = tables.damping, tables.rotation_stiffness
+    rotation_damping = tables.rotation_damping
+    return np.array(
+        (
+            x - ax - damping * xd,
+            y - ay - damping * yd,
+            z - az - damping * zd,
+            u - stiffness * ru - rotation_damping * ud,
+            v - stiffness * rv - rotation_damping * vd,
+            w - stiffness * rw - rotation_damping * wd,
+        )
+    )
 
 
 def reproduce(

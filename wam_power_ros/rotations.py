@@ -54,8 +54,9 @@ def log(matrix: np.ndarray) -> np.ndarray:
     Returns:
         [rad]. Shape (..., 3).
     """
-    if np.ndim(matrix) == 2:
-        return np.array(_vector_of_one(*_quat_of_one(*np.ravel(matrix).tolist())))
+    matrix = np.asarray(matrix, dtype=float)
+    if matrix.ndim == 2:
+        return np.array(_vector_of_one(*_quat_of_one(*matrix.ravel().tolist())))
     return rotation_vector(quat_xyzw(matrix))
 
 

@@ -86,6 +86,15 @@ class Limits:
                 raise ValueError(f"limit {low} = {getattr(self, low)} must be below {high}")
         if self.periods != int(self.periods):
             raise ValueError(f"limit periods = {self.periods} must be a whole number")
+        # The same as plain floats, a row a joint or axis: several times faster to compare with.
+        low, high, width = self.q_min, self.q_max, self.spring_range
+        for name, columns in (
+            ("_torques", (self.torque, self.torque_rate)),
+            ("_motions", (low, high, self.qd_max)),
+            ("_springless", (low + width, high - width)),
+            ("_box", (self.workspace_min, self.workspace_max)),
+        ):
+            object.__setattr__(self, name, np.stack(columns, axis=1).tolist())
 
 
 def limits_of(arm: Arm, **overrides: object) -> Limits:
@@ -154,9 +163,9 @@ def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limit
     Returns:
         [N m]. Shape (n,).
     """
-    most, rate = limits.torque.tolist(), limits.torque_rate.tolist()
-    for wanted, last, peak, change in zip(tau.tolist(), previous.tolist(), most, rate, strict=True):
-        step = change * dt
+    rows = zip(tau.tolist(), previous.tolist(), limits._torques, strict=True)
+    for wanted, last, (peak, rate) in rows:
+        step = rate * dt
         if not (last - step <= wanted <= last + step and -peak <= wanted <= peak):
             break
     else:
@@ -180,12 +189,12 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     Returns:
         [N m]. Shape (n,).
     """
-    width = limits.spring_range
-    for x, low, high in zip(q.tolist(), limits.q_min.tolist(), limits.q_max.tolist(), strict=True):
-        if low + width - x > 0.0 or x - high + width > 0.0:
+    for x, (low, high) in zip(q.tolist(), limits._springless, strict=True):
+        if not low <= x <= high:
             break
     else:
         return None
+    width = limits.spring_range
     below = limits.q_min + width - q
     above = q - limits.q_max + width
     depth = np.maximum(below, 0.0) - np.maximum(above, 0.0)
@@ -240,22 +249,20 @@ def exceeded(
         tool_speed: Limit in this mode [m/s].
         boxed: Whether the workspace box applies.
     """
-    qd_max, q_min, q_max = limits.qd_max.tolist(), limits.q_min.tolist(), limits.q_max.tolist()
-    for i, (x, speed, low, high, fastest) in enumerate(
-        zip(q, qd, q_min, q_max, qd_max, strict=True), start=1
-    ):
+    rows = zip(q, qd, limits._motions, strict=True)
+    for i, (x, speed, (low, high, fastest)) in enumerate(rows, start=1):
         if not -fastest <= speed <= fastest:
             return f"joint {i} at {speed:.2f} rad/s, limit {fastest:.2f}"
         if (x > high and speed > 0.05) or (x < low and speed < -0.05):
             return f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
     if motion.tool_speed > tool_speed:
         return f"tool at {motion.tool_speed:.2f} m/s, limit {tool_speed:.2f}"
-    for name, speed in (("elbow", motion.elbow_speed), ("forearm", motion.forearm_speed)):
-        if speed > limits.elbow_speed:
-            return f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
+    if motion.elbow_speed > limits.elbow_speed:
+        return f"elbow at {motion.elbow_speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
+    if motion.forearm_speed > limits.elbow_speed:
+        return f"forearm at {motion.forearm_speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
     if boxed:
-        corners = limits.workspace_min.tolist(), limits.workspace_max.tolist()
-        for axis, x, a, b in zip("xyz", motion.position.tolist(), *corners, strict=True):
+        for axis, x, (a, b) in zip("xyz", motion.position.tolist(), limits._box, strict=True):
             if not a <= x <= b:
                 return f"tool at {axis} = {x:.3f} m, workspace {a:.3f} to {b:.3f}"
     return None
@@ -268,5 +275,7 @@ def plausible(values: list[float], bound: float) -> bool:
         values: Positions [rad] or speeds [rad/s].
         bound: IMPLAUSIBLE_Q or IMPLAUSIBLE_QD.
     """
+    if math.hypot(*values) < bound:  # none is longer than all together; false for a NaN
+        return True
     # The sum, because no comparison with a NaN tells anything.
     return math.isfinite(sum(values)) and -bound < min(values) and max(values) < bound
