@@ -87,9 +87,8 @@ class Motors:
         self.full_torque_speed = full / ratio
         self.tau_max = CABLE_LIMIT @ np.abs(MOTOR_OF_JOINT)
         slope = CABLE_LIMIT / (no_load - full)  # [N m s/rad]
-        self._envelope = list(
-            zip(CABLE_LIMIT.tolist(), no_load.tolist(), slope.tolist(), strict=True)
-        )
+        self._envelope = np.stack([CABLE_LIMIT, no_load, slope], axis=1).tolist()
+        self._full = np.stack([CABLE_LIMIT, full], axis=1).tolist()  # nothing is cut within these
         self._brake = (TORQUE_CONSTANT**2 / RESISTANCE).tolist()
 
     def limit(self, tau: Sequence[float], qd: Sequence[float]) -> Sequence[float]:
@@ -105,10 +104,16 @@ class Motors:
         t1, t2, t3, t4, t5, t6, t7 = tau
         a, b, c, d = t2 / (2.0 * _2), t3 / (2.0 * _3), t5 / (2.0 * _56), t6 / (2.0 * _56)
         wanted = (t1 / _1, a - b, -a - b, t4 / _4, c - d, c + d, t7 / _7)
+        speeds = motor_motion(qd)
+        for torque, speed, (peak, full) in zip(wanted, speeds, self._full, strict=True):
+            if not (-peak <= torque <= peak and -full <= speed <= full):
+                break
+        else:
+            return tau
         given = []
         within = True
         for torque, speed, (peak, no_load, slope) in zip(
-            wanted, motor_motion(qd), self._envelope, strict=True
+            wanted, speeds, self._envelope, strict=True
         ):
             most, least = slope * (no_load - speed), -slope * (no_load + speed)
             if most < torque or peak < torque:

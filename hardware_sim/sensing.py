@@ -13,7 +13,8 @@ import numpy as np
 from hardware_sim.motors import joint_motion, motor_motion
 from wam_power_ros import rotations
 
-_COUNTS = 4096  # of a motor's encoder, a revolution
+_COUNTS = 4096 / math.tau  # of a motor's encoder [1/rad]
+_COUNT = math.tau / 4096  # [rad]
 
 
 class Encoders:
@@ -53,8 +54,7 @@ class Encoders:
 
 def _counted(q: Sequence[float]) -> tuple[float, ...]:
     """Joint positions as the motors' encoders see them."""
-    counts, count = _COUNTS / math.tau, math.tau / _COUNTS
-    return joint_motion([count * round(counts * position) for position in motor_motion(q)])
+    return joint_motion([_COUNT * round(_COUNTS * position) for position in motor_motion(q)])
 
 
 @dataclass(frozen=True)

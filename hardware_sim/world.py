@@ -175,6 +175,7 @@ class World:
         self._friction = model.dof_frictionloss[:N].copy()
         self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:N]).tolist()
         # views into MuJoCo's own arrays
+        self._qpos, self._qvel = data.qpos, data.qvel
         self._q, self._qd, self._applied = data.qpos[:N], data.qvel[:N], data.qfrc_applied[:N]
         self._pancake_q = data.qpos[N:]
         self._pan_position = data.xpos[self._pan]
@@ -383,13 +384,13 @@ class World:
         self._normal_start = self._pancake_rotation()[:, 2].copy()
 
     def _record(self) -> None:
-        row, data = self._rows, self.data
+        row = self._rows
         if row == _LOG_TICKS:
             return
         if self.trace is not None and row % _TRACE_TICKS == 0:
-            self.trace.append(data.qpos.copy())
-        self._log_q[row] = data.qpos
-        self._log_v[row] = data.qvel
+            self.trace.append(self._qpos.copy())
+        self._log_q[row] = self._qpos
+        self._log_v[row] = self._qvel
         self._log_tau[row] = self._applied
         self._log_sites[row] = self._sites
         self._rows = row + 1
