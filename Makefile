@@ -41,6 +41,7 @@ $(READY): requirements.txt setup.py setup.cfg
 	$(PYTHON) -m venv $(VENV_FLAGS) $(VENV)
 	@$(CONSTRAIN)
 	@echo 'Installing into $(VENV); this is done once and takes a minute or two.'
+	@$(BIN)/python -m pip install --quiet --upgrade pip  # an old one takes minutes over what to take
 	@$(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
 	@$(BIN)/python -c 'import mujoco, pinocchio, rclpy' || { \
 	    echo 'Something of the system is missing, see above. libgomp.so.1: apt install libgomp1'; exit 1; }
