@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy, toss
 
+from wam_power_ros.parameters import Parameters
 from wam_power_ros.policy import Policy, to_json
 from wam_power_ros.practice import (
     Assessment,
@@ -529,3 +530,22 @@ def test_when_every_sample_is_forbidden_the_practice_still_goes_on() -> None:
     records = run(practice)
     assert len(records) == 8
     assert {record.redrawn for record in records if record.kind == "explore"} == {20}
+
+
+def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:
+    limit = CANDIDATES[0].attractors[-1, 0] + 0.02
+
+    def forbidden(policy: Policy) -> str:
+        return "out of reach" if policy.attractors[-1, 0] > limit else ""
+
+    def far(trial: Trial) -> Assessment:
+        flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
+        return Assessment(0.5, flight=flight)
+
+    practice = Practice(CANDIDATES[:1], preset("flip", budget=2, retests=0), 3, forbidden)
+    trial = practice.next_trial()
+    record = practice.note(trial, far(trial))
+    parameters = Parameters(CANDIDATES[0], "planar", practice.settings.noise)
+    learnt = parameters.policy(np.array(record.learnt_as), "learnt")[0]
+    moved = learnt.attractors[-1, 0] - CANDIDATES[0].attractors[-1, 0]
+    assert 0.0 < moved <= 0.02  # a quarter of .7 * .1 m: the whole and the half are forbidden

@@ -681,10 +681,14 @@ class Practice:
         error = float(flight["landing_error"][0])  # along x
         parameters = self._parameters[trial.demonstration]
         limit = self.settings.landing_limit
-        z = trial.z.copy()
         index = parameters.groups["catch_shift"]
-        z[index] += float(np.clip(gain * error, -limit, limit)) / parameters.scale[index]
-        return z
+        shift = float(np.clip(gain * error, -limit, limit)) / parameters.scale[index]
+        for share in (1.0, 0.5, 0.25):  # not to where the arm cannot follow
+            z = trial.z.copy()
+            z[index] += share * shift
+            if not self._forbidden(parameters.policy(z, "corrected")[0]):
+                return z
+        return trial.z
 
     def _follow(self, record: Record) -> str:
         """Bring everything up to date with a record, live or replayed; says what was decided."""
