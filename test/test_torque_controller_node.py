@@ -234,15 +234,18 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     probe.node.create_service(Trigger, interface.WAM_IDLE, idle)
     arm = PlayedArm(probe, processes, state_timeout=0.006)
 
-    def streaming(seconds: float) -> None:
-        end = time.monotonic() + seconds
+    def held() -> bool:
+        end = time.monotonic() + 0.05
         while time.monotonic() < end:
             arm.send(qd=np.full(7, 0.01))
             probe.spin(0.0015)
+        label = arm.read()[-1].label if arm.read() else ""
+        if label == "fault":  # a busy machine has kept us from sending for 20 ms
+            probe.call(Trigger, interface.RESET)
+        return label == "hold"
 
-    probe.until(
-        lambda: streaming(0.05) or any(t.label == "hold" for t in arm.read()), "the arm is held"
-    )
+    probe.until(held, "the arm is held")
+    idled.clear()
     lost = time.monotonic()
     probe.until(lambda: arm.read()[-1].label == "fault", "the fault", deadline=5.0)
     probe.until(lambda: idled, "the driver is asked to idle", deadline=5.0)
@@ -255,8 +258,9 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     assert report["level"] == "2"
     arm.send()
     probe.until(lambda: probe.call(Trigger, interface.RESET).success, "a person resets")
-    arm.send()
-    probe.until(lambda: arm.read()[-1].label in ("hold", "fault"), "an answer")
+    probe.until(held, "the arm is held again")
+    idled.clear()
+    probe.until(lambda: idled, "the driver is asked to idle once more")
 
 
 def test_without_lockstep_a_short_silence_is_bridged_and_forgiven(

@@ -163,7 +163,7 @@ class TorqueController(LifecycleNode):
             return None
         stamp_ns, q, qd = reading
         tau = controller.step(stamp_ns, q, self._qd if qd is None else qd)
-        self._arrived_ns = arrived_ns
+        self._arrived_ns, self._idle_asked = arrived_ns, False
         if stamp_ns < self._stamp_ns and controller.mode is not Mode.INACTIVE:
             return None  # counted by the core: the newest stamp wins
         self._stamp_ns = stamp_ns
