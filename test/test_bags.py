@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags: what goes in comes out, another reader agrees, and damage is called by its name."""
 
+import json
 import resource
 import subprocess
 import sys
@@ -52,7 +53,7 @@ def demonstration(path: Path, q: np.ndarray, names: tuple[str, ...] = NAMES) -> 
         stamp_ns = START + 2_000_000 * index
         writer.write("/joint_states", stamp_ns + 500_000, joint_state(stamp_ns, names, row))
         writer.write("/joint_states", stamp_ns + 600_000, joint_state(stamp_ns, ("hand",), [0.0]))
-    return writer.close({"joint_names": ",".join(names)})
+    return writer.close({"joint_names": json.dumps(names), "state_topic": "/joint_states"})
 
 
 def random_q(count: int = 500, seed: int = 0) -> np.ndarray:
@@ -67,6 +68,17 @@ def test_a_demonstration_comes_back_bit_for_bit_in_the_order_asked_for(tmp_path:
     np.testing.assert_array_equal(stamps, START + 2_000_000 * np.arange(len(q)))
     _, swapped = read_demonstration(path, ("wam_j3", "wam_j1"))
     np.testing.assert_array_equal(swapped, q[:, [2, 0]])
+
+
+def test_a_bag_taught_under_another_driver_is_read_by_the_order_it_notes(tmp_path: Path) -> None:
+    q = random_q(50)
+    path = demonstration(tmp_path / "demo", q)
+    _, back = read_demonstration(path, ("right_j1", "right_j2", "right_j3"))
+    np.testing.assert_array_equal(back, q)
+    with pytest.raises(ValueError, match="right_j1"):  # another arm: it has not as many joints
+        read_demonstration(path, ("right_j1", "right_j2"))
+    with pytest.raises(ValueError, match="right_j1"):  # some of ours: not another driver
+        read_demonstration(path, ("right_j1", "wam_j2", "wam_j3"))
 
 
 def test_an_independent_reader_decodes_the_bag(tmp_path: Path) -> None:
@@ -91,7 +103,7 @@ def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
     info = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert (info["version"], info["storage_identifier"]) == (9, "mcap")
     assert info["relative_file_paths"] == ["demo.mcap"]
-    assert info["custom_data"] == {"joint_names": "wam_j1,wam_j2,wam_j3"}
+    assert json.loads(info["custom_data"]["joint_names"]) == list(NAMES)
     topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
     assert topics["/joint_states"]["message_count"] == 10
     latched = topics["/robot_description"]["topic_metadata"]

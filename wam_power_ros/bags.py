@@ -34,12 +34,13 @@ from rosbags.typesys import Stores, get_typestore
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
+STATES = "/joint_states"
 EVENT = "/recorder/event"  # start and stop of the recording, in the bag only
 UNFINISHED = ".unfinished"
 INFINITE = QosTime(9223372036, 854775807)  # how rosbag2 writes a duration without end
 METADATA_MAX = 1_000_000  # bytes of metadata.yaml
 DEPTH_MAX = 20  # of its nesting
-LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # events only: nothing is built
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # builds plain data, runs nothing
 
 
 def qos(reliable: bool, latched: bool, depth: int = 10) -> Qos:
@@ -235,17 +236,19 @@ def _sync(path: Path) -> None:
 
 
 def read_demonstration(
-    path: Path | str, joint_names: Sequence[str], topic: str = "/joint_states"
+    path: Path | str, joint_names: Sequence[str], topic: str | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles from a rosbag2 bag, MCAP or SQLite, whoever recorded it.
 
     Joints are matched by name and time is that of the headers. Messages without any of our joints
-    are another device's and left out, as are repetitions (same stamp, same angles).
+    are another device's and left out, as are repetitions (same stamp, same angles). A bag taught
+    under another driver has other names for the same joints: if it has none of ours, and notes as
+    many (our recorder does, base to tip), these are taken.
 
     Args:
         path: Folder of the bag.
         joint_names: Order of the columns of the result.
-        topic: Of type sensor_msgs/JointState.
+        topic: Of type sensor_msgs/JointState; the one the bag notes, or /joint_states, if omitted.
 
     Returns:
         Stamps (M,) int64 [ns], strictly increasing, and angles (M, nj) [rad].
@@ -255,16 +258,22 @@ def read_demonstration(
             finite, stamps that go back.
     """
     path = Path(path)
+    noted, noted_topic = _noted(path)
+    topic = topic or noted_topic
+    states = [_joint_angles(path, topic, cdr) for cdr in _messages(path, topic, JOINT_STATE)]
+    ours = tuple(joint_names)
+    seen = {name for _, angles in states for name in angles}
+    if not seen & set(ours) and len(noted) == len(ours):
+        ours = noted
     stamps: list[int] = []
     rows: list[tuple[float, ...]] = []
-    for cdr in _messages(path, topic, JOINT_STATE):
-        stamp_ns, angles = _joint_angles(path, topic, cdr)
-        missing = [name for name in joint_names if name not in angles]
-        if len(missing) == len(joint_names):
+    for stamp_ns, angles in states:
+        missing = [name for name in ours if name not in angles]
+        if len(missing) == len(ours):
             continue
         if missing:
             raise ValueError(f"{path}: joints {missing} missing among {list(angles)} on {topic}")
-        row = tuple(angles[name] for name in joint_names)
+        row = tuple(angles[name] for name in ours)
         if not np.isfinite(row).all():
             raise ValueError(f"{path}: position {row} at {stamp_ns} ns on {topic} is not finite")
         if stamps and stamp_ns <= stamps[-1]:
@@ -274,8 +283,22 @@ def read_demonstration(
         stamps.append(stamp_ns)
         rows.append(row)
     if not stamps:
-        raise ValueError(f"{path}: no message on {topic} has the joints {list(joint_names)}")
+        raise ValueError(
+            f"{path}: no message on {topic} has the joints {list(ours)}; it has {sorted(seen)}"
+        )
     return np.array(stamps, dtype=np.int64), np.array(rows)
+
+
+def _noted(path: Path) -> tuple[tuple[str, ...], str]:
+    """Joint names, base to tip, and topic of the states as our recorder notes them in a bag."""
+    _check_metadata(path)
+    try:
+        metadata = yaml.load((path / "metadata.yaml").read_text(encoding="utf8"), Loader=LOADER)
+        custom = metadata["rosbag2_bagfile_information"].get("custom_data") or {}
+        names = tuple(map(str, json.loads(custom.get("joint_names", "[]"))))
+        return names, str(custom.get("state_topic", STATES))
+    except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError):
+        return (), STATES  # another recorder's notes, or none
 
 
 def _joint_angles(path: Path, topic: str, cdr: bytes) -> tuple[int, dict[str, float]]:
@@ -292,8 +315,6 @@ def _joint_angles(path: Path, topic: str, cdr: bytes) -> tuple[int, dict[str, fl
 
 def _messages(path: Path, topic: str, msgtype: str) -> list[bytes]:
     """Serialized messages of a topic, in the order of reception."""
-    if unfinished(path).exists() and not path.exists():
-        raise ValueError(f"{path} was never closed; recover it first")
     _check_metadata(path)
     try:
         with Reader(path) as reader:
@@ -312,6 +333,8 @@ def _messages(path: Path, topic: str, msgtype: str) -> list[bytes]:
 
 def _check_metadata(path: Path) -> None:
     """Refuse a metadata.yaml that is not one before anything builds objects of it."""
+    if unfinished(path).exists() and not path.exists():
+        raise ValueError(f"{path} was never closed; recover it first")
     file = path / "metadata.yaml"
     if not file.is_file():
         raise ValueError(f"{path} is not a bag: it has no metadata.yaml")

@@ -127,6 +127,7 @@ class DemonstrationRecorder(Node):
             writer.close(
                 {
                     "joint_names": json.dumps(self._params.joint_names),
+                    "state_topic": self._params.state_topic,
                     "rate": f"{1.0 / states.period:.1f}" if states.period else "0",
                     "source": self._params.source,
                     "version": f"wam_power_ros {__version__}",
