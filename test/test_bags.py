@@ -145,6 +145,7 @@ def test_a_bag_under_way_is_recognisable_and_appears_whole(tmp_path: Path) -> No
         BagWriter(path)
 
 
+@pytest.mark.requirement("S-65")
 def test_what_was_flushed_before_a_kill_is_recovered(tmp_path: Path) -> None:
     script = f"""
 import sys, time
@@ -261,6 +262,7 @@ def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> No
         BagWriter(tmp_path / "x").add("/custom", "wam_msgs/msg/RTJointPosition", QOS)
 
 
+@pytest.mark.requirement("S-17")
 @pytest.mark.parametrize(
     ("text", "why"),
     [
@@ -292,6 +294,7 @@ def test_a_hostile_metadata_file_is_refused_at_once_and_runs_nothing(
     assert not mark.exists()
 
 
+@pytest.mark.requirement("S-17")
 @given(data=st.data())
 @settings(max_examples=60, deadline=None)
 def test_a_damaged_file_is_refused_or_read_and_nothing_else(

@@ -255,6 +255,7 @@ def test_speed_and_acceleration_of_a_reference_are_its_derivatives(make_referenc
     assert np.array_equal(reference.at(1e9)[0], reference.at(reference.duration)[0])
 
 
+@pytest.mark.requirement("S-29")
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 def test_a_move_to_start_arrives_at_limited_speed_and_is_ready(friction: float) -> None:
     away = HOME + np.array([0.4, -0.3, 0.2, 0.5, -0.6, 0.4, 0.8])
@@ -276,6 +277,7 @@ def test_a_move_to_start_arrives_at_limited_speed_and_is_ready(friction: float) 
     assert controller.label == "hold"
 
 
+@pytest.mark.requirement("S-25")
 def test_a_blocked_move_is_a_fault() -> None:
     controller, plant = begin(HOME + 0.6)
     controller.move_to_start()
@@ -287,6 +289,7 @@ def test_a_blocked_move_is_a_fault() -> None:
     assert "rad away" in controller.fault_reason
 
 
+@pytest.mark.requirement("S-25")
 def test_a_held_arm_that_was_carried_off_does_not_spring_back() -> None:
     def idle(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         cut = np.zeros(7) if t < 0.3 else -np.array(sent[-1])  # no torque reaches the motors
@@ -320,6 +323,7 @@ def test_a_replay_follows_the_recording_and_reports_its_error() -> None:
     assert np.abs(controller.tracking_error).max() < 0.03
 
 
+@pytest.mark.requirement("S-16")
 def test_a_replay_that_does_not_fit_is_refused() -> None:
     controller, _ = begin()
     t = np.linspace(0.0, 1.0, 100)
@@ -531,6 +535,7 @@ def test_the_torque_comes_to_a_fixed_point_while_a_state_repeats() -> None:
 # ------------------------------------------------------------------------------ stamps and faults
 
 
+@pytest.mark.requirement("S-13")
 def test_an_older_state_is_counted_and_changes_nothing() -> None:
     controller, plant = begin()
     stamp, q, qd = plant.state()
@@ -540,6 +545,7 @@ def test_an_older_state_is_counted_and_changes_nothing() -> None:
     assert controller.mode is Mode.HOLD
 
 
+@pytest.mark.requirement("S-11")
 @pytest.mark.parametrize(
     ("q", "qd"),
     [
@@ -573,6 +579,7 @@ def test_a_state_that_is_not_valid_is_ignored_and_five_are_a_fault(q: object, qd
     assert controller.mode is Mode.HOLD
 
 
+@pytest.mark.requirement("S-42")
 def test_a_long_gap_is_a_fault_and_a_short_one_is_counted() -> None:
     controller, plant = begin()
     plant.stamp += 5 * PERIOD_NS
@@ -585,6 +592,7 @@ def test_a_long_gap_is_a_fault_and_a_short_one_is_counted() -> None:
     assert "24 ms" in controller.fault_reason
 
 
+@pytest.mark.requirement("S-44")
 def test_a_joint_that_jumps_is_a_fault_unless_a_person_holds_the_arm() -> None:
     controller, plant = begin()
     controller.set_gravity_compensation(True)
@@ -601,6 +609,7 @@ def test_a_joint_that_jumps_is_a_fault_unless_a_person_holds_the_arm() -> None:
     assert controller.mode is Mode.FAULT
 
 
+@pytest.mark.requirement("S-21")
 @pytest.mark.parametrize("joint", range(7))
 def test_overspeed_is_a_fault_in_the_third_state(joint: int) -> None:
     controller, plant = begin()
@@ -615,6 +624,7 @@ def test_overspeed_is_a_fault_in_the_third_state(joint: int) -> None:
     assert controller.label == "fault"  # and this very torque is the fallback's
 
 
+@pytest.mark.requirement("S-22")
 def test_teaching_has_a_speed_limit_of_its_own() -> None:
     limits = safety.limits_of(MODEL, teaching_tool_speed=0.5)
     for teaching, mode in ((False, Mode.HOLD), (True, Mode.FAULT)):
@@ -626,6 +636,7 @@ def test_teaching_has_a_speed_limit_of_its_own() -> None:
         assert controller.mode is mode
 
 
+@pytest.mark.requirement("S-23")
 def test_a_rollout_that_leaves_the_workspace_is_a_fault() -> None:
     top = MODEL.tool_pose(HOME)[0][2] + 0.02
     limits = safety.limits_of(MODEL, workspace_max=(2.0, 2.0, top))
@@ -636,6 +647,7 @@ def test_a_rollout_that_leaves_the_workspace_is_a_fault() -> None:
     assert "z =" in controller.fault_reason
 
 
+@pytest.mark.requirement("S-24")
 def test_soft_springs_push_a_taught_arm_off_its_limits() -> None:
     q = HOME.copy()
     q[5] = LIMITS.q_max[5] - 0.01
@@ -645,6 +657,7 @@ def test_soft_springs_push_a_taught_arm_off_its_limits() -> None:
     assert LIMITS.q_max[5] - plant.q[5] > 0.05
 
 
+@pytest.mark.requirement("S-26")
 def test_a_fault_brings_the_arm_to_rest_carries_it_and_stays_until_reset() -> None:
     controller, plant = begin(sensing=True, delay=2)
     controller.execute()
@@ -674,6 +687,7 @@ def test_a_fault_brings_the_arm_to_rest_carries_it_and_stays_until_reset() -> No
     assert controller.mode is Mode.HOLD
 
 
+@pytest.mark.requirement("S-44")
 def test_a_driver_that_starts_again_from_zero_faults_and_can_be_reset() -> None:
     controller, _ = begin()
     for k in range(10):
@@ -684,6 +698,7 @@ def test_a_driver_that_starts_again_from_zero_faults_and_can_be_reset() -> None:
     assert controller.mode is Mode.HOLD
 
 
+@pytest.mark.requirement("S-41")
 def test_the_stale_torque_carries_the_arm_without_a_velocity_term() -> None:
     assert np.array_equal(make().stale_torque(), np.zeros(7))
     controller, plant = begin()
@@ -695,6 +710,7 @@ def test_the_stale_torque_carries_the_arm_without_a_velocity_term() -> None:
     assert np.allclose(torques[-1], MODEL.gravity(controller._q), atol=1e-12)
 
 
+@pytest.mark.requirement("S-04")
 def test_no_rest_of_the_gravity_is_sent_to_a_driver_that_compensates_it() -> None:
     controller = make(driver_compensates_gravity=True)
     controller, plant = begin(controller=controller, adds_gravity=True)
@@ -708,6 +724,7 @@ def test_no_rest_of_the_gravity_is_sent_to_a_driver_that_compensates_it() -> Non
     assert np.array_equal(tau, np.zeros(7))
 
 
+@pytest.mark.requirement("S-14")
 def test_without_a_velocity_from_the_driver_positions_are_differentiated() -> None:
     controller, plant = begin(sensing=True, delay=1)
     controller.execute()
@@ -721,6 +738,7 @@ def test_without_a_velocity_from_the_driver_positions_are_differentiated() -> No
     assert np.linalg.norm(np.array(positions)[: len(x)] - x, axis=1).max() < 0.02
 
 
+@pytest.mark.requirement("S-02")
 def test_a_law_that_finds_no_torque_is_a_fault_and_no_exception() -> None:
     class Singular(TorqueLaw):
         def torque(self, *_: object) -> np.ndarray:
@@ -769,6 +787,7 @@ REQUESTS = {
 }
 
 
+@pytest.mark.requirement("S-27")
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_request_changes_the_mode_as_the_table_says_or_is_refused_with_a_reason(
     mode: Mode,
@@ -786,6 +805,7 @@ def test_a_request_changes_the_mode_as_the_table_says_or_is_refused_with_a_reaso
             assert controller.mode is mode
 
 
+@pytest.mark.requirement("S-27")
 def test_nothing_begins_before_the_first_state_or_without_a_policy() -> None:
     controller = make(None)
     for request in (controller.hold, controller.move_to_start, controller.execute):
@@ -798,6 +818,7 @@ def test_nothing_begins_before_the_first_state_or_without_a_policy() -> None:
         controller.move_to_start()
 
 
+@pytest.mark.requirement("S-28")
 def test_a_rollout_starts_only_at_rest_at_its_start() -> None:
     controller, plant = begin(HOME + np.array([0, 0, 0, 0.06, 0, 0, 0]))
     with pytest.raises(ControllerError, match=r"wam_j4 is 0\.060 rad"):
@@ -810,6 +831,7 @@ def test_a_rollout_starts_only_at_rest_at_its_start() -> None:
         controller.execute()
 
 
+@pytest.mark.requirement("S-15")
 def test_a_policy_that_does_not_fit_is_refused_and_the_old_one_kept() -> None:
     controller, _ = begin()
     stiff = make_policy("stiff")
@@ -870,6 +892,7 @@ call = st.sampled_from(
 )
 
 
+@pytest.mark.requirement("S-01")
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.one_of(state, state, state, call), max_size=60), st.booleans(), st.booleans())
 def test_no_sequence_of_states_and_calls_gives_a_torque_beyond_the_limits(

@@ -237,6 +237,7 @@ def test_a_recorder_that_is_stopped_closes_its_bag(
     assert not list(tmp_path.glob("*.unfinished"))
 
 
+@pytest.mark.requirement("S-65")
 def test_a_killed_recorder_loses_two_seconds_at_most(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
@@ -281,6 +282,7 @@ def test_no_recording_begins_without_a_place_for_it(
     assert bench.node.poll() is None
 
 
+@pytest.mark.requirement("S-66")
 @pytest.mark.parametrize("size", [0, 1_500_000])  # met by the flush, or by a message itself
 def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(
     probe: Probe, processes: Processes, tmp_path: Path, size: int

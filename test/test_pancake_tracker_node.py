@@ -156,6 +156,7 @@ def test_hidden_markers_coast_and_every_fault_is_in_the_diagnostics(
     assert status["accepted"] == "7"
 
 
+@pytest.mark.requirement("S-47")
 def test_stamps_of_another_clock_are_reported_and_no_path_is_made_of_them(
     probe: Probe, processes: Processes
 ) -> None:

@@ -94,6 +94,7 @@ def test_all_faults_are_named_at_once(node_with: Callable[..., Node]) -> None:
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.requirement("S-18")
 def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., Node]) -> None:
     node = node_with(**GOOD)
     Oven.of(node)

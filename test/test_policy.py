@@ -122,6 +122,7 @@ def changed(**keys: object) -> str:
     return json.dumps({key: value for key, value in data.items() if value is not ...})
 
 
+@pytest.mark.requirement("S-15")
 @pytest.mark.parametrize(
     ("text", "words"),
     [

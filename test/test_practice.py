@@ -370,6 +370,7 @@ def test_a_pancake_that_stays_in_the_pan_is_a_poor_but_usable_rollout() -> None:
         )
 
 
+@pytest.mark.requirement("S-47")
 def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     practice = started("flip")
     trial = practice.next_trial()

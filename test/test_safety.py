@@ -21,6 +21,7 @@ Q = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 torques = st.lists(st.floats(-1e6, 1e6), min_size=7, max_size=7).map(np.array)
 
 
+@pytest.mark.requirement("S-01")
 @given(wanted=torques, previous=torques, dt=st.floats(0.0005, 0.004))
 def test_a_torque_keeps_both_limits_and_is_untouched_within_them(
     wanted: np.ndarray, previous: np.ndarray, dt: float
@@ -72,6 +73,7 @@ def test_a_stamp_is_judged_against_the_last(stamp: int, last: int | None, expect
     assert safety.judge_stamp(stamp, last, 2 * MS) is expected
 
 
+@pytest.mark.requirement("S-26")
 @given(qd=st.lists(st.floats(-5.0, 5.0), min_size=7, max_size=7).map(np.array))
 def test_the_live_fallback_never_feeds_energy_in(qd: np.ndarray) -> None:
     gravity = ARM.gravity(Q)
@@ -91,6 +93,7 @@ def exceeded(q: np.ndarray, qd: np.ndarray, **settings: object) -> str | None:
     return safety.exceeded(q.tolist(), qd.tolist(), motion, limits, limits.tool_speed, True)
 
 
+@pytest.mark.requirement("S-21")
 def test_each_motion_limit_is_named_when_exceeded() -> None:
     still = np.zeros(7)
     assert exceeded(Q, still) is None
@@ -109,6 +112,7 @@ def test_each_motion_limit_is_named_when_exceeded() -> None:
     assert exceeded(Q, not_a_number) is not None
 
 
+@pytest.mark.requirement("S-24")
 def test_a_joint_beyond_its_limit_may_move_back_but_not_on() -> None:
     q, qd = Q.copy(), np.zeros(7)
     q[3] = LIMITS.q_max[3] + 0.05

@@ -72,6 +72,7 @@ def test_a_session_opens_as_it_was_closed(tmp_path: Path) -> None:
         assert next_trial(read_practice(folder)) == next_trial(session.practice())
 
 
+@pytest.mark.requirement("S-62")
 def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -121,6 +122,7 @@ with Session.open(sys.argv[1]) as session:
 """
 
 
+@pytest.mark.requirement("S-61")
 def test_kill_9_loses_no_acknowledged_rollout(tmp_path: Path) -> None:
     settings = preset("flip", budget=3000, confirm=0)
     folder = tmp_path / "s"
@@ -159,6 +161,7 @@ def test_kill_9_loses_no_acknowledged_rollout(tmp_path: Path) -> None:
         assert practice.note(trial, toss(trial, settings)) == record
 
 
+@pytest.mark.requirement("S-63")
 def test_only_one_learner_writes_a_session(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 1)
     with Session.open(folder) as session:
@@ -265,6 +268,7 @@ def test_a_malformed_header_is_named(tmp_path: Path, change: dict, reason: str) 
     Session.begin(tmp_path / "other", SETTINGS, 0, CANDIDATES).close()  # no lock is left behind
 
 
+@pytest.mark.requirement("S-17")
 def test_headers_that_would_run_code_and_candidates_that_differ_are_refused(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 1)
     path = folder / "session.yaml"
@@ -286,6 +290,7 @@ def test_headers_that_would_run_code_and_candidates_that_differ_are_refused(tmp_
         Session.open(folder)
 
 
+@pytest.mark.requirement("S-64")
 def test_a_reader_sees_the_old_policy_or_the_new_one(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s")
     with Session.open(folder) as session:

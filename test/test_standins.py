@@ -226,6 +226,7 @@ def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
     assert interface.markers(clouds[-1])[2].shape == (4, 3)
 
 
+@pytest.mark.requirement("S-06")
 @pytest.mark.parametrize("during", ["hold", "rollout"])
 def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
     probe: Probe, processes: Processes, during: str
@@ -298,6 +299,7 @@ def test_a_driver_without_velocities_is_stood_in_for_too(
     assert truth["caught"]
 
 
+@pytest.mark.requirement("S-46")
 def test_links_that_lose_and_jitter_are_survived(probe: Probe, processes: Processes) -> None:
     bench = Bench(
         probe,

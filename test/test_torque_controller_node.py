@@ -93,6 +93,7 @@ class PlayedArm:
         return newest()
 
 
+@pytest.mark.requirement("S-03")
 def test_each_state_gets_one_torque_labelled_with_its_stamp(
     probe: Probe, processes: Processes
 ) -> None:
@@ -111,6 +112,7 @@ def test_each_state_gets_one_torque_labelled_with_its_stamp(
     np.testing.assert_allclose(tau, gravity, atol=1e-9)
 
 
+@pytest.mark.requirement("S-12")
 def test_names_in_any_order_beside_others_give_the_same_torque(
     probe: Probe, processes: Processes
 ) -> None:
@@ -123,6 +125,7 @@ def test_names_in_any_order_beside_others_give_the_same_torque(
     assert arm.answer().tau.tolist() == expected.tolist()
 
 
+@pytest.mark.requirement("S-03")
 def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(
     probe: Probe, processes: Processes
 ) -> None:
@@ -140,6 +143,7 @@ def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(
     assert len(arm.read()) == count
 
 
+@pytest.mark.requirement("S-11")
 @pytest.mark.parametrize(
     ("names", "q", "qd", "named"),
     [
@@ -162,6 +166,7 @@ def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(
     assert np.isfinite(arm.answer().tau).all()
 
 
+@pytest.mark.requirement("S-14")
 def test_states_without_velocity_get_torques_too(probe: Probe, processes: Processes) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
@@ -172,6 +177,7 @@ def test_states_without_velocity_get_torques_too(probe: Probe, processes: Proces
         assert arm.answer().tau.tolist() == expected.tolist()
 
 
+@pytest.mark.requirement("S-15")
 def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
     probe: Probe, processes: Processes
 ) -> None:
@@ -222,6 +228,7 @@ def test_the_life_cycle_decides_whether_torques_are_sent(
     assert change(Transition.TRANSITION_CLEANUP)
 
 
+@pytest.mark.requirement("S-42", "S-43")
 def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     probe: Probe, processes: Processes
 ) -> None:
@@ -263,6 +270,7 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     probe.until(lambda: idled, "the driver is asked to idle once more")
 
 
+@pytest.mark.requirement("S-41")
 def test_without_lockstep_a_short_silence_is_bridged_and_forgiven(
     probe: Probe, processes: Processes
 ) -> None:
@@ -278,6 +286,7 @@ def test_without_lockstep_a_short_silence_is_bridged_and_forgiven(
     assert len(arm.read()) > before + 1  # torques for a state that had been answered already
 
 
+@pytest.mark.requirement("S-45")
 def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
     probe: Probe, processes: Processes
 ) -> None:
@@ -300,6 +309,7 @@ def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
     assert probe.until(refused, "the refusal is told")["mode"] == "inactive"
 
 
+@pytest.mark.requirement("S-05")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
     probe: Probe, processes: Processes, number: int
@@ -315,6 +325,7 @@ def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
     assert "Traceback" not in processes.output(arm.process)
 
 
+@pytest.mark.requirement("S-04")
 def test_a_driver_that_adds_gravity_is_sent_none(probe: Probe, processes: Processes) -> None:
     arm = PlayedArm(probe, processes, driver_compensates_gravity=True)
     arm.activate()
@@ -405,6 +416,7 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
     assert "replay" in labels
 
 
+@pytest.mark.requirement("S-18")
 def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -> None:
     process: subprocess.Popen[bytes] = processes.node(MODULE, autostart=True)
     assert process.wait(60.0) == 2

@@ -98,6 +98,7 @@ def test_an_array_of_another_shape_is_a_mistake_of_the_caller() -> None:
         Tracker(SETTINGS).add(stamp(0), np.zeros(2), LEVEL)
 
 
+@pytest.mark.requirement("S-47")
 def test_a_pose_that_repeats_bit_for_bit_never_enters_and_is_called_frozen() -> None:
     tracker = Tracker(SETTINGS)
     rng = seen(tracker)
@@ -132,6 +133,7 @@ def test_one_jump_is_refused_and_the_track_goes_on() -> None:
     assert tracker.counts["jump"] == 1
 
 
+@pytest.mark.requirement("S-47")
 def test_a_swap_of_bodies_never_enters_and_scattered_jumps_lose_the_pancake() -> None:
     tracker = Tracker(SETTINGS)
     seen(tracker)
