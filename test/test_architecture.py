@@ -26,7 +26,8 @@ SIMULATOR = {"hardware_sim", "mujoco"}
 # May import ROS: all that speaks it, beside nodes/.
 ROS_EDGE = {"interface", "messages", "params", "real_time", "late_service", "teaching"}
 # Files, clocks, processes and sockets are theirs; every other module is the core.
-EDGE = ROS_EDGE | {"cli", "live", "processes", "resources", "figures", "report", "session", "bags"}
+TELLING = {"cli", "live", "figures", "page", "report"}
+EDGE = ROS_EDGE | TELLING | {"processes", "resources", "session", "bags"}
 OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}
 
 MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])

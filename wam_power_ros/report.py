@@ -7,20 +7,18 @@ folder gives the same file.
 
 from __future__ import annotations
 
-import base64
 import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
 import yaml
 
-from wam_power_ros import figures, policy, session
+from wam_power_ros import figures, page, policy, session
 from wam_power_ros.live import angle, outcome, paper_return
 from wam_power_ros.practice import Record
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
@@ -74,18 +72,17 @@ def render(
     if answer is not None:
         policies = {"start": start} if start is not None else {}
         parts.append(
-            _section(
+            page.section(
                 "Stiffness",
-                f"Vertical stiffness over the movement: the demonstration's and that of "
-                f"{answer.id}. The paper's policy changed by a few percent.",
-                _image(figures.svg(figures.stiffness({**policies, answer.id: answer}))),
+                [
+                    f"Vertical stiffness over the movement: the demonstration's and that of "
+                    f"{answer.id}. The paper's policy changed by a few percent."
+                ],
+                page.image(figures.svg(figures.stiffness({**policies, answer.id: answer}))),
             )
         )
     parts += [_speeds(records), _table(records), _settings(header)]
-    return PAGE.substitute(
-        title=escape(f"Session of seed {header.seed}, return {header.settings.ret}"),
-        body="\n".join(part for part in parts if part),
-    )
+    return page.page(f"Session of seed {header.seed}, return {header.settings.ret}", parts)
 
 
 def write(folder: Path, exhibit: Exhibit | None = None, why_no_film: str = "") -> Path:
@@ -123,8 +120,7 @@ def _cards(records: Sequence[Record]) -> str:
         cards.append(("re-tests flipped and caught", f"{good} of {len(tests)}"))
     if angles:
         cards.append(("median angle of the re-tests", f"{statistics.median(angles):.0f}°"))
-    items = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in cards)
-    return f'<div class="cards">{items}</div>'
+    return page.cards(cards)
 
 
 def _verdict(header: SessionHeader, records: Sequence[Record]) -> str:
@@ -154,20 +150,22 @@ def _verdict(header: SessionHeader, records: Sequence[Record]) -> str:
     decisions = [record.note for record in records if record.note]
     if decisions:
         said.append(f"Last decision: {decisions[-1]}.")
-    return f"<p>{escape(' '.join(said))}</p>"
+    return page.paragraphs([" ".join(said)])
 
 
 def _exhibit(exhibit: Exhibit, why_no_film: str) -> str:
     if exhibit.film is not None:
-        film = _image(exhibit.film, "image/webp")
+        film = page.image(exhibit.film, "image/webp")
     else:
         film = f'<p class="quiet">No film: {escape(why_no_film)}</p>'
     figure = figures.rollout(exhibit.pan, exhibit.pancake, exhibit.t_f)
-    return _section(
+    return page.section(
         f"The answer, {exhibit.pan.id}",
-        f"{exhibit.caption} Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the "
-        "paper; dots are camera frames.",
-        film + _image(figures.svg(figure)),
+        [
+            f"{exhibit.caption} Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of "
+            "the paper; dots are camera frames."
+        ],
+        film + page.image(figures.svg(figure)),
     )
 
 
@@ -175,22 +173,24 @@ def _curves(header: SessionHeader, records: Sequence[Record]) -> str:
     eq5 = np.array([paper_return(record) for record in records])
     first = next((r.number for r in records if outcome(r) == "flipped, caught"), None)
     marks = {} if first is None else {first: "first flip"}
-    html = _section(
+    html = page.section(
         "Learning curve",
-        "The return of Eq. 5 in every rollout. The paper's curve is the mean of six sessions.",
-        _image(figures.svg(figures.learning_curve([eq5], marks))),
+        ["The return of Eq. 5 in every rollout. The paper's curve is the mean of six sessions."],
+        page.image(figures.svg(figures.learning_curve([eq5], marks))),
     )
     if header.settings.ret != "eq5":
         own = np.array([math.nan if r.ret is None else r.ret for r in records])
-        html += _section(
+        html += page.section(
             "What was learnt from",
-            f"The session's own return, {header.settings.ret!r}.",
-            _image(figures.svg(figures.learning_curve([own], marks, paper=False))),
+            [f"The session's own return, {header.settings.ret!r}."],
+            page.image(figures.svg(figures.learning_curve([own], marks, paper=False))),
         )
     names = list(dict.fromkeys(name for record in records for name in record.terms))
     values = {name: [record.terms.get(name) for record in records] for name in names}
     numbers = [record.number for record in records]
-    return html + _section("Terms", "", _image(figures.svg(figures.terms(numbers, values))))
+    return html + page.section(
+        "Terms", content=page.image(figures.svg(figures.terms(numbers, values)))
+    )
 
 
 def _speeds(records: Sequence[Record]) -> str:
@@ -214,7 +214,7 @@ def _speeds(records: Sequence[Record]) -> str:
         if top > VL2
         else f"That is within the factory fault speed of {VL2} m/s."
     )
-    return _section("Speeds", f"Highest in the {which}: {rows}. {advice}", "")
+    return page.section("Speeds", [f"Highest in the {which}: {rows}. {advice}"])
 
 
 def _table(records: Sequence[Record]) -> str:
@@ -232,11 +232,9 @@ def _table(records: Sequence[Record]) -> str:
             outcome(record),
             record.note,
         ]
-        style = ' class="good"' if record.success else ""
-        rows.append(f"<tr{style}>" + "".join(f"<td>{escape(c)}</td>" for c in cells) + "</tr>")
-    head = "".join(f"<th>{escape(name)}</th>" for name in heads)
-    table = f"<div class='wide'><table><tr>{head}</tr>{''.join(rows)}</table></div>"
-    return _section("Every rollout", "", table)
+        rows.append(cells)
+    good = [place for place, record in enumerate(records) if record.success]
+    return page.section("Every rollout", content=page.table(heads, rows, good=good))
 
 
 def _settings(header: SessionHeader) -> str:
@@ -245,47 +243,5 @@ def _settings(header: SessionHeader) -> str:
     return f"<details><summary>session.yaml</summary><pre>{escape(text)}</pre></details>"
 
 
-def _section(title: str, text: str, content: str) -> str:
-    words = f"<p>{escape(text)}</p>" if text else ""
-    return f"<section><h2>{escape(title)}</h2>{words}{content}</section>"
-
-
-def _image(data: bytes, kind: str = "image/svg+xml") -> str:
-    return f'<img alt="" src="data:{kind};base64,{base64.b64encode(data).decode()}">'
-
-
 def _number(value: float | None) -> str:
     return "–" if value is None else f"{value:.3f}"
-
-
-PAGE = Template("""<!doctype html>
-<html lang="en">
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>$title</title>
-<style>
-  body { font: 16px/1.55 system-ui, sans-serif; color: #24292f; background: #fff;
-         max-width: 58rem; margin: 2.5rem auto; padding: 0 1.2rem; }
-  h1 { font-size: 1.6rem; margin: 0 0 1.2rem; }
-  h2 { font-size: 1.1rem; margin: 2.4rem 0 .4rem; }
-  p { margin: .4rem 0 .8rem; max-width: 46rem; }
-  img { display: block; max-width: 100%; margin: .6rem 0; }
-  .cards { display: flex; flex-wrap: wrap; gap: .8rem; margin-bottom: 1.2rem; }
-  .cards div { flex: 1 1 9rem; padding: .8rem 1rem; border: 1px solid #e3e6ea;
-               border-radius: .5rem; }
-  .cards b { display: block; font-size: 1.5rem; color: #3b6ea5; }
-  .cards span, .quiet { color: #57606a; font-size: .85rem; }
-  .wide { overflow-x: auto; }
-  table { border-collapse: collapse; font-size: .82rem; white-space: nowrap; }
-  th, td { text-align: right; padding: .22rem .6rem; border-bottom: 1px solid #eceff2; }
-  th { color: #57606a; font-weight: 600; }
-  td:nth-child(2), th:nth-child(2), td:nth-last-child(-n+2), th:nth-last-child(-n+2) {
-    text-align: left; }
-  .good td { background: #eef8f1; }
-  pre { font-size: .8rem; overflow-x: auto; background: #f6f8fa; padding: 1rem; }
-  summary { cursor: pointer; margin-top: 2rem; color: #57606a; }
-</style>
-<h1>$title</h1>
-$body
-</html>
-""")

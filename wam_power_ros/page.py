@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One HTML page that needs no other file, light or dark, wide or on a phone: what reports share.
+
+Every text given here is escaped; functions that return HTML say so.
+"""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Collection, Sequence
+from html import escape
+from string import Template
+
+WORDS = re.compile(r"\W*[^\W\d]")  # a cell that does not begin with a number
+
+
+def page(title: str, body: Sequence[str]) -> str:
+    """A whole HTML document; `body` is HTML."""
+    return PAGE.substitute(title=escape(title), body="\n".join(part for part in body if part))
+
+
+def section(title: str, text: Sequence[str] = (), content: str = "", level: int = 2) -> str:
+    """HTML of a titled section: paragraphs, then content, which is HTML."""
+    return (
+        f'<section id="{anchor(title)}"><h{level}>{escape(title)}</h{level}>'
+        f"{paragraphs(text)}{content}</section>"
+    )
+
+
+def anchor(title: str) -> str:
+    """Name by which a section of this title is linked to."""
+    return "-".join("".join(c if c.isalnum() else " " for c in title.lower()).split())
+
+
+def paragraphs(text: Sequence[str]) -> str:
+    """HTML of paragraphs; empty ones are left out."""
+    return "".join(f"<p>{escape(words)}</p>" for words in text if words)
+
+
+def image(data: bytes, kind: str = "image/svg+xml", alt: str = "") -> str:
+    """HTML of a picture that is inside the page."""
+    coded = base64.b64encode(data).decode()
+    return f'<img alt="{escape(alt)}" src="data:{kind};base64,{coded}">'
+
+
+def figure(content: str, caption: str) -> str:
+    """HTML of content, which is HTML, with a caption below it."""
+    return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def cards(values: Sequence[tuple[str, str]]) -> str:
+    """HTML of a row of large values, each with what it is: (what, value)."""
+    items = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in values)
+    return f'<div class="cards">{items}</div>'
+
+
+def table(
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    caption: str = "",
+    good: Collection[int] = (),
+    best: Collection[tuple[int, int]] = (),
+) -> str:
+    """HTML of a table that scrolls sideways where it is too wide; numbers go to the right.
+
+    Args:
+        head: Of the columns.
+        rows: Cells, as many as the head has in every row.
+        caption: Above it.
+        good: Rows to be tinted.
+        best: Cells (row, column) to be set off.
+
+    Raises:
+        ValueError: A row of another length than the head.
+    """
+    for row in rows:
+        if len(row) != len(head):
+            raise ValueError(f"a row of {len(row)} cells under a head of {len(head)}: {row}")
+    words = [any(WORDS.match(row[k]) for row in rows) for k in range(len(head))]
+
+    def cell(kind: str, text: str, column: int, marked: bool = False) -> str:
+        style = " ".join(["words"] * words[column] + ["best"] * marked)
+        return f"<{kind}{_class(style)}>{escape(text)}</{kind}>"
+
+    top = "".join(cell("th", name, k) for k, name in enumerate(head))
+    body = "".join(
+        f"<tr{_class('good' if r in good else '')}>"
+        + "".join(cell("td", text, k, (r, k) in best) for k, text in enumerate(row))
+        + "</tr>"
+        for r, row in enumerate(rows)
+    )
+    above = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return f'<div class="wide"><table>{above}<tr>{top}</tr>{body}</table></div>'
+
+
+def _class(name: str) -> str:
+    return f' class="{name}"' if name else ""
+
+
+PAGE = Template("""<!doctype html>
+<html lang="en">
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>$title</title>
+<style>
+  :root { color-scheme: light dark; --ink: #24292f; --paper: #fff; --quiet: #57606a;
+          --line: #e3e6ea; --blue: #3b6ea5; --tint: #f6f8fa; --good: #eef8f1; --green: #2f855a;
+          --red: #b4455a; }
+  @media (prefers-color-scheme: dark) {
+    :root { --ink: #dfe3e8; --paper: #15191e; --quiet: #98a2ad; --line: #30363d; --blue: #7fb0e3;
+            --tint: #1d232a; --good: #183024; --green: #6cc497; --red: #e58a9b; }
+    img { background: #fff; }
+  }
+  body { font: 16px/1.55 system-ui, sans-serif; color: var(--ink); background: var(--paper);
+         max-width: 62rem; margin: 2.5rem auto; padding: 0 1.2rem; }
+  h1 { font-size: 1.7rem; line-height: 1.25; margin: 0 0 1.2rem; }
+  h2 { font-size: 1.25rem; margin: 3rem 0 .5rem; }
+  h3 { font-size: 1.02rem; margin: 2rem 0 .3rem; }
+  p { margin: .4rem 0 .8rem; max-width: 46rem; }
+  a { color: var(--blue); }
+  img { display: block; max-width: 100%; height: auto; margin: .6rem 0; border-radius: .4rem; }
+  figure { margin: 1.2rem 0 1.8rem; }
+  figcaption, caption { color: var(--quiet); font-size: .85rem; max-width: 46rem; }
+  caption { text-align: left; white-space: normal; padding-bottom: .4rem; }
+  .cards { display: flex; flex-wrap: wrap; gap: .8rem; margin-bottom: 1.2rem; }
+  .cards div { flex: 1 1 9rem; padding: .8rem 1rem; border: 1px solid var(--line);
+               border-radius: .5rem; }
+  .cards b { display: block; font-size: 1.5rem; color: var(--blue); }
+  .cards span, .quiet { color: var(--quiet); font-size: .85rem; }
+  nav { display: flex; flex-wrap: wrap; gap: .3rem 1.2rem; margin: 0 0 1.4rem;
+        font-size: .9rem; }
+  .wide { overflow-x: auto; margin: 1rem 0 1.4rem; }
+  table { border-collapse: collapse; font-size: .82rem; white-space: nowrap;
+          font-variant-numeric: tabular-nums; }
+  th, td { text-align: right; padding: .26rem .7rem; border-bottom: 1px solid var(--line); }
+  th:first-child, td:first-child { padding-left: .2rem; }
+  th { color: var(--quiet); font-weight: 600; vertical-align: bottom; }
+  .words { text-align: left; }
+  .best { font-weight: 700; color: var(--green); }
+  .good td { background: var(--good); }
+  .claims { width: 100%; white-space: normal; font-size: .86rem; }
+  .claims td, .claims th { text-align: left; vertical-align: top; padding: .5rem .6rem; }
+  .claims small { display: block; color: var(--quiet); margin-top: .2rem; }
+  .met { color: var(--green); font-weight: 700; white-space: nowrap; }
+  .missed { color: var(--red); font-weight: 700; white-space: nowrap; }
+  .told { color: var(--quiet); white-space: nowrap; }
+  @media (max-width: 46rem) {
+    body { margin-top: 1.2rem; }
+    .claims tr:first-child { display: none; }
+    .claims tr { display: block; border-bottom: 1px solid var(--line); padding: .7rem 0; }
+    .claims td { display: flex; gap: .8rem; border: 0; padding: .08rem 0; }
+    .claims td::before { content: attr(data-head); flex: 0 0 5.2rem; color: var(--quiet); }
+    .claims td:first-child { display: block; font-weight: 600; padding-bottom: .3rem; }
+    .claims td:first-child::before { content: none; }
+    .claims small { font-weight: 400; }
+    .claims td:empty { display: none; }
+  }
+  @media print { body { max-width: none; } section { break-inside: auto; }
+                 figure { break-inside: avoid; } }
+  pre { font-size: .8rem; overflow-x: auto; background: var(--tint); padding: 1rem; }
+  summary { cursor: pointer; margin-top: 2rem; color: var(--quiet); }
+</style>
+<h1>$title</h1>
+$body
+</html>
+""")
