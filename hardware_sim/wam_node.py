@@ -25,10 +25,10 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from hardware_sim.driver import FOLDED, Driver
-from hardware_sim.hand import Hand, wrist_flick
+from hardware_sim.hand import SKILLS, Hand
 from hardware_sim.scene import SceneSettings
 from hardware_sim.sensing import MocapFrame, MocapSettings
-from hardware_sim.world import HOME, PERIOD, World, WorldSettings
+from hardware_sim.world import PERIOD, World, WorldSettings
 from wam_power_ros import interface
 from wam_power_ros import policy as policies
 from wam_power_ros.arm import Arm
@@ -56,6 +56,7 @@ class WamSimParams(Params):
     bus_voltage: float
     command_delay_ticks: int
     driver_compensates_gravity: bool
+    hand: Literal["flip", "reach"]
     friction: float
     pancake_offset_sd: float
     wind_sd: float
@@ -197,7 +198,7 @@ class WamSim(Node):
         """
         policy, world = self._policy, self.world
         if self._label == "gravity_compensation" and not world.pulled:
-            self._put_back(f"demonstration-{self._demonstrations}", HOME)
+            self._put_back(*self._next_demonstration())
             return None
         if policy is None or len(policy.q_start) != 7:
             return "refused: no policy for this arm has come"
@@ -241,15 +242,22 @@ class WamSim(Node):
 
     def _take_pan(self) -> None:
         """The hand, another one each time, begins its demonstration."""
-        world, number = self.world, self._demonstrations
-        name = f"demonstration-{number}"
+        world = self.world
+        name, home = self._next_demonstration()
         if world.rollout_id != name:  # the jump back to the start is for /pancake/reset to make
-            world.reset(name, HOME)
-        rng = np.random.default_rng((self.params.seed, number))
+            world.reset(name, home)
+        rng = np.random.default_rng((self.params.seed, self._demonstrations))
         if world.frozen:
             world.release()
-        world.attach(Hand(wrist_flick(rng), *world.pan_pose))
+        world.attach(Hand(SKILLS[self.params.hand].script(rng), *world.pan_pose))
         self._pulling = True
+
+    def _next_demonstration(self) -> tuple[str, np.ndarray]:
+        """Name and first posture (7,) [rad] of the demonstration that is to come."""
+        skill, number = SKILLS[self.params.hand], self._demonstrations
+        rng = np.random.default_rng((self.params.seed, number, 1))
+        home = skill.home + skill.scatter * rng.standard_normal(len(skill.home))
+        return f"demonstration-{number}", home
 
     # Barrett's services
 

@@ -14,11 +14,13 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from scipy.interpolate import CubicSpline
 
 from wam_power_ros import bags
 from wam_power_ros.arm import Arm
 from wam_power_ros.bags import TYPES, BagWriter, read_demonstration, recover, unfinished
 from wam_power_ros.demonstration import from_joint_samples
+from wam_power_ros.primitive import REACHING, fit, reproduce, tabulate
 from wam_power_ros.resources import share
 
 NAMES = ("wam_j1", "wam_j2", "wam_j3")
@@ -368,3 +370,26 @@ def test_the_bags_that_are_shipped_hold_a_toss(bag: Path) -> None:
 
 def test_there_are_bags_to_begin_with() -> None:
     assert len(sorted(share("bags").glob("demo_*"))) >= 3
+
+
+def test_the_shipped_reaches_are_half_a_metre_in_an_arc_and_two_primitives_follow_them() -> None:
+    arm = Arm(share("urdf/wam7.urdf").read_text(), WAM_JOINTS)
+    taken = [read_demonstration(bag, WAM_JOINTS) for bag in sorted(share("bags").glob("reach_*"))]
+    taught = [from_joint_samples(arm, stamps_ns, q) for stamps_ns, q in taken]
+    assert len(taught) == 4
+    ends = np.array([d.position[[0, -1]] for d in taught])  # (4, 2, 3)
+    assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == pytest.approx(0.49, abs=0.03)
+    assert (ends.std(axis=0) > 0.001).any(axis=1).all()  # a person's scatter
+    assert (ends.std(axis=0) < 0.02).all()
+    s = np.linspace(0.0, 1.0, 500)
+    paths = [CubicSpline(d.t / d.duration, d.position)(s) for d in taught]
+    mean = np.mean(paths, axis=0)
+    straight = mean[0] + np.linspace(0.0, 1.0, 500)[:, None] * (mean[-1] - mean[0])
+    assert (mean[:, 2] - straight[:, 2]).max() == pytest.approx(0.06, abs=0.015)
+    assert all(np.linalg.norm(d.rotation_vector, axis=1).max() < np.deg2rad(10.0) for d in taught)
+
+    policy = fit(taught, REACHING, "reach")
+    followed, _ = reproduce(tabulate(policy), mean[0], np.zeros(3))
+    beside = np.linalg.norm(mean[None] - followed[:, None], axis=2).min(axis=1)
+    assert np.sqrt(np.mean(beside**2)) < 0.015  # where it goes; when, two primitives cannot tell
+    assert np.linalg.norm(followed[-1] - mean[-1]) < 0.04

@@ -10,7 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware_sim.hand import FORCE_MAX, MOMENT_MAX, REACH, Hand, HandScript, wrist_flick
+from hardware_sim.hand import (
+    FORCE_MAX,
+    MOMENT_MAX,
+    PAUSE,
+    REACH,
+    REACH_GOAL,
+    SKILLS,
+    Hand,
+    HandScript,
+    reach,
+    wrist_flick,
+)
 from hardware_sim.world import HOME, JOINTS, Truth, World
 from wam_power_ros import rotations
 from wam_power_ros.arm import Arm
@@ -27,6 +38,10 @@ def script(seed: int, spread: float = 1.0) -> HandScript:
 
 def hand(seed: int = 0) -> Hand:
     return Hand(script(seed), POSITION, ROTATION)
+
+
+def reaching(seed: int = 0) -> Hand:
+    return Hand(reach(np.random.default_rng(seed)), POSITION, ROTATION)
 
 
 def test_no_two_demonstrations_are_alike_and_the_seed_decides() -> None:
@@ -70,9 +85,10 @@ def test_the_hand_passes_through_the_keys_of_its_script() -> None:
         np.testing.assert_allclose(omega, [0.0, -keys.pitch_rate[k], 0.0], atol=1e-9)
 
 
-def test_the_wanted_velocities_are_those_of_the_wanted_poses() -> None:
-    puller, small = hand(3), 1e-6
-    for t in np.linspace(0.01, puller.script.t[-1] - 0.01, 50):
+@pytest.mark.parametrize("puller", [hand(3), reaching(3)], ids=["flip", "reach"])
+def test_the_wanted_velocities_are_those_of_the_wanted_poses(puller: Hand) -> None:
+    small = 1e-6
+    for t in np.linspace(0.01, puller.script.end - 0.01, 50):
         before, after = puller.target(t - small), puller.target(t + small)
         _, _, velocity, omega = puller.target(t)
         np.testing.assert_allclose(velocity, (after[0] - before[0]) / (2 * small), atol=1e-5)
@@ -155,3 +171,45 @@ def test_a_demonstration_begins_and_ends_at_rest_within_the_joint_limits(
         assert np.abs(q[-1] - q[-25]).max() < 0.02
         assert ((arm.q_min < q) & (q < arm.q_max)).all()
         assert np.abs(q[:, [0, 2, 4, 6]]).max() < 0.05  # a planar toss
+
+
+@given(st.integers(0, 10_000))
+def test_every_reach_goes_from_rest_to_rest_in_an_arc_and_keeps_the_pan_as_it_was(
+    seed: int,
+) -> None:
+    puller = reaching(seed)
+    script = puller.script
+    for t, place in ((0.0, POSITION), (PAUSE, POSITION), (script.end, script.goal)):
+        position, rotation, velocity, omega = puller.target(t)
+        np.testing.assert_allclose(position, place, atol=1e-12)
+        np.testing.assert_array_equal(rotation, ROTATION)
+        np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
+        assert not omega.any()
+    times = np.linspace(PAUSE, script.end, 201)
+    height = np.array([puller.target(t).position for t in times])[:, 2]
+    assert (height - np.linspace(height[0], height[-1], 201)).max() > 0.0
+    again = reach(np.random.default_rng(seed))
+    assert again.duration == script.duration != reach(np.random.default_rng(seed + 1)).duration
+
+
+def test_an_arm_led_by_a_reaching_hand_comes_where_the_hand_wants_within_its_limits() -> None:
+    world, skill = World(seed=1), SKILLS["reach"]
+    arm = Arm(world.urdf, JOINTS)
+    start, _ = arm.tool_pose(skill.home)
+    assert np.linalg.norm(REACH_GOAL - start) == pytest.approx(0.5, abs=0.01)
+    world.reset("demonstration-0", skill.home)
+    world.release()
+    world.attach(Hand(reach(np.random.default_rng(0), spread=0.0), *world.pan_pose))
+    joints, tilt = [], []
+    while world.pulled:
+        sample = world.joint_state()
+        joints.append(sample.q)
+        tilt.append(world.pan_pose[1][2, 2])
+        world.step(arm.gravity(sample.q))
+    end, truth, q = world.pan_pose[0], world.truth(), np.array(joints)
+    assert np.linalg.norm(end - REACH_GOAL) < 0.03
+    assert min(tilt) > np.cos(np.deg2rad(8.0))
+    assert truth.caught  # the pancake has stayed in the pan
+    assert not truth.flipped
+    assert truth.peak_forearm_speed < 1.0  # what the safety board allows by default [m/s]
+    assert ((arm.q_min + 0.3 < q) & (q < arm.q_max - 0.3)).all()

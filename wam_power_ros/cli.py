@@ -36,6 +36,10 @@ NODES = {  # executable -> module with a main(); setup.py has the same entry poi
     "optitrack_sim": "hardware_sim.optitrack_node",
 }
 SESSIONS = Path("sessions")
+TASKS = {  # what may be taught -> how the recorder is set for it
+    "flip": {},
+    "reach": {"stem": "reach", "topics": '[""]'},  # the arm is all there is to it
+}
 
 
 class UsageError(Exception):
@@ -84,6 +88,9 @@ def _parser() -> argparse.ArgumentParser:
         "teach", help="record demonstrations", description="Record demonstrations by hand."
     )
     teach.add_argument("--seed", type=_natural, help="of the stand-in (default 0)")
+    teach.add_argument(
+        "--task", choices=TASKS, default="flip", help="what the simulated hand shows (flip)"
+    )
     teach.add_argument("--folder", type=Path, help="for the bags (default: demonstrations/NOW)")
     _teaching_options(teach)
     teach.set_defaults(command=_teach)
@@ -133,9 +140,10 @@ def _run(options: argparse.Namespace) -> int:
 def _teach(options: argparse.Namespace) -> None:
     folder = (options.folder or Path("demonstrations") / _now()).resolve()
     with private_domain() as domain, _nodes(folder / "logs", domain) as processes:
-        _start_arm(processes, folder, options.seed or 0, options.driver)
+        _start_arm(processes, folder, options.seed or 0, options.driver, options.task)
         bags = _teach_series(processes, folder, options)
-    print("To learn from them:\n  wam-power learn --bags", *map(_shown, bags))
+    if options.task == "flip":
+        print("To learn from them:\n  wam-power learn --bags", *map(_shown, bags))
 
 
 def _learn(options: argparse.Namespace) -> int:
@@ -225,15 +233,17 @@ def _nodes(logs: Path, domain: int) -> Processes:
     )
 
 
-def _start_arm(processes: Processes, folder: Path, seed: int, driver: str | None) -> None:
+def _start_arm(
+    processes: Processes, folder: Path, seed: int, driver: str | None, task: str = "flip"
+) -> None:
     """The stand-ins unless there is a real arm, the controller, and the recorder into `folder`."""
     if driver is None:
-        processes.start(
-            "wam_sim", [*_node("wam_sim", seed=seed), "--params-file", _config("optitrack_sim")]
-        )
+        stand_in = _node("wam_sim", seed=seed, hand=task)
+        processes.start("wam_sim", [*stand_in, "--params-file", _config("optitrack_sim")])
     _start(processes, "torque_controller", driver)
     source = "sim" if driver is None else "hardware"
-    _start(processes, "demonstration_recorder", driver, directory=folder / "bags", source=source)
+    recorder = {"directory": folder / "bags", "source": source, **TASKS[task]}
+    _start(processes, "demonstration_recorder", driver, **recorder)
 
 
 def _start(processes: Processes, node: str, driver: str | None, **parameters: object) -> Running:

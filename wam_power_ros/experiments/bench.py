@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 import yaml
 
-from hardware_sim.hand import Hand, HandScript
+from hardware_sim.hand import Hand, Script
 from hardware_sim.world import HOME, Truth, World
 from wam_power_ros.controller import Controller, ControllerSettings, Mode
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
@@ -69,7 +69,7 @@ class Bench:
             quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # as a message
             self.tracker.add(frame.stamp_ns, frame.position, quat_xyzw)
 
-    def demonstrate(self, script: HandScript, name: str) -> tuple[np.ndarray, np.ndarray]:
+    def demonstrate(self, script: Script, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Let a hand move the gravity-compensated arm from home.
 
         Returns:

@@ -2,7 +2,7 @@
 """Demonstration recorder: `/recorder/record` true and false in, a bag each time out.
 
 Messages are written as they came, never decoded. The bag is `rollout_<id>` when a policy has come
-since the last recording began, else `demo_<date>_<time>`.
+since the last recording began, else `<stem>_<date>_<time>`.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from diagnostic_msgs.msg import DiagnosticArray
+from pydantic import Field
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -31,6 +32,7 @@ class DemonstrationRecorderParams(Params):
     """See config/demonstration_recorder.yaml."""
 
     directory: str
+    stem: str = Field(min_length=1, pattern=r"^[A-Za-z0-9-]+$")
     state_topic: str
     topics: tuple[str, ...]
     latched_topics: tuple[str, ...]
@@ -58,6 +60,7 @@ class DemonstrationRecorder(Node):
         self._state_topic = self.resolve_topic_name(params.state_topic)
         self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
         topics = dict.fromkeys((params.state_topic, *params.topics, *params.latched_topics))
+        topics.pop("", None)  # how ROS writes an empty list
         self._topics = RawTopics(self, topics, self._on_message)
         self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
         self._diagnostics = self.create_publisher(
@@ -101,7 +104,7 @@ class DemonstrationRecorder(Node):
             needed = self._params.free_to_start
             raise ValueError(f"{free:.0f} MB free in {self._directory}, {needed:.0f} MB needed")
         self._topics.look()
-        kind = "rollout" if self._policy_id else "demo"
+        kind = "rollout" if self._policy_id else self._params.stem
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
         self._writer = bags.BagWriter(bags.free_path(self._directory, f"{kind}_{stem}"))
         self._policy_id = self._trouble = self._note = ""
