@@ -5,7 +5,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wam_power_ros.arm import Arm
+from wam_power_ros.arm import WAM_GUARDED, Arm, Guarded
 from wam_power_ros.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()
@@ -104,9 +104,18 @@ def test_guarded_points_move_as_their_positions_do(arm: Arm) -> None:
         assert tool == pytest.approx(arm.motion(q, qd).tool_speed)
 
 
-def test_an_arm_without_the_elbow_link_reports_no_elbow_speed() -> None:
-    other = Arm(URDF, NAMES, elbow_link="another_robots_link")
-    assert other.reference_point_speeds(HOME, np.ones(7))[:2] == (0.0, 0.0)
+def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm) -> None:
+    wrist = Guarded("wrist", "wam_link6", (0.0, 0.0, 0.1))
+    other = Arm(URDF, NAMES, guarded=(*WAM_GUARDED, wrist, WAM_GUARDED[0]))
+    assert other.guarded == ("elbow", "forearm", "wrist", "elbow")
+    speeds = other.reference_point_speeds(HOME, np.ones(7))
+    assert (*speeds[:2], speeds[4]) == arm.reference_point_speeds(HOME, np.ones(7))
+    assert speeds[3] == speeds[0]
+    end = Arm(URDF, NAMES, tool_frame="wam_link6").tool_pose(HOME)
+    np.testing.assert_allclose(other.guarded_positions(HOME)[2], end[0] + end[1] @ [0, 0, 0.1])
+    assert Arm(URDF, NAMES, guarded=()).motion(HOME, np.ones(7)).guarded_speeds == ()
+    with pytest.raises(ValueError, match="another_robots_link"):
+        Arm(URDF, NAMES, guarded=[wrist._replace(link="another_robots_link")])
 
 
 def test_results_are_not_changed_by_later_calls(arm: Arm) -> None:

@@ -647,6 +647,21 @@ def test_a_rollout_that_leaves_the_workspace_is_a_fault() -> None:
     assert "z =" in controller.fault_reason
 
 
+@pytest.mark.requirement("S-23")
+@pytest.mark.parametrize("guarded", ["elbow", "tool"])
+def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> None:
+    elbow, _ = MODEL.guarded_positions(HOME)
+    tool, _ = MODEL.tool_pose(HOME)
+    plane = {"elbow": (-1.0, 0.0, 0.0, 0.01 - elbow[0]), "tool": (-1.0, 0.0, 0.0, -0.01 - tool[0])}
+    controller, plant = begin(controller=make(limits=safety.limits_of(MODEL, plane=plane[guarded])))
+    run(controller, plant, 0.1)
+    assert controller.mode is Mode.HOLD  # there it may be: only what moves by itself is judged
+    controller.execute()
+    run(controller, plant, 1.0)
+    assert controller.mode is Mode.FAULT
+    assert controller.fault_reason.startswith(f"{guarded} is 0.0")
+
+
 @pytest.mark.requirement("S-24")
 def test_soft_springs_push_a_taught_arm_off_its_limits() -> None:
     q = HOME.copy()

@@ -90,7 +90,9 @@ def test_teaching_damping_grows_with_the_square_of_the_speed() -> None:
 def exceeded(q: np.ndarray, qd: np.ndarray, **settings: object) -> str | None:
     limits = safety.limits_of(ARM, **settings)
     motion = ARM.motion(q, qd)
-    return safety.exceeded(q.tolist(), qd.tolist(), motion, limits, limits.tool_speed, True)
+    return safety.exceeded(
+        q.tolist(), qd.tolist(), motion, ARM.guarded, limits, limits.tool_speed, True
+    )
 
 
 @pytest.mark.requirement("S-21")
@@ -110,6 +112,17 @@ def test_each_motion_limit_is_named_when_exceeded() -> None:
     not_a_number = still.copy()
     not_a_number[2] = math.nan
     assert exceeded(Q, not_a_number) is not None
+
+
+@pytest.mark.requirement("S-23")
+def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
+    tilted = safety.limits_of(ARM, plane=(0.6, 0.0, 0.8, 0.5))
+    before, behind = np.array([0.5, 9.0, 0.3]), np.array([0.3, 0.0, 0.3])  # 0.54 and 0.42
+    assert safety.behind_plane({"elbow": before, "tool": before}, tilted) is None
+    assert safety.behind_plane({"elbow": behind, "tool": before}, tilted).startswith(
+        "elbow is 0.080 m behind"
+    )
+    assert safety.behind_plane({"tool": np.full(3, math.nan)}, tilted) is not None
 
 
 @pytest.mark.requirement("S-24")
@@ -141,6 +154,7 @@ def test_limits_that_make_no_sense_are_refused_by_name() -> None:
         ("elbow_speed", math.nan),
         ("workspace_max", (1.0, 1.0)),
         ("workspace_min", (2.0, 2.0, 2.0)),
+        ("plane", (0.0, 0.0, 2.0, 0.1)),
         ("periods", 0),
         ("periods", 1.5),
         ("speed", 3.0),

@@ -6,6 +6,7 @@ Works in buffers of its own, so one `Arm` belongs to one thread; every array it 
 
 import math
 from collections.abc import Sequence
+from itertools import groupby
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -13,6 +14,27 @@ import numpy as np
 import pinocchio as pin
 
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tool's origin, along the base's axes
+
+
+class Guarded(NamedTuple):
+    """A point of the arm, beside the tool, whose motion is limited.
+
+    Attributes:
+        name: For messages.
+        link: That it belongs to.
+        offset: In the frame of the link [m]. Shape (3,).
+    """
+
+    name: str
+    link: str
+    offset: Sequence[float]
+
+
+# Where the safety board of the Barrett WAM limits the speed: elbow, and 350 mm along the forearm.
+WAM_GUARDED = (
+    Guarded("elbow", "wam_link4", (0.0, 0.0, 0.0)),
+    Guarded("forearm", "wam_link4", (-0.045, -0.35, 0.0)),
+)
 
 
 class Motion(NamedTuple):
@@ -23,8 +45,7 @@ class Motion(NamedTuple):
         rotation: Tool axes as columns. Shape (3, 3).
         twist: Linear velocity [m/s] and angular velocity [rad/s]. Shape (6,).
         drift: Jdot qd, the tool's acceleration when no joint accelerates. Shape (6,).
-        elbow_speed: [m/s].
-        forearm_speed: Of the guarded point beyond the elbow [m/s].
+        guarded_speeds: Of the guarded points [m/s].
         tool_speed: [m/s].
     """
 
@@ -32,8 +53,7 @@ class Motion(NamedTuple):
     rotation: np.ndarray
     twist: np.ndarray
     drift: np.ndarray
-    elbow_speed: float
-    forearm_speed: float
+    guarded_speeds: tuple[float, ...]
     tool_speed: float
 
 
@@ -68,6 +88,7 @@ class Arm:
         armature: Reflected rotor inertia [kg m^2]. Shape (n,).
         friction: Coulomb friction of the joints [N m]. Shape (n,).
         damping: Viscous friction of the joints [N m s/rad]. Shape (n,).
+        guarded: Names of the guarded points.
         model: Pinocchio's model of the chain.
 
     Args:
@@ -75,10 +96,7 @@ class Arm:
         joint_names: From the base to the tip.
         tool_frame: Link whose frame is the tool.
         armature: Overrides the URDF's. Shape (n,).
-        elbow_link: Link at whose frame the elbow's speed is measured; with None, or when the robot
-            has no such link, elbow and forearm speeds are reported as zero.
-        forearm_point: Guarded point in the frame of `elbow_link` [m]. By default 350 mm along the
-            forearm of the Barrett WAM, where its safety board limits the speed.
+        guarded: Points whose motion is limited beside the tool's.
 
     Raises:
         ValueError: The text is no URDF, or a joint or frame is missing or unfit; known ones named.
@@ -90,8 +108,7 @@ class Arm:
         joint_names: Sequence[str],
         tool_frame: str = "pan",
         armature: Sequence[float] | None = None,
-        elbow_link: str | None = "wam_link4",
-        forearm_point: Sequence[float] = (-0.045, -0.35, 0.0),
+        guarded: Sequence[Guarded] = WAM_GUARDED,
     ) -> None:
         try:
             full = pin.buildModelFromXML(urdf)
@@ -122,13 +139,16 @@ class Arm:
         self._data = self.model.createData()
         self._tool = self._frame(tool_frame)
         self._zero = np.zeros(self.n)
-        self._elbow: int | None = None
-        if elbow_link is not None and self.model.existFrame(elbow_link):
-            frame = self.model.frames[self._frame(elbow_link)]
-            self._elbow = frame.parentJoint
-            self._elbow_point = tuple(frame.placement.translation.tolist())
-            forearm = frame.placement.act(_checked("forearm_point", forearm_point, 3))
-            self._forearm_point = tuple(forearm.tolist())
+        self.guarded = tuple(point.name for point in guarded)
+        points = []  # (joint, point in its frame)
+        for name, link, offset in guarded:
+            frame = self.model.frames[self._frame(link)]
+            point = frame.placement.act(_checked(f"guarded point {name}", offset, 3))
+            points.append((int(frame.parentJoint), point))
+        self._guarded = [
+            (joint, [(point, point.tolist()) for _, point in group])
+            for joint, group in groupby(points, key=lambda pair: pair[0])
+        ]
 
     def _frame(self, name: str) -> int:
         if not self.model.existFrame(name):
@@ -147,19 +167,17 @@ class Arm:
         pin.forwardKinematics(model, data, q, qd, self._zero)
         placement = pin.updateFramePlacement(model, data, tool)
         twist = pin.getFrameVelocity(model, data, tool, _AXES).vector
-        elbow_speed = forearm_speed = 0.0
-        if self._elbow is not None:
-            elbow = data.v[self._elbow].vector.tolist()
-            elbow_speed = _point_speed(elbow, self._elbow_point)
-            forearm_speed = _point_speed(elbow, self._forearm_point)
+        speeds: list[float] = []
+        for joint, points in self._guarded:
+            body = data.v[joint].vector.tolist()
+            speeds += [_point_speed(body, point) for _, point in points]
         vx, vy, vz, *_ = twist.tolist()
         return Motion(
             position=placement.translation.copy(),
             rotation=placement.rotation.copy(),
             twist=twist,
             drift=pin.getFrameClassicalAcceleration(model, data, tool, _AXES).vector,
-            elbow_speed=elbow_speed,
-            forearm_speed=forearm_speed,
+            guarded_speeds=tuple(speeds),
             tool_speed=math.sqrt(vx * vx + vy * vy + vz * vz),
         )
 
@@ -190,15 +208,25 @@ class Arm:
         placement = pin.updateFramePlacement(self.model, self._data, self._tool)
         return placement.translation.copy(), placement.rotation.copy()
 
-    def reference_point_speeds(self, q: np.ndarray, qd: np.ndarray) -> tuple[float, float, float]:
-        """Speeds of the elbow, of the guarded forearm point and of the tool [m/s].
+    def guarded_positions(self, q: np.ndarray) -> list[np.ndarray]:
+        """Where the guarded points are, in the base frame [m]. Shape (3,) each.
+
+        Args:
+            q: [rad]. Shape (n,).
+        """
+        pin.forwardKinematics(self.model, self._data, q)
+        placements = self._data.oMi
+        return [placements[joint].act(at) for joint, points in self._guarded for at, _ in points]
+
+    def reference_point_speeds(self, q: np.ndarray, qd: np.ndarray) -> tuple[float, ...]:
+        """Speeds of the guarded points and, last, of the tool [m/s].
 
         Args:
             q: [rad]. Shape (n,).
             qd: [rad/s]. Shape (n,).
         """
         motion = self.motion(q, qd)
-        return motion.elbow_speed, motion.forearm_speed, motion.tool_speed
+        return *motion.guarded_speeds, motion.tool_speed
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Joint speeds to the tool's twist (linear, angular) in the base frame. Shape (6, n)."""
@@ -259,7 +287,7 @@ def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
     return array
 
 
-def _point_speed(twist: list[float], point: tuple[float, float, float]) -> float:
+def _point_speed(twist: list[float], point: Sequence[float]) -> float:
     """Speed of a point of a body, from the body's twist in its own frame [m/s]."""
     vx, vy, vz, wx, wy, wz = twist
     x, y, z = point

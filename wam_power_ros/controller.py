@@ -68,6 +68,7 @@ _REFERENCED = (Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY)  # modes that follow 
 TURN_MAX = 2.0
 _INTEGERS = (int, np.integer)
 _PASSIVE = (Mode.INACTIVE, Mode.FAULT)  # modes in which nothing can go wrong any more
+_MOVING = (Mode.MOVE_TO_START, Mode.ROLLOUT, Mode.REPLAY)  # modes in which the arm moves by itself
 _BOXED = (Mode.ROLLOUT, Mode.REPLAY)  # modes in which the tool must stay in the workspace
 
 
@@ -569,7 +570,7 @@ class Controller:
         if self._motion is None:
             return "no joint state has come yet"
         motion = self._motion
-        speed = max(motion.elbow_speed, motion.forearm_speed, motion.tool_speed)
+        speed = max(*motion.guarded_speeds, motion.tool_speed, 0.0)
         if speed > self.settings.rest_speed:
             return f"the arm moves at {speed:.3f} m/s, limit {self.settings.rest_speed}"
         spin = float(np.abs(motion.twist[3:]).max())
@@ -740,7 +741,13 @@ class Controller:
         teaching = mode is Mode.GRAVITY_COMPENSATION
         tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
         boxed = mode in _BOXED
-        reason = safety.exceeded(q.tolist(), qd.tolist(), motion, limits, tool_speed, boxed)
+        guarded = self.arm.guarded
+        reason = safety.exceeded(
+            q.tolist(), qd.tolist(), motion, guarded, limits, tool_speed, boxed
+        )
+        if reason is None and mode in _MOVING:
+            points = dict(zip(guarded, self.arm.guarded_positions(q), strict=True))
+            reason = safety.behind_plane(points | {"tool": motion.position}, limits)
         self._exceeded = 0 if reason is None else self._exceeded + 1
         if reason is not None and self._exceeded >= limits.periods:
             self.fault(reason)

@@ -28,7 +28,7 @@ class Rehearsal:
     Attributes:
         fault: Which limit would end the rollout, empty when none.
         qd_peak: Highest joint speeds [rad/s]. Shape (n,).
-        elbow_peak: Highest speed of elbow and guarded forearm point [m/s].
+        elbow_peak: Highest speed of the guarded points, elbow and forearm [m/s].
         tool_peak: Highest speed of the tool [m/s].
     """
 
@@ -93,7 +93,7 @@ def rehearse(
             qd = qd + dt * arm.forward_dynamics(q, qd, tau - friction)
             q = q + dt * qd
         stamp_ns += period_ns
-        elbow, forearm, tool = arm.reference_point_speeds(q, qd)
+        *guarded, tool = arm.reference_point_speeds(q, qd)
         np.maximum(qd_peak, np.abs(qd), out=qd_peak)
-        elbow_peak, tool_peak = max(elbow_peak, elbow, forearm), max(tool_peak, tool)
+        elbow_peak, tool_peak = max(elbow_peak, *guarded), max(tool_peak, tool)
     return Rehearsal(controller.fault_reason or "", qd_peak, elbow_peak, tool_peak)

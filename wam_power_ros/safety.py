@@ -11,13 +11,14 @@ because an old velocity would feed energy in.
 
 import enum
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from wam_power_ros.arm import Arm, Motion
 
-_WORKSPACE = ("workspace_min", "workspace_max")
+_SHAPES = {"workspace_min": (3,), "workspace_max": (3,), "plane": (4,)}
 IMPLAUSIBLE_Q = 20.0  # [rad] no joint gets here: a reading beyond is refused
 IMPLAUSIBLE_QD = 500.0  # [rad/s]
 
@@ -35,13 +36,15 @@ class Limits:
         qd_max: Joint speed [rad/s]. Shape (n,).
         spring_range: Width of the soft springs inside the position limits [rad].
         spring_torque: Of a spring at the limit [N m]. Shape (n,).
-        elbow_speed: Of the elbow and of the guarded forearm point [m/s]. The WAM's safety board
-            trips at 1.0 m/s as delivered; a toss needs up to 2.0, and the board set accordingly.
+        elbow_speed: Of the arm's guarded points [m/s]. The WAM's safety board trips at 1.0 m/s
+            as delivered; a toss needs up to 2.0, and the board set accordingly.
         tool_speed: In all modes but teaching [m/s]; a toss needs about 2.5.
         teaching_tool_speed: While a person guides the arm [m/s]. A toss taught by hand needs as
             much as a toss; lower it to 0.5 to teach slow movements only.
         workspace_min: Corner of the box the tool must stay in during rollout and replay [m].
         workspace_max: The other corner [m].
+        plane: Normal and distance [m] of a plane (a table, a wall) behind which neither tool nor
+            guarded points may come while the arm moves by itself: n . x >= d. Shape (4,).
         periods: A motion limit trips when exceeded in this many states in a row.
         q_jump: Change of a joint from one state to the next that means another zero [rad].
 
@@ -61,6 +64,7 @@ class Limits:
     teaching_tool_speed: float = 4.0
     workspace_min: np.ndarray = (-1.5, -1.5, -0.5)
     workspace_max: np.ndarray = (1.5, 1.5, 2.0)
+    plane: np.ndarray = (0.0, 0.0, 1.0, -0.5)
     periods: int = 3
     q_jump: float = 0.1
 
@@ -70,11 +74,11 @@ class Limits:
             value = getattr(self, field.name)
             shape: tuple[int, ...] = ()
             if field.type is np.ndarray:
-                shape = (3,) if field.name in _WORKSPACE else (n,)
+                shape = _SHAPES.get(field.name, (n,))
             array = np.array(value, dtype=float)
             if array.shape != shape or not np.isfinite(array).all():
                 raise ValueError(f"limit {field.name} = {value} must be finite, shape {shape}")
-            signed = field.name in ("q_min", "q_max", *_WORKSPACE)
+            signed = field.name in ("q_min", "q_max", *_SHAPES)
             zero_allowed = field.name == "spring_torque"
             if not signed and not np.all(array >= 0.0 if zero_allowed else array > 0.0):
                 raise ValueError(f"limit {field.name} = {value} must be positive")
@@ -84,6 +88,8 @@ class Limits:
         for low, high in (("q_min", "q_max"), ("workspace_min", "workspace_max")):
             if not np.all(getattr(self, low) < getattr(self, high)):
                 raise ValueError(f"limit {low} = {getattr(self, low)} must be below {high}")
+        if abs(float(np.linalg.norm(self.plane[:3])) - 1.0) > 1e-6:
+            raise ValueError(f"limit plane = {self.plane} must begin with a unit normal")
         if self.periods != int(self.periods):
             raise ValueError(f"limit periods = {self.periods} must be a whole number")
         # The same as plain floats, a row a joint or axis: several times faster to compare with.
@@ -95,6 +101,7 @@ class Limits:
             ("_box", (self.workspace_min, self.workspace_max)),
         ):
             object.__setattr__(self, name, np.stack(columns, axis=1).tolist())
+        object.__setattr__(self, "_plane", self.plane.tolist())
 
 
 def limits_of(arm: Arm, **overrides: object) -> Limits:
@@ -234,7 +241,13 @@ def teaching_damping(speed: float, damping: float, reference_speed: float) -> fl
 
 
 def exceeded(
-    q: list[float], qd: list[float], motion: Motion, limits: Limits, tool_speed: float, boxed: bool
+    q: list[float],
+    qd: list[float],
+    motion: Motion,
+    guarded: Sequence[str],
+    limits: Limits,
+    tool_speed: float,
+    boxed: bool,
 ) -> str | None:
     """Name the first motion limit a state exceeds, or None.
 
@@ -245,6 +258,7 @@ def exceeded(
         q: [rad], n of them.
         qd: [rad/s], n of them.
         motion: Kinematics of the state.
+        guarded: Names of the arm's guarded points.
         limits: Of the arm.
         tool_speed: Limit in this mode [m/s].
         boxed: Whether the workspace box applies.
@@ -257,14 +271,29 @@ def exceeded(
             return f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
     if motion.tool_speed > tool_speed:
         return f"tool at {motion.tool_speed:.2f} m/s, limit {tool_speed:.2f}"
-    if motion.elbow_speed > limits.elbow_speed:
-        return f"elbow at {motion.elbow_speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
-    if motion.forearm_speed > limits.elbow_speed:
-        return f"forearm at {motion.forearm_speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
+    for name, speed in zip(guarded, motion.guarded_speeds, strict=True):
+        if speed > limits.elbow_speed:
+            return f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
     if boxed:
         for axis, x, (a, b) in zip("xyz", motion.position.tolist(), limits._box, strict=True):
             if not a <= x <= b:
                 return f"tool at {axis} = {x:.3f} m, workspace {a:.3f} to {b:.3f}"
+    return None
+
+
+def behind_plane(points: Mapping[str, np.ndarray], limits: Limits) -> str | None:
+    """Name the first point that is behind the limits' plane, or None.
+
+    Args:
+        points: In the base frame [m]. Shape (3,) each.
+        limits: Of the arm.
+    """
+    nx, ny, nz, least = limits._plane
+    for name, point in points.items():
+        x, y, z = point.tolist()
+        if not nx * x + ny * y + nz * z >= least:
+            depth = least - nx * x - ny * y - nz * z
+            return f"{name} is {depth:.3f} m behind the plane {limits._plane}"
     return None
 
 

@@ -87,7 +87,7 @@ class Learner(Node):
         self._arm = Arm(urdf, params.model_joint_names, params.tool_frame)
         own, *over = (share(file) for file in params.controller)
         as_set = TorqueControllerParams.of_file(own, "torque_controller", *over)
-        self._rehearsed = as_set.controller(urdf).settings
+        self._rehearsed = as_set.controller(urdf)
         self._policy_pub = self.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._pan: tuple[int, EndEffectorPath] | None = None
         self._pancake: tuple[int, PancakePath] | None = None
@@ -224,7 +224,7 @@ class Learner(Node):
 
     def _forbidden(self, policy: policies.Policy) -> str:
         """Why the arm must not try a policy: the fault in which its rehearsal ends."""
-        return rehearse(self._arm, self._rehearsed, policy).fault
+        return rehearse(self._rehearsed.arm, self._rehearsed.settings, policy).fault
 
     def _fit_all(self) -> list[policies.Policy]:
         if not any(self.params.demonstrations):

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from wam_power_ros.arm import Arm
+from wam_power_ros.arm import Arm, Guarded
 from wam_power_ros.controller import Controller, ControllerSettings
 from wam_power_ros.params import Params
 from wam_power_ros.safety import limits_of
@@ -38,11 +38,15 @@ class TorqueControllerParams(Params):
     state_timeout: float = Field(ge=0.0)
     torque_share: float = Field(gt=0.0, le=1.0)
     torque_rate_max: Positive
+    guarded_names: Annotated[tuple[str, ...], Field(min_length=1)]
+    guarded_links: Annotated[tuple[str, ...], Field(min_length=1)]
+    guarded_points: Annotated[tuple[float, ...], Field(min_length=1)]
     elbow_speed_max: Positive
     tool_speed_max: Positive
     teaching_tool_speed_max: Positive
     workspace_min: tuple[float, float, float]
     workspace_max: tuple[float, float, float]
+    plane: tuple[float, float, float, float]
     law: Literal["operational_space", "virtual_mass"]
     move_speed: Positive
     start_tolerance: Positive
@@ -60,7 +64,7 @@ class TorqueControllerParams(Params):
             raise ValueError(
                 f"model_joint_names {self.model_joint_names} must be as many as joint_names"
             )
-        arm = Arm(urdf, self.model_joint_names, self.tool_frame)
+        arm = Arm(urdf, self.model_joint_names, self.tool_frame, guarded=self._guarded())
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,
@@ -70,6 +74,7 @@ class TorqueControllerParams(Params):
             teaching_tool_speed=self.teaching_tool_speed_max,
             workspace_min=self.workspace_min,
             workspace_max=self.workspace_max,
+            plane=self.plane,
         )
         settings = ControllerSettings(
             period=self.period,
@@ -83,3 +88,16 @@ class TorqueControllerParams(Params):
             velocity_cutoff=self.velocity_cutoff,
         )
         return Controller(arm, settings)
+
+    def _guarded(self) -> list[Guarded]:
+        """The guarded points; the one name "" stands for none, as ROS has no empty lists."""
+        names, links, points = self.guarded_names, self.guarded_links, self.guarded_points
+        if names == ("",):
+            return []
+        if not len(names) == len(links) == len(points) / 3:
+            raise ValueError(
+                f"guarded_points {points} must be three for each of guarded_names {names}, "
+                f"guarded_links {links}"
+            )
+        rows = zip(names, links, zip(*[iter(points)] * 3, strict=True), strict=True)
+        return [Guarded(*row) for row in rows]
