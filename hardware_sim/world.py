@@ -52,6 +52,7 @@ class WorldSettings:
         wind_sd: Of a steady draught a rollout, an axis [m/s].
         torque_scale_sd: Of each joint's torque constant a rollout, as a share.
         friction_sd: Of each joint's Coulomb friction a rollout, as a share.
+        friction_share: Of the URDF's Coulomb friction that the joints have.
         driver_compensates_gravity: The arm adds g(q) to what is commanded.
         watchdog_damping: Of the arm's own fallback [1/s].
         scene: What there is.
@@ -67,6 +68,7 @@ class WorldSettings:
     wind_sd: float = 0.1
     torque_scale_sd: float = 0.01
     friction_sd: float = 0.1
+    friction_share: float = 1.0
     driver_compensates_gravity: bool = False
     watchdog_damping: float = 5.0
     scene: SceneSettings = field(default_factory=SceneSettings)
@@ -75,7 +77,13 @@ class WorldSettings:
     def __post_init__(self) -> None:
         if not 0 <= self.command_delay_ticks <= 50:
             raise ValueError(f"command_delay_ticks {self.command_delay_ticks} must be 0 to 50")
-        for name in ("pancake_offset_sd", "wind_sd", "torque_scale_sd", "friction_sd"):
+        for name in (
+            "pancake_offset_sd",
+            "wind_sd",
+            "torque_scale_sd",
+            "friction_sd",
+            "friction_share",
+        ):
             if not 0.0 <= getattr(self, name) < 10.0:
                 raise ValueError(f"{name} {getattr(self, name)} must be from 0 to below 10")
         if not 0.0 <= self.watchdog_damping <= 100.0:
@@ -172,7 +180,7 @@ class World:
         self._encoders = Encoders(PERIOD)
         self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
         self._pan = model.body("pan").id
-        self._friction = model.dof_frictionloss[:N].copy()
+        self._friction = settings.friction_share * model.dof_frictionloss[:N]
         self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:N]).tolist()
         # views into MuJoCo's own arrays
         self._qpos, self._qvel = data.qpos, data.qvel

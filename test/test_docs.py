@@ -101,6 +101,8 @@ def test_the_method_tells_the_numbers_of_the_presets(name: str) -> None:
             f"shrinking by {1 - settings.power.decay:.0%}".replace("%", " %"),
             f"moved by {settings.landing_gain} of the measured miss",
             f"along x, {settings.landing_limit} m at most",
+            f"moved by {settings.turn_gain} of what was missing",
+            f"{settings.turn_limit} at most",
             f"exp((R_k − R_max)/({settings.power.sharpness} ",
             f"at least {math.degrees(settings.success_angle):.0f} degrees",
             f"{math.degrees(settings.success_angle + settings.confirm_margin):.0f} degrees (ending",

@@ -10,7 +10,7 @@ from toss_task import demonstrated_policy
 from wam_power_ros.parameters import FLOOR, VARIANTS, NoiseScales, Parameters
 from wam_power_ros.policy import to_json
 
-NOISE = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05, catch_shift=0.02)
+NOISE = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
 variants = pytest.mark.parametrize("variant", VARIANTS)
 
 
@@ -24,7 +24,7 @@ def symmetric(matrices: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("variant", "size"),
-    [("full", 96), ("diagonal", 48), ("symmetric", 72), ("attractors", 24), ("planar", 49)],
+    [("full", 96), ("diagonal", 48), ("symmetric", 72), ("attractors", 24), ("planar", 50)],
 )
 def test_each_variant_has_the_parameters_it_says(variant: str, size: int) -> None:
     p = parameters(variant)
@@ -96,8 +96,8 @@ def test_a_mean_of_clipped_samples_needs_no_clipping(seed: int, split: float) ->
 def test_coordinates_are_the_inverse_of_policy(variant: str) -> None:
     p = parameters(variant)
     wanted = np.random.default_rng(3).standard_normal(p.size)
-    if "catch_shift" in p.groups:
-        wanted[p.groups["catch_shift"]] = 0.0
+    for group in {"flick", "catch_shift"} & p.groups.keys():
+        wanted[p.groups[group]] = 0.0
     policy, z = p.policy(wanted, "a")
     np.testing.assert_allclose(p.coordinates(policy), z, atol=1e-9)
 
@@ -108,7 +108,8 @@ def test_unit_noise_has_the_scale_of_each_group(variant: str) -> None:
     moved = p.theta(np.ones(p.size)) - p.theta0
     mean = np.trace(p.policy0.stiffness, axis1=1, axis2=2).mean() / 3.0
     expected = {
-        "stiffness": 0.1 * mean, "attractors": 0.01, "rotation": 0.05, "catch_shift": 0.02,
+        "stiffness": 0.1 * mean, "attractors": 0.01, "rotation": 0.05, "flick": 0.03,
+        "catch_shift": 0.02,
     }  # fmt: skip
     for name, group in p.groups.items():
         np.testing.assert_allclose(moved[group], expected[name])
@@ -122,6 +123,18 @@ def test_the_catch_shift_moves_the_last_three_attractors_outward() -> None:
     moved = policy.attractors - p.policy0.attractors
     np.testing.assert_allclose(moved[:, 0], [0, 0, 0, 0, 0, 0.05, 0.1, 0.1], atol=1e-12)
     assert not moved[:, 1:].any()
+
+
+def test_the_flick_enlarges_what_was_demonstrated_of_the_turn() -> None:
+    p = parameters("planar")
+    z = np.zeros(p.size)
+    z[p.groups["flick"]] = 5.0  # 0.15
+    policy, _ = p.policy(z, "a")
+    before, after = p.policy0.rotation_attractors, policy.rotation_attractors
+    np.testing.assert_allclose(after[:, 1] - after[0, 1], 1.15 * (before[:, 1] - before[0, 1]))
+    np.testing.assert_array_equal(after[0], before[0])
+    np.testing.assert_array_equal(after[:, [0, 2]], before[:, [0, 2]])
+    np.testing.assert_array_equal(policy.attractors, p.policy0.attractors)
 
 
 def test_names_say_which_entry_moves() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy, toss
 
-from wam_power_ros.parameters import Parameters
+from wam_power_ros.parameters import TURN_OF_FLICK, Parameters
 from wam_power_ros.policy import Policy, to_json
 from wam_power_ros.practice import (
     Assessment,
@@ -195,15 +195,19 @@ def test_a_reproduction_that_ended_in_a_fault_is_not_chosen() -> None:
     assert "flick-2" in practice.choice
 
 
-def test_the_catch_shift_learnt_is_moved_by_the_landing_error() -> None:
+def test_flick_and_catch_shift_are_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
     practice = started("flip")
+    settings = practice.settings
     for record in run(practice, rollouts=12):
-        error = record.flight["landing_error"][0]
         moved = np.subtract(record.learnt_as, record.z)
-        assert not moved[:-1].any()
-        assert moved[-1] == pytest.approx(0.7 * error / 0.016)
+        assert not moved[:-2].any()
+        error = record.flight["landing_error"][0]
+        assert moved[-1] == pytest.approx(settings.landing_gain * error / 0.016)
+        lacking = settings.turn_gain * (math.pi - record.flight["angle"]) / TURN_OF_FLICK
+        limited = np.clip(lacking, -settings.turn_limit, settings.turn_limit)
+        assert moved[-2] == pytest.approx(limited / settings.noise.flick)
     trial = practice.next_trial()
-    assessment = toss(trial, practice.settings)
+    assessment = toss(trial, settings)
     far = {**assessment.flight, "landing_error": [9.0, 0.0, 0.0]}
     limited = practice.note(trial, replace(assessment, flight=far))
     assert limited.learnt_as[-1] - limited.z[-1] == pytest.approx(0.25 / 0.016)
@@ -448,7 +452,7 @@ def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
         preset("quick")
     with pytest.raises(ValueError, match="sigmma"):
         preset("flip", power={"sigmma": 3})
-    with pytest.raises(ValueError, match="needs a catch shift"):
+    with pytest.raises(ValueError, match="need a catch shift"):
         preset("flip", variant="full")
     with pytest.raises(ValueError, match="confirm needs"):
         preset("paper", success_return=0.0)

@@ -6,6 +6,7 @@ import zlib
 
 import numpy as np
 
+from wam_power_ros.parameters import TURN_OF_FLICK
 from wam_power_ros.policy import Basis, Policy
 from wam_power_ros.practice import Assessment, PracticeSettings, Trial
 
@@ -36,14 +37,18 @@ def toss(trial: Trial, settings: PracticeSettings, noise: float = 0.1) -> Assess
     """Outcome of a trial: a function of its id and policy alone, like one of the stand-in.
 
     Turning grows along one direction of z and landing moves away with it; the catch shift (or the
-    last attractor) brings the pan under the pancake again.
+    last attractor) brings the pan under the pancake again. The flick, if any, turns it further.
     """
     rng = np.random.default_rng(zlib.crc32(trial.id.encode()))
     z = trial.z
     along = np.sin(np.arange(len(z)) + 1.0) / math.sqrt(len(z))
     along[-1] = 0.0
     strength = float(along @ z)
-    angle = 1.6 + 0.5 * strength + 0.3 * noise * rng.normal()
+    flick = 0.0
+    if settings.variant == "planar":
+        strength -= float(along[-2] * z[-2])
+        flick = TURN_OF_FLICK * settings.noise.flick * z[-2]
+    angle = 1.6 + 0.5 * strength + flick + 0.3 * noise * rng.normal()
     error = 0.12 + 0.05 * strength - 0.016 * z[-1] + 0.1 * noise * rng.normal()
     caught = abs(error) < 0.05 and angle > 1.2
     flipped = math.pi / 2 < angle < 1.5 * math.pi

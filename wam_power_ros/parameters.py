@@ -18,6 +18,7 @@ from wam_power_ros.primitive import positive_definite
 
 FLOOR = 0.1  # smallest stiffness a sample may have, of the smallest one of the demonstration
 CATCH_PROFILE = (0.5, 1.0, 1.0)  # what a catch shift of one moves the last three attractors by
+TURN_OF_FLICK = 2.0  # [rad] what a toss turns more for a flick of one, as measured on wrist flicks
 _XZ = np.ix_((0, 2), (0, 2))
 
 
@@ -28,6 +29,7 @@ class NoiseScales(BaseModel):
         stiffness: of every entry of K_i, as a fraction of the policy's mean stiffness [1].
         attractor: of every entry of mu_i [m].
         rotation: of every entry of r_i [rad].
+        flick: of the flick [1].
         catch_shift: of the catch shift [m].
     """
 
@@ -36,6 +38,7 @@ class NoiseScales(BaseModel):
     stiffness: float = Field(gt=0.0, le=1.0)
     attractor: float = Field(gt=0.0, le=1.0)
     rotation: float = Field(gt=0.0, le=1.0)
+    flick: float = Field(default=0.05, gt=0.0, le=1.0)
     catch_shift: float = Field(gt=0.0, le=1.0)
 
 
@@ -45,7 +48,7 @@ class _Layout:
     paired: bool  # an entry (row, column) moves (column, row) with it
     axes: tuple[int, ...]  # of each mu_i
     rotation_axes: tuple[int, ...] = ()  # of each r_i
-    catch: bool = False
+    catch: bool = False  # and a flick
 
 
 _DIAGONAL = ((0, 0), (1, 1), (2, 2))
@@ -68,8 +71,9 @@ class Parameters:
         symmetric: the symmetric part of K_i and mu_i, 6 n + 3 n.
         attractors: mu_i, 3 n.
         planar: a movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, the rotation
-            attractor about y (pitch), 6 n, and one catch shift, which moves mu_x of the last three
-            primitives by .5, 1 and 1.
+            attractor about y (pitch), 6 n; one flick, which enlarges the demonstrated turning of
+            the pan, r_i - r_1 about y, by that share; and one catch shift, which moves mu_x of the
+            last three primitives by .5, 1 and 1.
     Everything else of the policy stays as it is in `policy0`.
 
     Attributes:
@@ -122,6 +126,7 @@ class Parameters:
             value = policy0.rotation_attractors[:, layout.rotation_axes].ravel()
             blocks.append(("rotation", value, noise.rotation, names))
         if layout.catch:
+            blocks.append(("flick", np.zeros(1), noise.flick, ["flick"]))
             blocks.append(("catch_shift", np.zeros(1), noise.catch_shift, ["catch_shift"]))
 
         self.theta0 = np.concatenate([value for _, value, _, _ in blocks])
@@ -161,6 +166,9 @@ class Parameters:
             offset = delta[self.groups["rotation"]].reshape(self._n, len(rotation_axes))
             rotation[:, rotation_axes] += offset
         if self._layout.catch:
+            demonstrated = self.policy0.rotation_attractors[:, rotation_axes]
+            flick = float(delta[self.groups["flick"]][0])
+            rotation[:, rotation_axes] += flick * (demonstrated - demonstrated[0])
             shift = float(delta[self.groups["catch_shift"]][0])
             attractors[-len(CATCH_PROFILE) :, 0] += shift * np.array(CATCH_PROFILE)
         policy = replace(
@@ -195,7 +203,7 @@ class Parameters:
         return z
 
     def coordinates(self, policy: Policy) -> np.ndarray:
-        """Coordinates z at which the learnt part is that of `policy`; its catch shift reads 0.
+        """Coordinates z at which the learnt part is that of `policy`; flick and catch shift read 0.
 
         What the variant does not learn is not looked at. Shape (size,)
 
@@ -210,7 +218,7 @@ class Parameters:
             self._entries(policy.stiffness),
             policy.attractors[:, self._layout.axes].ravel(),
             policy.rotation_attractors[:, self._layout.rotation_axes].ravel(),
-            np.zeros(int(self._layout.catch)),
+            np.zeros(2 * int(self._layout.catch)),
         ]
         return (np.concatenate(parts) - self.theta0) / self.scale
 

@@ -21,7 +21,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wam_power_ros.flight import Flight, observe_flight
-from wam_power_ros.parameters import NoiseScales, Parameters
+from wam_power_ros.parameters import TURN_OF_FLICK, NoiseScales, Parameters
 from wam_power_ros.policy import Policy
 from wam_power_ros.power import Power, PowerSettings, generator_state
 from wam_power_ros.returns import (
@@ -59,6 +59,9 @@ class PracticeSettings(BaseModel):
         landing_gain: part of a measured landing error by which a trial's catch shift is moved
             before it is learnt from; 0: none. Needs the variant "planar".
         landing_limit: most the catch shift is moved for one trial [m].
+        turn_gain: part of what a trial's rotation lacked of half a turn by which its flick is moved
+            before it is learnt from; 0: none. Needs the variant "planar".
+        turn_limit: most the flick is moved for one trial [1].
         success_return: return from which a trial is a success; 0: the return does not matter.
         success_angle: rotation in the air from which a trial is a success if it was also caught
             and flipped [rad]; 0: the flip does not matter.
@@ -85,6 +88,8 @@ class PracticeSettings(BaseModel):
     mean_every: int = Field(ge=0)
     landing_gain: float = Field(ge=0.0, le=1.0)
     landing_limit: float = Field(default=0.25, gt=0.0, le=1.0)
+    turn_gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    turn_limit: float = Field(default=0.1, gt=0.0, le=1.0)
     success_return: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     confirm: int = Field(ge=0)
@@ -97,10 +102,10 @@ class PracticeSettings(BaseModel):
 
     @model_validator(mode="after")
     def _fit_together(self) -> PracticeSettings:
-        if self.landing_gain > 0.0 and self.variant != "planar":
+        if max(self.landing_gain, self.turn_gain) > 0.0 and self.variant != "planar":
             raise ValueError(
-                f"landing_gain {self.landing_gain} needs a catch shift: variant 'planar', "
-                f"not {self.variant!r}"
+                f"landing_gain {self.landing_gain} and turn_gain {self.turn_gain} need a catch "
+                f"shift and a flick: variant 'planar', not {self.variant!r}"
             )
         if self.confirm > 0 and self.success_return == 0.0 and self.success_angle == 0.0:
             raise ValueError("confirm needs a success_return or a success_angle")
@@ -131,6 +136,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "budget": 60,
         "mean_every": 5,
         "landing_gain": 0.7,
+        "turn_gain": 0.5,
         "success_return": 0.0,
         "success_angle": math.radians(150.0),
         "confirm": 8,
@@ -673,19 +679,28 @@ class Practice:
         return every > 0 and (self._practised + 1) % every == 0
 
     def _corrected(self, trial: Trial, assessment: Assessment) -> np.ndarray:
-        """The trial's z with its catch shift moved towards where the pancake came down."""
-        flight = assessment.flight
-        gain = self.settings.landing_gain
-        if gain == 0.0 or flight is None or not (flight["tossed"] and flight["seen"]):
+        """The trial's z with its catch shift and its flick moved by what landing and turn missed.
+
+        The catch shift goes to where the pancake came down, the flick to where it would have made
+        half a turn: errors with a direction, which a return does not have.
+        """
+        settings, flight = self.settings, assessment.flight
+        if not (settings.landing_gain or settings.turn_gain):
             return trial.z
-        error = float(flight["landing_error"][0])  # along x
+        if flight is None or not (flight["tossed"] and flight["seen"]):
+            return trial.z
+        shift = settings.landing_gain * float(flight["landing_error"][0])  # along x
+        flick = settings.turn_gain * (math.pi - float(flight["angle"])) / TURN_OF_FLICK
         parameters = self._parameters[trial.demonstration]
-        limit = self.settings.landing_limit
-        index = parameters.groups["catch_shift"]
-        shift = float(np.clip(gain * error, -limit, limit)) / parameters.scale[index]
+        moved = np.zeros(parameters.size)
+        for group, value, limit in (
+            ("catch_shift", shift, settings.landing_limit),
+            ("flick", flick, settings.turn_limit),
+        ):
+            index = parameters.groups[group]
+            moved[index] = float(np.clip(value, -limit, limit)) / parameters.scale[index]
         for share in (1.0, 0.5, 0.25):  # not to where the arm cannot follow
-            z = trial.z.copy()
-            z[index] += share * shift
+            z = trial.z + share * moved
             if not self._forbidden(parameters.policy(z, "corrected")[0]):
                 return z
         return trial.z

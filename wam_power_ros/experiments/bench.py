@@ -41,11 +41,20 @@ class Bench:
         self,
         world: World,
         settings: ControllerSettings | None = None,
+        urdf: str | None = None,
     ) -> None:
-        """Wire `world` to a controller and a tracker of its own, set as config/ sets the nodes."""
+        """Wire `world` to a controller and a tracker of its own, set as config/ sets the nodes.
+
+        Args:
+            world: where it happens.
+            settings: of the controller, those of config/ when omitted.
+            urdf: the arm as the controller believes it to be; as it is when omitted.
+        """
         self.world = world
         file = share("config/torque_controller.yaml")
-        as_set = TorqueControllerParams.of_file(file, "torque_controller").controller(world.urdf)
+        as_set = TorqueControllerParams.of_file(file, "torque_controller").controller(
+            urdf or world.urdf
+        )
         self.arm = as_set.arm
         self.controller = Controller(self.arm, settings or as_set.settings)
         self._tracker_settings = tracker_settings()
