@@ -1,62 +1,55 @@
 # SPDX-License-Identifier: Apache-2.0
 """The lab: the same nodes as the bench, no stand-ins; start the drivers of arm and cameras first.
 
-    ros2 launch wam_power_ros hardware.launch.py driver:=geodude pose_topic:=/pancake/pose
+    ros2 launch wam_power_ros hardware.launch.py config:="geodude natnet_ros2"
 
-`driver` names config/driver_<driver>.yaml, or is the path of a file of your own. The controller
-does not start by itself here: `ros2 lifecycle set /torque_controller configure`, then `activate`.
+`config` are set-ups, names of config/NAME.yaml or paths of files of your own; the last one counts
+most. The controller does not start by itself here: `ros2 lifecycle set /torque_controller
+configure`, then `activate`. (`wam-power`, for machines without `ros2`, asks for Enter instead.)
 """
 
+import os
+import tempfile
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-
-PACKAGE = "wam_power_ros"
+from wam_power_ros import setups
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Every node with its own file and the driver's over it, once that is known."""
-    config = Path(get_package_share_directory(PACKAGE)) / "config"
-    driver = LaunchConfiguration("driver").perform(context)
-    given = Path(driver).expanduser()
-    overrides = given if given.suffix == ".yaml" else config / f"driver_{driver}.yaml"
-    if not overrides.is_file():
-        known = sorted(path.stem.removeprefix("driver_") for path in config.glob("driver_*.yaml"))
-        raise ValueError(f"no driver set-up {overrides}; known: {known}, or give a .yaml file")
-    session = LaunchConfiguration("session").perform(context)
+    """Every node with one file that holds the parameters of all."""
 
-    def node(name: str, **more: object) -> Node:
-        parameters = [str(config / f"{name}.yaml"), str(overrides), *more.pop("parameters", [])]
-        return Node(
-            package=PACKAGE, executable=name, parameters=parameters, output="screen", **more
-        )
+    def given(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
 
-    started = [
-        node("torque_controller", parameters=[{"autostart": False}]),
-        node(
-            "pancake_tracker",
-            remappings=[("/pancake/pose", LaunchConfiguration("pose_topic"))],
-        ),
-        node("demonstration_recorder"),
+    setup = setups.setup(given("config").split())
+    setup["torque_controller"]["autostart"] = False
+    setup["learner"] |= {
+        "session": given("session"),
+        "demonstrations": given("demonstrations").split() or [""],
+    }
+    file = Path(tempfile.mkdtemp(prefix="wam_power_ros_")) / "parameters.yaml"
+    file.write_text(setups.text(setup))
+    names = ["torque_controller", "pancake_tracker", "demonstration_recorder"]
+    if given("session"):
+        names.append("learner")
+    return [
+        Node(package="wam_power_ros", executable=name, parameters=[str(file)], output="screen")
+        for name in names
     ]
-    if session:
-        demonstrations = LaunchConfiguration("demonstrations").perform(context).split()
-        given = {"session": session, "demonstrations": demonstrations or [""]}
-        started.append(node("learner", parameters=[given]))
-    return started
 
 
 def generate_launch_description() -> LaunchDescription:
     """See the module."""
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return LaunchDescription(
         [
-            DeclareLaunchArgument("driver", description="name of a driver_*.yaml, or its path"),
-            DeclareLaunchArgument("pose_topic", default_value="/pancake/pose"),
+            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", reach),
+            DeclareLaunchArgument("config", description="set-ups, by name or path"),
             DeclareLaunchArgument(
                 "session", default_value="", description="folder; '': no learner"
             ),

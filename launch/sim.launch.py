@@ -1,42 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bench: stand-ins, torque controller, tracker and recorder; `session` adds the learner.
 
-ros2 launch wam_power_ros sim.launch.py pace:=real_time
-ros2 launch wam_power_ros sim.launch.py session:=/tmp/flip demonstrations:="['/tmp/bags/demo_1']"
+    ros2 launch wam_power_ros sim.launch.py pace:=real_time
+    ros2 launch wam_power_ros sim.launch.py session:=/tmp/flip demonstrations:=/tmp/bags/demo_1
+    ros2 launch wam_power_ros sim.launch.py config:="geodude natnet_ros2"
+
+With `config` it is the rehearsal of hardware.launch.py: the stand-ins look like those devices.
 """
 
+import os
+import tempfile
 from pathlib import Path
 
-from ament_index_python.packages import get_package_share_directory
-from launch.actions import DeclareLaunchArgument, Shutdown
-from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, PythonExpression
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
+from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from launch import LaunchDescription
+from launch import LaunchContext, LaunchDescription
+from wam_power_ros import setups
 
-PACKAGE = "wam_power_ros"
+
+def nodes(context: LaunchContext) -> list[Node]:
+    """Every node with one file that holds the parameters of all."""
+
+    def given(name: str) -> str:
+        return LaunchConfiguration(name).perform(context)
+
+    names = given("config").split()
+    setup = setups.setup(names, rehearse=bool(names) or given("pace") == "real_time")
+    setup["wam_sim"]["seed"] = int(given("seed"))
+    setup["learner"] |= {
+        "session": given("session"),
+        "demonstrations": given("demonstrations").split() or [""],
+    }
+    file = Path(tempfile.mkdtemp(prefix="wam_power_ros_")) / "parameters.yaml"
+    file.write_text(setups.text(setup))
+    executables = ["wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder"]
+    if given("session"):
+        executables.append("learner")
+    return [
+        Node(
+            package="wam_power_ros",
+            executable=name,
+            parameters=[str(file)],
+            output="screen",
+            **({"on_exit": Shutdown()} if name in ("wam_sim", "torque_controller") else {}),
+        )
+        for name in executables
+    ]
 
 
 def generate_launch_description() -> LaunchDescription:
     """See the module."""
-    config = Path(get_package_share_directory(PACKAGE)) / "config"
-    pace, session = LaunchConfiguration("pace"), LaunchConfiguration("session")
-    lockstep = ParameterValue(PythonExpression(["'", pace, "' == 'lockstep'"]), value_type=bool)
-
-    def node(name: str, **more: object) -> Node:
-        files = [str(config / f"{name}.yaml")]
-        return Node(
-            package=PACKAGE,
-            executable=name,
-            parameters=[*files, {"use_sim_time": lockstep}],
-            output="screen",
-            **more,
-        )
-
+    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return LaunchDescription(
         [
+            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", reach),
+            DeclareLaunchArgument(
+                "config", default_value="", description="set-ups to rehearse, by name or path"
+            ),
             DeclareLaunchArgument(
                 "pace", default_value="lockstep", choices=["lockstep", "real_time"]
             ),
@@ -45,33 +67,8 @@ def generate_launch_description() -> LaunchDescription:
                 "session", default_value="", description="folder; '': no learner"
             ),
             DeclareLaunchArgument(
-                "demonstrations", default_value="['']", description="bags a new session begins from"
+                "demonstrations", default_value="", description="bags a new session begins from"
             ),
-            Node(  # one process, two nodes: its parameters are addressed to the one they are for
-                package=PACKAGE,
-                executable="wam_sim",
-                parameters=[str(config / "wam_sim.yaml"), str(config / "optitrack_sim.yaml")],
-                ros_arguments=[
-                    "-p",
-                    ["wam_sim:pace:=", pace],
-                    "-p",
-                    ["wam_sim:seed:=", LaunchConfiguration("seed")],
-                ],
-                output="screen",
-                on_exit=Shutdown(),
-            ),
-            node("torque_controller", on_exit=Shutdown()),
-            node("pancake_tracker"),
-            node("demonstration_recorder"),
-            node(
-                "learner",
-                ros_arguments=[
-                    "-p",
-                    ["learner:session:=", session],
-                    "-p",
-                    ["learner:demonstrations:=", LaunchConfiguration("demonstrations")],
-                ],
-                condition=IfCondition(PythonExpression(["'", session, "' != ''"])),
-            ),
+            OpaqueFunction(function=nodes),
         ]
     )

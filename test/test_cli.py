@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+import yaml
 from rich.console import Console
 from toss_task import demonstrated_policy, toss
 
@@ -79,6 +80,31 @@ def test_what_a_session_was_begun_with_cannot_be_changed(
 def test_resuming_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     message = refusal(capsys, "learn", "--resume", "--session", str(tmp_path / "none"))
     assert "holds no session to go on with" in message
+
+
+def test_an_arm_is_not_taken_hold_of_with_nobody_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    arguments = ["teach", "--folder", str(tmp_path / "taught"), "--config", "geodude"]
+    message = refusal(capsys, *arguments)
+    assert "Hand on the pendant" in message
+    assert "nobody is at the keyboard" in message
+
+
+def test_a_set_up_that_is_none_starts_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "s"
+    message = refusal(capsys, "learn", "--session", str(folder), "--config", "geodud")
+    assert "no set-up 'geodud'" in message
+    assert not folder.exists()
+
+
+def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["config", "geodude", "--rehearse"]) == 0
+    nodes = yaml.safe_load(capsys.readouterr().out)
+    assert nodes["wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
 
 
 def test_a_report_of_no_session_is_refused(

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Annotated
 
 import pytest
@@ -17,7 +16,6 @@ from rclpy.parameter import Parameter
 
 from hardware_sim.optitrack_node import OptitrackSimParams
 from hardware_sim.wam_node import WamSimParams
-from wam_power_ros.interface import COMMAND_TYPES
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
@@ -128,30 +126,3 @@ def test_a_yaml_holds_exactly_what_its_node_reads(
     assert set(values) == set(params.model_fields)
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     params(**(values | lists))
-
-
-@pytest.mark.parametrize("path", sorted((ROOT / "config").glob("driver_*.yaml")))
-def test_a_driver_set_up_overrides_only_what_exists(path: Path) -> None:
-    text = (ROOT / "config/torque_controller.yaml").read_text()
-    base = yaml.safe_load(text)["torque_controller"]["ros__parameters"]
-    values = yaml.safe_load(path.read_text())["torque_controller"]["ros__parameters"]
-    assert set(values) <= set(base)
-    merged = {k: tuple(v) if isinstance(v, list) else v for k, v in (base | values).items()}
-    params = TorqueControllerParams(**merged)
-    assert params.driver_compensates_gravity
-    assert len(params.joint_names) == len(params.model_joint_names)
-    assert params.command_type in COMMAND_TYPES
-    for node, kind in (
-        ("demonstration_recorder", DemonstrationRecorderParams),
-        ("learner", LearnerParams),
-    ):
-        own = yaml.safe_load((ROOT / f"config/{node}.yaml").read_text())[node]["ros__parameters"]
-        over = yaml.safe_load(path.read_text())[node]["ros__parameters"]
-        assert set(over) <= set(own)
-        merged = {k: tuple(v) if isinstance(v, list) else v for k, v in (own | over).items()}
-        # a bag of this driver's joints is one the learner can read
-        assert kind(**merged).joint_names == params.joint_names
-    assert tuple(merged["model_joint_names"]) == params.model_joint_names
-    # and what it rehearses with has the limits that the controller has
-    files = [ROOT / file for file in merged["controller"]]
-    assert TorqueControllerParams.of_file(files[0], "torque_controller", *files[1:]) == params

@@ -15,14 +15,16 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from wam_power_ros import setups
 from wam_power_ros.processes import ProcessError, Processes, Running, private_domain
-from wam_power_ros.resources import share
 
 if TYPE_CHECKING:
     from wam_power_ros.practice import Record
@@ -38,7 +40,7 @@ NODES = {  # executable -> module with a main(); setup.py has the same entry poi
 SESSIONS = Path("sessions")
 TASKS = {  # what may be taught -> how the recorder is set for it
     "flip": {},
-    "reach": {"stem": "reach", "topics": '[""]'},  # the arm is all there is to it
+    "reach": {"stem": "reach", "topics": [""], "mocap_topics": [""]},  # of the arm alone
 }
 
 
@@ -66,7 +68,7 @@ def _parser() -> argparse.ArgumentParser:
 
     learn = commands.add_parser(
         "learn",
-        help="teach and learn in simulation, or with --driver on an arm; resumes a session",
+        help="teach and learn in simulation, or with --config on an arm; resumes a session",
         description="Start the nodes, record demonstrations, practise, write a report.",
     )
     learn.add_argument("--seed", type=_natural, help="of exploration and stand-in (default 0)")
@@ -95,6 +97,16 @@ def _parser() -> argparse.ArgumentParser:
     _teaching_options(teach)
     teach.set_defaults(command=_teach)
 
+    config = commands.add_parser(
+        "config",
+        help="print the parameters of every node under some set-ups",
+        description="Print a parameter file for all nodes, as learn starts them with it; for "
+        "ros2 run wam_power_ros NODE --ros-args --params-file FILE.",
+    )
+    config.add_argument("config", nargs="*", metavar="NAME", help=f"of {', '.join(setups.known())}")
+    config.add_argument("--rehearse", action="store_true", help="with stand-ins for the devices")
+    config.set_defaults(command=_config)
+
     report = commands.add_parser("report", help="write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
     report.set_defaults(command=_report)
@@ -116,9 +128,18 @@ def _teaching_options(parser: argparse.ArgumentParser) -> None:
         "--demonstrations", type=_natural, default=3, help="how many are taught (default 3)"
     )
     parser.add_argument(
-        "--driver",
+        "--config",
+        action="append",
+        default=[],
         metavar="NAME",
-        help="of a real arm, config/driver_NAME.yaml: no stand-in is started, a person teaches",
+        help="set-up of an arm's driver, a motion capture, ...: "
+        f"{', '.join(setups.known())}, or a .yaml file; may be given again, the last one counts "
+        "most. No stand-in is started",
+    )
+    parser.add_argument(
+        "--rehearse",
+        action="store_true",
+        help="with --config: stand-ins take the place of the devices, and look like them",
     )
 
 
@@ -137,13 +158,17 @@ def _run(options: argparse.Namespace) -> int:
     return importlib.import_module(NODES[options.node]).main()
 
 
+def _config(options: argparse.Namespace) -> None:
+    print(setups.text(setups.setup(options.config, options.rehearse)), end="")
+
+
 def _teach(options: argparse.Namespace) -> None:
     folder = (options.folder or Path("demonstrations") / _now()).resolve()
-    with private_domain() as domain, _nodes(folder / "logs", domain) as processes:
-        _start_arm(processes, folder, options.seed or 0, options.driver, options.task)
-        bags = _teach_series(processes, folder, options)
+    with _bench(options, folder, options.seed or 0, options.task) as bench:
+        bags = _teach_series(bench, folder, options)
     if options.task == "flip":
-        print("To learn from them:\n  wam-power learn --bags", *map(_shown, bags))
+        shown = [*map(_shown, bags), *_chosen(options)]
+        print("To learn from them:\n  wam-power learn --bags", *shown)
 
 
 def _learn(options: argparse.Namespace) -> int:
@@ -159,29 +184,22 @@ def _learn(options: argparse.Namespace) -> int:
         seed = options.seed or 0
         print(f"A new session, {folder}; Ctrl-C stops it, nothing learnt is lost.")
     signal.signal(signal.SIGTERM, _interrupt)
-    again = f"wam-power learn --session {_shown(folder)}"
-    if options.driver:
-        again += f" --driver {options.driver}"
+    again = " ".join(["wam-power learn --session", str(_shown(folder)), *_chosen(options)])
     try:
-        with private_domain() as domain, _nodes(folder / "logs", domain) as processes:
-            _start_arm(processes, folder, seed, options.driver)
-            _start(processes, "pancake_tracker", options.driver)
+        with _bench(options, folder, seed) as bench:
+            bench.start("pancake_tracker")
             bags = [] if begun else [path.resolve() for path in options.bags or []]
             if not begun and not bags:
-                bags = _teach_series(processes, folder, options)
-            learner = _start(
-                processes,
+                bags = _teach_series(bench, folder, options)
+            learner = bench.start(
                 "learner",
-                options.driver,
                 session=folder,
                 seed=seed,
                 demonstrations=json.dumps([str(bag) for bag in bags] or [""]),
-                pancake_reset=options.driver is None,
-                reset_faults=options.driver is None,
                 **({"preset": options.preset} if options.preset else {}),
                 **({"trials": options.trials} if options.trials else {}),
             )
-            records = _follow(folder, processes, learner)
+            records = _follow(folder, bench.processes, learner)
     except KeyboardInterrupt:
         print(f"\nStopped. What was learnt is in {_shown(folder)}. To go on:\n  {again}")
         return 130
@@ -227,58 +245,84 @@ def _failure(command: Sequence[str], gl: str) -> str | None:
 # Processes
 
 
-def _nodes(logs: Path, domain: int) -> Processes:
-    return Processes(
-        logs, {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+@dataclass(frozen=True)
+class _Bench:
+    """The nodes of one set-up."""
+
+    processes: Processes
+    setup: setups.Setup
+    file: Path  # that holds it
+
+    def start(self, node: str, **parameters: object) -> Running:
+        """Start a node with its part of the set-up, and some parameters over it."""
+        command = [sys.executable, "-m", "wam_power_ros.cli", "run", node, "--ros-args"]
+        command += ["--params-file", str(self.file)]
+        for name, value in parameters.items():
+            command += ["-p", f"{node}:{name}:={value}"]
+        return self.processes.start(node, command)
+
+
+@contextmanager
+def _bench(
+    options: argparse.Namespace, folder: Path, seed: int, task: str = "flip"
+) -> Iterator[_Bench]:
+    """Controller, recorder into `folder`, and stand-ins unless there is a real arm."""
+    setup = setups.setup(options.config, options.rehearse)
+    setup["wam_sim"]["hand"] = task
+    setup["demonstration_recorder"] |= TASKS[task]
+    file = folder / "logs" / "parameters.yaml"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(setups.text(setup))
+    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **os.environ}
+    with ExitStack() as leave:
+        if _simulated(options):
+            environment["ROS_DOMAIN_ID"] = str(leave.enter_context(private_domain()))
+        else:
+            _consent()
+        processes = leave.enter_context(Processes(folder / "logs", environment))
+        bench = _Bench(processes, setup, file)
+        if _simulated(options):
+            bench.start("wam_sim", seed=seed)
+        bench.start("torque_controller")
+        bench.start("demonstration_recorder", directory=folder / "bags")
+        yield bench
+
+
+def _simulated(options: argparse.Namespace) -> bool:
+    return options.rehearse or not options.config
+
+
+def _chosen(options: argparse.Namespace) -> list[str]:
+    """The options that choose the same set-up again."""
+    again = [word for name in options.config for word in ("--config", name)]
+    return [*again, "--rehearse"] if options.rehearse else again
+
+
+def _consent() -> None:
+    """Nobody steps through a life cycle here: the controller holds the arm once states come."""
+    print(
+        "The controller takes hold of the arm where it is as soon as its driver sends states. "
+        "Hand on the pendant, then press Enter: ",
+        end="",
+        file=sys.stderr,
+        flush=True,
     )
+    if not sys.stdin.readline():
+        raise UsageError("nobody is at the keyboard: standard input is closed")
 
 
-def _start_arm(
-    processes: Processes, folder: Path, seed: int, driver: str | None, task: str = "flip"
-) -> None:
-    """The stand-ins unless there is a real arm, the controller, and the recorder into `folder`."""
-    if driver is None:
-        stand_in = _node("wam_sim", seed=seed, hand=task)
-        processes.start("wam_sim", [*stand_in, "--params-file", _config("optitrack_sim")])
-    _start(processes, "torque_controller", driver)
-    source = "sim" if driver is None else "hardware"
-    recorder = {"directory": folder / "bags", "source": source, **TASKS[task]}
-    _start(processes, "demonstration_recorder", driver, **recorder)
-
-
-def _start(processes: Processes, node: str, driver: str | None, **parameters: object) -> Running:
-    """Start a node; in simulation on the stand-in's time, else with the driver's set-up."""
-    if driver is None:  # the stand-in keeps the time, and waits for everyone
-        return processes.start(node, _node(node, use_sim_time=True, **parameters))
-    setup = ["--params-file", _config(f"driver_{driver}")]
-    return processes.start(node, [*_node(node, **parameters), *setup])
-
-
-def _config(name: str) -> str:
-    return str(share(f"config/{name}.yaml"))
-
-
-def _node(node: str, **parameters: object) -> list[str]:
-    """Command that runs a node with its own file of config/ and some parameters over it."""
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run", node, "--ros-args"]
-    command += ["--params-file", _config(node)]
-    for name, value in parameters.items():
-        text = json.dumps(value) if isinstance(value, bool) else str(value)
-        command += ["-p", f"{node}:{name}:={text}"]
-    return command
-
-
-def _teach_series(processes: Processes, folder: Path, options: argparse.Namespace) -> list[Path]:
+def _teach_series(bench: _Bench, folder: Path, options: argparse.Namespace) -> list[Path]:
     """Bags of the series taught in this folder, which is taught now if it was not yet."""
     series = folder / "demonstrations.json"
-    person = options.driver is not None
+    person = not _simulated(options)
     if not series.exists():
         hand = "a person" if person else "the simulated hand"
         print(f"Teaching: {options.demonstrations} demonstrations, by {hand}")
         command = [sys.executable, "-m", "wam_power_ros.teaching", "--ros-args"]
         command += ["-p", f"demonstrations:={options.demonstrations}"]
         command += ["-p", f"series:={series}", "-p", f"person:={json.dumps(person)}"]
-        processes.finish(processes.start("teaching", command, talks=True))
+        command += ["-p", f"state_topic:={bench.setup['torque_controller']['state_topic']}"]
+        bench.processes.finish(bench.processes.start("teaching", command, talks=True))
     return [Path(bag) for bag in json.loads(series.read_text())]
 
 

@@ -54,18 +54,25 @@ class Params(BaseModel):
         Args:
             path: of the node's own file.
             node: its name.
-            over: files that override it, the last one most.
+            over: files that override it, the last one most; one may have nothing for it.
 
         Raises:
-            ValueError: as for `of`, or a file has nothing for that node.
+            ValueError: as for `of`, or the node's own file has nothing for it.
         """
         values: dict[str, object] = {}
         for file in (path, *over):
             try:
-                given = yaml.safe_load(file.read_text())[node]["ros__parameters"]
+                nodes = yaml.safe_load(file.read_text())
+                if file != path and node not in nodes:
+                    continue
+                given = nodes[node]["ros__parameters"]
             except (yaml.YAMLError, KeyError, TypeError) as error:
                 raise ValueError(f"{file} has no parameters for {node}: {error!r}") from None
-            values |= {k: tuple(v) if isinstance(v, list) else v for k, v in given.items()}
+            values |= {
+                name: tuple(value) if isinstance(value, list) else value
+                for name, value in given.items()
+                if not name.startswith(OF_ROS)
+            }
         return cls._checked(f"{node} in {path}", values)
 
     @classmethod

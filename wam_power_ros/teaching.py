@@ -31,6 +31,7 @@ class TeachingParams(Params):
     demonstrations: int = Field(ge=1)
     series: str  # file to write the list of bags to
     person: bool  # a person leads the arm; otherwise the stand-in's hand does
+    state_topic: str  # that the recorder listens to
 
 
 class TeachingError(RuntimeError):
@@ -76,7 +77,7 @@ class Teaching(Node):
         end = time.monotonic() + TIMEOUT
         while not any(
             info.node_name == RECORDER
-            for info in self.get_subscriptions_info_by_topic(interface.JOINT_STATES)
+            for info in self.get_subscriptions_info_by_topic(self.params.state_topic)
         ):
             if time.monotonic() > end:
                 raise TeachingError(f"{RECORDER} did not listen in {TIMEOUT:.0f} s")

@@ -34,6 +34,8 @@ class DemonstrationRecorderParams(Params):
     directory: str
     stem: str = Field(min_length=1, pattern=r"^[A-Za-z0-9-]+$")
     state_topic: str
+    driver_topics: tuple[str, ...]
+    mocap_topics: tuple[str, ...]
     topics: tuple[str, ...]
     latched_topics: tuple[str, ...]
     joint_names: tuple[str, ...]
@@ -59,7 +61,8 @@ class DemonstrationRecorder(Node):
 
         self._state_topic = self.resolve_topic_name(params.state_topic)
         self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
-        topics = dict.fromkeys((params.state_topic, *params.topics, *params.latched_topics))
+        devices = (params.state_topic, *params.driver_topics, *params.mocap_topics)
+        topics = dict.fromkeys((*devices, *params.topics, *params.latched_topics))
         topics.pop("", None)  # how ROS writes an empty list
         self._topics = RawTopics(self, topics, self._on_message)
         self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
