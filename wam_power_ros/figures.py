@@ -96,7 +96,7 @@ def learning_curve(
         )
     axes.set(xlabel="rollout", ylabel="return")
     _from_zero(axes)
-    _legend(axes)
+    legend(axes)
     return figure
 
 
@@ -115,7 +115,7 @@ def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) 
         axes.bar(numbers, heights, bottom=bottom, width=0.85, color=color, label=name)
         bottom += heights
     axes.set(xlabel="rollout", ylabel="return")
-    _legend(axes)
+    legend(axes)
     return figure
 
 
@@ -132,8 +132,8 @@ def rollout(pan: EndEffectorPath, pancake: PancakePath, t_f: float | None = None
     """
     figure = Figure(figsize=(8.6, 4.0), layout="constrained")
     side, height = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    _dress(side)
-    _dress(height)
+    dress(side)
+    dress(height)
     every = max(1, round(len(pan.t) / 18))
     pan_normals = rotations.matrix(pan.quat_xyzw)[:, :, 2]  # (T, 3)
     side.plot(pan.position[:, 0], pan.position[:, 2], color=PAN, lw=1.5, label="pan")
@@ -161,8 +161,8 @@ def rollout(pan: EndEffectorPath, pancake: PancakePath, t_f: float | None = None
     side.set_aspect("equal", adjustable="datalim")
     side.set(xlabel="x, outward [m]", ylabel="z, up [m]")
     height.set(xlabel="time [s]", ylabel="z, up [m]")
-    _legend(side)
-    _legend(height)
+    legend(side)
+    legend(height)
     return figure
 
 
@@ -183,7 +183,7 @@ def stiffness(policies: Mapping[str, Policy]) -> Figure:
         axes.plot(t / policy.basis.duration, vertical, color=color, lw=1.8, label=name)
     axes.set(xlabel="part of the movement", ylabel="$K_{33}$ [1/s$^2$]")
     _from_zero(axes)
-    _legend(axes)
+    legend(axes)
     return figure
 
 
@@ -263,11 +263,12 @@ def png(figure: Figure, dpi: int = 200) -> bytes:
 def _figure(width: float, height: float) -> tuple[Figure, Axes]:
     figure = Figure(figsize=(width, height), layout="constrained")
     axes = figure.subplots()
-    _dress(axes)
+    dress(axes)
     return figure, axes
 
 
-def _dress(axes: Axes) -> None:
+def dress(axes: Axes) -> None:
+    """The look all figures share."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(GRID)
     axes.grid(color=GRID, lw=0.7)
@@ -277,7 +278,7 @@ def _dress(axes: Axes) -> None:
     axes.yaxis.label.set(color=INK, size=9)
 
 
-def _legend(axes: Axes) -> None:
+def legend(axes: Axes) -> None:
     """Legend above the axes, where it hides nothing."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
 

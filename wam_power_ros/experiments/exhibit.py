@@ -20,25 +20,25 @@ import numpy as np
 from hardware_sim.world import QUIET, Truth, World
 from wam_power_ros import figures, policy, report, session
 from wam_power_ros.experiments.bench import Bench
+from wam_power_ros.experiments.film import TRACE_RATE
 from wam_power_ros.flight import observe_flight
 
-TRACE_RATE = 100.0  # [Hz] of World.trace
 FILM_RATE = 25.0  # [Hz], played at the speed of life
 BACKGROUND = (246, 247, 249)
 
 
 def render(
-    world: World, trace: Sequence[np.ndarray], size: tuple[int, int] = (480, 480)
+    world: World, poses: Sequence[np.ndarray], size: tuple[int, int] = (480, 480)
 ) -> list[np.ndarray]:
-    """Pictures of a traced rollout.
+    """Pictures of arm and pancake.
 
     Args:
-        world: That was traced; its state is not touched.
-        trace: Joint positions of arm and pancake at `TRACE_RATE`. Shapes (nq,).
+        world: Whose they are; its state is not touched.
+        poses: Joint positions of arm and pancake, such as those of `World.trace`. Shapes (nq,).
         size: Width and height [pixel].
 
     Returns:
-        RGB images at `FILM_RATE`. Shapes (h, w, 3), uint8.
+        RGB images. Shapes (h, w, 3), uint8.
 
     Raises:
         RuntimeError: There is no OpenGL, with the reason.
@@ -54,7 +54,7 @@ def render(
     data = mujoco.MjData(model)
     frames = []
     with renderer:
-        for qpos in trace[:: round(TRACE_RATE / FILM_RATE)]:
+        for qpos in poses:
             data.qpos[:] = qpos
             mujoco.mj_forward(model, data)
             renderer.update_scene(data, camera)
@@ -102,7 +102,8 @@ def run(folder: Path, film: bool) -> report.Exhibit:
     caption = f"{_outcome(truth, fault)}."
     path = folder / "film.webp"
     if film:
-        figures.save_film(render(world, world.trace), path, FILM_RATE)
+        poses = world.trace[:: round(TRACE_RATE / FILM_RATE)]
+        figures.save_film(render(world, poses), path, FILM_RATE)
     return report.Exhibit(
         caption=caption,
         pan=pan,

@@ -50,7 +50,17 @@ from rich.progress import (
 
 from wam_power_ros.resources import share
 
-TELLING = {"chapters", "cli", "figures", "page", "report", "reproduce", "studies"}
+TELLING = {
+    "chapters",
+    "cli",
+    "figures",
+    "film",
+    "page",
+    "report",
+    "reproduce",
+    "studies",
+    "study_figures",
+}
 OURS = ("wam_power_ros", "hardware_sim")
 NUMERICAL = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # their versions move last digits
 DATA = ("config", "urdf", "bags")
