@@ -27,7 +27,7 @@ SIMULATOR = {"hardware_sim", "mujoco"}
 ROS_EDGE = {"interface", "messages", "params", "real_time", "late_service", "teaching"}
 # Files, clocks, processes and sockets are theirs; every other module is the core.
 TELLING = {"cli", "live", "figures", "study_figures", "page", "report"}
-EDGE = ROS_EDGE | TELLING | {"processes", "resources", "setups", "session", "bags"}
+EDGE = ROS_EDGE | TELLING | {"processes", "resources", "setups", "session", "bags", "recovery"}
 OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}
 
 MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])

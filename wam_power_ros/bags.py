@@ -2,7 +2,7 @@
 """Bags: rosbag2 in MCAP, written so that a kill loses a second at most, read by joint name.
 
 A bag under way is in `<name>.unfinished/`; closing it makes it `<name>/` in one rename. A bag that
-was never closed is still there under its first name, and `recover` makes a bag of it.
+was never closed is still there under its first name, and `recovery` makes a bag of it.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ import fcntl
 import json
 import os
 import struct
-import sys
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -91,16 +90,56 @@ class Gaps:
     longest: float
 
 
-def gaps(stamps_ns: Sequence[int] | np.ndarray) -> Gaps:
-    """Look for gaps in the stamps [ns] of one topic; messages sent again count once."""
-    steps = np.diff(np.asarray(stamps_ns, dtype=np.int64))
-    steps = steps[steps > 0]
-    if not len(steps):
-        return Gaps(0.0, 0, 0.0)
-    period = float(np.median(steps))
-    long = steps[steps > 1.5 * period]
-    missing = int(np.sum(np.rint(long / period) - 1.0))
-    return Gaps(period * 1e-9, missing, float(steps.max()) * 1e-9)
+class GapCounter:
+    """Looks for gaps in the stamps of one topic as they come, in constant memory.
+
+    The period is the median of the first `LEARNT` intervals; messages sent again count once.
+    """
+
+    LEARNT = 1000
+
+    def __init__(self) -> None:
+        self._last: int | None = None
+        self._first_steps = array("q")  # [ns]
+        self._period = 0.0  # [ns], 0 as long as it is not learnt
+        self._missing = 0
+        self._longest = 0  # [ns]
+
+    def add(self, stamp_ns: int) -> None:
+        """Take the next stamp [ns]."""
+        step = 0 if self._last is None else stamp_ns - self._last
+        self._last = stamp_ns
+        if step <= 0:
+            return
+        self._longest = max(self._longest, step)
+        if self._period:
+            self._missing += _missing(step, self._period)
+            return
+        self._first_steps.append(step)
+        if len(self._first_steps) == self.LEARNT:
+            found = self.gaps()
+            self._period, self._missing = found.period * 1e9, found.missing
+            self._first_steps = array("q")
+
+    def gaps(self) -> Gaps:
+        """What the stamps so far say."""
+        period, missing = self._period, self._missing
+        if self._first_steps:
+            period = float(np.median(self._first_steps))
+            missing = sum(_missing(step, period) for step in self._first_steps)
+        return Gaps(period * 1e-9, missing, self._longest * 1e-9)
+
+
+def _missing(step: int, period: float) -> int:
+    return round(step / period) - 1 if step > 1.5 * period else 0
+
+
+def gaps(stamps_ns: Iterable[int]) -> Gaps:
+    """Look for gaps in the stamps [ns] of one topic."""
+    counter = GapCounter()
+    for stamp_ns in stamps_ns:
+        counter.add(int(stamp_ns))
+    return counter.gaps()
 
 
 class BagWriter:
@@ -109,7 +148,7 @@ class BagWriter:
     Attributes:
         path: Where the bag will be.
         counts: Messages written, by topic.
-        stamps: Header stamps written [ns], by topic that has them.
+        stamps: What the header stamps written say, by topic that has them.
     """
 
     def __init__(self, path: Path) -> None:
@@ -132,7 +171,7 @@ class BagWriter:
         self._writer.open()
         self._connections: dict[str, Connection] = {}
         self.counts: dict[str, int] = {}
-        self.stamps: dict[str, array[int]] = {}
+        self.stamps: dict[str, GapCounter] = {}
 
     def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
         """Add a topic, of a message type in Jazzy's common interfaces.
@@ -147,7 +186,7 @@ class BagWriter:
         )
         self.counts[topic] = 0
         if has_header(msgtype):
-            self.stamps[topic] = array("q")
+            self.stamps[topic] = GapCounter()
 
     def write(self, topic: str, stamp_ns: int, cdr: bytes) -> None:
         """Write a serialized message as received at `stamp_ns`; on the disk after `flush`.
@@ -159,17 +198,22 @@ class BagWriter:
         self._writer.write(self._connections[topic], stamp_ns, cdr)
         self.counts[topic] += 1
         if topic in self.stamps and len(cdr) >= 12:
-            self.stamps[topic].append(header_stamp(cdr))
+            self.stamps[topic].add(header_stamp(cdr))
 
-    def event(self, event: str, reason: str, stamp_ns: int) -> None:
+    def event(
+        self, event: str, reason: str, stamp_ns: int, notes: Mapping[str, str] | None = None
+    ) -> None:
         """Note an event of the recording itself in the bag, on EVENT.
+
+        Notes that are for the metadata may be given with the first event: should the bag never be
+        closed, that is where they are found.
 
         Raises:
             OSError: The disk refused.
         """
         if EVENT not in self.counts:
             self.add(EVENT, STRING, [qos(reliable=True, latched=True, depth=1)])
-        text = json.dumps({"event": event, "reason": reason})
+        text = json.dumps({"event": event, "reason": reason, **({"notes": notes} if notes else {})})
         message = TYPES.types[STRING](data=text)
         self.write(EVENT, stamp_ns, bytes(TYPES.serialize_cdr(message, STRING)))
 
@@ -184,6 +228,15 @@ class BagWriter:
             storage.close_chunk()
         storage.bio.flush()
         os.fsync(storage.bio.fileno())
+
+    def completeness(self, state_topic: str) -> dict[str, str]:
+        """Notes for the metadata: rate [Hz] of a topic, and what is missing on each."""
+        found = {topic: counter.gaps() for topic, counter in self.stamps.items()}
+        period = found[state_topic].period if state_topic in found else 0.0
+        return {
+            "rate": f"{1.0 / period:.1f}" if period else "0",
+            "missing": json.dumps({topic: item.missing for topic, item in found.items()}),
+        }
 
     def close(self, custom_data: Mapping[str, str]) -> Path:
         """Finish the bag, with notes for its metadata, and return its path.
@@ -293,12 +346,22 @@ def _noted(path: Path) -> tuple[tuple[str, ...], str]:
     """Joint names, base to tip, and topic of the states as our recorder notes them in a bag."""
     _check_metadata(path)
     try:
-        metadata = yaml.load((path / "metadata.yaml").read_text(encoding="utf8"), Loader=LOADER)
-        custom = metadata["rosbag2_bagfile_information"].get("custom_data") or {}
+        custom = custom_data(plain_yaml(path / "metadata.yaml"))
         names = tuple(map(str, json.loads(custom.get("joint_names", "[]"))))
         return names, str(custom.get("state_topic", STATES))
-    except (yaml.YAMLError, ValueError, TypeError, KeyError, AttributeError):
+    except (ValueError, TypeError):
         return (), STATES  # another recorder's notes, or none
+
+
+def custom_data(metadata: object) -> dict[str, str]:
+    """What a recorder noted in the metadata of a bag; empty when there is nothing of the kind."""
+    for key in ("rosbag2_bagfile_information", "custom_data"):
+        if isinstance(metadata, dict) and key in metadata:
+            metadata = metadata[key]
+        elif key == "custom_data":
+            return {}
+    notes = metadata if isinstance(metadata, dict) else {}
+    return {str(key): str(value) for key, value in notes.items()}
 
 
 def _joint_angles(path: Path, topic: str, cdr: bytes) -> tuple[int, dict[str, float]]:
@@ -334,97 +397,40 @@ def _messages(path: Path, topic: str, msgtype: str) -> list[bytes]:
 def _check_metadata(path: Path) -> None:
     """Refuse a metadata.yaml that is not one before anything builds objects of it."""
     if unfinished(path).exists() and not path.exists():
-        raise ValueError(f"{path} was never closed; recover it first")
+        raise ValueError(f"{path} was never closed; recover it first: wam-power recover {path}")
     file = path / "metadata.yaml"
     if not file.is_file():
-        raise ValueError(f"{path} is not a bag: it has no metadata.yaml")
+        raise ValueError(
+            f"{path} is not a bag: it has no metadata.yaml; if it has an .mcap file: "
+            f"wam-power recover {path}"
+        )
+    plain_yaml(file)
+
+
+def plain_yaml(file: Path) -> object:
+    """The plain data in a YAML file of a bag, hostile or not.
+
+    Raises:
+        ValueError: Too large, nested too deeply, with an alias, or not YAML.
+    """
     size = file.stat().st_size
     if size > METADATA_MAX:
         raise ValueError(f"{file} has {size} bytes, at most {METADATA_MAX} are believed")
+    return parse_plain(file.read_bytes(), str(file))
+
+
+def parse_plain(text: bytes, where: str) -> object:
+    """As `plain_yaml`, for text that came out of `where`."""
     depth = 0
     try:
-        for event in yaml.parse(file.read_text(encoding="utf8"), Loader=LOADER):
+        decoded = text.decode()
+        for event in yaml.parse(decoded, Loader=LOADER):
             if isinstance(event, yaml.AliasEvent):
-                raise ValueError(f"{file} has an alias, which no bag needs")
+                raise ValueError(f"{where} has an alias, which no bag needs")
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > DEPTH_MAX:
-                raise ValueError(f"{file} is nested deeper than {DEPTH_MAX}")
+                raise ValueError(f"{where} is nested deeper than {DEPTH_MAX}")
+        return yaml.load(decoded, Loader=LOADER)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{file} is not YAML: {error}") from None
-
-
-def recover(path: Path) -> Path:
-    """Make a bag of what a killed recorder left of `path`, up to the last complete message.
-
-    Returns:
-        Path of the bag, `<name>_recovered`; what was left stays as it is.
-
-    Raises:
-        ValueError: Nothing unfinished there, or it is still being written.
-        OSError: The disk refused.
-    """
-    left = unfinished(path) / path.name / f"{path.name}.mcap"
-    if not left.is_file():
-        raise ValueError(f"{left} is not there: nothing to recover")
-    handle = os.open(unfinished(path), os.O_RDONLY)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        raise ValueError(f"{path} is still being written") from None
-    finally:
-        os.close(handle)
-    writer = BagWriter(path.with_name(path.name + "_recovered"))
-    names: dict[int, str] = {}
-    topics: dict[int, str] = {}
-    for opcode, body in _records(left.read_bytes()[8:]):
-        if opcode == 0x03:  # schema
-            names[int.from_bytes(body[:2], "little")] = _text(body, 2)[0]
-        elif opcode == 0x04:  # channel
-            channel, schema = struct.unpack_from("<HH", body)
-            if channel not in topics:
-                topics[channel], at = _text(body, 4)
-                profiles = _profiles(body, at)
-                writer.add(topics[channel], names[schema], profiles)
-        elif opcode == 0x05:  # message
-            channel, _, stamp_ns = struct.unpack_from("<HIQ", body)
-            writer.write(topics[channel], stamp_ns, body[22:])
-    return writer.close({"recovered": json.dumps(True)})
-
-
-def _records(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Complete MCAP records of a stream that may end anywhere, those in chunks too."""
-    at = 0
-    while at + 9 <= len(data):
-        opcode, size = struct.unpack_from("<BQ", data, at)
-        body = data[at + 9 : at + 9 + size]
-        at += 9 + size
-        if opcode == 0x06:  # chunk, not compressed: its records begin after 40 bytes
-            yield from _records(body[40:])
-        elif len(body) == size:
-            yield opcode, body
-
-
-def _text(body: bytes, at: int) -> tuple[str, int]:
-    (size,) = struct.unpack_from("<I", body, at)
-    return body[at + 4 : at + 4 + size].decode(), at + 4 + size
-
-
-def _profiles(body: bytes, at: int) -> list[Qos]:
-    """QoS profiles in the metadata of a channel."""
-    encoding_end = _text(body, at)[1]
-    _, value_at = _text(body, encoding_end + 4)
-    profiles = yaml.safe_load(_text(body, value_at)[0]) or []
-    return [
-        qos(
-            item["reliability"] == "reliable",
-            item["durability"] == "transient_local",
-            item["depth"],
-        )
-        for item in profiles
-    ]
-
-
-if __name__ == "__main__":
-    for argument in sys.argv[1:]:
-        sys.stdout.write(f"{recover(Path(argument))}\n")
+        raise ValueError(f"{where} is not plain YAML: {error}") from None

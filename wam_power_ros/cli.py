@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         return int(options.command(options) or 0)
-    except (UsageError, ProcessError, FileNotFoundError, ValueError) as error:
+    except (UsageError, ProcessError, OSError, ValueError) as error:
         print(f"wam-power: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -110,6 +110,12 @@ def _parser() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
     report.set_defaults(command=_report)
+
+    recover = commands.add_parser(
+        "recover", help="make a bag of what a kill, a full disk or a bad copy has left of one"
+    )
+    recover.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
+    recover.set_defaults(command=_recover)
 
     run = commands.add_parser(
         "run",
@@ -221,6 +227,13 @@ def _report(options: argparse.Namespace) -> int:
         report.write(folder)
     print(f"Report: {_shown(folder.resolve() / 'report.html')}")
     return 0
+
+
+def _recover(options: argparse.Namespace) -> None:
+    from wam_power_ros.recovery import recover
+
+    for bag in options.bag:
+        print(recover(bag))
 
 
 def _exhibit(folder: Path) -> None:

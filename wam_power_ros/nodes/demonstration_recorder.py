@@ -26,6 +26,7 @@ from wam_power_ros.nodes.raw_topics import RawTopics
 from wam_power_ros.params import Params
 
 MEGABYTE = 1_000_000
+FLUSH_PERIOD = 0.5  # [s] a kill loses what came since, and what it takes to write it
 
 
 class DemonstrationRecorderParams(Params):
@@ -70,9 +71,14 @@ class DemonstrationRecorder(Node):
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self.create_service(SetBool, interface.RECORD, self._on_record)
-        self.create_timer(1.0, self._look_after, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(FLUSH_PERIOD, self._flush, clock=steady)
+        self.create_timer(1.0, self._report, clock=steady)
         for left in sorted(self._directory.glob(f"*{bags.UNFINISHED}")):
-            self.get_logger().warning(f"{left} was never closed: see bags/README.md")
+            name = left.name.removesuffix(bags.UNFINISHED)
+            self.get_logger().warning(
+                f"{left} was never closed; to recover it: wam-power recover {left.with_name(name)}"
+            )
 
     def _on_message(self, topic: str, cdr: bytes) -> None:
         if topic in self._latched:
@@ -112,7 +118,7 @@ class DemonstrationRecorder(Node):
         self._writer = bags.BagWriter(bags.free_path(self._directory, f"{kind}_{stem}"))
         self._policy_id = self._trouble = self._note = ""
         try:
-            self._writer.event("start", kind, self._now())
+            self._writer.event("start", kind, self._now(), self._notes)
             for topic, cdr in self._last.items():
                 self._write(topic, cdr)
         except OSError as error:
@@ -126,25 +132,15 @@ class DemonstrationRecorder(Node):
         writer = self._writer
         if writer is None:
             raise ValueError("not recording")
-        gaps = {topic: bags.gaps(stamps) for topic, stamps in writer.stamps.items()}
-        states = gaps.get(self._state_topic, bags.Gaps(0.0, 0, 0.0))
         try:
             writer.event("stop", reason, self._now())
-            writer.close(
-                {
-                    "joint_names": json.dumps(self._params.joint_names),
-                    "state_topic": self._params.state_topic,
-                    "rate": f"{1.0 / states.period:.1f}" if states.period else "0",
-                    "source": self._params.source,
-                    "version": f"wam_power_ros {__version__}",
-                    "missing": json.dumps({topic: item.missing for topic, item in gaps.items()}),
-                }
-            )
+            writer.close({**self._notes, **writer.completeness(self._state_topic)})
         except OSError as error:
             self._give_up(error)
             raise
         self._writer = None
         self.get_logger().info(f"recorded {writer.path}: {sum(writer.counts.values())} messages")
+        states = writer.stamps.get(self._state_topic, bags.GapCounter()).gaps()
         if states.missing:
             longest = f"longest gap {states.longest:.3f} s"
             self._note = f"{states.missing} messages missing on {self._state_topic}, {longest}"
@@ -155,6 +151,16 @@ class DemonstrationRecorder(Node):
         if topic not in self._writer.counts:
             self._writer.add(topic, self._topics.msgtype(topic), self._topics.offered(topic))
         self._writer.write(topic, self._now(), cdr)
+
+    @property
+    def _notes(self) -> dict[str, str]:
+        """For the metadata, as far as known beforehand."""
+        return {
+            "joint_names": json.dumps(self._params.joint_names),
+            "state_topic": self._params.state_topic,
+            "source": self._params.source,
+            "version": f"wam_power_ros {__version__}",
+        }
 
     def _now(self) -> int:
         return self._clock.now().nanoseconds
@@ -168,9 +174,10 @@ class DemonstrationRecorder(Node):
         writer.abandon()
         self._trouble = f"{writer.path} left unfinished: {error}"
         self.get_logger().error(self._trouble)
+        self._report()
 
-    def _look_after(self) -> None:
-        """Each second: what came goes to the disk, and how it stands is told."""
+    def _flush(self) -> None:
+        """What came goes to the disk."""
         try:
             if self._writer is not None:
                 self._writer.flush()
@@ -180,7 +187,6 @@ class DemonstrationRecorder(Node):
         except OSError as error:
             if self._writer is not None:
                 self._give_up(error)
-        self._report()
 
     def _report(self) -> None:
         writer = self._writer
