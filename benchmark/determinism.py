@@ -43,7 +43,7 @@ def on_the_bench(seed: int, trials: int, demonstrations: int) -> tuple[list[obje
     from wam_power_ros.experiments.bench import Bench
     from wam_power_ros.experiments.pancake import practise, teach
     from wam_power_ros.policy import to_json
-    from wam_power_ros.practice import preset
+    from wam_power_ros.presets import preset
 
     bench = Bench(World(WorldSettings(), seed))
     policies = teach(bench, seed, demonstrations)

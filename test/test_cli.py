@@ -14,14 +14,16 @@ from rich.console import Console
 from toss_task import demonstrated_policy, toss
 
 from wam_power_ros import cli, live
-from wam_power_ros.practice import Practice, Record, preset
+from wam_power_ros.practice import Practice
+from wam_power_ros.presets import preset
+from wam_power_ros.records import Record
 from wam_power_ros.session import Session
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
 def some_records(count: int) -> list[Record]:
-    practice = Practice([demonstrated_policy()], preset("flip", budget=count), seed=0)
+    practice = Practice([demonstrated_policy()], preset("flip", budget=count, confirm=0), seed=0)
     records = []
     while len(records) < count and (trial := practice.next_trial()) is not None:
         records.append(practice.note(trial, toss(trial, practice.settings)))

@@ -11,7 +11,7 @@ import pytest
 
 from wam_power_ros import interface
 from wam_power_ros.cli import NODES
-from wam_power_ros.practice import preset
+from wam_power_ros.presets import preset
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()

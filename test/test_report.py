@@ -10,7 +10,8 @@ import pytest
 from toss_task import demonstrated_policy
 
 from wam_power_ros import report
-from wam_power_ros.practice import Practice, preset
+from wam_power_ros.practice import Practice
+from wam_power_ros.presets import preset
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import Session, SessionError
 

@@ -16,8 +16,10 @@ import pytest
 import yaml
 from toss_task import demonstrated_policy, toss
 
+from wam_power_ros.assessment import Assessment
 from wam_power_ros.policy import Policy, from_json, to_json
-from wam_power_ros.practice import Assessment, Practice, preset
+from wam_power_ros.practice import Practice
+from wam_power_ros.presets import preset
 from wam_power_ros.session import Session, SessionError, SessionHeader, read, read_practice
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]

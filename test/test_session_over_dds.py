@@ -35,7 +35,7 @@ from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.experiments.bench import Bench
 from wam_power_ros.experiments.pancake import practise
 from wam_power_ros.policy import Policy
-from wam_power_ros.practice import PracticeSettings, preset
+from wam_power_ros.presets import PracticeSettings, preset
 from wam_power_ros.primitive import PANCAKE, fit
 from wam_power_ros.rollout import EndEffectorPath
 from wam_power_ros.session import Session

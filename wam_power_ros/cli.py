@@ -27,7 +27,7 @@ from wam_power_ros import setups
 from wam_power_ros.processes import ProcessError, Processes, Running, private_domain
 
 if TYPE_CHECKING:
-    from wam_power_ros.practice import Record
+    from wam_power_ros.records import Record
 
 NODES = {  # executable -> module with a main(); setup.py has the same entry points
     "torque_controller": "wam_power_ros.nodes.torque_controller",

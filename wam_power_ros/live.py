@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wam_power_ros.flight import Flight
-from wam_power_ros.practice import Record
+from wam_power_ros.records import Record
 from wam_power_ros.returns import pancake_return
 
 SHOWN = 14  # newest rollouts in the table

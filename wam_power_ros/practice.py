@@ -9,163 +9,22 @@ the records of a log rebuilds it bit for bit. No ROS, no files, no clock.
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from wam_power_ros.flight import Flight, observe_flight
-from wam_power_ros.parameters import TURN_OF_FLICK, NoiseScales, Parameters
+from wam_power_ros.assessment import Assessment, assess, choose_demonstration
+from wam_power_ros.parameters import TURN_OF_FLICK, Parameters
 from wam_power_ros.policy import Policy
-from wam_power_ros.power import Power, PowerSettings, generator_state
-from wam_power_ros.returns import (
-    LandingWeights,
-    PancakeWeights,
-    landing_return,
-    pancake_return,
-)
+from wam_power_ros.power import Power, generator_state
+from wam_power_ros.presets import PracticeSettings, preset  # noqa: F401
+from wam_power_ros.records import Kind, Record, plain
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 
-Kind = Literal["reproduction", "explore", "mean", "retest"]
-SCHEMA = "wam_power_ros/rollout/1"
-
-_LONGEST_GAP = 0.2  # s without a frame after which a pancake counts as lost: six frames at 30 Hz
-_FALLEN = 0.05  # m under the pan's floor: a pancake last seen there was not lost but dropped
 _REDRAWS_MAX = 20
-_CUT_SHORT = 0.05  # s a path may be shorter than the rollout
-# Motion limits as `safety.exceeded` names them: a policy runs into these by itself.
-_OWN_FAULT = re.compile(r"\b(joint \d+|tool|elbow|forearm) at .*(limit|workspace)")
-
-
-class PracticeSettings(BaseModel):
-    """Settings of a session; `preset` has the two sets that are used.
-
-    Attributes:
-        variant: what of the policy is learnt, see `Parameters`.
-        noise: one standard deviation of exploration a group.
-        power: settings of the learner.
-        ret: return that is learnt from: "eq5" (the paper's Eq. 5) or "landing" (`landing_return`).
-        pancake_weights: of Eq. 5.
-        landing_weights: of `landing_return`.
-        choice: rule that chooses the demonstration, see `choose_demonstration`.
-        budget: number of usable rollouts, reproductions included and re-tests not.
-        mean_every: every n-th trial of the practice runs the mean; 0: only to confirm a success.
-        landing_gain: part of a measured landing error by which a trial's catch shift is moved
-            before it is learnt from; 0: none. Needs the variant "planar".
-        landing_limit: most the catch shift is moved for one trial [m].
-        turn_gain: part of what a trial's rotation lacked of half a turn by which its flick is moved
-            before it is learnt from; 0: none. Needs the variant "planar".
-        turn_limit: most the flick is moved for one trial [1].
-        success_return: return from which a trial is a success; 0: the return does not matter.
-        success_angle: rotation in the air from which a trial is a success if it was also caught
-            and flipped [rad]; 0: the flip does not matter.
-        confirm: runs of one mean that must succeed in a row for the session to stop; 0: never.
-        confirm_margin: how much further than `success_angle` these must turn [rad]. Stopping at
-            the first streak selects policies that barely succeed; the margin is against that.
-        retests: runs of the final answer, not learnt from.
-        attempts: how often one policy is tried when nothing can be learnt from its rollouts.
-        return_noise: standard deviation of the return of one policy, for `Practice.best`.
-        delta_h: height over the pan at which a falling pancake is judged [m].
-        settle_time: time a rollout goes on after the movement [s].
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    variant: Literal["full", "diagonal", "symmetric", "attractors", "planar"]
-    noise: NoiseScales
-    power: PowerSettings
-    ret: Literal["eq5", "landing"]
-    pancake_weights: PancakeWeights = PancakeWeights()
-    landing_weights: LandingWeights = LandingWeights()
-    choice: Literal["return", "flick"]
-    budget: int = Field(ge=1)
-    mean_every: int = Field(ge=0)
-    landing_gain: float = Field(ge=0.0, le=1.0)
-    landing_limit: float = Field(default=0.25, gt=0.0, le=1.0)
-    turn_gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    turn_limit: float = Field(default=0.1, gt=0.0, le=1.0)
-    success_return: float = Field(ge=0.0, allow_inf_nan=False)
-    success_angle: float = Field(ge=0.0, allow_inf_nan=False)
-    confirm: int = Field(ge=0)
-    confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
-    retests: int = Field(ge=0)
-    attempts: int = Field(default=3, ge=1)
-    return_noise: float = Field(default=0.1, ge=0.0, allow_inf_nan=False)
-    delta_h: float = Field(default=0.12, gt=0.0, le=1.0)
-    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
-
-    @model_validator(mode="after")
-    def _fit_together(self) -> PracticeSettings:
-        if max(self.landing_gain, self.turn_gain) > 0.0 and self.variant != "planar":
-            raise ValueError(
-                f"landing_gain {self.landing_gain} and turn_gain {self.turn_gain} need a catch "
-                f"shift and a flick: variant 'planar', not {self.variant!r}"
-            )
-        if self.confirm > 0 and self.success_return == 0.0 and self.success_angle == 0.0:
-            raise ValueError("confirm needs a success_return or a success_angle")
-        return self
-
-
-_PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {
-        "variant": "full",
-        "noise": {"stiffness": 0.1, "attractor": 0.01, "rotation": 0.05, "catch_shift": 0.01},
-        "power": {"sigma": 6, "weights": "return", "decay": 1.0},
-        "ret": "eq5",
-        "choice": "return",
-        "budget": 50,
-        "mean_every": 0,
-        "landing_gain": 0.0,
-        "success_return": 0.9,
-        "success_angle": 0.0,
-        "confirm": 3,
-        "retests": 10,
-    },
-    "flip": {
-        "variant": "planar",
-        "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
-        "power": {"sigma": 6, "weights": "sharpened", "sharpness": 0.3, "decay": 0.97},
-        "ret": "landing",
-        "choice": "return",
-        "budget": 60,
-        "mean_every": 5,
-        "landing_gain": 0.7,
-        "turn_gain": 0.5,
-        "success_return": 0.0,
-        "success_angle": math.radians(150.0),
-        "confirm": 8,
-        "confirm_margin": math.radians(10.0),
-        "retests": 10,
-    },
-}
-
-
-def preset(name: str, **changes: Any) -> PracticeSettings:  # noqa: ANN401 - checked by the model
-    """Settings of a session by name, with some of them changed.
-
-    Args:
-        name: "paper" (Eq. 5, full matrices, sigma 6, no decay, stop at R >= .9 reproducibly) or
-            "flip" (ours: planar, sharpened weights, landing correction, a true and caught flip).
-        **changes: fields of `PracticeSettings`; a mapping for `noise` or `power` changes only the
-            fields it names.
-
-    Raises:
-        ValueError: unknown name, unknown field or a value out of range.
-    """
-    if name not in _PRESETS:
-        raise ValueError(f"preset {name!r} is not one of {', '.join(_PRESETS)}")
-    values = dict(_PRESETS[name])
-    for key, value in changes.items():
-        if key in ("noise", "power") and isinstance(value, Mapping):
-            value = {**values[key], **value}
-        values[key] = value
-    return PracticeSettings.model_validate(values)
 
 
 @dataclass(frozen=True)
@@ -195,97 +54,6 @@ class Trial:
     attempt: int
     redrawn: int
     why: str
-
-
-@dataclass(frozen=True)
-class Assessment:
-    """What a rollout was worth.
-
-    Attributes:
-        ret: its return, None when nothing can be said (cut short, lost from view).
-        terms: terms of the return.
-        flight: fields of `Flight`, as data for JSON; None when there was none to observe.
-        success: whether it met the session's success rule.
-        why: why nothing can be said, or what is remarkable; may be empty.
-    """
-
-    ret: float | None
-    terms: Mapping[str, float] = field(default_factory=dict)
-    flight: Mapping[str, Any] | None = None
-    success: bool = False
-    why: str = ""
-
-
-class Record(BaseModel):
-    """One executed rollout, a line of the session's log.
-
-    Attributes:
-        schema_: version of this layout ("schema" in JSON).
-        number, id, kind, demonstration, attempt, redrawn: of the trial.
-        z, theta: what was executed, in scaled coordinates and in their own units.
-        learnt: whether the learner was or may be told.
-        learnt_as: coordinates it is told, landing correction included; None when not learnt.
-        ret, terms: return and its terms; `ret` is None when nothing can be said about the rollout.
-        success: whether it met the success rule.
-        why: why it was not learnt from, or what is remarkable.
-        note: what the practice decided after this rollout, in words.
-        flight: what the tracker saw, the fields of `Flight` [s, m, rad]; None when nothing.
-        fault: the controller's fault, if any.
-        generator: state of the random generator after this trial was drawn.
-        bag: name of its bag.
-        adjustment: a person's correction of the return; nothing makes any yet.
-        truth: what really happened, from the stand-in; None on hardware. Never learnt from.
-        clock: wall-clock figures; all that differs between two runs of one seed is in here.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
-
-    schema_: Literal["wam_power_ros/rollout/1"] = Field(default=SCHEMA, alias="schema")
-    number: int = Field(ge=1)
-    id: str
-    kind: Kind
-    demonstration: str
-    attempt: int = Field(ge=1)
-    redrawn: int = Field(default=0, ge=0)
-    z: list[float]
-    theta: list[float]
-    learnt: bool
-    learnt_as: list[float] | None
-    ret: float | None = Field(ge=0.0, allow_inf_nan=False)
-    terms: dict[str, float | None]
-    success: bool
-    why: str
-    note: str
-    flight: dict[str, Any] | None
-    fault: str
-    generator: dict[str, Any]
-    bag: str
-    adjustment: dict[str, Any] | None = None
-    truth: dict[str, Any] | None
-    clock: dict[str, Any]
-
-    @model_validator(mode="after")
-    def _fit_together(self) -> Record:
-        if self.learnt != (self.learnt_as is not None) or (self.learnt and self.ret is None):
-            raise ValueError("learnt goes with learnt_as and a return")
-        if len(self.theta) != len(self.z) or len(self.learnt_as or self.z) != len(self.z):
-            raise ValueError("z, theta and learnt_as must be equally long")
-        if not np.isfinite([*self.z, *self.theta, *(self.learnt_as or [])]).all():
-            raise ValueError("z, theta and learnt_as must be finite")
-        return self
-
-    def to_json(self) -> str:
-        """One line of JSON; floats come back bit for bit."""
-        return json.dumps(self.model_dump(mode="json", by_alias=True), allow_nan=False)
-
-    @classmethod
-    def from_json(cls, text: str) -> Record:
-        """Record of a line.
-
-        Raises:
-            ValueError: not JSON, or not a record; the message names the field.
-        """
-        return cls.model_validate(json.loads(text))
 
 
 @dataclass(frozen=True)
@@ -594,16 +362,16 @@ class Practice:
             learnt=learnt,
             learnt_as=self._corrected(trial, assessment).tolist() if learnt else None,
             ret=None if assessment.ret is None else float(assessment.ret),
-            terms=_plain(assessment.terms),
+            terms=plain(assessment.terms),
             success=bool(assessment.success),
             why=why,
             note="",
-            flight=None if assessment.flight is None else _plain(assessment.flight),
+            flight=None if assessment.flight is None else plain(assessment.flight),
             fault=fault,
             generator=generator_state(self._rng),
             bag=bag,
-            truth=None if truth is None else _plain(truth),
-            clock=_plain(clock or {}),
+            truth=None if truth is None else plain(truth),
+            clock=plain(clock or {}),
         )
         record = record.model_copy(update={"note": self._follow(record)})
         self._records.append(record)
@@ -789,141 +557,3 @@ class Practice:
         parameters = self._parameters[str(self._demonstration)]
         self._answer = parameters.clip(answer)
         self._stopped = why
-
-
-def choose_demonstration(
-    reproductions: Sequence[Record], settings: PracticeSettings
-) -> tuple[int, str]:
-    """Which of the reproduced demonstrations to learn from.
-
-    The authors chose one good demonstration of a small series; good is here how it reproduces.
-
-    * "return": the highest return.
-    * "flick": of those that tossed the pancake, the one nearest to a toss that is good to learn
-      from: turned by at least 85 degrees (over 100 there is less left to learn but more speed is
-      used up), at least .35 m high, and coming down .10 to .18 m outward of the pan. One that falls
-      short makes the pan chase back under it. Missing a range by 15 degrees, .1 m of height or
-      .05 m of landing costs one each, half as much for turning too far. If none tossed: the
-      highest return.
-
-    Args:
-        reproductions: one record for each candidate; those without a return or with a fault are
-            not eligible.
-        settings: `choice` names the rule.
-
-    Returns:
-        Index into `reproductions`, the first of equals, and the reason in words.
-
-    Raises:
-        ValueError: none is eligible.
-    """
-    eligible = [
-        index
-        for index, record in enumerate(reproductions)
-        if record.ret is not None and not record.fault
-    ]
-    if not eligible:
-        reasons = "; ".join(f"{record.demonstration}: {record.why}" for record in reproductions)
-        raise ValueError(f"no demonstration could be reproduced ({reasons})")
-    of = f"of {len(reproductions)}"
-    tossed = [index for index in eligible if (reproductions[index].flight or {}).get("tossed")]
-    if settings.choice == "return" or not tossed:
-        best = max(eligible, key=lambda index: float(reproductions[index].ret or 0.0))
-        rule = "highest return" if settings.choice == "return" else "none tossed; highest return"
-        return best, f"{rule} {of} reproductions, {reproductions[best].ret:.3f}"
-    best = min(tossed, key=lambda index: _distance_from_flick(reproductions[index].flight or {}))
-    flight = reproductions[best].flight or {}
-    return best, (
-        f"its reproduction is the nearest to a good toss {of}: "
-        f"{math.degrees(abs(flight['angle'])):.0f} deg, {flight['apex']:.2f} m high, "
-        f"{flight['landing_error'][0]:+.2f} m outward of the pan; "
-        f"cost {_distance_from_flick(flight):.1f}"
-    )
-
-
-def _distance_from_flick(flight: Mapping[str, Any]) -> float:
-    angle, apex = math.degrees(abs(flight["angle"])), flight["apex"]
-    outward, sideways, _ = flight["landing_error"]
-    return (
-        max(85.0 - angle, 0.0) / 15.0
-        + max(angle - 100.0, 0.0) / 30.0
-        + max(0.35 - apex, 0.0) / 0.1
-        + max(0.10 - outward, outward - 0.18, 0.0) / 0.05
-        + abs(sideways) / 0.05
-    )
-
-
-def assess(
-    policy: Policy,
-    pan: EndEffectorPath,
-    pancake: PancakePath,
-    settings: PracticeSettings,
-    fault: str = "",
-) -> Assessment:
-    """Return and success of a rollout, or why nothing can be said about it.
-
-    Args:
-        policy: what was executed.
-        pan: path of the pan in the base frame.
-        pancake: path of the pancake in the base frame.
-        settings: see there.
-        fault: the controller's fault if it ended the rollout, else empty.
-    """
-    if fault:
-        if _OWN_FAULT.search(fault):
-            return Assessment(0.0, why=f"{fault}: counts as return 0")
-        return Assessment(None, why=fault)
-    duration = policy.basis.duration + settings.settle_time
-    if len(pan.t) == 0 or pan.t[-1] < duration - _CUT_SHORT:
-        end = pan.t[-1] if len(pan.t) else 0.0
-        return Assessment(None, why=f"cut short at {end:.2f} s of {duration:.2f} s")
-    if len(pancake.t) == 0:
-        return Assessment(None, why="the pancake was never seen")
-    flight = observe_flight(pan, pancake, settings.delta_h)
-    summary = _plain(dataclasses.asdict(flight))
-    lost = _lost_from_view(pan, pancake, flight)
-    if lost:
-        return Assessment(None, flight=summary, why=lost)
-    if settings.ret == "eq5":
-        result = pancake_return(flight, settings.pancake_weights)
-    else:
-        result = landing_return(flight, settings.landing_weights)
-    success = result.total >= settings.success_return and (
-        settings.success_angle == 0.0
-        or bool(flight.resting and flight.flipped and abs(flight.angle) >= settings.success_angle)
-    )
-    return Assessment(result.total, result.terms, summary, success)
-
-
-def _lost_from_view(pan: EndEffectorPath, pancake: PancakePath, flight: Flight) -> str:
-    """Why the pancake was not seen well enough to judge the rollout, empty when it was."""
-    end = float(pan.t[-1])
-    seen = np.clip(np.concatenate([[0.0], pancake.t]), 0.0, end)
-    needed = min(flight.t_f, end) if flight.tossed else end
-    gaps = np.diff(seen)
-    late = np.flatnonzero((gaps > _LONGEST_GAP) & (seen[:-1] < needed))
-    if len(late):
-        at = seen[late[0]]
-        return f"the pancake was lost from view for {gaps[late[0]]:.2f} s from {at:.2f} s on"
-    if flight.tossed and not flight.seen:
-        return "the pancake was not seen coming down"
-    if end - seen[-1] > _LONGEST_GAP:
-        height = pancake.position[-1, 2] - np.interp(seen[-1], pan.t, pan.position[:, 2])
-        if height > -_FALLEN:
-            return f"the pancake was lost from view at {seen[-1]:.2f} s, not having fallen"
-    return ""
-
-
-def _plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any of its types
-    """The same as data for JSON; what is not finite becomes None."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

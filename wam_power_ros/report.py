@@ -20,7 +20,7 @@ import yaml
 
 from wam_power_ros import figures, page, policy, session
 from wam_power_ros.live import angle, outcome, paper_return
-from wam_power_ros.practice import Record
+from wam_power_ros.records import Record
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import SessionHeader
 

@@ -30,7 +30,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from wam_power_ros import policy as policy_module
 from wam_power_ros.policy import Policy
-from wam_power_ros.practice import Practice, PracticeSettings, Record
+from wam_power_ros.practice import Practice
+from wam_power_ros.presets import PracticeSettings
+from wam_power_ros.records import Record
 
 SCHEMA = "wam_power_ros/session/1"
 _PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")

@@ -12,8 +12,10 @@ from hardware_sim.hand import wrist_flick
 from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.experiments.bench import Bench
 from wam_power_ros.policy import Policy
-from wam_power_ros.practice import Practice, PracticeSettings, Record
+from wam_power_ros.practice import Practice
+from wam_power_ros.presets import PracticeSettings
 from wam_power_ros.primitive import PANCAKE, FitSettings, fit
+from wam_power_ros.records import Record
 
 
 def teach(bench: Bench, seed: int, count: int, settings: FitSettings = PANCAKE) -> list[Policy]:

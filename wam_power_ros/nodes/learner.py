@@ -32,9 +32,11 @@ from wam_power_ros.bags import read_demonstration
 from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.params import Params
-from wam_power_ros.practice import Practice, Record, Trial, preset
+from wam_power_ros.practice import Practice, Trial
+from wam_power_ros.presets import preset
 from wam_power_ros.primitive import PANCAKE, fit
 from wam_power_ros.real_time import executor_for
+from wam_power_ros.records import Record
 from wam_power_ros.rehearsal import rehearse
 from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
