@@ -24,7 +24,7 @@ ROS = {
 }
 SIMULATOR = {"hardware_sim", "mujoco"}
 # May import ROS: all that speaks it, beside nodes/.
-ROS_EDGE = {"interface", "messages", "params", "real_time", "late_service", "teaching"}
+ROS_EDGE = {"interface", "messages", "params", "real_time", "late_service", "teaching", "enabling"}
 # Files, clocks, processes and sockets are theirs; every other module is the core.
 TELLING = {"cli", "live", "figures", "study_figures", "page", "report"}
 EDGE = ROS_EDGE | TELLING | {"processes", "resources", "setups", "session", "bags", "recovery"}

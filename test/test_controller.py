@@ -662,6 +662,50 @@ def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> 
     assert controller.fault_reason.startswith(f"{guarded} is 0.0")
 
 
+@pytest.mark.requirement("S-30")
+def test_hold_to_run_is_asked_for_and_its_release_is_a_fault_in_the_same_state() -> None:
+    def teach(controller: Controller) -> None:
+        controller.set_gravity_compensation(True)
+
+    def replay(controller: Controller) -> None:
+        t = np.linspace(0.0, 1.0, 11)
+        controller.start_replay(SimpleNamespace(t=t, q=np.tile(HOME, (11, 1))))
+
+    for request in (teach, replay, Controller.execute):
+        controller, plant = begin(controller=make(hold_to_run=True))
+        with pytest.raises(ControllerError, match="enabling switch"):
+            request(controller)
+        assert controller.mode is Mode.HOLD
+        controller.enabled = True
+        request(controller)
+        run(controller, plant, 0.1)
+        assert controller.mode not in (Mode.HOLD, Mode.FAULT)
+        controller.enabled = False
+        controller.step(*plant.state())
+        assert controller.mode is Mode.FAULT
+        assert "released" in controller.fault_reason
+
+
+@pytest.mark.requirement("S-30")
+def test_a_policy_that_has_run_once_under_the_switch_runs_without_it_under_any_name() -> None:
+    controller, plant = begin(controller=make(hold_to_run=True))
+    controller.enabled = True
+    controller.execute()
+    run(controller, plant, 2.0)
+    controller.enabled = False
+    controller.load(with_id(POLICY, "again"))
+    controller.move_to_start()
+    run(controller, plant, 10.0, until=lambda: controller.ready)
+    controller.execute()
+    run(controller, plant, 2.0)
+    assert controller.mode is Mode.HOLD
+    controller.load(make_policy(size=0.9))
+    controller.move_to_start()
+    run(controller, plant, 10.0, until=lambda: controller.ready)
+    with pytest.raises(ControllerError, match="enabling switch"):
+        controller.execute()
+
+
 @pytest.mark.requirement("S-24")
 def test_soft_springs_push_a_taught_arm_off_its_limits() -> None:
     q = HOME.copy()
@@ -763,7 +807,12 @@ def test_a_law_that_finds_no_torque_is_a_fault_and_no_exception() -> None:
         def torque(self, *_: object) -> np.ndarray:
             return np.full(7, np.inf)
 
-    for law, reason in ((Singular(), "Singular"), (Infinite(), "not finite")):
+    class Wrong(TorqueLaw):
+        def torque(self, *_: object) -> np.ndarray:
+            raise KeyError("a mistake in the code")
+
+    laws = (Singular(), "Singular"), (Infinite(), "not finite"), (Wrong(), "a mistake")
+    for law, reason in laws:
         controller, plant = begin(controller=make(law=law))
         controller.execute()
         run(controller, plant, 0.1)

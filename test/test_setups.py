@@ -64,8 +64,11 @@ def test_every_set_up_is_accepted_by_every_node(name: str, rehearse: bool, tmp_p
     assert arm.command_topic in params["demonstration_recorder"].driver_topics
     # and the learner rehearses with the limits that the controller has
     own, *over = (ROOT / file for file in learner.controller)
-    assert TorqueControllerParams.of_file(own, "torque_controller", *over) == arm
+    limits = TorqueControllerParams.of_file(own, "torque_controller", *over)
+    of_the_lab = {name: getattr(arm, name) for name in ("hold_to_run", "allow_no_realtime")}
+    assert limits.model_copy(update=of_the_lab) == arm
     assert learner.pancake_reset == learner.reset_faults == rehearse
+    assert arm.hold_to_run == (not arm.allow_no_realtime) == (not rehearse)
     assert params["demonstration_recorder"].source == ("sim" if rehearse else "hardware")
 
 

@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import math
+import os
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 
@@ -16,7 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -33,10 +35,20 @@ TICK = 2_000_000  # [ns]
 class PlayedArm:
     """An arm that never moves: publishes states and collects torques."""
 
-    def __init__(self, probe: Probe, processes: Processes, **parameters: object) -> None:
+    def __init__(
+        self,
+        probe: Probe,
+        processes: Processes,
+        command: list[str] | None = None,
+        **parameters: object,
+    ) -> None:
         self.probe = probe
         quick = {"realtime_priority": 0, "state_timeout": 0.0}
-        self.process = processes.node(MODULE, "torque_controller.yaml", **(quick | parameters))
+        self.process = (
+            processes.start(command)
+            if command
+            else processes.node(MODULE, "torque_controller.yaml", **(quick | parameters))
+        )
         self.torques: list[interface.TorqueReading] = []
         self.messages = probe.listen(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
@@ -421,3 +433,130 @@ def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -
     process: subprocess.Popen[bytes] = processes.node(MODULE, autostart=True)
     assert process.wait(60.0) == 2
     assert "joint_names" in processes.output(process)
+
+
+@pytest.mark.requirement("S-30")
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_released_or_silent_switch_ends_teaching(
+    probe: Probe, processes: Processes, silent: bool
+) -> None:
+    arm = PlayedArm(probe, processes, hold_to_run=True)
+    arm.activate()
+    switch = probe.publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
+    on = SetBool.Request(data=True)
+    refusal = probe.call(SetBool, interface.GRAVITY_COMPENSATION, on)
+    assert not refusal.success and "enabling switch" in refusal.message
+
+    def teaching() -> bool:
+        switch.publish(Bool(data=True))
+        probe.spin(0.005)
+        arm.send()
+        arm.answer()
+        return probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
+
+    probe.until(teaching, "teaching begins")
+    switch.publish(Bool(data=True))
+    probe.spin(0.2 if silent else 0.005)
+    if not silent:
+        switch.publish(Bool(data=False))
+
+    def ended() -> bool:
+        arm.send()
+        return arm.answer().label == "fault"
+
+    probe.until(ended, "the fault")
+    arm.diagnosis(lambda d: "enabling switch" in d["message"], "it is told")
+
+
+BROKEN = """
+import sys
+from wam_power_ros import real_time
+from wam_power_ros.nodes import torque_controller
+
+class Broken(torque_controller.TorqueController):
+    def _on_policy(self, message):
+        raise KeyError("a mistake in the code")
+
+    def _on_execute(self, request, response):
+        self._read = None  # every state from now on
+
+torque_controller.TorqueController = Broken
+sys.exit(torque_controller.main())
+"""
+
+
+@pytest.mark.requirement("S-49")
+def test_without_real_time_rights_an_arm_is_not_activated_unless_allowed(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes, realtime_priority=0, allow_no_realtime=False)
+
+    def refused() -> bool:
+        arm.send()
+        probe.spin(0.02)
+        return "SCHED_FIFO" in diagnosis(arm.diagnostics, "torque_controller").get(
+            "last refusal", ""
+        )
+
+    probe.until(refused, "the refusal is told")
+    assert not arm.read()
+
+
+@pytest.mark.requirement("S-50")
+@pytest.mark.parametrize("allowed", [True, False])
+def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
+    probe: Probe, processes: Processes, allowed: bool
+) -> None:
+    arm = PlayedArm(
+        probe,
+        processes,
+        realtime_priority=60,
+        state_timeout=10.0,  # whatever the machine does, states are only late
+        allow_no_realtime=allowed,
+        idle_service='""',
+    )
+    told = lambda: diagnosis(arm.diagnostics, "torque_controller")  # noqa: E731
+
+    def begun() -> bool:
+        arm.send()
+        probe.spin(0.002)
+        return bool(arm.read())
+
+    if not allowed and os.geteuid():
+        pytest.skip("real-time scheduling is not permitted here")
+    probe.until(begun, "the controller is active")
+
+    def late() -> bool:  # every state 6 to 10 ms after the last: two of three periods are missed
+        arm.send()
+        probe.spin(0.006)
+        return "of the periods of a second missed" in told().get("message", "")
+
+    probe.until(late, "the overload is told")
+    assert told()["mode"] == ("hold" if allowed else "fault")
+
+
+@pytest.mark.requirement("S-02")
+@pytest.mark.parametrize("during", ["policy", "state"])
+def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
+    probe: Probe, processes: Processes, during: str
+) -> None:
+    config = ["--ros-args", "--params-file", str(ROOT / "config/torque_controller.yaml")]
+    quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
+    arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
+    arm.activate()
+    if during == "policy":
+        probe.publisher(String, interface.POLICY, interface.LATCHED).publish(String())
+    else:
+        probe.begin(Trigger, interface.EXECUTE)
+
+    def told() -> dict[str, str]:
+        arm.send()
+        probe.spin(0.01)
+        report = diagnosis(arm.diagnostics, "torque_controller")
+        return report if report.get("mode") == "fault" else {}
+
+    assert "a callback failed" in probe.until(told, "the fault is told")["message"]
+    probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
+    np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)
+    assert arm.process.poll() is None

@@ -117,6 +117,13 @@ def _parser() -> argparse.ArgumentParser:
     recover.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
     recover.set_defaults(command=_recover)
 
+    enable = commands.add_parser(
+        "enable",
+        help="an enabling switch of the keyboard, for hold_to_run",
+        description="Publish /controller/enable: true while a key of this terminal is held down.",
+    )
+    enable.set_defaults(command=_enable)
+
     run = commands.add_parser(
         "run",
         help="start one node, as ros2 run does",
@@ -166,6 +173,10 @@ def _run(options: argparse.Namespace) -> int:
 
 def _config(options: argparse.Namespace) -> None:
     print(setups.text(setups.setup(options.config, options.rehearse)), end="")
+
+
+def _enable(_: argparse.Namespace) -> int:
+    return importlib.import_module("wam_power_ros.enabling").main()
 
 
 def _teach(options: argparse.Namespace) -> None:

@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 
 from wam_power_ros import primitive, rotations, safety
 from wam_power_ros.arm import Arm, Motion
-from wam_power_ros.policy import Policy
+from wam_power_ros.policy import Policy, to_json, with_id
 from wam_power_ros.rollout import EndEffectorPath
 from wam_power_ros.safety import Limits, Stamp
 from wam_power_ros.torque_law import TorqueLaw
@@ -69,6 +69,7 @@ TURN_MAX = 2.0
 _INTEGERS = (int, np.integer)
 _PASSIVE = (Mode.INACTIVE, Mode.FAULT)  # modes in which nothing can go wrong any more
 _MOVING = (Mode.MOVE_TO_START, Mode.ROLLOUT, Mode.REPLAY)  # modes in which the arm moves by itself
+_HELD = (Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT)  # modes of `hold_to_run`
 _BOXED = (Mode.ROLLOUT, Mode.REPLAY)  # modes in which the tool must stay in the workspace
 
 
@@ -79,6 +80,7 @@ class ControllerSettings:
     Attributes:
         period: Of the joint states [s].
         driver_compensates_gravity: The driver adds g(q) itself; it is left out of what is sent.
+        hold_to_run: Teaching, replay and the first run of a policy need `Controller.enabled`.
         law: From the tool's acceleration to joint torques.
         limits: None for those of the arm with the defaults of `safety.Limits`.
         hold_bandwidth: Natural frequency of the joints in hold, move and replay [rad/s].
@@ -111,6 +113,7 @@ class ControllerSettings:
 
     period: float = 0.002
     driver_compensates_gravity: bool = False
+    hold_to_run: bool = False
     law: TorqueLaw = field(default_factory=TorqueLaw)
     limits: Limits | None = None
     hold_bandwidth: float = 25.0
@@ -131,7 +134,7 @@ class ControllerSettings:
     stiffness_max: float = 2500.0
 
     def __post_init__(self) -> None:
-        other = ("driver_compensates_gravity", "law", "limits", "friction_share")
+        other = ("driver_compensates_gravity", "hold_to_run", "law", "limits", "friction_share")
         for name, value in vars(self).items():
             if name not in other and not 0.0 < value < math.inf:
                 raise ValueError(f"{name} = {value} must be positive and finite")
@@ -289,6 +292,8 @@ class Controller:
             torques `limited` and `stale`; `faults`.
         fault_reason: Of the last fault, None before the first and after `reset`.
         rollout_stamp_ns: Stamp of the first state of the last rollout that began, or None [ns].
+        enabled: Whether a person holds the enabling switch, where `hold_to_run` asks for one; set
+            from outside, before every state.
 
     Args:
         arm: Used by this controller alone.
@@ -321,6 +326,7 @@ class Controller:
         self.counters: Counter[str] = Counter()
         self.fault_reason: str | None = None
         self.rollout_stamp_ns: int | None = None
+        self.enabled = False
 
         # the last state accepted and the last torque sent
         self._stamp: int | None = None
@@ -343,6 +349,8 @@ class Controller:
 
         self._policy: Policy | None = None
         self._tables: primitive.Tables | None = None
+        self._content = ""  # of the policy, whatever its id, where `hold_to_run` asks what is new
+        self._tried: set[str] = set()  # contents that have run to their end once
         self._rollout: _Rollout | None = None
         self._finished: EndEffectorPath | None = None
 
@@ -419,6 +427,8 @@ class Controller:
             )
         self._tables = primitive.tabulate(policy, self.settings.period)
         self._policy = policy
+        if self.settings.hold_to_run:
+            self._content = to_json(with_id(policy, "content"))
 
     def hold(self) -> None:
         """Come to rest and hold the posture; aborts what is under way.
@@ -441,6 +451,7 @@ class Controller:
             ControllerError: While the arm moves by itself, or in a fault.
         """
         if on and self._mode is not Mode.GRAVITY_COMPENSATION:
+            self._ask_for_hand(Mode.GRAVITY_COMPENSATION)
             self._enter(Mode.GRAVITY_COMPENSATION)
         elif not on and self._mode is Mode.GRAVITY_COMPENSATION:
             self._enter(Mode.HOLD)
@@ -484,6 +495,7 @@ class Controller:
                 f"replay refused: {share:.2f} times a joint-speed limit; "
                 f"possible at speed {speed / share:.2f}"
             )
+        self._ask_for_hand(Mode.REPLAY)
         self._move(Mode.REPLAY, sampled.q[0])
         self._plan.append(lambda _: sampled)
         self._replay_squares, self._replay_count = np.zeros(self.arm.n), 0
@@ -497,6 +509,7 @@ class Controller:
         reason = self._unready()
         if reason is not None or self._policy is None or self._tables is None:
             raise ControllerError(f"rollout refused: {reason}")
+        self._ask_for_hand(Mode.ROLLOUT)
         policy, settings = self._policy, self.settings
         end = round((policy.basis.duration + settings.settle_time) / settings.period)
         size = end // round(settings.path_period / settings.period) + 2
@@ -559,6 +572,16 @@ class Controller:
         self._reference = None
         self._plan.clear()
         self._exceeded = 0
+
+    def _lacks_hand(self, mode: Mode) -> bool:
+        """Whether the enabling switch must be held in this mode, and is not."""
+        if self.enabled or not self.settings.hold_to_run or mode not in _HELD:
+            return False
+        return mode is not Mode.ROLLOUT or self._content not in self._tried
+
+    def _ask_for_hand(self, mode: Mode) -> None:
+        if self._lacks_hand(mode):
+            raise ControllerError(f"{mode.value} refused: the enabling switch is not held")
 
     def _move(self, mode: Mode, goal: np.ndarray) -> None:
         if (unrest := self._unrest()) is not None:
@@ -689,6 +712,8 @@ class Controller:
             dt = min(max(dt, 0.5 * period), 2.0 * period)
         self._stamp, self._q, self._qd, self._motion = stamp_ns, q, qd, motion
         self._check_motion(q, qd, motion)
+        if self.settings.hold_to_run and self._lacks_hand(self._mode):
+            self.fault("the enabling switch was released")
 
         tau = self._torque(stamp_ns, q, qd, motion)
         if self._mode is Mode.INACTIVE:  # nothing is sent, so nothing jumps
@@ -708,7 +733,7 @@ class Controller:
         try:
             tau = self._laws[self._mode](stamp_ns, q, qd, motion)
             wrong = None if math.isfinite(sum(tau.tolist())) else "the torque was not finite"
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        except Exception as error:  # whatever it is, the arm needs a torque in this very tick
             wrong = f"no torque: {error}"
         if wrong is not None:
             self.fault(wrong)
@@ -824,6 +849,7 @@ class Controller:
             rollout.start_ns = self.rollout_stamp_ns = stamp_ns
         k = (stamp_ns - rollout.start_ns + self._period_ns // 2) // self._period_ns
         if k > rollout.end:
+            self._tried.add(self._content)
             self._enter(Mode.HOLD)
             return self._reference_torque(stamp_ns, q, qd, motion)
         if k >= rollout.next_sample:

@@ -47,6 +47,7 @@ ROLLOUT_PANCAKE = "/rollout/pancake"
 ROBOT_DESCRIPTION = "/robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
+ENABLE = "/controller/enable"
 
 # Services
 EXECUTE = "/rollout/execute"
@@ -88,6 +89,7 @@ MOCAP_IN = _qos(5, "BEST_EFFORT")
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
 DIAGNOSTICS_QOS = _qos(10)
 CLOCK_QOS = _qos(1, "BEST_EFFORT")
+ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")
 
 
 # Joint states

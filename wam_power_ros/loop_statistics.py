@@ -22,6 +22,8 @@ class LoopStatistics:
         self._count = 0
         self._before: int | None = None  # the last arrival of the report before
         self.missed = 0  # periods, since the start
+        self.share_missed = 0.0  # of the periods of the last report
+        self.missed_in_row = 0  # at worst, in the last report
 
     def add(self, arrived_ns: int, left_ns: int) -> None:
         """One cycle, from its input's arrival to its output's departure [ns, steady clock]."""
@@ -34,13 +36,17 @@ class LoopStatistics:
         """Figures of the cycles since the last report, with their units, and begin anew."""
         count, before = self._count, self._before
         self._count, self._before = 0, None
+        self.share_missed, self.missed_in_row = 0.0, 0
         if count == 0:
             return {"cycles": "0"}
         arrived, left = self._arrived[:count], self._left[:count]
         self._before = int(arrived[-1])
         first = arrived[0] if before is None else before
         periods = np.diff(arrived, prepend=first)[1 if before is None else 0 :]
-        self.missed += int(np.maximum(np.rint(periods / self._period_ns) - 1, 0).sum())
+        lost = np.maximum(np.rint(periods / self._period_ns) - 1, 0).astype(int)
+        self.missed += int(lost.sum())
+        self.share_missed = float(lost.sum() / (lost.sum() + count))
+        self.missed_in_row = int(lost.max(initial=0))
         step = (left - arrived) * 1e-3
         figures = {"cycles": str(count), "periods missed": str(self.missed)}
         for name, value in (("median", 50.0), ("p99", 99.0), ("max", 100.0)):

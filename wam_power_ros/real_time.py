@@ -108,6 +108,7 @@ def spin(
     ended: Callable[[], bool],
     between: Callable[[], None] | None = None,
     every: float = 0.2,
+    failed: Callable[[Exception], None] | None = None,
 ) -> None:
     """Dispatch the callbacks of `node` until `ended()`.
 
@@ -116,12 +117,19 @@ def spin(
         ended: Asked after every callback and at least `every` [s].
         between: Called as often.
         every: [s].
+        failed: Told of an exception that a callback did not catch, after which the node goes on;
+            without it, it ends.
     """
     executor = executor_for(node)
     while not ended() and rclpy.ok():  # not executor.spin(): it hangs in these builds
-        executor.spin_once(timeout_sec=every)
-        if between is not None:
-            between()
+        try:
+            executor.spin_once(timeout_sec=every)
+            if between is not None:
+                between()
+        except Exception as error:
+            if failed is None or isinstance(error, ExternalShutdownException):
+                raise
+            failed(error)
 
 
 def run(

@@ -61,7 +61,9 @@ def rehearse(
         elbow_speed=margin * limits.elbow_speed,
         tool_speed=margin * limits.tool_speed,
     )
-    controller = Controller(arm, replace(settings, limits=tight, driver_compensates_gravity=False))
+    controller = Controller(
+        arm, replace(settings, limits=tight, driver_compensates_gravity=False, hold_to_run=False)
+    )
     period_ns = round(settings.period * 1e9)
     dt = settings.period / _SUBSTEPS
     q, qd, stamp_ns = policy.q_start.copy(), np.zeros(arm.n), period_ns

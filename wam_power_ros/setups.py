@@ -75,6 +75,7 @@ def setup(names: Sequence[str] = (), rehearse: bool = False) -> Setup:
         follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
     whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
     if rehearse or not names:  # the stand-in does what takes a person in the lab
+        whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}
         whole["learner"] |= {"pancake_reset": True, "reset_faults": True}
         whole["demonstration_recorder"]["source"] = "sim"
         if whole["wam_sim"]["pace"] == "lockstep":  # it keeps the time, and waits for everyone
@@ -127,6 +128,7 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Setup) -> None
 def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
     """What recorder and learner must know of the driver and the motion capture."""
     return {
+        "torque_controller": {"hold_to_run": True, "allow_no_realtime": False},
         "demonstration_recorder": {
             **{name: arm[name] for name in ("state_topic", "joint_names")},
             "driver_topics": [

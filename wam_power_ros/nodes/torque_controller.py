@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable
 
@@ -18,7 +19,7 @@ from nav_msgs.msg import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
@@ -35,6 +36,9 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 MOVING = (Mode.MOVE_TO_START, Mode.REPLAY)
 STALE_FAULT_NS = 20_000_000  # without a state for longer, the fault is latched
 STALE_IDLE_NS = 100_000_000  # and for longer still, the driver is asked to idle
+ENABLE_NS = 100_000_000  # after which the enabling switch counts as released
+MISSED_WARN, MISSED_FAULT = 0.01, 0.05  # share of the periods of a second
+MISSED_IN_ROW = 3
 
 
 class TorqueController(LifecycleNode):
@@ -54,6 +58,7 @@ class TorqueController(LifecycleNode):
         self._stamp_ns = 0  # of the last state
         self._arrived_ns = self._sent_ns = 0  # steady clock
         self._idle_asked = False
+        self._enabled_ns = -ENABLE_NS
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may stay away
         self._state_timeout = 0.0 if sim_time else params.state_timeout  # [s]
         self._statistics = LoopStatistics(round(params.period * 1e9))
@@ -72,6 +77,8 @@ class TorqueController(LifecycleNode):
         self._idle = self.create_client(Trigger, params.idle_service or interface.WAM_IDLE)
         subscribe = self.create_subscription
         subscribe(JointState, params.state_topic, self._on_state, interface.STATE_IN)
+        if params.hold_to_run:
+            subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
         if params.velocity_topic:
             subscribe(JointState, params.velocity_topic, self._on_velocity, interface.STATE_IN)
         subscribe(String, interface.POLICY, self._on_policy, interface.LATCHED)
@@ -107,7 +114,7 @@ class TorqueController(LifecycleNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Hold the arm where it is; needs fresh states and nobody else commanding."""
-        reason = self._unfit() or self._guard.begin()
+        reason = self._unfit() or self._unscheduled() or self._guard.begin()
         if reason is None and self._controller.mode is not Mode.FAULT:
             try:
                 self._controller.hold()
@@ -150,9 +157,24 @@ class TorqueController(LifecycleNode):
         age = time.monotonic_ns() - self._arrived_ns
         return None if age < 1_000_000_000 else "no joint state within the last second"
 
+    def _unscheduled(self) -> str | None:
+        if self._params.allow_no_realtime or self._granted.complete:
+            return None
+        granted = self._granted
+        return (
+            f"no real-time scheduling (SCHED_FIFO {granted.scheduling}; locked memory "
+            f"{granted.memory}); allow_no_realtime is false"
+        )
+
     # Every state
 
     def _on_state(self, message: JointState) -> None:
+        try:
+            self._answer(message)
+        except Exception as error:
+            self.failed(error)
+
+    def _answer(self, message: JointState) -> None:
         arrived_ns = time.monotonic_ns()
         controller = self._controller
         try:
@@ -162,6 +184,8 @@ class TorqueController(LifecycleNode):
         if reading is None or controller is None:
             return None
         stamp_ns, q, qd = reading
+        if self._params.hold_to_run:
+            controller.enabled = arrived_ns - self._enabled_ns < ENABLE_NS
         tau = controller.step(stamp_ns, q, self._qd if qd is None else qd)
         self._arrived_ns, self._idle_asked = arrived_ns, False
         if stamp_ns < self._stamp_ns and controller.mode is not Mode.INACTIVE:
@@ -178,6 +202,19 @@ class TorqueController(LifecycleNode):
         if self._move.pending or self._replay.pending:
             self._answer_moves()
         return None
+
+    def _on_enable(self, message: Bool) -> None:
+        self._enabled_ns = time.monotonic_ns() if message.data else -ENABLE_NS
+
+    def failed(self, error: Exception) -> None:
+        """A callback has failed: nothing it was doing can be trusted, but the arm is carried."""
+        trace = "".join(traceback.format_exception(error))
+        self.get_logger().error(trace, throttle_duration_sec=1.0)
+        self._refused["callback"] += 1
+        self._trouble = f"callback failed: {error!r}"
+        if self._active:
+            self._controller.fault(f"a callback failed: {error!r}")
+            self._send(self._controller.stale_torque(), Mode.FAULT.value)
 
     def _on_velocity(self, message: JointState) -> None:
         try:
@@ -293,10 +330,12 @@ class TorqueController(LifecycleNode):
 
     def _report(self) -> None:
         core, now = self._controller, self.get_clock().now().to_msg()
+        figures = self._statistics.report()
+        overload = self._overload()
         values = {
             "mode": "unconfigured" if core is None else core.mode.value,
             "policy": (core and core.policy_id) or "",
-            **self._statistics.report(),
+            **figures,
             **({} if core is None else core.counters),
             **{f"refused: {name}": count for name, count in self._refused.items()},
             "real-time scheduling": self._granted.scheduling,
@@ -308,6 +347,8 @@ class TorqueController(LifecycleNode):
             level, text = "error", core.fault_reason or "fault"
         elif not self._active or self._unfit():
             level, text = "warn", self._unfit() or "not active"
+        elif overload:
+            level, text = "warn", overload
         elif self._params.realtime_priority and not self._granted.complete:
             level, text = "warn", f"{text}; no real-time scheduling"
         elif self._trouble:
@@ -317,6 +358,16 @@ class TorqueController(LifecycleNode):
         self._diagnostics.publish(
             interface.diagnostics(now, name, self._params.hardware_id, level, text, values)
         )
+
+    def _overload(self) -> str:
+        """What to say of the last second's missed periods; too many are a fault."""
+        share, in_row = self._statistics.share_missed, self._statistics.missed_in_row
+        if self._state_timeout == 0.0 or (share <= MISSED_WARN and in_row < MISSED_IN_ROW):
+            return ""
+        text = f"{100.0 * share:.1f} % of the periods of a second missed, {in_row} in a row"
+        if share > MISSED_FAULT and self._active and not self._params.allow_no_realtime:
+            self._controller.fault(text)
+        return text
 
     def _refuse(self, what: str, reason: object) -> None:
         self._refused[what] += 1
@@ -328,7 +379,9 @@ def main() -> int:
     """Entry point of `ros2 run wam_power_ros torque_controller`."""
     return real_time.run(
         TorqueController,
-        spin=lambda node, ended: real_time.spin(node, ended, node.watch, every=0.002),
+        spin=lambda node, ended: real_time.spin(
+            node, ended, node.watch, every=0.002, failed=node.failed
+        ),
     )
 
 

@@ -30,6 +30,8 @@ class TorqueControllerParams(Params):
     command_topic: str
     command_type: Literal["multiarray", "joint_state"]
     driver_compensates_gravity: bool
+    hold_to_run: bool
+    allow_no_realtime: bool
     idle_service: str
     urdf: str
     base_frame: str
@@ -79,6 +81,7 @@ class TorqueControllerParams(Params):
         settings = ControllerSettings(
             period=self.period,
             driver_compensates_gravity=self.driver_compensates_gravity,
+            hold_to_run=self.hold_to_run,
             law=TorqueLaw(kind=self.law),
             limits=limits,
             move_speed=self.move_speed,
