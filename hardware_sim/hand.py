@@ -24,6 +24,7 @@ ROTATION_STIFFNESS = 60.0  # [N m/rad]
 ROTATION_DAMPING = 3.0  # [N m s/rad]
 FORCE_MAX = 150.0  # [N] what a person's arm gives
 MOMENT_MAX = 15.0  # [N m]
+PITCH_RATE = 7.6  # [rad/s] of a practised hand: most of its tosses reproduce at 90 degrees or more
 REACH = 0.34  # [m] from the wrist to the pan's centre
 REACH_HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] the pan level, right
 REACH_HOME.setflags(write=False)
@@ -137,7 +138,9 @@ class ReachScript:
         )
 
 
-def wrist_flick(rng: np.random.Generator, spread: float = 1.0) -> HandScript:
+def wrist_flick(
+    rng: np.random.Generator, spread: float = 1.0, pitch_rate: float = PITCH_RATE
+) -> HandScript:
     """A toss from the wrist: flick the front edge up, follow under the pancake, cushion its fall.
 
     It begins at the world's `HOME`, the pan tilted forward and the pancake slid against the front
@@ -147,6 +150,7 @@ def wrist_flick(rng: np.random.Generator, spread: float = 1.0) -> HandScript:
     Args:
         rng: what makes this demonstration differ from the next.
         spread: 0 for the hand's intention, 1 for a person's scatter about it.
+        pitch_rate: intended at the release [rad/s].
     """
 
     def scatter(sd: float, *shape: int) -> np.ndarray:
@@ -156,14 +160,14 @@ def wrist_flick(rng: np.random.Generator, spread: float = 1.0) -> HandScript:
     wrist = np.array([[0.03, 0.02], [0.03, 0.08], [0.0, 0.02]]) + scatter(0.012, 3, 2)
     wrist_speed = np.array([0.75, 0.3]) + scatter(0.15, 2)
     pitch = np.deg2rad([35.0, 30.0, 22.0]) + scatter(np.deg2rad(4.0), 3)
-    pitch_rate = 7.6 * (1.0 + float(scatter(0.08)))
+    rate = pitch_rate * (1.0 + float(scatter(0.08)))
     still = np.zeros((2, 2))
     return HandScript(
         np.concatenate([[0.0], PAUSE + np.concatenate([[0.0], np.cumsum(durations)])]),
         np.vstack([still, wrist]),
         np.vstack([still, wrist_speed, still]),
         np.concatenate([[0.0, 0.0], pitch]),
-        np.array([0.0, 0.0, pitch_rate, 0.0, 0.0]),
+        np.array([0.0, 0.0, rate, 0.0, 0.0]),
     )
 
 
@@ -173,6 +177,7 @@ def reach(rng: np.random.Generator, spread: float = 1.0) -> ReachScript:
     Args:
         rng: what makes this demonstration differ from the next.
         spread: 0 for the hand's intention, 1 for a person's scatter about it.
+        pitch_rate: intended at the release [rad/s].
     """
     goal = REACH_GOAL + spread * 0.01 * rng.standard_normal(3)
     arc = np.array([0.0, 0.0, 0.06]) + spread * 0.01 * rng.standard_normal(3)
