@@ -57,6 +57,7 @@ setup(
             f"demonstration_recorder = {NAME}.nodes.demonstration_recorder:main",
             f"pancake_tracker = {NAME}.nodes.pancake_tracker:main",
             f"learner = {NAME}.nodes.learner:main",
+            f"check_driver = {NAME}.nodes.check_driver:main",
             "wam_sim = hardware_sim.wam_node:main",
             "optitrack_sim = hardware_sim.optitrack_node:main",
             f"wam-power = {NAME}.cli:main",

@@ -122,6 +122,7 @@ class WamSim(Node):
         serve(SetBool, interface.WAM_GRAVITY_COMPENSATE, self._on_gravity_compensate)
         serve(SetBool, interface.WAM_HOLD, self._on_hold)
         serve(Trigger, interface.WAM_IDLE, self._on_idle)
+        serve(Trigger, interface.PANCAKE_DROP, self._on_drop)
         self._home = LateTrigger(self, interface.WAM_MOVE_HOME, self._begin_home)
         self._reset = LateTrigger(self, interface.PANCAKE_RESET, self._begin_reset)
         self._hand = LateTrigger(self, interface.HAND_DEMONSTRATE, self._begin_demonstration)
@@ -209,6 +210,14 @@ class WamSim(Node):
             return f"refused: the arm is {far:.3f} rad from the start of {policy.id}"
         self._put_back(policy.id, policy.q_start)
         return None
+
+    def _on_drop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success = not (self.lockstep or self.world.pulled)
+        if response.success:
+            self.world.drop()
+        else:
+            response.message = "refused: only in real time, and while nobody leads the arm"
+        return response
 
     def _put_back(self, name: str, q: np.ndarray) -> None:
         self.world.reset(name, q)

@@ -273,6 +273,12 @@ class World:
         """Let something pull at the pan from now on."""
         self._puller, self._puller_start_ns = puller, self.time_ns
 
+    def drop(self, height: float = 0.7) -> None:
+        """Let the pancake fall, edge first, from a height over the pan [m]: drag is least so."""
+        self._pancake_q[:] = [*self._pan_position, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]
+        self._pancake_q[2] += height
+        self._qvel[N:] = 0.0
+
     @property
     def pulled(self) -> bool:
         """Whether something still pulls at the pan."""

@@ -127,7 +127,7 @@ class Processes:
 
     def __init__(self, domain_id: int, folder: Path) -> None:
         self._folder = folder
-        self._environment = os.environ | {
+        self.environment = os.environ | {
             "ROS_DOMAIN_ID": str(domain_id),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
@@ -154,7 +154,7 @@ class Processes:
             process = subprocess.Popen(
                 command,
                 cwd=ROOT,
-                env=self._environment | environment,
+                env=self.environment | environment,
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )

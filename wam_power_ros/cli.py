@@ -34,6 +34,7 @@ NODES = {  # executable -> module with a main(); setup.py has the same entry poi
     "demonstration_recorder": "wam_power_ros.nodes.demonstration_recorder",
     "pancake_tracker": "wam_power_ros.nodes.pancake_tracker",
     "learner": "wam_power_ros.nodes.learner",
+    "check_driver": "wam_power_ros.nodes.check_driver",
     "wam_sim": "hardware_sim.wam_node",
     "optitrack_sim": "hardware_sim.optitrack_node",
 }

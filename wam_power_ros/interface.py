@@ -62,6 +62,7 @@ WAM_HOLD = "/wam/holdJointPosition"
 WAM_MOVE_HOME = "/wam/moveHome"
 WAM_IDLE = "/wam/idle"
 PANCAKE_RESET = "/pancake/reset"  # stand-in only
+PANCAKE_DROP = "/pancake/drop"  # stand-in only
 HAND_DEMONSTRATE = "/hand/demonstrate"  # stand-in only
 
 # Frames

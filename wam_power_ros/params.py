@@ -76,6 +76,17 @@ class Params(BaseModel):
         return cls._checked(f"{node} in {path}", values)
 
     @classmethod
+    def of_values(cls: type[P], whose: str, values: Mapping[str, object]) -> P:
+        """Check values read from YAML, for a node called `whose`; ROS's own among them are left.
+
+        Raises:
+            ValueError: as for `of`.
+        """
+        own = {name: value for name, value in values.items() if not name.startswith(OF_ROS)}
+        lists = {name: tuple(value) for name, value in own.items() if isinstance(value, list)}
+        return cls._checked(whose, own | lists)
+
+    @classmethod
     def _checked(cls: type[P], whose: str, values: Mapping[str, object]) -> P:
         try:
             return cls(**values)

@@ -56,6 +56,15 @@ class PancakeTrackerParams(Params):
     silence: float
     clock_offset_max: float
 
+    def settings(self) -> TrackerSettings:
+        """Those of the core.
+
+        Raises:
+            ValueError: One is out of range.
+        """
+        fields = TrackerSettings.__dataclass_fields__
+        return TrackerSettings(**self.model_dump(include=set(fields)))
+
 
 class _Rollout(NamedTuple):
     """A finished rollout whose path is owed."""
@@ -77,8 +86,7 @@ class PancakeTracker(Node):
                 f"give pose_topic or markers_topic, not {params.pose_topic!r} and "
                 f"{params.markers_topic!r}"
             )
-        fields = TrackerSettings.__dataclass_fields__
-        self._tracker = Tracker(TrackerSettings(**params.model_dump(include=set(fields))))
+        self._tracker = Tracker(params.settings())
         self._owed: _Rollout | None = None
         self._offset = ClockOffset()
         self._trouble = ""  # the last thing refused, or wrong with a path

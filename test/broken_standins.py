@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stand-ins, wrong in one way that can be changed while they run: /fault names it."""
+
+from __future__ import annotations
+
+import sys
+from array import array
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from hardware_sim import optitrack_node, standins, wam_node
+from hardware_sim.sensing import MocapFrame
+from wam_power_ros import interface, rotations
+from wam_power_ros.tracker import Y_UP
+
+FAULTS = ("none", "wrong order", "no velocity", "100 Hz", "frozen", "Y-up", "no watchdog")
+Z_UP = Y_UP.T  # of a motion capture with y up, what is z up for us
+
+
+class _Fault:
+    """The fault that is on; both nodes are of one process."""
+
+    name = "none"
+
+
+class BrokenWam(wam_node.WamSim):
+    """A driver whose names, velocities, rate or watchdog are wrong."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._count = 0
+        self._held: interface.TorqueReading | None = None
+        self.create_subscription(String, "/fault", self._on_fault, interface.LATCHED)
+
+    def _on_fault(self, message: String) -> None:
+        _Fault.name, self._held = message.data, None
+
+    def publish(self, message: JointState) -> None:
+        """One state, if the rate allows, as the broken driver tells it."""
+        self._count += 1
+        if _Fault.name == "100 Hz" and self._count % 5:
+            return
+        names = list(self.params.joint_names)
+        message.name = names[::-1] if _Fault.name == "wrong order" else names
+        if _Fault.name == "no velocity":
+            message.velocity = array("d")
+        super().publish(message)
+
+    def tick(self, reading: interface.TorqueReading | None) -> JointState:
+        """One step; without a watchdog the last torque is held for ever."""
+        self._held = reading or self._held
+        return super().tick(self._held if _Fault.name == "no watchdog" else reading)
+
+
+class BrokenOptitrack(optitrack_node.OptitrackSim):
+    """A motion capture that repeats its last pose, or has y up."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._seen: MocapFrame | None = None
+
+    def publish(self, frame: MocapFrame, stamp_offset_ns: int) -> None:
+        """One frame as the broken motion capture tells it."""
+        if _Fault.name == "frozen" and self._seen is not None:
+            frame = self._seen._replace(stamp_ns=frame.stamp_ns)
+        elif _Fault.name == "Y-up":
+            quat_xyzw = rotations.multiply(rotations.quat_xyzw(Z_UP), frame.quat_xyzw)
+            markers = None if frame.markers is None else np.asarray(frame.markers) @ Z_UP.T
+            frame = frame._replace(
+                position=Z_UP @ frame.position, quat_xyzw=quat_xyzw, markers=markers
+            )
+        else:
+            self._seen = frame
+        super().publish(frame, stamp_offset_ns)
+
+
+if __name__ == "__main__":
+    standins.WamSim, standins.OptitrackSim = BrokenWam, BrokenOptitrack
+    sys.exit(standins.main())

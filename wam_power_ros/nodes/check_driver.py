@@ -1,0 +1,445 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check of the drivers: what controller and tracker would hear in, a table and a verdict out.
+
+Listens, asks, and sends torques only with consent, none that could move the arm. It is run before
+anything is activated; what it finds is judged by `conformance` and the modules beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import select
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from rclpy.utilities import remove_ros_args
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+from sensor_msgs.msg import JointState, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from wam_power_ros import (
+    arm_conformance,
+    conformance,
+    interface,
+    mocap_conformance,
+    real_time,
+    setups,
+)
+from wam_power_ros.arm import Arm
+from wam_power_ros.arm_conformance import ArmRecord, StateSample
+from wam_power_ros.command_check import CommandCheck
+from wam_power_ros.conformance import Endpoint, Row, Verdict
+from wam_power_ros.mocap_conformance import CloudSample, FrameSample
+from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
+from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
+from wam_power_ros.resources import share
+
+HEAR_ALL = QoSProfile(
+    depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
+)
+OURS = {"torque_controller", "demonstration_recorder", "check_driver"}  # no driver, no intruder
+PATIENCE = 5.0  # [s] for the first message, and for discovery
+DROPS = 3  # of the stand-in's body, should a busy machine miss frames of a fall
+FALL = 2.0  # [s] in which a body that was let go has fallen
+STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
+COLOURS = {
+    Verdict.OK: "green",
+    Verdict.WARN: "yellow",
+    Verdict.FAIL: "bold red",
+    Verdict.UNCHECKED: "dim",
+}
+
+
+class Keyboard:
+    """Lines of standard input, asked for without waiting; closed is as if all were skipped."""
+
+    def __init__(self) -> None:
+        self._text = b""
+        self.closed = False
+
+    def line(self) -> str | None:
+        """A line if one has come."""
+        if b"\n" not in self._text and not self.closed and select.select([0], [], [], 0.0)[0]:
+            came = os.read(0, 4096)
+            self.closed = not came
+            self._text += came
+        if b"\n" not in self._text:
+            return None
+        line, _, self._text = self._text.partition(b"\n")
+        return line.decode(errors="replace").strip()
+
+
+class CheckDriver(Node):
+    """Hears the devices of one set-up."""
+
+    def __init__(
+        self, arm: TorqueControllerParams, mocap: PancakeTrackerParams, console: Console
+    ) -> None:
+        super().__init__("check_driver")
+        self._arm_params, self._mocap, self._console = arm, mocap, console
+        self._keyboard = Keyboard()
+        self._read = interface.JointStateReader(arm.joint_names)
+        self.states: list[StateSample] = []
+        self.velocities: list[tuple[int, np.ndarray]] = []
+        self.frames: list[FrameSample] = []
+        self.clouds: list[CloudSample] = []
+        self._unread: Counter[str] = Counter()  # of the motion capture
+        self._urdf = share(arm.urdf).read_text() if arm.urdf else ""
+        self._torques = 0
+        self._answer: Callable[[StateSample], None] | None = None
+        self._command_type = interface.COMMAND_TYPES[arm.command_type]
+        subscribe = self.create_subscription
+        subscribe(JointState, arm.state_topic, self._on_state, HEAR_ALL)
+        if arm.velocity_topic:
+            subscribe(JointState, arm.velocity_topic, self._on_velocity, HEAR_ALL)
+        if mocap.markers_topic:
+            subscribe(PointCloud2, mocap.markers_topic, self._on_cloud, HEAR_ALL)
+        else:
+            subscribe(PoseStamped, mocap.pose_topic, self._on_pose, HEAR_ALL)
+        if not arm.urdf:
+            subscribe(String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED)
+        self._listener = subscribe(self._command_type, arm.command_topic, self._on_torque, HEAR_ALL)
+        self._drop = self.create_client(Trigger, interface.PANCAKE_DROP)
+        real_time.request(arm.realtime_priority)  # to hear what the controller will hear
+        self._executor = real_time.executor_for(self)
+
+    # What comes
+
+    def _on_state(self, message: JointState) -> None:
+        q, qd, tau = (np.array(v) for v in (message.position, message.velocity, message.effort))
+        stamp_ns = interface.nanoseconds(message.header.stamp)
+        sample = StateSample(time.time_ns(), stamp_ns, tuple(message.name), q, qd, tau)
+        self.states.append(sample)
+        if self._answer is not None:
+            self._answer(sample)
+
+    def _on_velocity(self, message: JointState) -> None:
+        try:
+            qd = self._read.velocity(message)
+        except ValueError:
+            return
+        if qd is not None:
+            self.velocities.append((time.time_ns(), qd))
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        stamp_ns = interface.nanoseconds(message.header.stamp)
+        p, o = message.pose.position, message.pose.orientation
+        position, quat_xyzw = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
+        self.frames.append(FrameSample(time.time_ns(), stamp_ns, position, quat_xyzw))
+
+    def _on_cloud(self, message: PointCloud2) -> None:
+        try:
+            stamp_ns, _, points = interface.markers(message)
+        except ValueError as error:
+            self._unread[str(error)] += 1
+            return
+        self.clouds.append(CloudSample(time.time_ns(), stamp_ns, points))
+
+    def _on_urdf(self, message: String) -> None:
+        self._urdf = message.data
+
+    def _on_torque(self, _: object) -> None:
+        self._torques += 1
+
+    # Waiting
+
+    def spin(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Listen for a while [s], or until something is so."""
+        end = time.monotonic() + seconds
+        while not until() and (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(timeout_sec=min(left, 0.05))
+
+    def ask(self, question: str) -> str | None:
+        """A person's answer, listening meanwhile; None when nobody is at the keyboard."""
+        if not self._keyboard.closed:
+            self._console.print(question)
+        answer = None
+        while answer is None and not self._keyboard.closed:
+            self.spin(0.05)
+            answer = self._keyboard.line()
+        return answer
+
+    # The table
+
+    def check(self, seconds: float, active: bool) -> list[Row]:
+        """Every row; `seconds` are listened, `active` consents to the test of the watchdog."""
+        self.spin(PATIENCE, lambda: bool(self.states and (self.frames or self.clouds)))
+        for heard in (self.states, self.velocities, self.frames, self.clouds):
+            heard.clear()
+        self._console.print(f"Listening for {seconds:.0f} s. The arm rests, the body lies in view.")
+        self.spin(seconds)
+        if not (self.states or self.frames or self.clouds):
+            topics = (self._arm_params.state_topic, self._mocap.pose_topic or "")
+            topics = " nor on ".join(filter(None, (*topics, self._mocap.markers_topic)))
+            raise ValueError(
+                f"nothing is heard on {topics}: start the drivers; ROS_DOMAIN_ID and "
+                "ROS_AUTOMATIC_DISCOVERY_RANGE must be theirs"
+            )
+        if not self._urdf:
+            raise ValueError(f"nothing has come on {interface.ROBOT_DESCRIPTION}")
+        arm = Arm(self._urdf, self._arm_params.model_joint_names, self._arm_params.tool_frame)
+        rows, record = self._arm_rows(arm, seconds)
+        path = self._command_path()
+        mocap = self._mocap_rows(arm, record, seconds)
+        rows += [path, self._watchdog(arm, record, path, active), self._service()]
+        frozen = any(row.name == "mocap frozen" and row.verdict is Verdict.FAIL for row in mocap)
+        fall = [] if frozen or not (self.frames or self.clouds) else [self._fall()]
+        return [*rows, *mocap, *fall, *self._by_hand(arm, record)]
+
+    def _arm_rows(self, arm: Arm, seconds: float) -> tuple[list[Row], ArmRecord]:
+        params = self._arm_params
+        ends = self._sent_by(params.state_topic)
+        record, names = arm_conformance.collect(self.states, params.joint_names)
+        alive = conformance.heard("states", params.state_topic, len(self.states), seconds, ends)
+        if not len(record.q):
+            return [alive, names] if self.states else [alive], record
+        if params.velocity_topic:
+            received = np.array([received_ns for received_ns, _ in self.velocities])
+            qd = np.array([qd for _, qd in self.velocities])
+            record = arm_conformance.with_velocity(record, received, qd)
+        return [
+            alive,
+            names,
+            conformance.publishers("state QoS", "sensor_msgs/msg/JointState", ends),
+            conformance.rate("state rate", record.stamp_ns, 1.0 / params.period),
+            conformance.jitter("state jitter", record.received_ns, params.period),
+            conformance.stamps("state stamps", record.stamp_ns),
+            conformance.clock("state clock", record.received_ns, record.stamp_ns),
+            arm_conformance.positions(record, arm),
+            arm_conformance.velocity(record, params.velocity_topic),
+            arm_conformance.effort(record),
+            arm_conformance.gravity(record, arm),
+        ], record
+
+    def _command_path(self) -> Row:
+        topic = self.resolve_topic_name(self._arm_params.command_topic)
+        drivers = _ends(self.get_subscriptions_info_by_topic(topic))
+        commanders = _ends(self.get_publishers_info_by_topic(topic))
+        package, message = self._command_type.__module__.split(".")[0], self._command_type.__name__
+        return conformance.command_path(
+            topic, f"{package}/msg/{message}", drivers, commanders, self._torques
+        )
+
+    def _service(self) -> Row:
+        known = dict(self.get_service_names_and_types())
+        services = {name: types[0] for name, types in known.items()}
+        wanted = self._arm_params.idle_service
+        return conformance.offered("idle service", "std_srvs/srv/Trigger", services, wanted)
+
+    def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
+        params, settings = self._mocap, self._mocap.settings()
+        topic = params.markers_topic or params.pose_topic
+        ends = self._sent_by(topic)
+        type_ = "sensor_msgs/msg/PointCloud2" if params.markers_topic else ""
+        samples = self.clouds or self.frames
+        alive = conformance.heard("mocap", topic, len(samples), seconds, ends)
+        if not samples:
+            return [alive]
+        received = np.array([sample.received_ns for sample in samples])
+        stamp_ns = np.array([sample.stamp_ns for sample in samples])
+        age = float(np.median(record.received_ns - record.stamp_ns)) if len(record.q) else 0.0
+        pan = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
+        found = [
+            alive,
+            conformance.publishers("mocap QoS", type_ or "geometry_msgs/msg/PoseStamped", ends),
+            conformance.rate("mocap rate", stamp_ns, params.rate),
+            conformance.jitter("mocap jitter", received, 1.0 / params.rate),
+            conformance.stamps("mocap stamps", stamp_ns),
+            mocap_conformance.latency(
+                received, stamp_ns, 1e-9 * age, params.latency_offset, params.clock_offset_max
+            ),
+        ]
+        frames = self.frames
+        if params.markers_topic:
+            frames, layout = mocap_conformance.poses(self.clouds)
+            found.append(layout)
+        found += mocap_conformance.usable(frames, settings, self._unread)
+        return [*found, mocap_conformance.place(frames, settings, pan)]
+
+    # What is asked
+
+    def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
+        """Send a mark and then nothing, if a person agrees."""
+
+        def unchecked(why: str) -> Row:
+            return Row("watchdog", "a driver that ends an old torque", why, Verdict.UNCHECKED)
+
+        if path.verdict is Verdict.FAIL:
+            return unchecked("see the command path")
+        if not record.still or record.tau is None:
+            return unchecked("the arm moves, or the driver tells no effort")
+        q, tau = record.q.mean(axis=0), record.tau.mean(axis=0)
+        params = self._arm_params
+        names, adds = params.joint_names, params.driver_compensates_gravity
+        try:
+            check = CommandCheck(arm, names, adds, q, tau)
+        except ValueError as error:
+            return unchecked(str(error))
+        question = f"Watchdog: {check.warning}. Hand on the pendant, then type yes: "
+        if not active and self.ask(question) != "yes":
+            return unchecked("asks for consent: --active, or yes at the keyboard")
+        self.destroy_subscription(self._listener)
+        write = interface.TorqueWriter(names, params.command_type)
+        publisher = self.create_publisher(
+            write.message_type, params.command_topic, interface.COMMAND
+        )
+        self.spin(PATIENCE, lambda: publisher.get_subscription_count() > 0)
+
+        def answer(sample: StateSample) -> None:
+            state, _ = arm_conformance.collect([sample], names)
+            if len(state.q) and state.tau is not None:
+                torque = check.step(sample.stamp_ns, state.q[0], state.tau[0])
+                if torque is not None:
+                    publisher.publish(write(sample.stamp_ns, "check", torque))
+
+        self._answer = answer
+        try:
+            self.spin(PATIENCE, lambda: check.over)
+        finally:
+            self._answer = None
+            if not check.over:
+                publisher.publish(write(record.stamp_ns[-1], "check", check.carrier))
+            self.spin(0.1)
+            self.destroy_publisher(publisher)
+        return check.row()
+
+    def _fall(self) -> Row:
+        """Watch the body fall; the stand-in drops it by itself."""
+        samples = self.clouds if self._mocap.markers_topic else self.frames
+        if self._drop.service_is_ready():
+            for _ in range(DROPS):
+                samples.clear()
+                self._drop.call_async(Trigger.Request())
+                self.spin(0.5 * FALL)
+                if (row := self._fallen()).verdict is not Verdict.UNCHECKED:
+                    break
+            return row
+        question = "Axes: hold the marker body a metre up, on edge, in view. Press Enter, then let "
+        answer = self.ask(f"{question}go within {FALL:.0f} s (s: skip): ")
+        samples.clear()
+        if answer is not None and answer != "s":
+            self.spin(2.0 * FALL)
+        return self._fallen()
+
+    def _fallen(self) -> Row:
+        frames = self.frames
+        if self._mocap.markers_topic:
+            frames, _ = mocap_conformance.poses(self.clouds)
+        return mocap_conformance.fall(frames, self._mocap.settings())
+
+    def _by_hand(self, arm: Arm, record: ArmRecord) -> list[Row]:
+        """Let a person move each joint."""
+        if not len(record.q) or self.ask("Lead each joint by hand? (y, else skip) ") != "y":
+            advice = "answer y at the keyboard, with the arm free to be led"
+            what = "each joint moves as the one it is called"
+            return [Row("joints by hand", what, "not asked", Verdict.UNCHECKED, advice)]
+        rows: list[Row] = []
+        for joint, name in enumerate(record.joint_names):
+            way = arm_conformance.heading(arm, record.q[-1], joint)
+            self.states.clear()
+            if self.ask(f"{name}: lead it alone until {way}, then Enter (s: skip) ") == "s":
+                continue
+            record, _ = arm_conformance.collect(self.states, record.joint_names)
+            rows.append(arm_conformance.led(record, joint))
+        return rows
+
+    def _sent_by(self, topic: str) -> list[Endpoint]:
+        return _ends(self.get_publishers_info_by_topic(self.resolve_topic_name(topic)), ())
+
+
+def _ends(infos: Sequence[TopicEndpointInfo], but: Sequence[str] = tuple(OURS)) -> list[Endpoint]:
+    return [
+        Endpoint(
+            info.node_name,
+            info.topic_type,
+            info.qos_profile.reliability == ReliabilityPolicy.RELIABLE,
+            info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
+        )
+        for info in infos
+        if info.node_name not in but
+    ]
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    """What was found; with what was expected and what to do, where these differ."""
+    table = Table("", "", "found")
+    for row in rows:
+        verdict, lines = row.verdict, [escape(row.found)]
+        if verdict is not Verdict.OK:
+            lines.append(f"[dim]expected: {escape(row.expected)}[/dim]")
+        if row.advice:
+            lines.append(f"[italic]{escape(row.advice)}[/italic]")
+        mark = f"[{COLOURS[verdict]}]{verdict.value}[/{COLOURS[verdict]}]"
+        table.add_row(row.name, mark, "\n".join(lines))
+    return table
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="check_driver",
+        description="Check the drivers of arm and motion capture before anything moves. "
+        "Exit status: 0 conforms, 1 does not, 2 cannot be checked.",
+    )
+    parser.add_argument(
+        "--config", action="append", default=[], metavar="NAME", help="set-up, as for wam-power"
+    )
+    parser.add_argument("--seconds", type=float, default=5.0, help="to listen (default 5)")
+    parser.add_argument(
+        "--active", action="store_true", help="test the watchdog; a hand is on the pendant"
+    )
+    parser.add_argument(
+        "--accept", nargs="+", default=[], metavar="ROW", help="failures that you know and accept"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows there as well")
+    return parser
+
+
+def main() -> int:
+    """Entry point of `ros2 run wam_power_ros check_driver`; returns the exit status."""
+    options = _parser().parse_args(remove_ros_args(sys.argv)[1:])
+    console, errors = Console(), Console(stderr=True)
+    node = None
+    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        setup = setups.setup(options.config)
+        arm = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
+        mocap = PancakeTrackerParams.of_values("pancake_tracker", setup["pancake_tracker"])
+        node = CheckDriver(arm, mocap, console)
+        rows = conformance.accepted(node.check(options.seconds, options.active), options.accept)
+    except (ValueError, OSError) as error:
+        errors.print(f"cannot check: {error}", markup=False)
+        return 2
+    except KeyboardInterrupt:
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    result, sentence = conformance.verdict(rows)
+    console.print(_table(rows))
+    console.print(sentence, style=COLOURS[result])
+    if options.json is not None:
+        table = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
+        text = {"verdict": result.value, "said": sentence, "config": options.config, "rows": table}
+        options.json.write_text(json.dumps(text, indent=1) + "\n")
+    return STATUS[result]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
