@@ -81,6 +81,7 @@ class StandIns:
     def _real_time(self, executor: Executor, ended: Callable[[], bool]) -> None:
         self.wam.on_torque = lambda reading: self._in.put(time.monotonic_ns(), reading)
         deadline_ns = time.monotonic_ns() + PERIOD_NS
+        self.wam.stamp_offset_ns = time.time_ns() - self.wam.world.time_ns  # the clock starts now
         while not ended():
             now = time.monotonic_ns()
             if now < deadline_ns:

@@ -40,24 +40,21 @@ class Bench:
             command += ["--params-file", str(ROOT / f"config/{name}.yaml")]
         command += ["-p", "wam_sim:pace:=real_time", "-p", "wam_sim:realtime_priority:=70"]
         self.process = self.processes.start(command)
-        self.torques = self.probe.listen(
-            interface.COMMAND_TYPES["multiarray"], interface.EFFORT_COMMANDS, interface.COMMAND
-        )
         self._faults = self.probe.publisher(String, "/fault", interface.LATCHED)
 
-    def check(self, *arguments: str, fault: str = "none") -> dict[str, Any]:
+    def check(self, *arguments: str, fault: str = "none", typed: str = "") -> dict[str, Any]:
         """What check_driver writes under a fault, with its exit status and output."""
         self._faults.publish(String(data=fault))
         self.probe.spin(0.2)
         file = self._folder / "rows.json"
         file.unlink(missing_ok=True)
         command = [sys.executable, "-m", "wam_power_ros.cli", "run", "check_driver"]
-        command += ["--seconds", "1.5", "--json", str(file), *arguments]
+        command += ["--seconds", "1", "--json", str(file), *arguments]
         ended = subprocess.run(
             command,
             cwd=ROOT,
             env=self.processes.environment,
-            stdin=subprocess.DEVNULL,
+            input=typed,
             capture_output=True,
             text=True,
             timeout=300,
@@ -87,8 +84,9 @@ def failing(table: dict[str, Any]) -> list[str]:
 
 
 def test_the_stand_in_conforms(bench: Bench) -> None:
-    table = bench.check("--active")
+    table = bench.check("--active", typed="y\n" + 7 * "\n")  # asked to lead joints, nobody does
     assert (table["status"], failing(table)) == (0, [])
+    assert table["rows"]["wam_j7 by hand"]["found"] == "no joint moved"
     assert "CONFORMS" in table["output"]
     for name in ("joint names", "gravity", "command path", "mocap axes"):
         assert table["rows"][name]["verdict"] == "ok", name
@@ -99,14 +97,21 @@ def test_the_stand_in_conforms(bench: Bench) -> None:
 def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
     bench: Bench, fault: str
 ) -> None:
-    consent = ["--active"] if fault == "no watchdog" else []
-    bench.torques.clear()
-    table = bench.check(*consent, fault=fault)
+    table = bench.check(*(["--active"] if fault == "no watchdog" else []), fault=fault)
     name, said = BROKEN[fault]
-    assert bool(bench.torques) == bool(consent)  # none is sent that nobody has agreed to
     assert (table["status"], failing(table)) == (1, [name])
     assert said in table["rows"][name]["found"] + table["rows"][name]["advice"]
     assert f"DOES NOT CONFORM, let nothing move: {name}" in " ".join(table["output"].split())
+
+
+def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
+    torques = bench.probe.listen(
+        interface.COMMAND_TYPES["multiarray"], interface.EFFORT_COMMANDS, interface.COMMAND
+    )
+    table = bench.check(typed="no\n")
+    bench.probe.spin(0.5)
+    assert (table["rows"]["watchdog"]["verdict"], torques) == ("not checked", [])
+    assert table["rows"]["command path"]["found"] == "heard by probe, wam_sim"
 
 
 def test_where_nothing_is_heard_nothing_can_be_checked(processes: Processes) -> None:
