@@ -15,18 +15,19 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # A sourced ROS 2 Jazzy brings its own rclpy, NumPy 1 and Pinocchio; a plain machine gets all from PyPI.
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_FLAGS := --system-site-packages
-EXTRAS := sim,dev
+EXTRAS := sim,cluster,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
 else
 VENV_FLAGS :=
-EXTRAS := plain,sim,dev
+EXTRAS := plain,sim,cluster,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 endif
 
-.PHONY: help learn test lint format build venv clean
+.PHONY: help learn reproduce test lint format build venv clean
 
 help:
 	@echo 'make learn [ARGS="--seed 3"]   the arm learns to flip a pancake, in simulation'
+	@echo 'make reproduce                 the paper from scratch, with a report (under an hour on 2 cores)'
 	@echo 'make test  [ARGS="-k power"]   the tests'
 	@echo 'make lint                      ruff: rules and format'
 	@echo 'make build                     colcon build, with colcon from PyPI'
@@ -49,6 +50,9 @@ $(READY): requirements.txt setup.py setup.cfg
 
 learn: $(READY)
 	$(BIN)/wam-power learn $(ARGS)
+
+reproduce: $(READY)
+	$(BIN)/wam-power reproduce $(ARGS)
 
 test: $(READY)
 	$(BIN)/python -m pytest $(ARGS)

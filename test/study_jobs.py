@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Jobs of the tests of studies, in a module of their own: workers import it."""
+"""Jobs of the tests of studies, in a module of their own as workers import it; a study of them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from wam_power_ros import study_figures
+from wam_power_ros.experiments.chapters import Chapter, Claim, Figure, Table
+from wam_power_ros.experiments.studies import Job
 
 
 def draw(seed: int, seconds: float = 0.0) -> dict[str, Any]:
@@ -31,3 +35,26 @@ def fail(why: str) -> dict[str, Any]:
 def give(what: str) -> dict[str, Any]:
     """What no result may be."""
     return {"nan": {"value": float("nan")}, "array": {"value": np.zeros(3)}}[what]
+
+
+def jobs(scale: str) -> list[Job]:
+    """As every study has them."""
+    count = {"full": 12, "quick": 3}[scale]
+    return [Job("draws", f"seed-{seed}", draw, {"seed": seed}) for seed in range(1, 1 + count)]
+
+
+def chapter(results: dict[str, dict[str, dict[str, Any]]]) -> Chapter:
+    """As every study has it."""
+    means = [float(np.mean(result["numbers"])) for result in results["draws"].values()]
+    claim = Claim(
+        "The mean <of> draws is zero",
+        "0",
+        f"{np.mean(means):.3f}",
+        f"sd {np.std(means):.3f}",
+        f"{len(means)} seeds",
+        met=abs(np.mean(means)) < 1.0,
+    )
+    rows = [[key, f"{mean:.3f}"] for key, mean in zip(results["draws"], means, strict=True)]
+    drawn = Figure.of("draws", "All of them.", study_figures.strips({"draws": means}))
+    lost = Figure("film", "There is no OpenGL.", b"")
+    return Chapter("Draws", ["Normal."], [claim], [Table("", ["", "mean"], rows)], [drawn, lost])

@@ -11,6 +11,7 @@ import argparse
 import importlib
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -125,6 +126,29 @@ def _parser() -> argparse.ArgumentParser:
     )
     enable.set_defaults(command=_enable)
 
+    reproduce = commands.add_parser(
+        "reproduce",
+        help="the paper's results from scratch, with a report; goes on where it was stopped",
+        description="Run every study of the paper in simulation and write a report of it.",
+    )
+    reproduce.add_argument(
+        "--folder", type=Path, help="of results and report (default: reproduction)"
+    )
+    reproduce.add_argument(
+        "--jobs", type=_natural, default=os.cpu_count(), help="processes (default: one a core)"
+    )
+    reproduce.add_argument(
+        "--quick", action="store_true", help="a few seeds, to see that it works (minutes)"
+    )
+    reproduce.add_argument("--only", nargs="+", metavar="STUDY", help="of these studies alone")
+    reproduce.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        default=os.environ.get("DASK_SCHEDULER_ADDRESS"),
+        help="of a Dask cluster that computes instead (default: $DASK_SCHEDULER_ADDRESS)",
+    )
+    reproduce.set_defaults(command=_reproduce)
+
     run = commands.add_parser(
         "run",
         help="start one node, as ros2 run does",
@@ -226,6 +250,33 @@ def _learn(options: argparse.Namespace) -> int:
         raise
     print(live.summary(records))
     return _report(argparse.Namespace(session=folder))
+
+
+def _reproduce(options: argparse.Namespace) -> int:
+    # One thread a process: with more, sums are ordered otherwise and last digits move. To be set
+    # before NumPy is imported; worker processes inherit it.
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    from wam_power_ros.experiments import reproduce, studies
+
+    folder = options.folder or Path("reproduction-quick" if options.quick else "reproduction")
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        report = reproduce.run(
+            folder,
+            "quick" if options.quick else "full",
+            options.jobs,
+            options.scheduler,
+            options.only or reproduce.STUDIES,
+        )
+    except KeyboardInterrupt:
+        again = shlex.join(sys.argv[1:] if sys.argv[1:2] == ["reproduce"] else ["reproduce"])
+        print(f"\nStopped. What is finished is in {folder}. To go on:\n  wam-power {again}")
+        return 130
+    except studies.JobError as error:
+        print(f"wam-power: {error}What is finished is in {folder}.", file=sys.stderr)
+        return 1
+    print(f"Report: {_shown(report.resolve())}")
+    return 0
 
 
 def _report(options: argparse.Namespace) -> int:

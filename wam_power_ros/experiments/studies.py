@@ -32,6 +32,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,7 @@ OURS = ("wam_power_ros", "hardware_sim")
 NUMERICAL = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # their versions move last digits
 DATA = ("config", "urdf", "bags")
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+CLUSTER_TIMEOUT = 120.0  # [s]
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
 
 
@@ -111,7 +113,8 @@ class JobError(Exception):
 class _Done:
     """What a worker hands back: a result as JSON, or what went wrong."""
 
-    job: int  # its place
+    place: int  # of the job
+    digest: str
     text: str
     error: str
     wall: float  # [s]
@@ -134,7 +137,8 @@ def run(
         jobs: No two of one study and key.
         folder: Of the results; made if it is not there.
         workers: Processes of this machine.
-        scheduler: Address of a Dask scheduler; its workers compute then, not this machine.
+        scheduler: Address of a Dask scheduler; its workers compute then, not this machine. They
+            need the same sources and libraries, and OMP_NUM_THREADS=1 as Dask's nannies set it.
         console: For progress, standard error if omitted.
 
     Returns:
@@ -150,38 +154,36 @@ def run(
     if workers < 1:
         raise ValueError(f"workers = {workers} must be at least 1")
     console = console or Console(stderr=True)
-    found, stale = {}, 0
-    digests = [digest(job) for job in jobs]
-    for place, job in enumerate(jobs):
-        path = _path(folder, job)
-        if path.exists():
-            result = _read(path, digests[place])
-            if result is None:
-                stale += 1
-            else:
-                found[place] = result
+    results = found(jobs, folder)
+    stale = sum(_path(folder, job).exists() for job in jobs) - len(results)
     if stale:
         console.print(f"{stale} results of other sources, arguments or versions are not used.")
-    if found:
-        console.print(f"{len(found)} of {len(jobs)} results are there already.")
+    if results:
+        console.print(f"{len(results)} of {len(jobs)} results are there already.")
     failed: list[str] = []
-    with _progress(jobs, found, console) as advance, contextlib.ExitStack() as stack:
-        left = [place for place in range(len(jobs)) if place not in found]
-        for done in _computed(jobs, digests, left, workers, scheduler, stack):
-            job = jobs[done.job]
+    with _progress(jobs, results, console) as advance, contextlib.ExitStack() as stack:
+        left = [job for job in jobs if job.name not in results]
+        for done in _computed(left, workers, scheduler, stack):
+            job = left[done.place]
             if done.error:
                 failed.append(f"{job.name}: {done.error}")
             else:
-                _write(_path(folder, job), digests[done.job], done.text)
+                _write(_path(folder, job), done.digest, done.text)
                 _note(folder, job, done)
-                found[done.job] = json.loads(done.text)
+                results[job.name] = json.loads(done.text)
             advance(job)
     if failed:
         raise JobError(f"{len(failed)} of {len(jobs)} jobs failed.\n" + "\n".join(failed))
-    results: Results = {}
-    for place, job in enumerate(jobs):
-        results.setdefault(job.study, {})[job.key] = found[place]
-    return results
+    ordered: Results = {}
+    for job in jobs:
+        ordered.setdefault(job.study, {})[job.key] = results[job.name]
+    return ordered
+
+
+def found(jobs: Sequence[Job], folder: Path) -> dict[str, dict[str, Any]]:
+    """Results that are in the folder and may be used, by the names of their jobs."""
+    read = {job.name: _read(_path(folder, job), job) for job in jobs}
+    return {name: result for name, result in read.items() if result is not None}
 
 
 def spent(jobs: Sequence[Job], folder: Path) -> tuple[float, float]:
@@ -241,12 +243,17 @@ def _counts(name: str) -> bool:
 
 
 def _file(name: str) -> Path | None:
-    """Source of a module, None when the name is something else."""
-    try:
-        spec = importlib.util.find_spec(name)
-    except (ImportError, ValueError, AttributeError):  # a name within a module, or __main__
+    """Source of a module, which is not imported for it; None when the name is something else."""
+    root, *rest = name.split(".")
+    if root == "__main__" or (spec := importlib.util.find_spec(root)) is None:
         return None
-    return Path(spec.origin) if spec and spec.origin and spec.origin.endswith(".py") else None
+    if spec.origin is None or not spec.origin.endswith(".py"):
+        return None
+    if not rest:
+        return Path(spec.origin)
+    within = Path(spec.origin).parent.joinpath(*rest)
+    places = (within.with_name(f"{within.name}.py"), within / "__init__.py")
+    return next((path for path in places if path.is_file()), None)
 
 
 def _imports(path: Path) -> Iterator[str]:
@@ -294,15 +301,10 @@ def _json(data: object) -> str:
 
 
 def _computed(
-    jobs: Sequence[Job],
-    digests: Sequence[str],
-    left: Sequence[int],
-    workers: int,
-    scheduler: str | None,
-    stack: contextlib.ExitStack,
+    jobs: Sequence[Job], workers: int, scheduler: str | None, stack: contextlib.ExitStack
 ) -> Iterator[_Done]:
-    """Compute some jobs, each handed out as soon as it is finished."""
-    if not left:
+    """Compute jobs, each handed out as soon as it is finished."""
+    if not jobs:
         return
     here = None
     if scheduler is None:
@@ -311,11 +313,14 @@ def _computed(
     else:
         config = parallel_config("dask", client=stack.enter_context(_cluster(scheduler)))
         workers = -1  # all that the cluster has
+    calls = (delayed(_execute)(place, job, digest(job), here) for place, job in enumerate(jobs))
     with config:
-        calls = (delayed(_execute)(place, jobs[place], digests[place], here) for place in left)
-        results = Parallel(n_jobs=workers, batch_size=1, return_as="generator_unordered")(calls)
-    stack.callback(results.close)
-    yield from results
+        done = Parallel(n_jobs=workers, batch_size=1, return_as="generator_unordered")(calls)
+    stack.callback(done.close)
+    try:
+        yield from done
+    except BrokenExecutor as error:
+        raise JobError(f"a process that computed is gone, out of memory perhaps: {error}") from None
 
 
 def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if that is installed)
@@ -326,29 +331,34 @@ def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if tha
             "a Dask scheduler needs the extra 'cluster': pip install 'wam_power_ros[cluster]'"
         ) from None
     try:
-        return Client(address, timeout=30.0)
-    except OSError as error:
-        raise ValueError(f"no Dask scheduler at {address!r}: {error}") from None
+        client = Client(address, timeout=CLUSTER_TIMEOUT)
+        client.wait_for_workers(1, timeout=CLUSTER_TIMEOUT)
+    except OSError as error:  # TimeoutError is one
+        raise ValueError(f"no Dask scheduler with workers at {address!r}: {error}") from None
+    return client
 
 
 def _execute(place: int, job: Job, expected: str, here: int | None) -> _Done:
     """Do a job wherever this is; what goes wrong is handed back, not raised."""
     if here not in (None, os.getpid()):
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asked
-    began, cpu = time.perf_counter(), time.process_time()
+    began, cpu = time.perf_counter(), time.thread_time()
     text = error = ""
     try:
         if digest(job) != expected:
             raise RuntimeError("the worker has other sources or libraries than this machine")
+        if here is None and os.environ.get("OMP_NUM_THREADS") != "1":
+            raise RuntimeError("start Dask's workers with OMP_NUM_THREADS=1: last digits need it")
         text = _json(job.function(**job.arguments))
     except Exception:
         error = traceback.format_exc()
     return _Done(
         place,
+        expected,
         text,
         error,
         time.perf_counter() - began,
-        time.process_time() - cpu,
+        time.thread_time() - cpu,
         platform.node(),
     )
 
@@ -360,12 +370,12 @@ def _path(folder: Path, job: Job) -> Path:
     return folder / job.study / f"{job.key}.json"
 
 
-def _read(path: Path, expected: str) -> dict[str, Any] | None:
-    """A result, None when it is of another digest."""
+def _read(path: Path, job: Job) -> dict[str, Any] | None:
+    """A result, None when there is none or one of another digest."""
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        return kept["result"] if kept["digest"] == expected else None
-    except (ValueError, KeyError, TypeError):
+        return kept["result"] if kept["digest"] == digest(job) else None
+    except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
@@ -388,11 +398,11 @@ def _note(folder: Path, job: Job, done: _Done) -> None:
 
 @contextlib.contextmanager
 def _progress(
-    jobs: Sequence[Job], found: dict[int, Any], console: Console
+    jobs: Sequence[Job], results: dict[str, Any], console: Console
 ) -> Iterator[Callable[[Job], None]]:
     """Bars of all and of each study; where there is no terminal, a line as each study is done."""
     total = Counter(job.study for job in jobs)
-    done = Counter(jobs[place].study for place in found)
+    done = Counter(job.study for job in jobs if job.name in results)
     bars: dict[str, TaskID] = {}
     progress = Progress(
         TextColumn("{task.description}"),
@@ -413,7 +423,7 @@ def _progress(
             console.print(f"{job.study}: {total[job.study]} done", highlight=False)
 
     with progress:
-        everything = progress.add_task("all", total=len(jobs), completed=len(found))
+        everything = progress.add_task("all", total=len(jobs), completed=len(results))
         for study, count in total.items():
             bars[study] = progress.add_task(f"  {study}", total=count, completed=done[study])
         yield advance

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The quick reproduction here and on a Dask cluster of two worker processes: the same files?
+
+    python -m benchmark.cluster --only reaching
+
+Scheduler and workers are processes of their own, as they would be on other machines.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+DEADLINE = 120.0  # [s] for the scheduler to be there
+WORKERS = 2
+
+
+def main() -> int:
+    """Run both, compare, tell."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", metavar="STUDY", help="of these studies alone")
+    only = parser.parse_args().only
+    arguments = ["--quick", *(["--only", *only] if only else [])]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        log = stack.enter_context((folder / "dask.log").open("wb"))
+
+        def start(*command: str) -> None:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", *command, "--no-dashboard"],
+                env=environment,
+                cwd=folder,
+                stdout=log,
+                stderr=log,
+            )
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+
+        start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        end = time.monotonic() + DEADLINE
+        while not (found := re.search(r"tcp://\S+:\d+", (folder / "dask.log").read_text())):
+            if time.monotonic() > end:
+                raise TimeoutError((folder / "dask.log").read_text())
+            time.sleep(0.05)
+        alone = ("--nthreads", "1", "--no-nanny", "--local-directory", ".")
+        for _ in range(WORKERS):
+            start("worker", found.group(), *alone)
+        for place, option in (("cluster", ["--scheduler", found.group()]), ("here", [])):
+            began = time.monotonic()
+            command = [sys.executable, "-m", "wam_power_ros.cli", "reproduce", *arguments, *option]
+            subprocess.run(
+                [*command, "--folder", str(folder / place)],
+                env=environment,
+                check=True,
+                stdout=subprocess.DEVNULL,
+            )
+            sys.stdout.write(f"{place:8s} {time.monotonic() - began:.0f} s\n")
+        cluster, here = (_files(folder / place / "results") for place in ("cluster", "here"))
+    differing = [name for name in cluster | here if cluster.get(name) != here.get(name)]
+    sys.stdout.write(f"{len(here)} results, {len(differing)} of them differ: {differing}\n")
+    return int(bool(differing))
+
+
+def _files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.json")}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

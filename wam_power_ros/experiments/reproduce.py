@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's results from scratch: every study's runs, and one report of what came out.
+
+<folder>/results/<study>/<key>.json      what has been computed, see `studies`
+<folder>/report.html, figures/*.png      what it says; written again at every end
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.table import Table
+
+from wam_power_ros import page
+from wam_power_ros.experiments import chapters, studies
+from wam_power_ros.experiments.chapters import Chapter, Claim
+from wam_power_ros.experiments.studies import Job
+
+STUDIES = ("reaching", "comparison", "pancake", "wishes")  # in the order of the paper
+PAPER = (
+    "P. Kormushev, S. Calinon, D. G. Caldwell: Robot Motor Skill Coordination with EM-based "
+    "Reinforcement Learning. IROS 2010."
+)
+LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes", "joblib")
+Scale = Literal["full", "quick"]
+
+
+def run(
+    folder: Path,
+    scale: Scale,
+    workers: int,
+    scheduler: str | None = None,
+    only: Sequence[str] = STUDIES,
+) -> Path:
+    """Compute what is not there yet, then write the report.
+
+    Args:
+        folder: Of results, report and figures.
+        scale: "quick" runs the same code with a few seeds, to see that it works.
+        workers: Processes of this machine.
+        scheduler: Address of a Dask scheduler whose workers compute instead.
+        only: Which studies.
+
+    Returns:
+        Path of the report.
+
+    Raises:
+        studies.JobError: Some runs failed; the others are kept.
+        ValueError: A name that is no study, or `scheduler` without Dask.
+        KeyboardInterrupt: All finished runs are kept.
+    """
+    unknown = [name for name in only if name not in STUDIES]
+    if unknown:
+        raise ValueError(f"{', '.join(unknown)}: no such study; there are {', '.join(STUDIES)}")
+    began = time.monotonic()
+    modules = {name: _module(name) for name in STUDIES if name in only}
+    modules = {name: module for name, module in modules.items() if hasattr(module, "jobs")}
+    wanted = {name: module.jobs(scale) for name, module in modules.items()}
+    jobs = [job for some in wanted.values() for job in some]
+    kept = folder / "results"
+    there = len(studies.found(jobs, kept))
+    results = studies.run(jobs, kept, workers, scheduler)
+    told = [
+        module.chapter({job.study: results[job.study] for job in wanted[name]})
+        for name, module in modules.items()
+    ]
+    took = time.monotonic() - began
+    here = f"{workers} processes" if scheduler is None else f"the Dask cluster at {scheduler}"
+    wall, cpu = studies.spent(jobs, kept)
+    time_it_took = (
+        f"The {len(jobs)} runs took {duration(cpu)} of processor time, {duration(wall)} one after "
+        f"another. This time {there} of them had been computed before; the rest and the report "
+        f"took {duration(took)} with {here}."
+    )
+    path = write(folder, scale, told, jobs, time_it_took)
+    _say(told, time_it_took)
+    return path
+
+
+def write(
+    folder: Path, scale: Scale, told: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str
+) -> Path:
+    """Write `report.html` and the figures it holds.
+
+    Args:
+        folder: Where to.
+        scale: Of the studies.
+        told: Chapters, in order.
+        jobs: All runs the chapters are about.
+        time_it_took: A sentence.
+
+    Raises:
+        ValueError: Two figures of one name.
+    """
+    drawn = [figure for chapter in told for figure in chapter.all_figures() if figure.png]
+    names = [figure.name for figure in drawn]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"two figures of one name: {', '.join(twice)}")
+    (folder / "figures").mkdir(parents=True, exist_ok=True)
+    for figure in drawn:
+        (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
+    path = folder / "report.html"
+    part = path.with_suffix(".part")
+    part.write_text(render(scale, told, jobs, time_it_took, folder / "results"), encoding="utf-8")
+    part.replace(path)
+    return path
+
+
+def render(
+    scale: Scale, told: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str, kept: Path
+) -> str:
+    """The report as HTML; see `write`; `kept` is the folder of the results."""
+    claims = [claim for chapter in told for claim in chapter.all_claims()]
+    judged = [claim for claim in claims if claim.met is not None]
+    count = sum(bool(claim.met) for claim in judged)
+    _, cpu = studies.spent(jobs, kept)
+    introduction = [
+        PAPER,
+        f"{len(jobs)} runs of {len({job.study for job in jobs})} studies, all in simulation; every "
+        "figure, table and sentence below is computed from them. The overview says what the paper "
+        "has, what was measured here, over how many runs and with what spread, and what the paper "
+        "leaves open and had to be decided. The verdict is about our own measurement: a number "
+        "without a yardstick is only reported.",
+    ]
+    if scale == "quick":
+        introduction.append(
+            "This is the quick version, a few seeds and small budgets to see that everything "
+            "works: its numbers say nothing about the paper."
+        )
+    sections = [chapter.title for chapter in told] + [MACHINE]
+    links = "".join(f'<a href="#{page.anchor(title)}">{title}</a>' for title in sections)
+    values = [
+        ("claims met, of those with a yardstick", f"{count} of {len(judged)}"),
+        ("runs", str(len(jobs))),
+        ("processor time", duration(cpu)),
+    ]
+    return page.page(
+        "Flipping pancakes: the paper reproduced",
+        [
+            page.paragraphs(introduction),
+            page.cards(values),
+            f"<nav>{links}</nav>",
+            page.section("Overview", content=chapters.overview(claims)),
+            *(chapters.html(chapter) for chapter in told),
+            _machine(jobs, time_it_took, kept),
+        ],
+    )
+
+
+MACHINE = "Machine, versions, seeds, time"
+
+
+def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
+    versions = [f"Python {platform.python_version()}"]
+    for name in LIBRARIES:
+        try:
+            versions.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    text = [
+        f"{_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}. "
+        f"{', '.join(versions)}.",
+        time_it_took,
+        "A run depends on its arguments only: the same seeds give the same numbers whatever the "
+        "number of processes, the order, and however often it was interrupted. Other processors "
+        "or versions of these libraries may move last digits, and learning makes them grow.",
+    ]
+    rows = []
+    for study, some in groupby(jobs, key=lambda job: job.study):
+        own = list(some)
+        wall, cpu = studies.spent(own, kept)
+        seeds = ranges({seed for job in own for seed in _seeds(job.arguments)})
+        rows.append([study, str(len(own)), seeds or "–", duration(cpu), duration(wall)])
+    head = ["study", "runs", "seeds", "processor time", "wall time, one after another"]
+    return page.section(MACHINE, text, page.table(head, rows))
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def _seeds(arguments: dict[str, Any]) -> Iterator[int]:
+    """Seeds among the arguments of a job."""
+    for name, value in arguments.items():
+        if name == "seed":
+            yield value
+        elif name == "seeds":
+            yield from value
+
+
+def ranges(numbers: set[int]) -> str:
+    """Whole numbers in short: "1-3, 7"."""
+    runs = groupby(enumerate(sorted(numbers)), key=lambda pair: pair[1] - pair[0])
+    ends = [(some[0][1], some[-1][1]) for some in (list(run) for _, run in runs)]
+    return ", ".join(str(first) if first == last else f"{first}–{last}" for first, last in ends)
+
+
+def duration(seconds: float) -> str:
+    """A time in words, to about two digits."""
+    if seconds < 99.5:
+        return f"{seconds:.2g} s" if seconds < 9.95 else f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def overview(claims: Sequence[Claim]) -> Table:
+    """Claims as a table for the terminal."""
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for name in ("", "paper", "measured", "spread", "over", "verdict"):
+        table.add_column(name, overflow="fold")
+    styles = {True: "green", False: "red", None: "dim"}
+    for claim in claims:
+        table.add_row(
+            claim.what,
+            claim.paper,
+            claim.ours,
+            claim.spread,
+            claim.count,
+            f"[{styles[claim.met]}]{claim.verdict}[/]",
+        )
+    return table
+
+
+def _say(told: Sequence[Chapter], time_it_took: str) -> None:
+    console = Console(file=sys.stdout)
+    console.print(overview([claim for chapter in told for claim in chapter.all_claims()]))
+    console.print(f"\n{time_it_took}", highlight=False)
+
+
+def _module(name: str) -> ModuleType:
+    full = f"wam_power_ros.experiments.{name}"
+    return importlib.import_module(full) if importlib.util.find_spec(full) else ModuleType(name)
