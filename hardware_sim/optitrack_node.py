@@ -1,66 +1,114 @@
 # SPDX-License-Identifier: Apache-2.0
 """OptiTrack stand-in: frames of the world in, pose and markers of the pancake out.
 
-It sees the world that `wam_sim` steps, so it lives in that process: see `standins`.
+It sees the world that `wam_sim` steps, so it lives in that process: see `standins`. What drivers
+of motion capture differ in, and get wrong, are its parameters.
 """
 
 from __future__ import annotations
 
 import sys
+from typing import Literal
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
+from pydantic import Field
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from hardware_sim.sensing import MocapFrame, MocapSettings
-from wam_power_ros import interface
+from wam_power_ros import interface, rotations
 from wam_power_ros.params import Params
+
+Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # to y up: (x, z, -y)
+PAIR_NS = 100_000  # between the receipts of frames that are delivered together
+STRAY = np.array([[0.4, -0.3, 0.05], [0.45, -0.2, 0.05], [-0.1, 0.6, 0.3]])  # [m] of other things
 
 
 class OptitrackSimParams(Params):
     """What config/optitrack_sim.yaml says; ranges are those of `MocapSettings`."""
 
     frame: str
-    publish_pose: bool
-    publish_markers: bool
+    pose_topic: str
+    markers_topic: str
+    reliable: bool
+    up_axis: Literal["z", "y"]
+    world_to_base: tuple[float, ...] = Field(min_length=7, max_length=7)
+    stamps: Literal["exposure", "receipt"]
+    together: int = Field(ge=1, le=10)
+    stray: int = Field(ge=0, le=len(STRAY))
     rate: float
     noise: float
     latency: float
     dropout: float
+    lost: Literal["omit", "repeat", "zero"]
 
     def mocap(self) -> MocapSettings:
         """The part that concerns the world."""
-        names = ("rate", "noise", "latency", "dropout")
+        names = ("rate", "noise", "latency", "dropout", "lost")
         return MocapSettings(**{name: getattr(self, name) for name in names})
 
 
 class OptitrackSim(Node):
     """Publishes what the cameras see of the pancake."""
 
-    def __init__(self) -> None:
-        super().__init__("optitrack_sim", automatically_declare_parameters_from_overrides=True)
-        self.params = OptitrackSimParams.of(self)
-        self._poses = self.create_publisher(
-            PoseStamped, interface.PANCAKE_POSE, interface.MOCAP_OUT
+    def __init__(self, **options: object) -> None:
+        """`options` are those of `rclpy.node.Node`."""
+        super().__init__(
+            "optitrack_sim", automatically_declare_parameters_from_overrides=True, **options
         )
-        self._markers = self.create_publisher(PointCloud2, interface.MARKERS, interface.MOCAP_OUT)
+        self.params = params = OptitrackSimParams.of(self)
+        qos = interface.MOCAP_OUT if params.reliable else interface.MOCAP_OUT_BEST_EFFORT
+        self._poses = self._markers = None
+        if params.pose_topic:
+            self._poses = self.create_publisher(PoseStamped, params.pose_topic, qos)
+        if params.markers_topic:
+            self._markers = self.create_publisher(PointCloud2, params.markers_topic, qos)
+        pose = np.array(params.world_to_base)
+        self._origin = pose[:3]
+        turn = rotations.matrix(pose[3:]).T  # base frame to the motion capture's
+        self._turn = Z_UP @ turn if params.up_axis == "y" else turn
+        self._turn_quat = rotations.quat_xyzw(self._turn)
+        self._rng = np.random.default_rng(0)  # of the order of unlabelled markers
+        self._waiting: list[MocapFrame] = []
 
-    def publish(self, frame: MocapFrame, stamp_offset_ns: int) -> None:
-        """One frame; its stamp is that of the exposure. Hidden markers repeat the last pose."""
-        stamp_ns, name = frame.stamp_ns + stamp_offset_ns, self.params.frame
-        if self.params.publish_pose:
-            self._poses.publish(
-                interface.pose_message(stamp_ns, name, frame.position, frame.quat_xyzw)
-            )
-        if self.params.publish_markers and frame.markers is not None:
-            self._markers.publish(interface.markers_message(stamp_ns, name, frame.markers))
+    def publish(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
+        """Take a frame of the world, and send it or keep it for the one it is sent with.
+
+        Args:
+            frame: In the arm's base frame, by the world's clock.
+            stamp_offset_ns: Of the clock that stamps, over the world's [ns].
+            now_ns: By the world's clock [ns].
+        """
+        params = self.params
+        self._waiting.append(frame)
+        if len(self._waiting) < params.together:
+            return
+        frames, self._waiting = self._waiting, []
+        for number, each in enumerate(frames):
+            late_ns = PAIR_NS * (number + 1 - len(frames))
+            stamp_ns = each.stamp_ns if params.stamps == "exposure" else now_ns + late_ns
+            self._send(each, stamp_ns + stamp_offset_ns)
+
+    def _send(self, frame: MocapFrame, stamp_ns: int) -> None:
+        name = self.params.frame
+        if self._poses is not None:
+            position, quat_xyzw = frame.position, frame.quat_xyzw
+            if position.any():  # a pose of zeros is one in any frame
+                position = self._turn @ (position - self._origin)
+                quat_xyzw = rotations.multiply(self._turn_quat, quat_xyzw)
+            self._poses.publish(interface.pose_message(stamp_ns, name, position, quat_xyzw))
+        if self._markers is not None:
+            seen = np.vstack([frame.markers, STRAY[: self.params.stray]])
+            points = self._rng.permutation(seen - self._origin) @ self._turn.T
+            self._markers.publish(interface.markers_message(stamp_ns, name, points))
 
 
 def main() -> int:
     """Entry point `optitrack_sim`: says where the stand-in runs."""
     sys.stderr.write(
         "optitrack_sim sees the world that wam_sim steps and runs in its process: start wam_sim\n"
-        "with config/wam_sim.yaml and config/optitrack_sim.yaml; publish_pose: false silences it.\n"
+        "with config/wam_sim.yaml and config/optitrack_sim.yaml; topics left empty silence it.\n"
     )
     return 2
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -66,6 +66,7 @@ class MocapSettings:
         noise: standard deviation of a marker, an axis [m].
         latency: from exposure to delivery [s].
         dropout: share of frames that are lost.
+        lost: what a driver makes of a lost frame: nothing, the last pose again, or a pose of zeros.
         occlusion: share of frames in which a marker is hidden, so that no pose is made of them.
     """
 
@@ -74,6 +75,7 @@ class MocapSettings:
     latency: float = 0.04
     dropout: float = 0.01
     occlusion: float = 0.0
+    lost: Literal["omit", "repeat", "zero"] = "omit"
 
     def __post_init__(self) -> None:
         if not 1.0 <= self.rate <= 500.0:
@@ -89,7 +91,7 @@ class MocapFrame(NamedTuple):
     stamp_ns: int  # of the exposure
     position: np.ndarray  # (3,) [m]
     quat_xyzw: np.ndarray  # (4,)
-    markers: np.ndarray  # (m, 3) [m]; m < 4 when some are hidden
+    markers: np.ndarray  # (m, 3) [m]; m < 4 when some are hidden, 0 when the frame is lost
 
 
 class Mocap:
@@ -108,6 +110,7 @@ class Mocap:
         self._latency_ns = round(settings.latency * 1e9)
         self._rng = np.random.default_rng(0)
         self._waiting: list[MocapFrame] = []
+        self._last: MocapFrame | None = None  # that was not lost
         self._next_ns = 0
 
     def restart(self, now_ns: int, rng: np.random.Generator) -> None:
@@ -131,6 +134,7 @@ class Mocap:
         noise = rng.standard_normal((4, 3)) * settings.noise
         lost, hidden, which = rng.random(), rng.random(), int(rng.integers(4))
         if lost < settings.dropout:
+            self._lose(now_ns)
             return
         markers = position + self._layout.dot(rotation.T) + noise
         fitted = _flat_fit(self._flat, markers)
@@ -138,7 +142,21 @@ class Mocap:
         if hidden < settings.occlusion:
             markers = np.delete(markers, which, axis=0)
         quat_xyzw = rotations.quat_xyzw(fitted)
-        self._waiting.append(MocapFrame(now_ns, centre, quat_xyzw, markers))
+        self._last = MocapFrame(now_ns, centre, quat_xyzw, markers)
+        self._waiting.append(self._last)
+
+    def miss(self, now_ns: int) -> None:
+        """Take the frame that is due without seeing the body."""
+        self._next_ns += self._period_ns
+        self._lose(now_ns)
+
+    def _lose(self, now_ns: int) -> None:
+        how, last = self._settings.lost, self._last
+        if how == "zero":
+            nowhere = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+            self._waiting.append(MocapFrame(now_ns, *nowhere, np.empty((0, 3))))
+        elif how == "repeat" and last is not None:
+            self._waiting.append(last._replace(stamp_ns=now_ns, markers=np.empty((0, 3))))
 
     def delivered(self, now_ns: int) -> list[MocapFrame]:
         """Frames that have come in by now, oldest first."""

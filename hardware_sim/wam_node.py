@@ -46,7 +46,14 @@ class WamSimParams(Params):
     seed: int = Field(ge=0)
     realtime_priority: int = Field(ge=0, le=98)
     joint_names: tuple[str, ...] = Field(min_length=7, max_length=7)
-    publish_velocity: bool
+    other_joints: tuple[str, ...]
+    state_topic: str
+    velocity: Literal["filled", "empty", "nan"]
+    velocity_topic: str
+    command_topic: str
+    command_type: Literal["multiarray", "joint_state"]
+    watchdog: bool
+    deactivates: bool
     state_latency: float = Field(ge=0.0)
     state_jitter: float = Field(ge=0.0)
     state_loss: float = Field(ge=0.0, le=1.0)
@@ -86,13 +93,16 @@ class WamSim(Node):
         self._demonstrations = 0
         self._pulling = False
         self._ticks_left = 0  # until a service may be answered
+        self._deactivated = False  # as a ros2_control controller after a command it cannot take
 
         lockstep = params.pace == "lockstep"  # as fast as it goes: no reader may lose by it
-        self._states = self.create_publisher(
-            JointState,
-            interface.JOINT_STATES,
-            interface.STATE_OUT_LOCKSTEP if lockstep else interface.STATE_OUT,
-        )
+        qos = interface.STATE_OUT_LOCKSTEP if lockstep else interface.STATE_OUT
+        self._states = self.create_publisher(JointState, params.state_topic, qos)
+        self._velocities = None
+        if params.velocity_topic:
+            self._velocities = self.create_publisher(JointState, params.velocity_topic, qos)
+        others = [name for name in params.other_joints if name]
+        self._others = interface.JointStateWriter(others) if others else None
         self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
         self._truth = self.create_publisher(String, interface.PANCAKE_TRUTH, interface.LATCHED)
         self._description = self.create_publisher(
@@ -102,13 +112,14 @@ class WamSim(Node):
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self._write = interface.JointStateWriter(params.joint_names)
+        message_type = interface.COMMAND_TYPES[params.command_type]
         self.create_subscription(
-            Float64MultiArray, interface.EFFORT_COMMANDS, self._on_torque, interface.COMMAND
+            message_type, params.command_topic, self._on_torque, interface.COMMAND
         )
         self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
 
-    def attach(self, world: World, on_frame: Callable[[MocapFrame, int], None]) -> None:
-        """Take charge of a world; `on_frame` gets its motion-capture frames and stamp offset."""
+    def attach(self, world: World, on_frame: Callable[[MocapFrame, int, int], None]) -> None:
+        """Take charge of a world; `on_frame` gets its frames, the stamp offset and the time."""
         self.world, self._on_frame = world, on_frame
         lockstep = self.params.pace == "lockstep"
         # in real time the stamps are those of the system clock, as a driver's are
@@ -144,23 +155,31 @@ class WamSim(Node):
         if reading is not None and reading.label != self._label:
             self._change(reading.label)
         tau = None if reading is None else reading.tau
+        if self._deactivated:
+            tau = np.zeros(len(self.params.joint_names))
         if self._driver.engaged:
             sample = world.joint_state()
             tau = self._driver.torque(sample.q, sample.qd)
         world.step(tau)
         self._attend()
         for frame in world.mocap_frames():
-            self._on_frame(frame, self.stamp_offset_ns)
+            self._on_frame(frame, self.stamp_offset_ns, world.time_ns)
         return self.state()
 
     def state(self) -> JointState:
         """The present state as a message: the same object every time."""
-        sample = self.world.joint_state()
-        qd = sample.qd if self.params.publish_velocity else ()
+        sample, how = self.world.joint_state(), self.params.velocity
+        qd = sample.qd if how == "filled" else np.full(7, np.nan) if how == "nan" else ()
         return self._write(self.stamp_ns, sample.q, qd, sample.tau)
 
     def publish(self, message: JointState) -> None:
-        """Send a state, and in lockstep the clock."""
+        """Send a state and what comes beside it, and in lockstep the clock."""
+        if self._others is not None:
+            still = np.zeros(len(self._others.joint_names))
+            self._states.publish(self._others(self.stamp_ns, still, still, still))
+        if self._velocities is not None:  # nameless, as Barrett's own node sends them
+            qd = self.world.joint_state().qd
+            self._velocities.publish(interface.nameless_velocities(self.stamp_ns, qd))
         self._states.publish(message)
         if self.lockstep:
             self._clocks.publish(Clock(clock=message.header.stamp))
@@ -174,12 +193,16 @@ class WamSim(Node):
             truth = json.dumps(dataclasses.asdict(self.world.truth()))
             self._truth.publish(String(data=truth))
 
-    def _on_torque(self, message: Float64MultiArray) -> None:
+    def _on_torque(self, message: Float64MultiArray | JointState) -> None:
         try:
             reading = interface.torque(message, self.params.joint_names)
         except ValueError as error:
             self.counters["torques refused"] += 1
             self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
+            sized = len(getattr(message, "data", self.params.joint_names))
+            if self.params.deactivates and sized != len(self.params.joint_names):
+                self._deactivated = True
+                self.get_logger().error("deactivated: only zeros reach the arm now")
             return
         self.on_torque(reading)
 
@@ -275,6 +298,7 @@ class WamSim(Node):
     ) -> SetBool.Response:
         """On: torque commands reach the arm. Off: as idle."""
         self._driver.release()
+        self._deactivated = False
         self.world.idle = not request.data
         response.success = True
         return response
@@ -301,6 +325,7 @@ class WamSim(Node):
         """Diagnostics, once a second; `values` are those of the loop."""
         world = self.world
         doing = "idle" if world.idle else "own motion" if self._driver.engaged else "commanded"
+        doing = "deactivated" if self._deactivated else doing
         values |= {"frozen": world.frozen, "label": self._label, **self.counters}
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(

@@ -54,7 +54,8 @@ class WorldSettings:
         friction_sd: Of each joint's Coulomb friction a rollout, as a share.
         friction_share: Of the URDF's Coulomb friction that the joints have.
         driver_compensates_gravity: The arm adds g(q) to what is commanded.
-        watchdog_damping: Of the arm's own fallback [1/s].
+        watchdog: The arm carries itself after 10 ms without a command; else it holds the last one.
+        watchdog_damping: Of that fallback [1/s].
         scene: What there is.
         mocap: How it is seen.
 
@@ -70,6 +71,7 @@ class WorldSettings:
     friction_sd: float = 0.1
     friction_share: float = 1.0
     driver_compensates_gravity: bool = False
+    watchdog: bool = True
     watchdog_damping: float = 5.0
     scene: SceneSettings = field(default_factory=SceneSettings)
     mocap: MocapSettings = field(default_factory=MocapSettings)
@@ -305,7 +307,7 @@ class World:
 
         Args:
             tau_cmd: Commanded torques (7,) [N m], or None when no command has come: the last one
-                holds for 10 ms, then the arm compensates its own gravity, damped.
+                holds, with a watchdog for 10 ms; then the arm compensates its own gravity, damped.
 
         Raises:
             ValueError: The torques are not seven finite numbers.
@@ -347,7 +349,7 @@ class World:
 
     def _wanted(self) -> list[float]:
         """Torques the driver asks of the motors."""
-        if self._since_command > _WATCHDOG_TICKS:
+        if self.settings.watchdog and self._since_command > _WATCHDOG_TICKS:
             damped = zip(self._gravity(), self._watchdog_damping, self._encoders.qd, strict=True)
             return [g - d * qd for g, d, qd in damped]
         if self.settings.driver_compensates_gravity:

@@ -291,7 +291,7 @@ def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Pro
 def test_a_driver_without_velocities_is_stood_in_for_too(
     probe: Probe, processes: Processes
 ) -> None:
-    bench = Bench(probe, processes, "lockstep", publish_velocity=False)
+    bench = Bench(probe, processes, "lockstep", velocity="empty")
     assert bench.state().qd is None
     bench.control()
     message, truth = bench.rollout(lift("no-velocity"), (0.0, 0.0))

@@ -86,7 +86,8 @@ STATE_IN = _qos(10, "BEST_EFFORT")
 STATE_RECORD = _qos(4000, "BEST_AVAILABLE")  # a recorder may fall behind, it may not lose
 COMMAND = _qos(1)
 MOCAP_OUT = _qos(10)
-MOCAP_IN = _qos(5, "BEST_EFFORT")
+MOCAP_OUT_BEST_EFFORT = _qos(10, "BEST_EFFORT")  # of some drivers
+MOCAP_IN = _qos(500, "BEST_EFFORT")  # every frame counts for a path: a burst pushes none out
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
 DIAGNOSTICS_QOS = _qos(10)
 CLOCK_QOS = _qos(1, "BEST_EFFORT")
@@ -185,6 +186,7 @@ class JointStateWriter:
     """Arrays -> JointState; one message is made once and filled again and again."""
 
     def __init__(self, joint_names: Sequence[str]) -> None:
+        self.joint_names = tuple(joint_names)
         self._message = JointState(name=list(joint_names))
 
     def __call__(
@@ -198,6 +200,13 @@ class JointStateWriter:
         message.velocity = array("d", qd)
         message.effort = array("d", tau)
         return message
+
+
+def nameless_velocities(stamp_ns: int, qd: np.ndarray) -> JointState:
+    """Velocities (nj,) [rad/s] and nothing else, in an order that is agreed upon."""
+    message = JointState(velocity=array("d", qd))
+    message.header.stamp = stamp(stamp_ns)
+    return message
 
 
 class JointMovement(NamedTuple):

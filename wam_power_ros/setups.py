@@ -71,7 +71,7 @@ def setup(names: Sequence[str] = (), rehearse: bool = False) -> Setup:
     chosen = {node: own[node] | said[node] for node in NODES}
     follows = _follows(chosen["torque_controller"], chosen["pancake_tracker"])
     if names or rehearse:
-        follows |= _shape(chosen["torque_controller"])
+        follows |= _shape(chosen["torque_controller"], chosen["pancake_tracker"])
         follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
     whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
     if rehearse or not names:  # the stand-in does what takes a person in the lab
@@ -146,13 +146,19 @@ def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
     }
 
 
-def _shape(arm: Mapping[str, Any]) -> Setup:
+def _shape(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
     """How stand-ins look that take the place of these devices."""
-    return {
+    driver = ("joint_names", "state_topic", "velocity_topic", "command_topic", "command_type")
+    cameras = ("pose_topic", "markers_topic", "up_axis", "world_to_base", "rate")
+    shape: Setup = {
         "wam_sim": {
-            **{name: arm[name] for name in ("joint_names", "driver_compensates_gravity")},
-            "publish_velocity": not arm["velocity_topic"],
+            **{name: arm[name] for name in (*driver, "driver_compensates_gravity")},
+            "velocity": "empty" if arm["velocity_topic"] else "filled",
             "pace": "real_time",  # as every driver's
             "realtime_priority": 70,
         },
+        "optitrack_sim": {name: mocap[name] for name in cameras},
     }
+    if mocap["latency_offset"]:  # stamps are later than the exposure
+        shape["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}
+    return shape

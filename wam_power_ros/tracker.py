@@ -22,7 +22,7 @@ from wam_power_ros.rollout import PancakePath
 SECOND = 1_000_000_000  # [ns]
 GRAVITY = 9.81  # [m/s^2]
 HISTORY = 20 * SECOND  # kept for paths
-INTERVAL_MIN = SECOND // 1000  # receipt stamps come in pairs ~0.1 ms apart: one frame, sent twice
+INTERVAL_MIN = SECOND // 1000  # stamps nearer are of receipt: frames that were delivered together
 FROZEN_FRAMES, FROZEN_TIME = 10, 3 * SECOND // 10  # of bit-identical poses
 REJECTS = 5  # jumps in a row that lose the pancake
 REACQUIRE = 5  # frames that agree with each other, and are the pancake again
@@ -183,10 +183,17 @@ class Tracker:
         place = zip(low, frame.position.tolist(), high, strict=True)
         if not all(least <= x <= most for least, x, most in place):
             return self._refuse("out of workspace")
+        # Of frames delivered together only the last one is as old as its stamp says.
+        pair = self._frames and frame.stamp_ns - self._frames[-1].stamp_ns < INTERVAL_MIN
+        older = [self._frames.pop()] if pair else []
         if not self._is_reachable(frame):
+            self._frames.extend(older)
             self._rejects += 1
             lost = self._rejects >= REJECTS
             return self._refuse("jump", Validity.LOST if lost else Validity.JUMP)
+        if older:
+            self.counts["accepted"] -= 1
+            self.counts["older of a pair"] += 1
         return self._accept(frame)
 
     def add_markers(self, stamp_ns: int, points: np.ndarray) -> TrackedState | None:
@@ -259,11 +266,7 @@ class Tracker:
             self._restart()
             return ""
         self._behind = 0
-        if stamp_ns == self.latest_ns:
-            return "stamp repeated"
-        if self.latest_ns and stamp_ns - self.latest_ns < INTERVAL_MIN:
-            return "stamp too close"
-        return ""
+        return "stamp repeated" if stamp_ns == self.latest_ns else ""
 
     def _is_repeated(self, stamp_ns: int, raw: bytes) -> bool:
         """Whether a pose is the last one, bit for bit, which no measurement with noise ever is."""

@@ -17,7 +17,6 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros import interface, real_time
@@ -33,11 +32,6 @@ from wam_power_ros.tracker import (
 )
 
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # every other is an error
-FRAMES_IN = QoSProfile(  # every frame counts for a path, so a burst must not push any out
-    depth=500,
-    reliability=interface.MOCAP_IN.reliability,
-    durability=interface.MOCAP_IN.durability,
-)
 
 
 class PancakeTrackerParams(Params):
@@ -103,10 +97,10 @@ class PancakeTracker(Node):
         )
         if params.markers_topic:
             self._read, self._add = interface.markers, self._tracker.add_markers
-            subscribe(PointCloud2, params.markers_topic, self._on_frame, FRAMES_IN)
+            subscribe(PointCloud2, params.markers_topic, self._on_frame, interface.MOCAP_IN)
         else:
             self._read, self._add = interface.pose, self._tracker.add
-            subscribe(PoseStamped, params.pose_topic, self._on_frame, FRAMES_IN)
+            subscribe(PoseStamped, params.pose_topic, self._on_frame, interface.MOCAP_IN)
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
         self.create_timer(0.5 / params.rate, self._look, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
