@@ -226,6 +226,14 @@ def test_a_driver_that_compensates_gravity_carries_the_arm_on_zero_torque() -> N
     np.testing.assert_allclose(world.joint_state().tau, gravity, atol=0.01)
 
 
+def test_a_driver_without_a_watchdog_holds_the_last_torque_for_ever() -> None:
+    world = World(replace(CALM, watchdog=False))
+    gravity = begin(world)
+    run(world, gravity + 1.0, 20)
+    run(world, None, 200)
+    np.testing.assert_array_equal(world.joint_state().tau, gravity + 1.0)
+
+
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_a_command_takes_its_delay_to_the_motors(delay: int) -> None:
     world = World(replace(CALM, command_delay_ticks=delay))
