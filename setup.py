@@ -46,7 +46,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
-        *shared("config", "launch", "urdf", "bags"),
+        *shared("config", "launch", "urdf", "bags", "security"),
     ],
     install_requires=extras.pop("core"),
     extras_require=extras,

@@ -19,6 +19,8 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from wam_power_ros import setups
 
+SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
+
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Every node with one file that holds the parameters of all."""
@@ -38,7 +40,13 @@ def nodes(context: LaunchContext) -> list[Node]:
     if given("session"):
         names.append("learner")
     return [
-        Node(package="wam_power_ros", executable=name, parameters=[str(file)], output="screen")
+        Node(
+            package="wam_power_ros",
+            executable=name,
+            parameters=[str(file)],
+            output="screen",
+            ros_arguments=["--enclave", f"/{name}"] if given("secure") == "true" else [],
+        )
         for name in names
     ]
 
@@ -49,6 +57,11 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", reach),
+            DeclareLaunchArgument(
+                "secure", default_value="false", choices=["true", "false"], description=SECURE
+            ),
+            SetEnvironmentVariable("ROS_SECURITY_ENABLE", LaunchConfiguration("secure")),
+            SetEnvironmentVariable("ROS_SECURITY_STRATEGY", "Enforce"),
             DeclareLaunchArgument("config", description="set-ups, by name or path"),
             DeclareLaunchArgument(
                 "session", default_value="", description="folder; '': no learner"

@@ -19,6 +19,8 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from wam_power_ros import setups
 
+SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
+
 
 def nodes(context: LaunchContext) -> list[Node]:
     """Every node with one file that holds the parameters of all."""
@@ -44,6 +46,7 @@ def nodes(context: LaunchContext) -> list[Node]:
             executable=name,
             parameters=[str(file)],
             output="screen",
+            ros_arguments=["--enclave", f"/{name}"] if given("secure") == "true" else [],
             **({"on_exit": Shutdown()} if name in ("wam_sim", "torque_controller") else {}),
         )
         for name in executables
@@ -56,6 +59,11 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", reach),
+            DeclareLaunchArgument(
+                "secure", default_value="false", choices=["true", "false"], description=SECURE
+            ),
+            SetEnvironmentVariable("ROS_SECURITY_ENABLE", LaunchConfiguration("secure")),
+            SetEnvironmentVariable("ROS_SECURITY_STRATEGY", "Enforce"),
             DeclareLaunchArgument(
                 "config", default_value="", description="set-ups to rehearse, by name or path"
             ),

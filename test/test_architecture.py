@@ -24,7 +24,16 @@ ROS = {
 }
 SIMULATOR = {"hardware_sim", "mujoco"}
 # May import ROS: all that speaks it, beside nodes/.
-ROS_EDGE = {"interface", "messages", "params", "real_time", "late_service", "teaching", "enabling"}
+ROS_EDGE = {
+    "access",
+    "interface",
+    "messages",
+    "params",
+    "real_time",
+    "late_service",
+    "teaching",
+    "enabling",
+}
 # Files, clocks, processes and sockets are theirs; every other module is the core.
 TELLING = {"cli", "live", "figures", "study_figures", "page", "report"}
 EDGE = ROS_EDGE | TELLING | {"processes", "resources", "setups", "session", "bags", "recovery"}
@@ -106,3 +115,35 @@ def test_the_stand_ins_know_no_node_and_no_learner(path: Path) -> None:
 @pytest.mark.parametrize("path", MODULES, ids=label)
 def test_every_module_says_its_licence_in_one_line(path: Path) -> None:
     assert path.read_text().splitlines()[0] == "# SPDX-License-Identifier: Apache-2.0"
+
+
+LOADED_AS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "imp", "runpy"}
+RUNS_TEXT = {"eval", "exec", "compile", "__import__"}
+UNSAFE = {"yaml": {"load", "load_all", "full_load", "unsafe_load"}, "os": {"system", "popen"}}
+ANYWHERE = sorted([*MODULES, *(ROOT / "benchmark").rglob("*.py"), *(ROOT / "launch").rglob("*.py")])
+ALLOWED = {("bags.py", "yaml", "load")}  # with a loader that is checked below
+
+
+@pytest.mark.parametrize("path", ANYWHERE, ids=label)
+def test_no_file_that_is_loaded_can_run_code(path: Path) -> None:
+    assert not roots(imports(path)) & LOADED_AS_CODE
+    for node in ast.walk(ast.parse(path.read_text())):
+        if not isinstance(node, ast.Call):
+            continue
+        if isinstance(node.func, ast.Name):
+            assert node.func.id not in RUNS_TEXT
+        elif isinstance(node.func, ast.Attribute) and isinstance(node.func.value, ast.Name):
+            owner, name = node.func.value.id, node.func.attr
+            if (path.name, owner, name) not in ALLOWED:
+                assert name not in UNSAFE.get(owner, ())
+        for keyword in node.keywords:  # of np.load, of subprocess
+            if keyword.arg in ("allow_pickle", "shell"):
+                assert isinstance(keyword.value, ast.Constant) and keyword.value.value is False
+
+
+def test_the_loader_of_bags_knows_nothing_but_data() -> None:
+    import yaml
+
+    from wam_power_ros import bags
+
+    assert issubclass(bags.LOADER, (yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader)))

@@ -15,7 +15,7 @@ from wam_power_ros.presets import preset
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
-PAGES = ["README.md", "docs/method.md", "docs/hardware.md", "docs/safety.md"]
+PAGES = ["README.md", "docs/method.md", "docs/hardware.md", "docs/safety.md", "SECURITY.md"]
 NAMES = sorted(
     value
     for name, value in vars(interface).items()

@@ -109,6 +109,14 @@ def _parser() -> argparse.ArgumentParser:
     config.add_argument("--rehearse", action="store_true", help="with stand-ins for the devices")
     config.set_defaults(command=_config)
 
+    policy = commands.add_parser(
+        "policy",
+        help="print the SROS2 policy of some set-ups",
+        description="Print who may do what on the network, for ros2 security generate_artifacts.",
+    )
+    policy.add_argument("config", nargs="*", metavar="NAME", help="as for config")
+    policy.set_defaults(command=_policy)
+
     report = commands.add_parser("report", help="write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
     report.set_defaults(command=_report)
@@ -198,6 +206,12 @@ def _run(options: argparse.Namespace) -> int:
 
 def _config(options: argparse.Namespace) -> None:
     print(setups.text(setups.setup(options.config, options.rehearse)), end="")
+
+
+def _policy(options: argparse.Namespace) -> None:
+    from wam_power_ros import access
+
+    print(access.policy(access.table(setups.setup(options.config))), end="")
 
 
 def _enable(_: argparse.Namespace) -> int:
@@ -333,6 +347,8 @@ class _Bench:
         """Start a node with its part of the set-up, and some parameters over it."""
         command = [sys.executable, "-m", "wam_power_ros.cli", "run", node, "--ros-args"]
         command += ["--params-file", str(self.file)]
+        if os.environ.get("ROS_SECURITY_ENABLE") == "true":
+            command += ["--enclave", f"/{node}"]
         for name, value in parameters.items():
             command += ["-p", f"{node}:{name}:={value}"]
         return self.processes.start(node, command)

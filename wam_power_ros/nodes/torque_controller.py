@@ -7,6 +7,7 @@ clock beside its states, but a watchdog on the steady clock for when they stay a
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 import traceback
@@ -23,7 +24,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from wam_power_ros import interface, real_time
+from wam_power_ros import access, interface, real_time
 from wam_power_ros import policy as policies
 from wam_power_ros.controller import Controller, ControllerError, Mode
 from wam_power_ros.late_service import LateTrigger
@@ -47,6 +48,8 @@ class TorqueController(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("torque_controller", automatically_declare_parameters_from_overrides=True)
         self._params = params = TorqueControllerParams.of(self)
+        if (exposed := access.exposed(os.environ)) is not None:
+            self.get_logger().warning(exposed)
         self._autostart = params.autostart
         self._urdf = share(params.urdf).read_text() if params.urdf else ""
         self._controller: Controller | None = None
