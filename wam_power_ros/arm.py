@@ -57,6 +57,14 @@ class Motion(NamedTuple):
     tool_speed: float
 
 
+class Speeds(NamedTuple):
+    """The part of `Motion` that limits of speed look at; see there."""
+
+    twist: np.ndarray
+    guarded_speeds: tuple[float, ...]
+    tool_speed: float
+
+
 class Dynamics(NamedTuple):
     """What the torque law needs beside `Motion`.
 
@@ -167,19 +175,34 @@ class Arm:
         pin.forwardKinematics(model, data, q, qd, self._zero)
         placement = pin.updateFramePlacement(model, data, tool)
         twist = pin.getFrameVelocity(model, data, tool, _AXES).vector
-        speeds: list[float] = []
-        for joint, points in self._guarded:
-            body = data.v[joint].vector.tolist()
-            speeds += [_point_speed(body, point) for _, point in points]
-        vx, vy, vz, *_ = twist.tolist()
         return Motion(
             position=placement.translation.copy(),
             rotation=placement.rotation.copy(),
             twist=twist,
             drift=pin.getFrameClassicalAcceleration(model, data, tool, _AXES).vector,
-            guarded_speeds=tuple(speeds),
-            tool_speed=math.sqrt(vx * vx + vy * vy + vz * vz),
+            guarded_speeds=self._guarded_speeds(),
+            tool_speed=_length(twist),
         )
+
+    def speeds(self, q: np.ndarray, qd: np.ndarray) -> Speeds:
+        """The speeds of one state, in half the time of `motion`.
+
+        Args:
+            q: [rad]. Shape (n,).
+            qd: [rad/s]. Shape (n,).
+        """
+        model, data = self.model, self._data
+        pin.forwardKinematics(model, data, q, qd)
+        twist = pin.getFrameVelocity(model, data, self._tool, _AXES).vector
+        return Speeds(twist, self._guarded_speeds(), _length(twist))
+
+    def _guarded_speeds(self) -> tuple[float, ...]:
+        """Of the state whose kinematics were computed last."""
+        speeds: list[float] = []
+        for joint, points in self._guarded:
+            body = self._data.v[joint].vector.tolist()
+            speeds += [_point_speed(body, point) for _, point in points]
+        return tuple(speeds)
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
         """Jacobian, inverse mass matrix and bias torque of one state.
@@ -225,8 +248,8 @@ class Arm:
             q: [rad]. Shape (n,).
             qd: [rad/s]. Shape (n,).
         """
-        motion = self.motion(q, qd)
-        return *motion.guarded_speeds, motion.tool_speed
+        speeds = self.speeds(q, qd)
+        return *speeds.guarded_speeds, speeds.tool_speed
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Joint speeds to the tool's twist (linear, angular) in the base frame. Shape (6, n)."""
@@ -285,6 +308,12 @@ def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
     if array.shape != (count,) or not np.isfinite(array).all():
         raise ValueError(f"{name} {array.tolist()} must be {count} finite numbers")
     return array
+
+
+def _length(twist: np.ndarray) -> float:
+    """Of its linear part [m/s]."""
+    vx, vy, vz, *_ = twist.tolist()
+    return math.sqrt(vx * vx + vy * vy + vz * vz)
 
 
 def _point_speed(twist: list[float], point: Sequence[float]) -> float:

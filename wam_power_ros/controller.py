@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from wam_power_ros import primitive, rotations, safety
-from wam_power_ros.arm import Arm, Motion
+from wam_power_ros.arm import Arm, Motion, Speeds
 from wam_power_ros.policy import Policy, to_json, with_id
 from wam_power_ros.rollout import EndEffectorPath
 from wam_power_ros.safety import Limits, Stamp
@@ -332,7 +332,7 @@ class Controller:
         self._stamp: int | None = None
         self._q: np.ndarray | None = None
         self._qd = np.zeros(arm.n)
-        self._motion: Motion | None = None
+        self._motion: Motion | Speeds | None = None
         self._sent = np.zeros(arm.n)
         self._steps = 0
         self._rejections: deque[int] = deque(maxlen=5)  # the steps in which they came
@@ -704,7 +704,8 @@ class Controller:
         counters, limits, period = self.counters, self.limits, self.settings.period
         counters["accepted"] += 1
         self._rejected_in_row = 0
-        motion = self.arm.motion(q, qd)
+        # Only what moves by itself needs to know where it is.
+        motion = (self.arm.motion if self._mode in _MOVING else self.arm.speeds)(q, qd)
         dt = period
         if stamp is not Stamp.FIRST and self._stamp is not None and self._q is not None:
             dt = (stamp_ns - self._stamp) * 1e-9
@@ -796,17 +797,21 @@ class Controller:
         """Inverse dynamics of the reference and of a spring-damper: every joint decoupled."""
         q_ref, qd_ref, qdd_ref = self._follow(stamp_ns, q, qd)
         self._ref = q_ref, qd_ref
-        error = q_ref - q
-        at_end = not qd_ref.any()  # a brake may lag behind
-        worst = max(map(abs, error.tolist()))
+        # Plain floats: NumPy costs more than the arithmetic, above all when the caches are cold.
+        speed_ref = qd_ref.tolist()
+        error = [a - b for a, b in zip(q_ref.tolist(), q.tolist(), strict=True)]
+        at_end = not any(speed_ref)  # a brake may lag behind
+        worst = max(map(abs, error))
         # An arm that was carried off while it held (idled by its board, say) must not spring back.
         if worst > self.settings.tracking_error and (self._mode is not Mode.HOLD or at_end):
             raise ValueError(f"a joint is {worst:.3f} rad away from where it should be")
         if self._mode is Mode.REPLAY and isinstance(self._reference, Sampled):
-            self._replay_squares += error * error
+            self._replay_squares += np.square(error)
             self._replay_count += 1
         bandwidth, ratio = self.settings.hold_bandwidth, self.settings.hold_damping_ratio
-        qdd = qdd_ref + bandwidth**2 * error + 2.0 * ratio * bandwidth * (qd_ref - qd)
+        stiffness, damping = bandwidth**2, 2.0 * ratio * bandwidth
+        rows = zip(qdd_ref.tolist(), error, speed_ref, qd.tolist(), strict=True)
+        qdd = np.array([a + stiffness * e + damping * (v - w) for a, e, v, w in rows])
         tau = self.arm.inverse_dynamics(q, qd, qdd)
         if self._mode is not Mode.HOLD:
             # By the reference's direction, not the measured one: it cannot chatter.
@@ -877,7 +882,7 @@ class Controller:
         if rollout is None:
             return
         if not rollout.count and self._motion is not None:  # ended before its first state
-            self._sample(rollout, 0, self._motion)
+            self._sample(rollout, 0, self.arm.motion(self._q, self._qd))
         count = rollout.count
         self._finished = EndEffectorPath(
             rollout.id, rollout.t[:count], rollout.position[:count], rollout.quat_xyzw[:count]

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from array import array
+
 import numpy as np
 
 CAPACITY = 4096  # cycles between two reports
@@ -17,8 +19,8 @@ class LoopStatistics:
 
     def __init__(self, period_ns: int) -> None:
         self._period_ns = period_ns
-        self._arrived = np.zeros(CAPACITY, dtype=np.int64)
-        self._left = np.zeros(CAPACITY, dtype=np.int64)
+        self._arrived = array("q", bytes(8 * CAPACITY))
+        self._left = array("q", bytes(8 * CAPACITY))
         self._count = 0
         self._before: int | None = None  # the last arrival of the report before
         self.missed = 0  # periods, since the start
@@ -39,7 +41,7 @@ class LoopStatistics:
         self.share_missed, self.missed_in_row = 0.0, 0
         if count == 0:
             return {"cycles": "0"}
-        arrived, left = self._arrived[:count], self._left[:count]
+        arrived, left = (np.frombuffer(x, np.int64)[:count] for x in (self._arrived, self._left))
         self._before = int(arrived[-1])
         first = arrived[0] if before is None else before
         periods = np.diff(arrived, prepend=first)[1 if before is None else 0 :]
