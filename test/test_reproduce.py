@@ -103,7 +103,7 @@ def cluster(tmp_path: Path) -> Iterator[str]:
             stack.callback(process.kill)
 
         start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        end = time.monotonic() + 120.0
+        end = time.monotonic() + 600.0
         while not (found := re.search(r"tcp://127\.0\.0\.1:\d+", told.read_text())):
             assert time.monotonic() < end, told.read_text()
             time.sleep(0.05)

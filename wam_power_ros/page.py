@@ -141,13 +141,15 @@ PAGE = Template("""<!doctype html>
   .good td { background: var(--good); }
   .claims { width: 100%; white-space: normal; font-size: .86rem; }
   .claims td, .claims th { text-align: left; vertical-align: top; padding: .5rem .6rem; }
+  .claims th[colspan] { color: var(--ink); padding-top: 1.3rem; }
   .claims small { display: block; color: var(--quiet); margin-top: .2rem; }
   .met { color: var(--green); font-weight: 700; white-space: nowrap; }
   .missed { color: var(--red); font-weight: 700; white-space: nowrap; }
   .told { color: var(--quiet); white-space: nowrap; }
   @media (max-width: 46rem) {
     body { margin-top: 1.2rem; }
-    .claims tr:first-child { display: none; }
+    .claims thead { display: none; }
+    .claims th[colspan] { display: block; border: 0; padding: .8rem 0 0; font-size: 1rem; }
     .claims tr { display: block; border-bottom: 1px solid var(--line); padding: .7rem 0; }
     .claims td { display: flex; gap: .8rem; border: 0; padding: .08rem 0; }
     .claims td::before { content: attr(data-head); flex: 0 0 5.2rem; color: var(--quiet); }

@@ -124,19 +124,25 @@ def html(chapter: Chapter, level: int = 2) -> str:
     return page.section(chapter.title, chapter.text, content, level)
 
 
-def overview(claims: Sequence[Claim]) -> str:
-    """HTML table of claims; on a phone each becomes a card."""
+def overview(told: Sequence[Chapter]) -> str:
+    """HTML table of the claims of chapters; on a phone each becomes a card."""
     head = ("", "paper", "measured", "spread", "over", "verdict")
     rows = []
-    for claim in claims:
-        style = {True: "met", False: "missed", None: "told"}[claim.met]
-        opened = f"<small>left open: {escape(claim.left_open)}</small>" if claim.left_open else ""
-        cells = [f"<td>{escape(claim.what)}{opened}</td>"]
-        for name, value in zip(
-            head[1:-1], (claim.paper, claim.ours, claim.spread, claim.count), strict=True
-        ):
-            cells.append(f'<td data-head="{name}">{escape(value)}</td>')
-        cells.append(f'<td data-head="verdict" class="{style}">{claim.verdict}</td>')
-        rows.append(f"<tr>{''.join(cells)}</tr>")
+    for chapter in told:
+        if claims := chapter.all_claims():
+            rows.append(f'<tr><th colspan="{len(head)}">{escape(chapter.title)}</th></tr>')
+            rows += [_row(claim, head) for claim in claims]
     top = "".join(f"<th>{name}</th>" for name in head)
-    return f'<table class="claims"><tr>{top}</tr>{"".join(rows)}</table>'
+    return f'<table class="claims"><thead><tr>{top}</tr></thead>{"".join(rows)}</table>'
+
+
+def _row(claim: Claim, head: Sequence[str]) -> str:
+    style = {True: "met", False: "missed", None: "told"}[claim.met]
+    opened = f"<small>left open: {escape(claim.left_open)}</small>" if claim.left_open else ""
+    values = (claim.paper, claim.ours, claim.spread, claim.count)
+    cells = "".join(
+        f'<td data-head="{name}">{escape(value)}</td>'
+        for name, value in zip(head[1:-1], values, strict=True)
+    )
+    verdict = f'<td data-head="{head[-1]}" class="{style}">{claim.verdict}</td>'
+    return f"<tr><td>{escape(claim.what)}{opened}</td>{cells}{verdict}</tr>"

@@ -15,6 +15,7 @@ import platform
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from html import escape
 from itertools import groupby
 from pathlib import Path
 from types import ModuleType
@@ -22,6 +23,7 @@ from typing import Any, Literal
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from wam_power_ros import page
 from wam_power_ros.experiments import chapters, studies
@@ -33,6 +35,7 @@ PAPER = (
     "P. Kormushev, S. Calinon, D. G. Caldwell: Robot Motor Skill Coordination with EM-based "
     "Reinforcement Learning. IROS 2010."
 )
+MACHINE = "Machine, versions, seeds, time"
 LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes", "joblib")
 Scale = Literal["full", "quick"]
 
@@ -124,7 +127,7 @@ def render(
     """The report as HTML; see `write`; `kept` is the folder of the results."""
     claims = [claim for chapter in told for claim in chapter.all_claims()]
     judged = [claim for claim in claims if claim.met is not None]
-    count = sum(bool(claim.met) for claim in judged)
+    met = sum(bool(claim.met) for claim in judged)
     _, cpu = studies.spent(jobs, kept)
     introduction = [
         PAPER,
@@ -140,9 +143,9 @@ def render(
             "works: its numbers say nothing about the paper."
         )
     sections = [chapter.title for chapter in told] + [MACHINE]
-    links = "".join(f'<a href="#{page.anchor(title)}">{title}</a>' for title in sections)
+    links = "".join(f'<a href="#{page.anchor(title)}">{escape(title)}</a>' for title in sections)
     values = [
-        ("claims met, of those with a yardstick", f"{count} of {len(judged)}"),
+        ("claims met, of those with a yardstick", f"{met} of {len(judged)}"),
         ("runs", str(len(jobs))),
         ("processor time", duration(cpu)),
     ]
@@ -152,14 +155,19 @@ def render(
             page.paragraphs(introduction),
             page.cards(values),
             f"<nav>{links}</nav>",
-            page.section("Overview", content=chapters.overview(claims)),
+            page.section("Overview", _verdicts(judged), chapters.overview(told)),
             *(chapters.html(chapter) for chapter in told),
             _machine(jobs, time_it_took, kept),
         ],
     )
 
 
-MACHINE = "Machine, versions, seeds, time"
+def _verdicts(judged: Sequence[Claim]) -> list[str]:
+    missed = [claim for claim in judged if not claim.met]
+    if not missed:
+        return [f"All {len(judged)} claims with a yardstick are met."] if judged else []
+    names = "; ".join(f"{claim.what}: {claim.ours}" for claim in missed)
+    return [f"{len(missed)} of the {len(judged)} claims with a yardstick are not met. {names}."]
 
 
 def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
@@ -220,27 +228,29 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def overview(claims: Sequence[Claim]) -> Table:
-    """Claims as a table for the terminal."""
+def overview(told: Sequence[Chapter]) -> Table:
+    """Claims of the chapters as a table for the terminal."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("", "paper", "measured", "spread", "over", "verdict"):
         table.add_column(name, overflow="fold")
     styles = {True: "green", False: "red", None: "dim"}
-    for claim in claims:
-        table.add_row(
-            claim.what,
-            claim.paper,
-            claim.ours,
-            claim.spread,
-            claim.count,
-            f"[{styles[claim.met]}]{claim.verdict}[/]",
-        )
+    for chapter in told:
+        table.add_row(Text(chapter.title, style="bold"))
+        for claim in chapter.all_claims():
+            table.add_row(
+                Text(claim.what),
+                Text(claim.paper),
+                Text(claim.ours),
+                Text(claim.spread),
+                Text(claim.count),
+                Text(claim.verdict, style=styles[claim.met]),
+            )
     return table
 
 
 def _say(told: Sequence[Chapter], time_it_took: str) -> None:
     console = Console(file=sys.stdout)
-    console.print(overview([claim for chapter in told for claim in chapter.all_claims()]))
+    console.print(overview(told))
     console.print(f"\n{time_it_took}", highlight=False)
 
 

@@ -400,7 +400,7 @@ def _note(folder: Path, job: Job, done: _Done) -> None:
 def _progress(
     jobs: Sequence[Job], results: dict[str, Any], console: Console
 ) -> Iterator[Callable[[Job], None]]:
-    """Bars of all and of each study; where there is no terminal, a line as each study is done."""
+    """Bars of all jobs and of each study under way, on a terminal; a line as a study is done."""
     total = Counter(job.study for job in jobs)
     done = Counter(job.study for job in jobs if job.name in results)
     bars: dict[str, TaskID] = {}
@@ -413,17 +413,21 @@ def _progress(
         TimeRemainingColumn(),
         console=console,
         disable=not console.is_terminal,
+        speed_estimate_period=600.0,
     )
 
     def advance(job: Job) -> None:
-        done[job.study] += 1
+        study = job.study
+        done[study] += 1
         progress.advance(everything)
-        progress.advance(bars[job.study])
-        if not console.is_terminal and done[job.study] == total[job.study]:
-            console.print(f"{job.study}: {total[job.study]} done", highlight=False)
+        progress.update(bars[study], advance=1, visible=done[study] < total[study])
+        if done[study] == total[study]:
+            console.print(f"{study}: {total[study]} done", highlight=False)
 
     with progress:
         everything = progress.add_task("all", total=len(jobs), completed=len(results))
-        for study, count in total.items():
-            bars[study] = progress.add_task(f"  {study}", total=count, completed=done[study])
+        for study, count in total.items():  # shown from its first result to its last
+            bars[study] = progress.add_task(
+                f"  {study}", total=count, completed=done[study], visible=False
+            )
         yield advance
