@@ -19,6 +19,7 @@ from wam_power_ros.learners import (
     restore,
 )
 from wam_power_ros.power import Learner, Power, PowerSettings
+from wam_power_ros.screening import Model, Screened
 
 SIZE = 6
 TOP = np.full(SIZE, 0.8)
@@ -30,6 +31,7 @@ CLIMBERS = [
     Cma(),
     Reinforce(),
     Enac(),
+    Screened(candidates=20),
 ]
 ALL = [*CLIMBERS, RandomSearch()]
 
@@ -46,6 +48,29 @@ def hill(z: np.ndarray) -> float:
     return float(np.exp(-0.3 * ((z - TOP) ** 2).sum()))
 
 
+class Crude:
+    """A model that knows roughly where the top is, and remembers how often it was told."""
+
+    def __init__(self) -> None:
+        self.told = 0
+
+    def predict(self, z: np.ndarray) -> np.ndarray:
+        """Any scale will do."""
+        return -((z - 0.5) ** 2).sum(axis=1) / (1 + self.told)
+
+    def learn(self, z: np.ndarray, ret: float) -> None:
+        """Count."""
+        self.told += 1
+
+
+def model_of(settings: Settings) -> Model | None:
+    return Crude() if isinstance(settings, Screened) else None
+
+
+def search(settings: Settings, seed: int, size: int = SIZE) -> Search:
+    return Search(size, settings, rng(seed), model_of(settings))
+
+
 def climb(learner: Learner, rollouts: int) -> Learner:
     for _ in range(rollouts):
         z = learner.ask()
@@ -56,7 +81,7 @@ def climb(learner: Learner, rollouts: int) -> Learner:
 @pytest.mark.parametrize("settings", CLIMBERS, ids=name)
 @pytest.mark.parametrize("seed", range(5))
 def test_every_learner_climbs_a_hill(settings: Settings, seed: int) -> None:
-    learner = climb(Search(SIZE, settings, rng(seed)), 300)
+    learner = climb(search(settings, seed), 300)
     assert hill(np.zeros(SIZE)) < 0.32
     assert hill(learner.mean) > 0.6
 
@@ -72,8 +97,8 @@ def test_random_search_keeps_the_best_it_saw() -> None:
 @pytest.mark.parametrize("settings", ALL, ids=name)
 @pytest.mark.parametrize("count", [0, 7, 33])
 def test_a_resumed_learner_goes_on_bit_for_bit(settings: Settings, count: int) -> None:
-    learner = climb(Search(SIZE, settings, rng(1)), count)
-    resumed = restore(json.loads(json.dumps(learner.state())))
+    learner = climb(search(settings, 1), count)
+    resumed = restore(json.loads(json.dumps(learner.state())), model_of(settings))
     for _ in range(25):
         z = learner.ask()
         np.testing.assert_array_equal(resumed.ask(), z)
@@ -89,18 +114,18 @@ def test_power_is_restored_too() -> None:
 
 @pytest.mark.parametrize("settings", ALL, ids=name)
 def test_the_seed_decides_and_telling_draws_nothing(settings: Settings) -> None:
-    first, second = (climb(Search(SIZE, settings, rng(4)), 30) for _ in range(2))
+    first, second = (climb(search(settings, 4), 30) for _ in range(2))
     np.testing.assert_array_equal(first.mean, second.mean)
     before = first.state()["generator"]
     first.tell(np.ones(SIZE), 0.5)
     assert first.state()["generator"] == before
-    other = climb(Search(SIZE, settings, rng(5)), 30)
+    other = climb(search(settings, 5), 30)
     assert not np.array_equal(second.mean, other.mean)
 
 
 @pytest.mark.parametrize("settings", ALL, ids=name)
 def test_what_cannot_be_learnt_from_is_refused_and_changes_nothing(settings: Settings) -> None:
-    learner = climb(Search(SIZE, settings, rng(0)), 5)
+    learner = climb(search(settings, 0), 5)
     before = learner.state()
     for z, ret in [
         (np.zeros(SIZE + 1), 1.0),
@@ -115,7 +140,7 @@ def test_what_cannot_be_learnt_from_is_refused_and_changes_nothing(settings: Set
 
 @pytest.mark.parametrize("settings", ALL, ids=name)
 def test_returns_that_are_all_zero_are_survived(settings: Settings) -> None:
-    learner = Search(SIZE, settings, rng(0))
+    learner = search(settings, 0)
     for _ in range(40):
         learner.tell(learner.ask(), 0.0)
     assert np.isfinite(learner.mean).all() and np.isfinite(learner.ask()).all()
@@ -123,7 +148,7 @@ def test_returns_that_are_all_zero_are_survived(settings: Settings) -> None:
 
 @pytest.mark.parametrize("settings", ALL, ids=name)
 def test_the_scale_of_returns_does_not_matter(settings: Settings) -> None:
-    learners = [Search(SIZE, settings, rng(3)) for _ in range(2)]
+    learners = [search(settings, 3) for _ in range(2)]
     for _ in range(30):
         for learner, factor in zip(learners, (1.0, 2.0**-30), strict=True):
             z = learner.ask()
@@ -177,3 +202,38 @@ def test_an_unknown_state_is_refused() -> None:
         restore({"learner": "x", "settings": {"kind": "x"}})
     with pytest.raises(ValueError, match="at least 2"):
         Search(1, Cma(), rng(0))
+
+
+def test_a_model_where_none_is_used_or_none_where_one_is_needed_is_refused() -> None:
+    with pytest.raises(ValueError, match="'screened' needs one"):
+        Search(SIZE, Screened(), rng(0))
+    with pytest.raises(ValueError, match="'screened' needs one"):
+        Search(SIZE, Pi2(), rng(0), Crude())
+
+
+def test_screening_tries_the_candidate_that_promises_most() -> None:
+    settings = Screened(candidates=50)
+    learner, model = Search(SIZE, settings, rng(7), Crude()), Crude()
+    candidates = rng(7).standard_normal((50, SIZE))  # about the mean, which is 0 yet
+    promised = candidates[np.argmax(model.predict(candidates))]
+    np.testing.assert_array_equal(learner.ask(), promised)
+
+
+def test_one_candidate_is_power_itself() -> None:
+    screened = climb(search(Screened(candidates=1, sigma=3, decay=0.97), 5), 40)
+    power = climb(Power(SIZE, PowerSettings(sigma=3, decay=0.97), rng(5)), 40)
+    np.testing.assert_allclose(screened.mean, power.mean, rtol=1e-12)
+
+
+def test_a_good_model_helps_and_a_wrong_one_cannot_pass_for_success() -> None:
+    class Wrong(Crude):
+        def predict(self, z: np.ndarray) -> np.ndarray:
+            return -super().predict(z)
+
+    right, wrong = (
+        climb(Search(SIZE, Screened(candidates=50), rng(1), model), 30)
+        for model in (Crude(), Wrong())
+    )
+    assert hill(right.mean) > 0.8
+    tried = [hill(np.array(z)) for z in wrong.state()["z"]]
+    assert tried == wrong.state()["returns"]

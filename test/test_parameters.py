@@ -169,3 +169,15 @@ def test_the_floor_is_below_every_demonstrated_stiffness() -> None:
         p = parameters("full", seed)
         low = np.linalg.eigvalsh(symmetric(p.policy0.stiffness)).min()
         assert p.stiffness_min == pytest.approx(FLOOR * low) and 0.0 < p.stiffness_min < low
+
+
+@variants
+def test_many_at_once_are_the_policies_one_by_one(variant: str) -> None:
+    p = parameters(variant)
+    z = 6.0 * np.random.default_rng(2).standard_normal((20, p.size))
+    many = p.arrays(z)
+    for k in range(len(z)):
+        policy, _ = p.policy(z[k], "a")
+        np.testing.assert_allclose(many[0][k], policy.stiffness, rtol=1e-9)
+        np.testing.assert_allclose(many[1][k], policy.attractors, rtol=1e-12)
+        np.testing.assert_allclose(many[2][k], policy.rotation_attractors, rtol=1e-12)

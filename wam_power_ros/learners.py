@@ -27,6 +27,7 @@ from wam_power_ros.power import (
     power_update,
     restore_generator,
 )
+from wam_power_ros.screening import Model, Screened, ScreenedPower
 
 
 class _Settings(BaseModel):
@@ -132,7 +133,7 @@ class RandomSearch(_Settings):
     kind: Literal["random"] = "random"
 
 
-Settings = ShapedPower | AdaptivePower | Pi2 | Cma | Reinforce | Enac | RandomSearch
+Settings = ShapedPower | AdaptivePower | Pi2 | Cma | Reinforce | Enac | RandomSearch | Screened
 _SETTINGS = TypeAdapter(Annotated[Settings, Field(discriminator="kind")])
 
 
@@ -149,17 +150,28 @@ class _Method(Protocol):
 class Search:
     """Any of the methods above behind ask and tell, starting at z = 0 with unit noise."""
 
-    def __init__(self, size: int, settings: Settings, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        size: int,
+        settings: Settings,
+        rng: np.random.Generator,
+        model: Model | None = None,
+    ) -> None:
         """Start, having been told nothing.
 
         Args:
             size: number of parameters.
             settings: of the method, and which one.
             rng: source of the exploration; used by `ask` alone.
+            model: what `Screened` screens with, having learnt nothing; no other method has one.
 
         Raises:
-            ValueError: no parameter, or fewer than two for CMA-ES.
+            ValueError: no parameter, fewer than two for CMA-ES, or a model missing or in vain.
         """
+        if isinstance(settings, Screened) != (model is not None):
+            raise ValueError(
+                f"{settings.kind} with model {model}: 'screened' needs one, others none"
+            )
         least = 2 if isinstance(settings, Cma) else 1
         if size < least:
             raise ValueError(f"size is {size}, {settings.kind} needs at least {least}")
@@ -168,7 +180,7 @@ class Search:
         self._rng = rng
         self._told: list[np.ndarray] = []
         self._returns: list[float] = []
-        self._method = _method(size, settings)
+        self._method = _method(size, settings, model)
 
     @property
     def mean(self) -> np.ndarray:
@@ -215,14 +227,18 @@ class Search:
         }
 
     @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Search:
+    def from_state(cls, state: Mapping[str, Any], model: Model | None = None) -> Search:
         """Learner that goes on exactly where the one that gave `state` was.
+
+        Args:
+            state: of `Search.state`.
+            model: as when it was begun: it is told every rollout again.
 
         Raises:
             ValueError: not the state of one of these learners.
         """
         settings = _SETTINGS.validate_python(state["settings"])
-        learner = cls(int(state["size"]), settings, restore_generator(state["generator"]))
+        learner = cls(int(state["size"]), settings, restore_generator(state["generator"]), model)
         if len(state["z"]) != len(state["returns"]):
             raise ValueError(f"{len(state['z'])} rollouts but {len(state['returns'])} returns")
         for z, ret in zip(state["z"], state["returns"], strict=True):
@@ -230,16 +246,20 @@ class Search:
         return learner
 
 
-def restore(state: Mapping[str, Any]) -> Learner:
-    """The learner, PoWER or any of these, that gave `state`.
+def restore(state: Mapping[str, Any], model: Model | None = None) -> Learner:
+    """The learner, PoWER or any of these, that gave `state`; `model` as of `Search.from_state`.
 
     Raises:
         ValueError: not the state of a learner.
     """
-    return Power.from_state(state) if state.get("learner") == "power" else Search.from_state(state)
+    if state.get("learner") == "power":
+        return Power.from_state(state)
+    return Search.from_state(state, model)
 
 
-def _method(size: int, settings: Settings) -> _Method:
+def _method(size: int, settings: Settings, model: Model | None) -> _Method:
+    if isinstance(settings, Screened) and model is not None:
+        return ScreenedPower(size, settings, model)
     if isinstance(settings, ShapedPower):
         return _ShapedPower(size, settings)
     if isinstance(settings, AdaptivePower):

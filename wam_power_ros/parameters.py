@@ -158,19 +158,7 @@ class Parameters:
         """
         z = self.clip(z)
         delta = self.scale * z
-        attractors = self.policy0.attractors.copy()
-        axes, rotation_axes = self._layout.axes, self._layout.rotation_axes
-        attractors[:, axes] += delta[self.groups["attractors"]].reshape(self._n, len(axes))
-        rotation = self.policy0.rotation_attractors.copy()
-        if rotation_axes:
-            offset = delta[self.groups["rotation"]].reshape(self._n, len(rotation_axes))
-            rotation[:, rotation_axes] += offset
-        if self._layout.catch:
-            demonstrated = self.policy0.rotation_attractors[:, rotation_axes]
-            flick = float(delta[self.groups["flick"]][0])
-            rotation[:, rotation_axes] += flick * (demonstrated - demonstrated[0])
-            shift = float(delta[self.groups["catch_shift"]][0])
-            attractors[-len(CATCH_PROFILE) :, 0] += shift * np.array(CATCH_PROFILE)
+        attractors, rotation = self._attractors(delta)
         policy = replace(
             self.policy0,
             id=id,
@@ -179,6 +167,23 @@ class Parameters:
             rotation_attractors=rotation,
         )
         return policy, z
+
+    def arrays(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What `policy` gives, for many at once, up to rounding.
+
+        Args:
+            z: wanted coordinates. Shape (B, size)
+
+        Returns:
+            Positive definite stiffness (B, n, 3, 3), attractors and rotation attractors (B, n, 3).
+        """
+        delta = self.scale * np.asarray(z, dtype=float)
+        stiffness = self._stiffness(delta)
+        if "stiffness" in self.groups:
+            each = stiffness.reshape(-1, 3, 3)  # a view
+            bad = np.linalg.eigvalsh(_symmetric_part(each))[:, 0] < self.stiffness_min
+            each[bad] = self._raised(each[bad])
+        return stiffness, *self._attractors(delta)
 
     def clip(self, z: np.ndarray) -> np.ndarray:
         """Coordinates of the nearest policy whose stiffness matrices are positive definite.
@@ -238,15 +243,34 @@ class Parameters:
         return np.stack(columns, axis=1).ravel() if columns else np.zeros(0)
 
     def _stiffness(self, delta: np.ndarray) -> np.ndarray:
-        """Matrices of policy0 moved by delta. Shape (n, 3, 3)."""
-        stiffness = self.policy0.stiffness.copy()
+        """Matrices of policy0 moved by delta (..., size). Shape (..., n, 3, 3)."""
+        batch = delta.shape[:-1]
+        stiffness = np.broadcast_to(self.policy0.stiffness, (*batch, self._n, 3, 3)).copy()
         if self._layout.entries:
-            moved = delta[self.groups["stiffness"]].reshape(self._n, len(self._layout.entries))
+            moved = delta[..., self.groups["stiffness"]].reshape(*batch, self._n, -1)
             for k, (row, column) in enumerate(self._layout.entries):
-                stiffness[:, row, column] += moved[:, k]
+                stiffness[..., row, column] += moved[..., k]
                 if self._layout.paired and row != column:
-                    stiffness[:, column, row] += moved[:, k]
+                    stiffness[..., column, row] += moved[..., k]
         return stiffness
+
+    def _attractors(self, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Those of policy0 moved by delta (..., size), of place and rotation. (..., n, 3) each."""
+        batch, axes = delta.shape[:-1], self._layout.axes
+        shape = (*batch, self._n, 3)
+        attractors = np.broadcast_to(self.policy0.attractors, shape).copy()
+        attractors[..., axes] += delta[..., self.groups["attractors"]].reshape(*batch, self._n, -1)
+        rotation = np.broadcast_to(self.policy0.rotation_attractors, shape).copy()
+        axes = self._layout.rotation_axes
+        if axes:
+            rotation[..., axes] += delta[..., self.groups["rotation"]].reshape(*batch, self._n, -1)
+        if self._layout.catch:
+            demonstrated = self.policy0.rotation_attractors[:, axes]
+            flick = delta[..., self.groups["flick"], np.newaxis]  # (..., 1, 1)
+            rotation[..., axes] += flick * (demonstrated - demonstrated[0])
+            shift = delta[..., self.groups["catch_shift"]]  # (..., 1)
+            attractors[..., -len(CATCH_PROFILE) :, 0] += shift * np.array(CATCH_PROFILE)
+        return attractors, rotation
 
     def _raised(self, stiffness: np.ndarray) -> np.ndarray:
         """Matrices (m, 3, 3) made positive definite without touching what is not learnt."""

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Learners side by side: small runs of every one, and what the chapters make of them."""
+
+import json
+
+import numpy as np
+import pytest
+
+from wam_power_ros.experiments import comparison, comparison_chapter, reaching
+from wam_power_ros.experiments.comparison import EFFORT, GRID, HELD_OUT, TUNED
+from wam_power_ros.experiments.comparison_chapter import LEARNERS, TASKS
+from wam_power_ros.experiments.comparison_runs import reaching_runs
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_every_learner_runs_on_the_reach_and_the_same_twice(name: str) -> None:
+    arguments = {**TUNED["reaching"][name]._asdict(), "seeds": [1_000_000], "rollouts": 3}
+    once, again = reaching_runs(**arguments), reaching_runs(**arguments)
+    assert json.loads(json.dumps(once)) == again
+    assert np.shape(once["returns"]) == (1, 3)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_no_learner_is_tuned_on_a_seed_it_is_judged_on(task: str) -> None:
+    tuning = {*EFFORT[task].few, *EFFORT[task].many}
+    assert not tuning & set(HELD_OUT[task])
+    assert set(TUNED[task]) == set(GRID) == set(LEARNERS)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_what_was_tuned_is_of_the_grid(task: str) -> None:
+    for name, choice in TUNED[task].items():
+        assert choice.settings in GRID[name]
+        assert (choice.stiffness, choice.attractor) in comparison.NOISE[task]
+
+
+def made_up(better: float) -> dict:
+    """Results in which ours is better than the others by so much."""
+    rng = np.random.default_rng(0)
+    results: dict = {f"comparison-{task}": {} for task in TASKS}
+    for name in LEARNERS:
+        lift = better if name == "screened" else 0.0
+        final = 0.7 + lift + 0.02 * rng.standard_normal(12)
+        returns = np.tile(np.linspace(0.2, 0.7 + lift, 5), (12, 1))
+        results["comparison-reaching"][f"{name}-401-412"] = {
+            "seeds": list(range(12)),
+            "final": final.tolist(),
+            "returns": returns.tolist(),
+            "means": returns.tolist(),
+        }
+        for k in range(12):
+            results["comparison-pancake"][f"{name}-{k}"] = {
+                "returns": returns[k].tolist(),
+                "repeats": [float(final[k])] * 3,
+                "faults": 0,
+            }
+    return results
+
+
+@pytest.mark.parametrize(("better", "met"), [(0.1, True), (0.0, False), (-0.1, False)])
+def test_the_claim_is_met_only_if_ours_is_ahead(better: float, met: bool) -> None:
+    chapter = comparison_chapter.chapter(made_up(better))
+    assert [claim.met for claim in chapter.all_claims()] == [met, met]
+    assert len(chapter.all_figures()) == 2
+
+
+def test_the_reaching_chapter_is_made_of_its_quick_jobs() -> None:
+    results: dict = {}
+    for job in reaching.jobs("quick"):
+        results.setdefault(job.study, {})[job.key] = job.function(**job.arguments)
+    chapter = reaching.chapter(json.loads(json.dumps(results)))
+    assert len(chapter.all_figures()) == 3
+    words = [claim.what for claim in chapter.all_claims()]
+    assert any("stuck" in what for what in words) and any("taught" in what for what in words)

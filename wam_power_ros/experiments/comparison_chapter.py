@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the comparison of learners has to say: every word and figure is made of its results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from scipy.stats import ranksums
+
+from wam_power_ros import study_figures
+from wam_power_ros.experiments.chapters import Chapter, Claim, Figure, Table
+
+Results = Mapping[str, Mapping[str, Mapping[str, Any]]]
+TASKS = {
+    "reaching": "Reaching (Eq. 4): return of the noise-free mean",
+    "pancake": "Pancake (Eq. 5): mean return of noisy repeats of the final mean",
+}
+LEARNERS = {
+    "power": "PoWER",
+    "shaped": "PoWER, warm-up, rank, mirrored",
+    "adaptive": "PoWER, adaptive variance",
+    "pi2": "PI2-BB",
+    "cma": "CMA-ES",
+    "reinforce": "REINFORCE",
+    "enac": "eNAC",
+    "random": "random search",
+    "screened": "screened PoWER (ours)",
+}
+OURS = "screened"
+FOILS = ("power", "cma", "pi2")
+
+
+def chapter(results: Results) -> Chapter:
+    """The chapter of `comparison.jobs`.
+
+    Args:
+        results: Study -> key -> result; other studies are not looked at.
+    """
+    return Chapter(
+        title="Learners side by side",
+        text=[
+            "All learners have the same rollouts, start at the same demonstration and learn full "
+            "matrices and attractors. Settings and exploration of each were tuned alike, on other "
+            "seeds. Screened PoWER draws candidates from PoWER's own distribution and tries the "
+            "one a model promises most of. The model of reaching is Eq. 1's free path and Eq. 4, "
+            "and the places where rollouts were stopped; that of the pancake is the toss Eq. 1 "
+            "plans, flying freely, put right by the returns. It is told no more than the others "
+            "are, but it is given these models, which the others are not.",
+        ],
+        parts=[_task(task, results[f"comparison-{task}"]) for task in TASKS],
+    )
+
+
+def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
+    final, returns = _gather(study)
+    rollouts = next(iter(returns.values())).shape[1]
+    curves = {name: np.maximum.accumulate(runs, axis=1) for name, runs in returns.items()}
+    ours = final[OURS]
+    level = float(np.median(final["power"]))
+    rows, p_values = [], {}
+    for name, values in final.items():
+        p_values[name] = float(ranksums(ours, values, alternative="greater").pvalue)
+        rows.append(
+            [
+                LEARNERS[name],
+                f"{values.mean():.3f}",
+                f"{np.median(values):.3f}",
+                f"{values.std(ddof=1):.3f}",
+                f"{returns[name].mean():.3f}",
+                _needed(curves[name], level),
+                "" if name == OURS else f"{p_values[name]:.1g}",
+            ]
+        )
+    best = max(range(len(rows)), key=lambda row: float(rows[row][1]))
+    others = [name for name in FOILS if name in final]
+    ahead = all(p_values[name] < 0.01 and ours.mean() > final[name].mean() for name in others)
+    over = f"{len(ours)} runs of {rollouts} rollouts"
+    names = ", ".join(LEARNERS[name] for name in others)
+    return Chapter(
+        TASKS[task],
+        [
+            f"{over} of each. PoWER's median answer returns {level:.3f}; a rollout of that return "
+            f"came after {_needed(curves['power'], level)} rollouts with PoWER and "
+            f"{_needed(curves[OURS], level)} with ours (median)."
+        ],
+        [
+            Claim(
+                f"A learner of ours ahead of {names}, {task} (rank-sum p < 0.01)",
+                "",
+                f"{ours.mean():.3f} against "
+                + ", ".join(f"{final[name].mean():.3f}" for name in others),
+                "p = " + ", ".join(f"{p_values[name]:.1g}" for name in others),
+                over,
+                ahead,
+            )
+        ],
+        [
+            Table(
+                f"{TASKS[task]}. Rollouts: until one returned {level:.3f}, median over runs. "
+                "p: ours greater, rank-sum, one-sided.",
+                ("learner", "mean", "median", "sd", "mean of all rollouts", "rollouts", "p"),
+                rows,
+                [(best, 1)],
+            )
+        ],
+        [
+            Figure.of(
+                f"learners-{task}",
+                "Best return so far, median over runs; ours with its quartiles.",
+                study_figures.learner_curves(
+                    {LEARNERS[name]: runs.tolist() for name, runs in curves.items()},
+                    ours=[LEARNERS[OURS]],
+                    ylabel="best return so far",
+                ),
+            )
+        ],
+    )
+
+
+def _gather(
+    study: Mapping[str, Mapping[str, Any]],
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Final returns (runs,) and returns of rollouts (runs, rollouts) of each learner."""
+    final: dict[str, list[float]] = {}
+    returns: dict[str, list[list[float]]] = {}
+    for key, part in study.items():
+        name = key.split("-")[0]
+        many = "final" in part  # a job of reaching is of several seeds
+        finals = part["final"] if many else [float(np.mean(part["repeats"]))]
+        final.setdefault(name, []).extend(finals)
+        returns.setdefault(name, []).extend(part["returns"] if many else [part["returns"]])
+    return (
+        {name: np.array(values) for name, values in final.items()},
+        {name: np.array(values) for name, values in returns.items()},
+    )
+
+
+def _needed(curves: np.ndarray, level: float) -> str:
+    """Median number of rollouts until a curve is at the level, in words if it mostly never is."""
+    reached = curves >= level
+    first = np.where(reached.any(axis=1), reached.argmax(axis=1) + 1.0, np.inf)
+    median = float(np.median(first))
+    return f"{median:.0f}" if np.isfinite(median) else f"over {curves.shape[1]}"
