@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One session, begun on the default stand-in, resumed onto each driver's shape by --config alone.
+
+    python -m benchmark.swap --folder /tmp/swap
+
+Every configuration goes on with a copy of the same session, so with the same next policies; the
+first row, the default stand-in in lockstep, is what to compare with. The others are in real time.
+Nothing of the checkout is changed meanwhile: git says so at the end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from wam_power_ros import session
+from wam_power_ros.live import outcome
+from wam_power_ros.practice import Record
+
+ROOT = Path(__file__).resolve().parents[1]
+SET_UPS = (
+    (),
+    ("geodude", "natnet_ros2", "full_speed"),
+    ("libbarrett", "vrpn_mocap", "full_speed"),
+    ("franka", "mocap_optitrack", "full_speed"),
+    ("geodude", "motion_capture_tracking", "full_speed"),
+)
+
+
+def main() -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--folder", type=Path, required=True, help="for the sessions; a new one")
+    parser.add_argument("--seed", type=int, default=21)
+    parser.add_argument("--rollouts", type=int, default=5, help="on each (default 5)")
+    parser.add_argument("--patience", type=float, default=900.0, help="for each [s]")
+    options = parser.parse_args()
+    before = changes()
+    begun = options.folder / "begun"
+    learn(begun, options.rollouts, options.patience, "--seed", str(options.seed))
+    _, _, first = session.read(begun)
+    table = Table("configuration", "rollouts", "returns", "caught", "faults", "same policies", "s")
+    policies: list[list[float]] = []
+    short = False
+    for names in SET_UPS:
+        folder = options.folder / ("-".join(names) or "default")
+        shutil.copytree(begun, folder)
+        words = [word for name in names for word in ("--config", name)]
+        start = time.monotonic()
+        count = len(first) + options.rollouts
+        learn(folder, count, options.patience, *words, *(["--rehearse"] if names else []))
+        took = time.monotonic() - start
+        _, _, records = session.read(folder)
+        new = list(records[len(first) : count])
+        short |= len(new) < options.rollouts
+        policies = policies or [list(record.theta) for record in new]
+        table.add_row(
+            " + ".join(names) or "default stand-in, lockstep", *row(new, policies), f"{took:.0f}"
+        )
+        for record in new:
+            print(
+                " + ".join(names) or "default",
+                record.number,
+                record.ret,
+                outcome(record),
+                record.why,
+            )
+    Console(width=150).print(table)
+    after = changes()
+    print(f"git diff: {'empty' if not after else after}")
+    return int(short or before != after)
+
+
+def learn(folder: Path, count: int, patience: float, *arguments: str) -> None:
+    """Run `wam-power learn` until the session holds so many rollouts, then stop it by Ctrl-C."""
+    command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
+    print("wam-power", *command[3:], *arguments, flush=True)
+    process = subprocess.Popen([*command, *arguments], start_new_session=True, cwd=ROOT)
+    log = folder / "rollouts.jsonl"
+    end = time.monotonic() + patience
+    while process.poll() is None and time.monotonic() < end:
+        if log.exists() and log.read_bytes().count(b"\n") >= count:
+            break
+        time.sleep(0.2)
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+    process.wait(60.0)
+
+
+def row(new: list[Record], policies: list[list[float]]) -> list[str]:
+    """Cells of a table."""
+    returns = [math.nan if record.ret is None else record.ret for record in new]
+    caught = sum(bool(record.truth and record.truth["caught"]) for record in new)
+    same = sum(list(record.theta) == theta for record, theta in zip(new, policies, strict=False))
+    return [
+        str(len(new)),
+        " ".join(f"{ret:.2f}" for ret in returns),
+        f"{caught}",
+        str(sum(bool(record.fault) for record in new)),
+        f"{same}",
+    ]
+
+
+def changes() -> str:
+    """What git says has changed of the files it knows."""
+    command = ["git", "-C", str(ROOT), "diff", "--stat", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+if __name__ == "__main__":
+    sys.exit(main())
