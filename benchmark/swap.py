@@ -81,7 +81,7 @@ def main() -> int:
 
 
 def learn(folder: Path, count: int, patience: float, *arguments: str) -> None:
-    """Run `wam-power learn` until the session holds so many rollouts, then stop it by Ctrl-C."""
+    """Run `wam-power learn` until the session holds so many rollouts, then stop it."""
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
     print("wam-power", *command[3:], *arguments, flush=True)
     process = subprocess.Popen([*command, *arguments], start_new_session=True, cwd=ROOT)
@@ -92,8 +92,8 @@ def learn(folder: Path, count: int, patience: float, *arguments: str) -> None:
             break
         time.sleep(0.2)
     if process.poll() is None:
-        process.send_signal(signal.SIGINT)
-    process.wait(60.0)
+        process.send_signal(signal.SIGTERM)  # Ctrl-C that reaches it from a script as well
+    process.wait(180.0)
 
 
 def row(new: list[Record], policies: list[list[float]]) -> list[str]:

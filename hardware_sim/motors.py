@@ -53,14 +53,48 @@ def joint_motion(motors: Sequence[float]) -> tuple[float, ...]:
     )
 
 
+class DirectDrives:
+    """A motor on every joint that gives the URDF's torque up to the URDF's speed: another arm's.
+
+    Attributes:
+        of_joints: Motor speeds over joint speeds. Shape (7, 7).
+        motor_no_load_speed: [rad/s]. Shape (7,).
+
+    Args:
+        tau_max: [N m]. Shape (7,).
+        qd_max: [rad/s]. Shape (7,).
+    """
+
+    def __init__(self, tau_max: np.ndarray, qd_max: np.ndarray) -> None:
+        self.of_joints = np.eye(len(tau_max))
+        self.motor_no_load_speed = qd_max.copy()
+        self._rows = np.stack([tau_max, qd_max], axis=1).tolist()
+
+    def limit(self, tau: Sequence[float], qd: Sequence[float]) -> Sequence[float]:
+        """See `Motors`: beyond its speed a motor only brakes."""
+        given = []
+        for torque, speed, (peak, fastest) in zip(tau, qd, self._rows, strict=True):
+            most = 0.0 if speed > fastest else peak
+            least = 0.0 if speed < -fastest else -peak
+            given.append(max(least, min(most, torque)))
+        return tau if given == list(tau) else given
+
+    def braking(self, qd: Sequence[float]) -> Sequence[float]:
+        """See `Motors`: full torque at full speed, in proportion below."""
+        return [
+            -peak / fastest * speed for speed, (peak, fastest) in zip(qd, self._rows, strict=True)
+        ]
+
+
 class Motors:
-    """The envelope at one bus voltage.
+    """The envelope of the WAM's at one bus voltage.
 
     A motor gives its full torque up to the speed at which the voltage less the back-EMF still
     drives the current for it; from there the torque falls linearly, to zero at the no-load speed,
     and beyond that the motor brakes. Against its motion it gives full torque at any speed.
 
     Attributes:
+        of_joints: Motor speeds over joint speeds. Shape (7, 7).
         motor_no_load_speed: Of each motor [rad/s]. Shape (7,).
         no_load_speed: Of each joint moving alone [rad/s]. Shape (7,).
         full_torque_speed: Of each joint moving alone, up to which it has full torque [rad/s].
@@ -82,6 +116,7 @@ class Motors:
         full = (bus_voltage - current * RESISTANCE) / TORQUE_CONSTANT
         full = np.minimum(full, _FULL_TORQUE_AT_MOST * no_load)
         ratio = np.abs(MOTOR_OF_JOINT).max(axis=0)  # (joint,)
+        self.of_joints = MOTOR_OF_JOINT
         self.motor_no_load_speed = no_load
         self.no_load_speed = no_load / ratio
         self.full_torque_speed = full / ratio

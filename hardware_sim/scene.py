@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
+from wam_power_ros.arm import WAM_GUARDED, Guarded
+
 PAN_RADIUS = 0.139  # [m]
 PANCAKE_RADIUS = 0.09  # [m]
 PANCAKE_HALF_HEIGHT = 0.0025  # [m]
 PANCAKE_MASS = 0.026  # [kg], the paper's
-SITES = ("elbow", "forearm", "pan")  # their speeds matter; the safety board watches the first two
-
-_FOREARM_POINT = [-0.045, -0.35, 0.0]  # [m] in wam_link4: 350 mm beyond the elbow
 _RIM_SEGMENTS = 16
 _RIM_HEIGHT = 0.035  # [m]
 _RIM_FLARE = 0.6  # [rad] outward: the pan of a person, and a catch forgives some centimetres
@@ -47,16 +47,23 @@ class SceneSettings:
                 raise ValueError(f"{name} {getattr(self, name)} must be 0 to 10")
 
 
-def build(urdf: str, settings: SceneSettings | None = None) -> mujoco.MjModel:
+def build(
+    urdf: str,
+    settings: SceneSettings | None = None,
+    tool: str = "pan",
+    guarded: Sequence[Guarded] = WAM_GUARDED,
+) -> mujoco.MjModel:
     """Compile the scene.
 
     Args:
-        urdf: Text of the arm's URDF, with links `wam_link4` and `pan`: z the pan's normal, origin
-            on its floor.
+        urdf: Text of the arm's URDF.
         settings: None for the defaults.
+        tool: Link that holds the pan: z its normal, origin on its floor.
+        guarded: Points of the arm whose speeds matter.
 
     Returns:
-        A model whose first degrees of freedom are the arm's joints, and the last six the pancake's.
+        A model whose first degrees of freedom are the arm's joints, and the last six the pancake's;
+        with a site "pan" at the tool and one of its name at every guarded point.
 
     Raises:
         ValueError: The text is no URDF.
@@ -68,11 +75,10 @@ def build(urdf: str, settings: SceneSettings | None = None) -> mujoco.MjModel:
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.density = settings.air_density
-    forearm = spec.body("wam_link4")
-    forearm.add_site(name="elbow", group=4)
-    forearm.add_site(name="forearm", pos=_FOREARM_POINT, group=4)
-    spec.body("pan").add_site(name="pan", group=4)
-    _add_pan(spec.body("pan"), settings)
+    for point in guarded:
+        spec.body(point.link).add_site(name=point.name, pos=list(point.offset), group=4)
+    spec.body(tool).add_site(name="pan", group=4)
+    _add_pan(spec.body(tool), settings)
     _add_pancake(spec.worldbody, settings)
     _add_surroundings(spec, settings)
     model = spec.compile()

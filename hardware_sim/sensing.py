@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -17,6 +17,16 @@ _COUNTS = 4096 / math.tau  # of a motor's encoder [1/rad]
 _COUNT = math.tau / 4096  # [rad]
 
 
+def joint_counts(q: Sequence[float]) -> tuple[float, ...]:
+    """Joint positions as the motors' encoders of an arm with gears of 1:100 see them."""
+    return tuple([_COUNT / 100 * round(_COUNTS * 100 * position) for position in q])
+
+
+def wam_counts(q: Sequence[float]) -> tuple[float, ...]:
+    """Joint positions as the encoders of the WAM's motors see them."""
+    return joint_motion([_COUNT * round(_COUNTS * position) for position in motor_motion(q)])
+
+
 class Encoders:
     """Motor positions in whole counts, differenced and low-passed as libbarrett does.
 
@@ -27,9 +37,16 @@ class Encoders:
     Args:
         period: From one reading to the next [s].
         cutoff: Of the first-order low-pass of the velocity [rad/s].
+        counted: Joint positions as the encoders see them.
     """
 
-    def __init__(self, period: float, cutoff: float = 180.0) -> None:
+    def __init__(
+        self,
+        period: float,
+        cutoff: float = 180.0,
+        counted: Callable[[Sequence[float]], tuple[float, ...]] = wam_counts,
+    ) -> None:
+        self._counted = counted
         self._keep = math.exp(-cutoff * period)
         self._gain = (1.0 - self._keep) / period
         self.q: tuple[float, ...] = (0.0,) * 7
@@ -37,12 +54,12 @@ class Encoders:
 
     def reset(self, q: Sequence[float]) -> None:
         """At rest at these joint positions [rad]; seven."""
-        self.q = _counted(q)
+        self.q = self._counted(q)
         self.qd = (0.0,) * 7
 
     def read(self, q: Sequence[float]) -> None:
         """One period later, the joints at these positions [rad]; seven."""
-        now, before, keep, gain = _counted(q), self.q, self._keep, self._gain
+        now, before, keep, gain = self._counted(q), self.q, self._keep, self._gain
         self.qd = tuple(
             [
                 keep * qd + gain * (new - old)
@@ -50,11 +67,6 @@ class Encoders:
             ]
         )
         self.q = now
-
-
-def _counted(q: Sequence[float]) -> tuple[float, ...]:
-    """Joint positions as the motors' encoders see them."""
-    return joint_motion([_COUNT * round(_COUNTS * position) for position in motor_motion(q)])
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,10 @@ from hardware_sim.driver import FOLDED, Driver
 from hardware_sim.hand import SKILLS, Hand
 from hardware_sim.scene import SceneSettings
 from hardware_sim.sensing import MocapFrame, MocapSettings
-from hardware_sim.world import PERIOD, World, WorldSettings
+from hardware_sim.world import PERIOD, ArmSettings, World, WorldSettings
 from wam_power_ros import interface
 from wam_power_ros import policy as policies
-from wam_power_ros.arm import Arm
+from wam_power_ros.arm import Arm, Guarded
 from wam_power_ros.late_service import LateTrigger
 from wam_power_ros.params import Params
 
@@ -60,6 +60,14 @@ class WamSimParams(Params):
     command_latency: float = Field(ge=0.0)
     command_jitter: float = Field(ge=0.0)
     command_loss: float = Field(ge=0.0, le=1.0)
+    urdf: str
+    model_joint_names: tuple[str, ...]
+    tool_frame: str
+    guarded_names: tuple[str, ...]
+    guarded_links: tuple[str, ...]
+    guarded_points: tuple[float, ...]
+    home: tuple[float, ...]
+    drives: Literal["wam", "direct"]
     bus_voltage: float
     command_delay_ticks: int
     driver_compensates_gravity: bool
@@ -77,7 +85,22 @@ class WamSimParams(Params):
             **{name: getattr(self, name) for name in own},
             scene=SceneSettings(friction=self.friction),
             mocap=mocap,
+            arm=ArmSettings(
+                self.urdf,
+                self.model_joint_names,
+                self.tool_frame,
+                self._guarded(),
+                self.home,
+                self.drives,
+            ),
         )
+
+    def _guarded(self) -> tuple[Guarded, ...]:
+        if self.guarded_names == ("",):  # none: the tool stands for them
+            return (Guarded("tool", self.tool_frame, (0.0, 0.0, 0.0)),)
+        offsets = np.reshape(self.guarded_points, (-1, 3)).tolist()
+        points = zip(self.guarded_names, self.guarded_links, offsets, strict=True)
+        return tuple(Guarded(*point) for point in points)
 
 
 class WamSim(Node):
@@ -125,9 +148,13 @@ class WamSim(Node):
         # in real time the stamps are those of the system clock, as a driver's are
         self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
         self.lockstep = lockstep
-        model_names = [f"wam_j{i}" for i in range(1, 8)]
+        self._is_wam = self.params.drives == "wam"
         compensates = self.params.driver_compensates_gravity
-        self._driver = Driver(Arm(world.urdf, model_names), compensates, PERIOD)
+        self._driver = Driver(
+            Arm(world.urdf, self.params.model_joint_names, self.params.tool_frame, guarded=()),
+            compensates,
+            PERIOD,
+        )
         self._description.publish(String(data=world.urdf))
         serve = self.create_service
         serve(SetBool, interface.WAM_GRAVITY_COMPENSATE, self._on_gravity_compensate)
@@ -221,7 +248,7 @@ class WamSim(Node):
         While teaching, the arm is led back to where demonstrations begin as well.
         """
         policy, world = self._policy, self.world
-        if self._label == "gravity_compensation" and not world.pulled:
+        if self._label == "gravity_compensation" and not world.pulled and self._is_wam:
             self._put_back(*self._next_demonstration())
             return None
         if policy is None or len(policy.q_start) != 7:
@@ -250,6 +277,8 @@ class WamSim(Node):
 
     def _begin_demonstration(self) -> str | None:
         self._ticks_left = STILL_TICKS
+        if not self._is_wam:
+            return "refused: the hand knows the WAM's postures only"
         return "refused: the hand is at work" if self.world.pulled else None
 
     def _attend(self) -> None:
@@ -318,7 +347,8 @@ class WamSim(Node):
 
     def _begin_home(self) -> str | None:
         self.world.idle = False
-        self._driver.move(self.world.joint_state().q, FOLDED)
+        folded = FOLDED if self._is_wam else np.array(self.params.home)
+        self._driver.move(self.world.joint_state().q, folded)
         return None
 
     def report(self, values: dict[str, object]) -> None:

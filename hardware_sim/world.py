@@ -11,17 +11,17 @@ import math
 import zlib
 from collections import deque
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
 
 from hardware_sim import scene
-from hardware_sim.motors import MOTOR_OF_JOINT, Motors
+from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scene import SceneSettings
-from hardware_sim.sensing import Encoders, Mocap, MocapFrame, MocapSettings
+from hardware_sim.sensing import Encoders, Mocap, MocapFrame, MocapSettings, joint_counts
 from wam_power_ros import rotations
-from wam_power_ros.arm import Arm
+from wam_power_ros.arm import WAM_GUARDED, Arm, Guarded
 from wam_power_ros.markers import LAYOUT
 from wam_power_ros.resources import share
 
@@ -42,6 +42,37 @@ _TRACE_TICKS = 5  # 100 Hz
 
 
 @dataclass(frozen=True)
+class ArmSettings:
+    """Which arm there is; by default the WAM.
+
+    Attributes:
+        urdf: File, or one below our share folder.
+        joints: From base to tip; seven.
+        tool: Link that holds the pan: z its normal, origin on its floor.
+        guarded: Points whose speeds are told; the first counts as elbow, the last as forearm.
+        home: Where it is at first [rad]; seven.
+        drives: "wam", its cables and motors, or "direct": what the URDF says.
+
+    Raises:
+        ValueError: Not seven joints, or no guarded point.
+    """
+
+    urdf: str = "urdf/wam7.urdf"
+    joints: tuple[str, ...] = JOINTS
+    tool: str = "pan"
+    guarded: tuple[Guarded, ...] = WAM_GUARDED
+    home: tuple[float, ...] = tuple(HOME)
+    drives: Literal["wam", "direct"] = "wam"
+
+    def __post_init__(self) -> None:
+        for name in ("joints", "home"):
+            if len(getattr(self, name)) != N:
+                raise ValueError(f"{name} {getattr(self, name)} must be {N}")
+        if not self.guarded:
+            raise ValueError("the stand-in tells the speed of at least one guarded point")
+
+
+@dataclass(frozen=True)
 class WorldSettings:
     """Choices of the stand-in; the defaults are the arm as it is.
 
@@ -58,6 +89,7 @@ class WorldSettings:
         watchdog_damping: Of that fallback [1/s].
         scene: What there is.
         mocap: How it is seen.
+        arm: Which arm.
 
     Raises:
         ValueError: A value out of range.
@@ -75,6 +107,7 @@ class WorldSettings:
     watchdog_damping: float = 5.0
     scene: SceneSettings = field(default_factory=SceneSettings)
     mocap: MocapSettings = field(default_factory=MocapSettings)
+    arm: ArmSettings = field(default_factory=ArmSettings)
 
     def __post_init__(self) -> None:
         if not 0 <= self.command_delay_ticks <= 50:
@@ -173,15 +206,21 @@ class World:
     def __init__(self, settings: WorldSettings | None = None, seed: int = 0) -> None:
         self.settings = settings = settings or WorldSettings()
         self.seed = seed
-        self.urdf = share("urdf/wam7.urdf").read_text()
-        self.model = model = scene.build(self.urdf, settings.scene)
+        arm = settings.arm
+        self.urdf = share(arm.urdf).read_text()
+        self.model = model = scene.build(self.urdf, settings.scene, arm.tool, arm.guarded)
         self.data = data = mujoco.MjData(model)
-        self._arm = Arm(self.urdf, JOINTS)  # the driver's own idea of gravity
+        # the driver's own idea of gravity
+        self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)
         self._substeps = round(PERIOD / settings.scene.timestep)
-        self.motors = Motors(settings.bus_voltage)
+        self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
         self._encoders = Encoders(PERIOD)
+        if arm.drives == "direct":
+            self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
+            self._encoders = Encoders(PERIOD, counted=joint_counts)
         self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
-        self._pan = model.body("pan").id
+        self._pan = model.body(arm.tool).id
+        self._told = [model.site(name).id for name in (*(p.name for p in arm.guarded), "pan")]
         self._friction = settings.friction_share * model.dof_frictionloss[:N]
         self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:N]).tolist()
         # views into MuJoCo's own arrays
@@ -203,7 +242,7 @@ class World:
         self.idle = False
         self.trace: list[np.ndarray] | None = None
         self._delayed: deque[list[float] | None] = deque()
-        self.reset("start", HOME)
+        self.reset("start", np.array(arm.home))
         self.release()
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
@@ -415,19 +454,19 @@ class World:
         """What has happened since the release."""
         rows = self._rows
         height = self._log_q[:rows, N + 2]
-        pan = self._log_sites[:rows, scene.SITES.index("pan")]
+        pan = self._log_sites[:rows, self._told[-1]]
         error, angle, t_f = [0.0, 0.0], 0.0, None
         at = _fallen(height - pan[:, 2])
         if at is not None:
             t_f = (at + 1) * PERIOD
             error = (self._log_q[at, N : N + 2] - pan[at, :2]).tolist()
             angle = math.degrees(self._turned(at))
-        speeds = np.zeros(len(scene.SITES))
+        speeds = np.zeros(len(self._told))
         if rows > 1:
-            steps = np.diff(self._log_sites[:rows], axis=0)
+            steps = np.diff(self._log_sites[:rows, self._told], axis=0)
             speeds = np.linalg.norm(steps, axis=2).max(axis=0) / PERIOD
         qd = self._log_v[:rows, :N]
-        motor_speeds = np.abs(qd @ MOTOR_OF_JOINT.T).max(axis=0, initial=0.0)
+        motor_speeds = np.abs(qd @ self.motors.of_joints.T).max(axis=0, initial=0.0)
         caught, flipped = self._lies()
         return Truth(
             id=self.rollout_id,
@@ -442,8 +481,8 @@ class World:
             peak_qd=np.abs(qd).max(axis=0, initial=0.0).tolist(),
             peak_tau=np.abs(self._log_tau[:rows]).max(axis=0, initial=0.0).tolist(),
             peak_elbow_speed=float(speeds[0]),
-            peak_forearm_speed=float(speeds[1]),
-            peak_pan_speed=float(speeds[2]),
+            peak_forearm_speed=float(speeds[-2]),
+            peak_pan_speed=float(speeds[-1]),
             beyond_no_load=bool((motor_speeds > self.motors.motor_no_load_speed).any()),
             saturated=self._saturated / max(rows, 1),
         )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros import interface, setups
+from wam_power_ros import interface, rotations, setups
+from wam_power_ros.arm import Arm
+from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.policy import Policy, to_json
+from wam_power_ros.primitive import REACHING, fit, reproduce, tabulate
+from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath
 
 IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # the machine may take its time
@@ -51,6 +56,16 @@ class Rehearsal:
 
         self.probe.until(done, name)
 
+    def execute(self, policy: Policy) -> EndEffectorPath:
+        """The path of a rollout of this policy, by a controller that is started for it."""
+        paths = self.probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
+        self.processes.node("wam_power_ros.nodes.torque_controller", self.file)
+        policies = self.probe.publisher(String, interface.POLICY, interface.LATCHED)
+        for service in (interface.MOVE_TO_START, interface.PANCAKE_RESET, interface.EXECUTE):
+            self.insist(service, policy, policies)
+        message = self.probe.until(lambda: paths and paths[-1], "the path")
+        return interface.path(message, EndEffectorPath)[1]
+
 
 @pytest.mark.parametrize("name", ["geodude", "libbarrett", "franka"])
 def test_a_rollout_is_the_same_through_every_driver(
@@ -59,14 +74,7 @@ def test_a_rollout_is_the_same_through_every_driver(
     bench = Rehearsal(probe, processes, tmp_path, name, "full_speed")
     arm = bench.setup["torque_controller"]
     speeds = probe.listen(JointState, "/wam/jointVelocity", interface.STATE_OUT)
-    paths = probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-    processes.node("wam_power_ros.nodes.torque_controller", bench.file)
-    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
-    policy = lift("trial-0001")
-    for service in (interface.MOVE_TO_START, interface.PANCAKE_RESET, interface.EXECUTE):
-        bench.insist(service, policy, policies)
-    message = probe.until(lambda: paths and paths[-1], "the path")
-    path = interface.path(message, EndEffectorPath)[1]
+    path = bench.execute(lift("trial-0001"))
     assert path.t[-1] == pytest.approx(1.4)
     height = path.position[:, 2] - path.position[0, 2]
     assert 0.02 < height.max() < 0.08
@@ -101,3 +109,47 @@ def test_a_ros2_control_driver_ends_with_a_command_of_a_wrong_size(
     on = SetBool.Request(data=True)
     assert probe.call(SetBool, interface.WAM_GRAVITY_COMPENSATE, on).success
     probe.until(lambda: doing() == "commanded", "the driver at work again")
+
+
+# A second arm, by URDF and YAML alone
+
+
+def led_to(arm: Arm, home: np.ndarray, way: np.ndarray, arc: np.ndarray) -> np.ndarray:
+    """Joints (N, 7) at 500 Hz as a hand leads the tool in 2 s from `home` along a way, level."""
+    start, level = arm.tool_pose(home)
+    q, rows = home.copy(), [home.copy()] * 250
+    for u in np.linspace(0.0, 1.0, 1000):
+        s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        goal = start + s * way + np.sin(np.pi * s) * arc
+        for _ in range(3):
+            position, rotation = arm.tool_pose(q)
+            turn = rotations.log(level @ rotation.T)
+            q = q + np.linalg.pinv(arm.jacobian(q), rcond=1e-3) @ [*(goal - position), *turn]
+        rows.append(q.copy())
+    return np.array(rows + [q] * 250)
+
+
+@pytest.mark.parametrize("driver", [(), ("franka",)], ids=["by itself", "as a franka"])
+def test_another_arm_reaches_by_urdf_and_yaml_alone(
+    driver: tuple[str, ...], probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Rehearsal(probe, processes, tmp_path, "cobot", *driver)
+    set_up = bench.setup["torque_controller"]
+    urdf = share(set_up["urdf"]).read_text()
+    arm = Arm(urdf, set_up["model_joint_names"], set_up["tool_frame"], guarded=())
+    home = np.array(bench.setup["wam_sim"]["home"])
+    way, arc = np.array([-0.1, 0.4, 0.05]), np.array([0.0, 0.0, 0.08])
+    q = led_to(arm, home, way, arc)
+    stamps_ns = 1_000_000_000 + 2_000_000 * np.arange(len(q))
+    taught = from_joint_samples(arm, stamps_ns, q)
+    policy = fit([taught], REACHING, "reach")
+    path = bench.execute(policy)
+    assert {tuple(state.name) for state in bench.states} == {tuple(set_up["joint_names"])}
+    planned, _ = reproduce(tabulate(policy), taught.position[0], np.zeros(3))
+    t = 0.002 * np.arange(len(planned))
+    within = path.t <= t[-1]
+    wanted = np.stack([np.interp(path.t[within], t, axis) for axis in planned.T], axis=1)
+    error = np.linalg.norm(path.position[within] - wanted, axis=1)
+    sys.stdout.write(f"tracking error {1e3 * error.mean():.1f} mm, worst {1e3 * error.max():.1f}\n")
+    assert error.max() < 0.03
+    assert np.linalg.norm(path.position[-1] - path.position[0]) > 0.3

@@ -149,10 +149,13 @@ def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
 def _shape(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
     """How stand-ins look that take the place of these devices."""
     driver = ("joint_names", "state_topic", "velocity_topic", "command_topic", "command_type")
+    model = ("urdf", "model_joint_names", "tool_frame")
+    guarded = ("guarded_names", "guarded_links", "guarded_points")
     cameras = ("pose_topic", "markers_topic", "up_axis", "world_to_base", "rate")
     shape: Setup = {
         "wam_sim": {
-            **{name: arm[name] for name in (*driver, "driver_compensates_gravity")},
+            **{name: arm[name] for name in (*driver, *model, *guarded)},
+            "driver_compensates_gravity": arm["driver_compensates_gravity"],
             "velocity": "empty" if arm["velocity_topic"] else "filled",
             "pace": "real_time",  # as every driver's
             "realtime_priority": 70,
