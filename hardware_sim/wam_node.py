@@ -12,7 +12,7 @@ import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Literal
 
 import numpy as np
@@ -117,6 +117,8 @@ class WamSim(Node):
         self._pulling = False
         self._ticks_left = 0  # until a service may be answered
         self._deactivated = False  # as a ros2_control controller after a command it cannot take
+        self._settling: Iterator[None] = iter(())  # of the world that is being put back
+        self._settled = True
 
         lockstep = params.pace == "lockstep"  # as fast as it goes: no reader may lose by it
         qos = interface.STATE_OUT_LOCKSTEP if lockstep else interface.STATE_OUT
@@ -208,13 +210,14 @@ class WamSim(Node):
             qd = self.world.joint_state().qd
             self._velocities.publish(interface.nameless_velocities(self.stamp_ns, qd))
         self._states.publish(message)
+        self.counters["states published"] += 1
         if self.lockstep:
             self._clocks.publish(Clock(clock=message.header.stamp))
 
     def _change(self, label: str) -> None:
         """The controller does something else: a rollout begins or ends with that very tick."""
         was, self._label = self._label, label
-        if self.world.frozen and label not in ("hold", "inactive"):
+        if self.world.frozen and self._settled and label not in ("hold", "inactive"):
             self.world.release()
         if was.startswith("rollout "):
             truth = json.dumps(dataclasses.asdict(self.world.truth()))
@@ -270,9 +273,11 @@ class WamSim(Node):
         return response
 
     def _put_back(self, name: str, q: np.ndarray) -> None:
-        self.world.reset(name, q)
-        if not self.lockstep:
-            self.world.release()
+        """At once in lockstep; else the clock goes on, and with it the states."""
+        if self.lockstep:
+            self.world.reset(name, q)
+        else:
+            self._settling, self._settled = self.world.resetting(name, q), False
         self._ticks_left = STILL_TICKS
 
     def _begin_demonstration(self) -> str | None:
@@ -285,15 +290,19 @@ class WamSim(Node):
         """Go on with what a service has asked for, once a tick."""
         world, waited = self.world, self._ticks_left == 0
         self._ticks_left = max(0, self._ticks_left - 1)
+        if not self._settled and next(self._settling, self) is self:
+            self._settled = True
+            world.release()
         if self._home.pending and (self._driver.arrived or not self._driver.engaged):
             arrived = self._driver.arrived
             self._home.finish(arrived, "at home" if arrived else "interrupted")
-        if self._reset.pending and waited:  # by now the controller has come to its fixed point
+        if self._reset.pending and waited and self._settled:  # the controller is at rest by now
             self._reset.finish(True, world.rollout_id)
         if self._hand.pending and not self._pulling:
             free = self._label == "gravity_compensation" and not self._driver.engaged
             if free:
-                self._take_pan()
+                if self._settled:
+                    self._take_pan()
             elif waited:
                 self._hand.finish(False, f"refused: the arm is not free (mode {self._label!r})")
         elif self._pulling and not world.pulled:
@@ -346,6 +355,10 @@ class WamSim(Node):
         return response
 
     def _begin_home(self) -> str | None:
+        if not self._settled:
+            return "refused: the pancake is being put back"
+        if self.world.frozen:  # between rollouts in lockstep
+            self.world.release()
         self.world.idle = False
         folded = FOLDED if self._is_wam else np.array(self.params.home)
         self._driver.move(self.world.joint_state().q, folded)
@@ -357,6 +370,7 @@ class WamSim(Node):
         doing = "idle" if world.idle else "own motion" if self._driver.engaged else "commanded"
         doing = "deactivated" if self._deactivated else doing
         values |= {"frozen": world.frozen, "label": self._label, **self.counters}
+        values["stamp of the last [ns]"] = self.stamp_ns
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
             interface.diagnostics(now, "wam_sim: loop", "stand-in", "ok", doing, values)

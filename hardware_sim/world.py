@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, Protocol
 
@@ -36,6 +37,7 @@ HOME.setflags(write=False)
 _WATCHDOG_TICKS = 5  # 10 ms without a command
 _SETTLE_STEPS = 900  # physics steps, at most, in which the pancake comes to rest in the pan
 _SETTLE_LOOK = 50  # steps after which it is looked at
+_SETTLE_SLICE = 10  # steps that may be done within a tick
 _SETTLED = 0.003  # [m/s] and [rad/s]: it is at rest
 _LOG_TICKS = 5000  # after a release that are logged: 10 s
 _TRACE_TICKS = 5  # 100 Hz
@@ -257,10 +259,22 @@ class World:
         Raises:
             ValueError: A joint is not finite or outside its limits.
         """
+        deque(self.resetting(rollout_id, q_start), maxlen=0)
+
+    def resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
+        """`reset` in slices, for a world whose clock may not wait: frozen from the first on.
+
+        Raises:
+            ValueError: As `reset`, at once.
+        """
         q_start = np.array(q_start, dtype=float)
         low, high = self.model.jnt_range[:N].T
         if q_start.shape != (N,) or not np.all((low <= q_start) & (q_start <= high)):
             raise ValueError(f"q_start {q_start.tolist()} must be {N} joints within their limits")
+        self.frozen = True
+        return self._resetting(rollout_id, q_start)
+
+    def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
         key = [self.seed, zlib.crc32(rollout_id.encode())]
         rng = np.random.default_rng(key)
         self._mocap_rng = np.random.default_rng([*key, 1])
@@ -288,6 +302,8 @@ class World:
             self._qd[:] = 0.0
             if step % _SETTLE_LOOK == 0 and np.abs(data.qvel[N:]).max() < _SETTLED:
                 break
+            if step % _SETTLE_SLICE == 0:
+                yield
         data.qvel[:] = 0.0
         model.opt.wind[:] = wind
         mujoco.mj_forward(model, data)

@@ -272,6 +272,38 @@ def test_barretts_services_hold_idle_and_give_the_arm_back(
     assert probe.call(SetBool, interface.WAM_GRAVITY_COMPENSATE, SetBool.Request(data=True)).success
 
 
+def test_an_arm_that_waits_frozen_for_a_rollout_moves_home_when_told_to(
+    probe: Probe, processes: Processes
+) -> None:
+    bench = Bench(probe, processes, "lockstep")
+    bench.control()
+    policy = lift("never-executed")
+    bench.policies.publish(String(data=to_json(policy)))
+    probe.until(lambda: bench.insist(interface.MOVE_TO_START) == policy.id, "at the start")
+    probe.until(lambda: bench.insist(interface.PANCAKE_RESET) == policy.id, "the reset")
+    waiting = bench.state().q
+    home = probe.begin(Trigger, interface.WAM_MOVE_HOME)
+    probe.until(lambda: np.abs(bench.state().q - waiting).max() > 0.1, "the arm on its way")
+    assert not home.done()
+
+
+def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
+    probe: Probe, processes: Processes
+) -> None:
+    bench = Bench(probe, processes, "real_time", realtime_priority=70)
+    bench.control()
+    policy = lift("put-back")
+    bench.policies.publish(String(data=to_json(policy)))
+    probe.until(lambda: bench.insist(interface.MOVE_TO_START) == policy.id, "at the start")
+    count = len(bench.messages)
+    probe.until(lambda: bench.insist(interface.PANCAKE_RESET) == policy.id, "the reset")
+    stamps = [bench.state(i).stamp_ns for i in range(count, len(bench.messages))]
+    assert set(np.diff(stamps)) == {TICK}
+    assert len(stamps) > 50
+    bench.diagnostics.clear()
+    assert probe.until(bench.label, "its mode") == "hold"  # it has not lost sight of the arm
+
+
 def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Processes) -> None:
     bench = Bench(probe, processes, "lockstep")
     bench.control()

@@ -42,7 +42,7 @@ NODES = {  # executable -> module with a main(); setup.py has the same entry poi
 SESSIONS = Path("sessions")
 TASKS = {  # what may be taught -> how the recorder is set for it
     "flip": {},
-    "reach": {"stem": "reach", "topics": [""], "mocap_topics": [""]},  # of the arm alone
+    "reach": {"stem": "reach", "topics": [""], "mocap_topics": [""], "driver_topics": [""]},
 }
 
 

@@ -33,6 +33,7 @@ class DemonstrationRecorderParams(Params):
     """See config/demonstration_recorder.yaml."""
 
     directory: str
+    realtime_priority: int = Field(ge=0, le=98)
     stem: str = Field(min_length=1, pattern=r"^[A-Za-z0-9-]+$")
     state_topic: str
     driver_topics: tuple[str, ...]
@@ -74,6 +75,9 @@ class DemonstrationRecorder(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(FLUSH_PERIOD, self._flush, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
+        # A driver keeps ten states for a reader that is late, no more; in lockstep all are kept.
+        lockstep = self.get_parameter("use_sim_time").value
+        self._granted = real_time.request(0 if lockstep else params.realtime_priority)
         for left in sorted(self._directory.glob(f"*{bags.UNFINISHED}")):
             name = left.name.removesuffix(bags.UNFINISHED)
             self.get_logger().warning(
@@ -200,6 +204,7 @@ class DemonstrationRecorder(Node):
             level, text = "warn", f"nothing yet on {self._state_topic}"
         silent = [topic for topic in self._topics.names if topic not in counts]
         values = {**counts, "without a message": silent}
+        values["real-time scheduling"] = self._granted.scheduling
         name, now = "demonstration_recorder: bag", self.get_clock().now().to_msg()
         self._diagnostics.publish(interface.diagnostics(now, name, "disk", level, text, values))
 

@@ -1,0 +1,337 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All nodes in real time with the recorder on: nothing may grow, nothing may be lost.
+
+    python -m benchmark.soak [--seconds 600]
+
+Stand-in, controller, tracker and recorder run at 500 Hz on the wall clock while the arm moves: in
+turn it goes to a start and executes a policy, a flip that was taught, is led by the hand in gravity
+compensation, and holds. All of it is one recording. Memory (resident) and open files of every
+process are read now and then. At the end the states in the bag are counted against those that the
+stand-in says it has published, between each two of its reports.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path as RosPath
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros import bags, interface, setups
+from wam_power_ros.arm import Arm
+from wam_power_ros.demonstration import from_joint_samples
+from wam_power_ros.policy import Policy, to_json
+from wam_power_ros.primitive import PANCAKE, fit
+from wam_power_ros.processes import Processes, Running, private_domain
+from wam_power_ros.resources import share
+
+NAMES = [f"wam_j{number}" for number in range(1, 8)]
+NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
+WARM_UP = 0.2  # share of the time before memory is looked at
+GROWTH_MAX = 0.01
+COUNT, STAMP = "states published", "stamp of the last [ns]"
+
+
+@dataclass
+class Samples:
+    """Resident memory [bytes] and open descriptors of one process, and when [s]."""
+
+    t: list[float] = field(default_factory=list)
+    memory: list[int] = field(default_factory=list)
+    files: list[int] = field(default_factory=list)
+
+    def add(self, t: float, pid: int) -> None:
+        """Read them now."""
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        self.t.append(t)
+        self.memory.append(pages * os.sysconf("SC_PAGE_SIZE"))
+        self.files.append(len(os.listdir(f"/proc/{pid}/fd")))
+
+    def figures(self) -> dict[str, float]:
+        """Of the time after the warm-up: growth is the last tenth over the first tenth of it."""
+        t = np.array(self.t)
+        after = t >= WARM_UP * t[-1]
+        memory, files = np.array(self.memory)[after], np.array(self.files)[after]
+        tenth = max(1, len(memory) // 10)
+        first, last = np.median(memory[:tenth]), np.median(memory[-tenth:])
+        return {
+            "memory [MB]": float(first) * 1e-6,
+            "growth": float(last / first - 1.0),
+            "largest": float(memory.max() / first - 1.0),
+            "descriptors": int(np.median(files)),
+            "descriptors change": int(files.max() - files.min()),
+        }
+
+
+class Director(Node):
+    """Has the arm do something, and listens to what the nodes say of themselves."""
+
+    def __init__(self, context: rclpy.Context) -> None:
+        super().__init__("director", context=context)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self)
+        self.published: list[tuple[int, int]] = []  # how many states, and the stamp of the last
+        self.counts: dict[str, int] = {}  # what was done
+        self.said: dict[str, dict[str, str]] = {}
+        self._paths: list[RosPath] = []
+        self._between: Callable[[], None] = lambda: None
+        self._policies = self.create_publisher(String, interface.POLICY, interface.LATCHED)
+        self.create_subscription(
+            DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
+        )
+        self.create_subscription(
+            RosPath, interface.ROLLOUT_END_EFFECTOR, self._paths.append, interface.LATCHED
+        )
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {item.key: item.value for item in status.values}
+            self.said[status.name.partition(":")[0]] = values
+            if status.name.startswith("wam_sim"):
+                self.published.append((int(values[COUNT]), int(values[STAMP])))
+
+    @property
+    def mode(self) -> str:
+        """Of the controller, as it says once a second."""
+        return self.said.get("torque_controller", {}).get("mode", "")
+
+    def attend(self, between: Callable[[], None]) -> None:
+        """Have something done whenever there is time."""
+        self._between = between
+
+    def until(self, condition: Callable[[], bool], patience: float) -> bool:
+        """Whether it came true within `patience` [s]."""
+        end = time.monotonic() + patience
+        while not condition():
+            if time.monotonic() > end:
+                return False
+            self._executor.spin_once(timeout_sec=0.05)
+            self._between()
+        return True
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass."""
+        self.until(lambda: False, seconds)
+
+    def call(self, kind: type, name: str, request: object = None, patience: float = 60.0) -> str:
+        """Call a service until it agrees; its message.
+
+        Raises:
+            TimeoutError: It does not within `patience` [s].
+        """
+        client = self.create_client(kind, name)
+        why = "did not appear"
+        end = time.monotonic() + patience
+        try:
+            while time.monotonic() < end:
+                if self.until(client.service_is_ready, 5.0):
+                    future = client.call_async(request or kind.Request())
+                    if self.until(future.done, 60.0):
+                        if future.result().success:
+                            return str(future.result().message)
+                        why = f"refused: {future.result().message}"
+                        if "fault" in why:  # it is latched; a busy machine brings some about
+                            self._reset()
+                self.wait(0.2)
+        finally:
+            self.destroy_client(client)
+        raise TimeoutError(f"{name} {why}")
+
+    def _reset(self) -> None:
+        client = self.create_client(Trigger, interface.RESET)
+        if self.until(client.service_is_ready, 5.0):
+            future = client.call_async(Trigger.Request())
+            self.until(future.done, 5.0)
+            self._count("resets of a fault")
+        self.destroy_client(client)
+
+    def rollout(self, policy: Policy) -> None:
+        """Go to the start, put the pancake back, execute, wait for the path; again if it fails."""
+        while not self._rollout(policy):
+            self._count("rollouts broken off")
+
+    def _rollout(self, policy: Policy) -> bool:
+        self._paths.clear()
+        self._policies.publish(String(data=to_json(policy)))
+        self.until(lambda: self.call(Trigger, interface.MOVE_TO_START) == policy.id, 60.0)
+        try:
+            self.call(Trigger, interface.PANCAKE_RESET, patience=10.0)
+            self.call(Trigger, interface.EXECUTE, patience=10.0)
+        except TimeoutError:  # a fault in between: it is not at the start any more
+            return False
+        done = self.until(lambda: bool(self._paths), 30.0)
+        self._count("rollouts")
+        return done
+
+    def teach(self) -> None:
+        """Gravity compensation, and the hand leads the arm; again if it fails."""
+        while not self._teach():
+            self._count("demonstrations broken off")
+
+    def _teach(self) -> bool:
+        self.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        try:
+            self.call(Trigger, interface.PANCAKE_RESET, patience=10.0)
+            self.call(Trigger, interface.HAND_DEMONSTRATE, patience=10.0)
+        except TimeoutError:  # a fault in between: the arm is not free any more
+            return False
+        self.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+        self._count("demonstrations")
+        return True
+
+    def hold(self, seconds: float) -> None:
+        """Let the arm hold."""
+        self.wait(seconds)
+        self._count("holds")
+
+    def _count(self, what: str) -> None:
+        self.counts[what] = self.counts.get(what, 0) + 1
+
+
+def taught() -> Policy:
+    """The flip as the first shipped demonstration has it."""
+    bag = min(share("bags").glob("demo_*"))
+    arm = Arm(share("urdf/wam7.urdf").read_text(), NAMES)
+    return fit([from_joint_samples(arm, *bags.read_demonstration(bag, NAMES))], PANCAKE, "soak")
+
+
+def start(processes: Processes, folder: Path) -> dict[str, Running]:
+    """The nodes, with the stand-in at the pace of life."""
+    setup = setups.setup((), rehearse=True)
+    setup["demonstration_recorder"]["directory"] = str(folder)
+    setup["torque_controller"]["idle_service"] = ""  # an idled arm hangs, and nobody lifts it
+    file = folder / "parameters.yaml"
+    file.write_text(setups.text(setup))
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
+    given = ["--ros-args", "--params-file", str(file)]
+    return {name: processes.start(name, [*command, name, *given]) for name in NODES}
+
+
+def missing(stamps_ns: np.ndarray, published: list[tuple[int, int]]) -> tuple[int, int]:
+    """States that were published and are not in the bag, and how many were looked at."""
+    inside = [item for item in published if stamps_ns[0] <= item[1] <= stamps_ns[-1]]
+    lost = total = 0
+    for (count, stamp_ns), (next_count, next_ns) in pairwise(inside):
+        found = int(np.count_nonzero((stamps_ns > stamp_ns) & (stamps_ns <= next_ns)))
+        lost += abs(next_count - count - found)
+        total += next_count - count
+    return lost, total
+
+
+def soak(seconds: float, every: float, folder: Path) -> dict[str, object]:
+    """Run for so long; the figures."""
+    with private_domain() as domain:
+        environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        os.environ.update(environment)
+        context = rclpy.Context()
+        rclpy.init(context=context, domain_id=domain)
+        director = Director(context)
+        samples = {name: Samples() for name in NODES}
+        try:
+            with Processes(folder / "logs", environment) as processes:
+                running = start(processes, folder)
+                policy = taught()
+                director.until(lambda: director.mode == "hold", 120.0)
+                director.rollout(policy)  # everything has been done once before it is watched
+                director.teach()
+                path = Path(director.call(SetBool, interface.RECORD, SetBool.Request(data=True)))
+                began = time.monotonic()
+
+                def look() -> None:
+                    t = time.monotonic() - began
+                    if not samples[NODES[0]].t or t - samples[NODES[0]].t[-1] >= every:
+                        processes.check()
+                        for name, process in running.items():
+                            samples[name].add(t, process.process.pid)
+
+                director.attend(look)
+                while time.monotonic() - began < seconds:
+                    director.rollout(policy)
+                    director.hold(1.0)
+                    director.rollout(policy)
+                    director.teach()
+                director.attend(lambda: None)
+                director.call(SetBool, interface.RECORD, SetBool.Request(data=False))
+                director.wait(1.5)  # for the last reports
+        finally:
+            director.destroy_node()
+            rclpy.shutdown(context=context)
+    stamps_ns, _ = bags.read_demonstration(path, NAMES)
+    lost, total = missing(stamps_ns, director.published)
+    said = director.said
+    return {
+        "seconds": samples[NODES[0]].t[-1],
+        "done": director.counts,
+        "states": total,
+        "lost": lost,
+        "held up": int(said["wam_sim"].get("clock held", 0)),
+        "faults": int(said["torque_controller"].get("faults", 0)),
+        "scheduling": said["torque_controller"].get("real-time scheduling", ""),
+        "processes": {name: item.figures() for name, item in samples.items()},
+    }
+
+
+def told(figures: dict[str, object]) -> str:
+    """The figures, readable."""
+    done = ", ".join(f"{count} {what}" for what, count in figures["done"].items())
+    lines = [
+        f"{figures['seconds']:.0f} s in real time, scheduling {figures['scheduling']}: {done}; "
+        f"{figures['faults']} faults, stand-in held up {figures['held up']} times",
+        f"recorder: {figures['lost']} of {figures['states']} states lost",
+        "                         memory [MB]   growth  largest   descriptors  change",
+    ]
+    for name, row in figures["processes"].items():
+        lines.append(
+            f"  {name:22s}{row['memory [MB]']:12.1f}{row['growth']:9.2%}{row['largest']:9.2%}"
+            f"{row['descriptors']:14d}{row['descriptors change']:8d}"
+        )
+    return "\n".join(lines)
+
+
+def broken(figures: dict[str, object]) -> list[str]:
+    """What is not as it should be."""
+    found = []
+    if figures["lost"] or not figures["states"]:
+        found.append(f"{figures['lost']} of {figures['states']} states are not in the bag")
+    for name, row in figures["processes"].items():
+        if row["growth"] > GROWTH_MAX:
+            found.append(f"{name} has grown by {row['growth']:.2%}")
+        if row["descriptors change"]:
+            found.append(f"{name}: descriptors changed by {row['descriptors change']}")
+    return found
+
+
+def main() -> int:
+    """Soak, tell the figures, return 1 when something grew or was lost."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=600.0)
+    parser.add_argument("--every", type=float, default=2.0, help="[s] between two samples")
+    parser.add_argument("--json", type=Path, help="write the figures there too")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        figures = soak(options.seconds, options.every, Path(folder))
+    print(told(figures))
+    for line in broken(figures):
+        print(f"WRONG: {line}")
+    if options.json:
+        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+    return int(bool(broken(figures)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
