@@ -317,7 +317,10 @@ def test_a_replay_follows_the_recording_and_reports_its_error() -> None:
     controller.start_replay(recording, speed=1.5)
     run(controller, plant, 6.0, until=lambda: controller.mode is not Mode.REPLAY)
     assert controller.mode is Mode.HOLD, controller.fault_reason
-    assert np.all(controller.replay_rms < 0.03)
+    error = controller.replay_error
+    assert np.all(error.rms < 0.03)
+    assert np.all(error.largest >= error.rms)
+    assert 0.0 < error.tool()[0] < error.tool()[1] < 0.03
     run(controller, plant, 0.5)
     assert np.abs(plant.q - HOME).max() < 0.03
     assert np.abs(controller.tracking_error).max() < 0.03

@@ -130,6 +130,10 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.HAND_DEMONSTRATE,
             ),
         ),
+        "replaying": Access(
+            publishes=(interface.REPLAY_TRAJECTORY,),
+            calls=(interface.STOP, interface.REPLAY, interface.RECORD),
+        ),
         "enabling_switch": Access(publishes=(interface.ENABLE,), process="operator"),
         "operator": Access(  # a person with `ros2 service call`, `ros2 lifecycle set`
             publishes=(interface.REPLAY_TRAJECTORY,),

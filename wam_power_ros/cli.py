@@ -44,6 +44,7 @@ TASKS = {  # what may be taught -> how the recorder is set for it
     "flip": {},
     "reach": {"stem": "reach", "topics": [""], "mocap_topics": [""], "driver_topics": [""]},
 }
+REPLAYS = Path("replays")
 
 
 class UsageError(Exception):
@@ -121,6 +122,17 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("session", type=Path, help="folder of the session")
     report.set_defaults(command=_report)
 
+    replay = commands.add_parser(
+        "replay",
+        help="have the arm repeat a recorded movement, and say how well it did",
+        description="The arm moves to the start of a bag and follows its joints; Ctrl-C stops it.",
+    )
+    replay.add_argument("bag", type=Path, help="a demonstration, or any bag with joint states")
+    replay.add_argument("--speed", type=float, default=1.0, help="1 for as recorded (default)")
+    replay.add_argument("--folder", type=Path, help="for its recording (default: replays/NOW)")
+    _arm_options(replay)
+    replay.set_defaults(command=_replay)
+
     recover = commands.add_parser(
         "recover", help="make a bag of what a kill, a full disk or a bad copy has left of one"
     )
@@ -173,6 +185,10 @@ def _teaching_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--demonstrations", type=_natural, default=3, help="how many are taught (default 3)"
     )
+    _arm_options(parser)
+
+
+def _arm_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config",
         action="append",
@@ -220,7 +236,8 @@ def _enable(_: argparse.Namespace) -> int:
 
 def _teach(options: argparse.Namespace) -> None:
     folder = (options.folder or Path("demonstrations") / _now()).resolve()
-    with _bench(options, folder, options.seed or 0, options.task) as bench:
+    changes = {"wam_sim": {"hand": options.task}, "demonstration_recorder": TASKS[options.task]}
+    with _bench(options, folder, options.seed or 0, changes) as bench:
         bags = _teach_series(bench, folder, options)
     if options.task == "flip":
         shown = [*map(_shown, bags), *_chosen(options)]
@@ -306,6 +323,32 @@ def _report(options: argparse.Namespace) -> int:
     return 0
 
 
+def _replay(options: argparse.Namespace) -> int:
+    from wam_power_ros import bags, replay
+
+    arm = setups.setup(options.config, options.rehearse)["torque_controller"]
+    replay.movement(*bags.read_demonstration(options.bag, arm["joint_names"]), options.speed)
+    folder = (options.folder or REPLAYS / _now()).resolve()
+    signal.signal(signal.SIGTERM, _interrupt)
+    changes = {"demonstration_recorder": {"stem": "replay"}}
+    with _bench(options, folder, 0, changes) as bench:
+        names = bench.setup["torque_controller"]["joint_names"]
+        command = [sys.executable, "-m", "wam_power_ros.replaying", "--ros-args"]
+        for given in (
+            f"bag:={json.dumps(str(options.bag.resolve()))}",
+            f"speed:={options.speed}",
+            f"joint_names:={json.dumps(list(names))}",
+            f"person:={json.dumps(not _simulated(options))}",
+        ):
+            command += ["-p", given]
+        replaying = bench.processes.start("replaying", command, talks=True)
+        while True:
+            try:
+                return bench.processes.wait(replaying)
+            except KeyboardInterrupt:  # it stops the arm first; only then may the others end
+                replaying.process.send_signal(signal.SIGINT)
+
+
 def _recover(options: argparse.Namespace) -> None:
     from wam_power_ros.recovery import recover
 
@@ -356,12 +399,12 @@ class _Bench:
 
 @contextmanager
 def _bench(
-    options: argparse.Namespace, folder: Path, seed: int, task: str = "flip"
+    options: argparse.Namespace, folder: Path, seed: int, changes: setups.Setup | None = None
 ) -> Iterator[_Bench]:
     """Controller, recorder into `folder`, and stand-ins unless there is a real arm."""
     setup = setups.setup(options.config, options.rehearse)
-    setup["wam_sim"]["hand"] = task
-    setup["demonstration_recorder"] |= TASKS[task]
+    for node, values in (changes or {}).items():
+        setup[node] |= values
     file = folder / "logs" / "parameters.yaml"
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text(setups.text(setup))

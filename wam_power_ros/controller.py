@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from wam_power_ros import primitive, rotations, safety
 from wam_power_ros.arm import Arm, Motion, Speeds
 from wam_power_ros.policy import Policy, to_json, with_id
+from wam_power_ros.replay import FollowingError
 from wam_power_ros.rollout import EndEffectorPath
 from wam_power_ros.safety import Limits, Stamp
 from wam_power_ros.torque_law import TorqueLaw
@@ -291,6 +292,7 @@ class Controller:
         counters: How many states were `accepted`, `repeated`, `older`, `rejected`, `gaps`, `jumps`;
             torques `limited` and `stale`; `faults`.
         fault_reason: Of the last fault, None before the first and after `reset`.
+        replay_error: Of the last replay so far; None before the first.
         rollout_stamp_ns: Stamp of the first state of the last rollout that began, or None [ns].
         enabled: Whether a person holds the enabling switch, where `hold_to_run` asks for one; set
             from outside, before every state.
@@ -344,8 +346,7 @@ class Controller:
         self._reference_ns = 0
         self._plan: deque[Callable[[np.ndarray], JointReference]] = deque()
         self._ref: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref of the last state
-        self._replay_squares = np.zeros(arm.n)
-        self._replay_count = 0
+        self.replay_error: FollowingError | None = None
 
         self._policy: Policy | None = None
         self._tables: primitive.Tables | None = None
@@ -385,13 +386,6 @@ class Controller:
     def tracking_error(self) -> np.ndarray | None:
         """q_ref - q [rad] in the last state, None when no joint reference is followed. (n,)."""
         return None if self._ref is None or self._q is None else self._ref[0] - self._q
-
-    @property
-    def replay_rms(self) -> np.ndarray | None:
-        """Root mean square tracking error of the last replay so far [rad]. Shape (n,)."""
-        if not self._replay_count:
-            return None
-        return np.sqrt(self._replay_squares / self._replay_count)
 
     def take_finished(self) -> EndEffectorPath | None:
         """The path of the rollout that has ended, once; shorter when it was aborted."""
@@ -493,12 +487,12 @@ class Controller:
         if share > 1.0:
             raise ControllerError(
                 f"replay refused: {share:.2f} times a joint-speed limit; "
-                f"possible at speed {speed / share:.2f}"
+                f"possible at speed {speed / share:.3f}"
             )
         self._ask_for_hand(Mode.REPLAY)
         self._move(Mode.REPLAY, sampled.q[0])
         self._plan.append(lambda _: sampled)
-        self._replay_squares, self._replay_count = np.zeros(self.arm.n), 0
+        self.replay_error = FollowingError(self.arm, len(sampled.q))
 
     def execute(self) -> None:
         """Begin a rollout of the loaded policy with the next state.
@@ -806,8 +800,7 @@ class Controller:
         if worst > self.settings.tracking_error and (self._mode is not Mode.HOLD or at_end):
             raise ValueError(f"a joint is {worst:.3f} rad away from where it should be")
         if self._mode is Mode.REPLAY and isinstance(self._reference, Sampled):
-            self._replay_squares += np.square(error)
-            self._replay_count += 1
+            self.replay_error.add(q_ref, q)
         bandwidth, ratio = self.settings.hold_bandwidth, self.settings.hold_damping_ratio
         stiffness, damping = bandwidth**2, 2.0 * ratio * bandwidth
         rows = zip(qdd_ref.tolist(), error, speed_ref, qd.tolist(), strict=True)

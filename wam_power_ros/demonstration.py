@@ -152,6 +152,39 @@ def from_joint_samples(
     )
 
 
+def smooth_joints(
+    stamps_ns: Sequence[int] | np.ndarray,
+    q: np.ndarray,
+    *,
+    period: float = PERIOD,
+    cutoff: float = CUTOFF,
+    gap_max: float = GAP_MAX,
+) -> tuple[np.ndarray, np.ndarray]:
+    """All of a recording, resampled on the device's own stamps and smoothed without delay.
+
+    Args:
+        stamps_ns: Header stamps [ns], strictly increasing. Shape (M,).
+        q: Joint angles [rad]. Shape (M, n).
+        period: Of the result [s].
+        cutoff: As in `from_joint_samples` [Hz].
+        gap_max: Longest time between samples [s].
+
+    Returns:
+        Times from 0 [s], shape (N,), and joint angles [rad], shape (N, n).
+
+    Raises:
+        ValueError: As `from_joint_samples`, but for a movement there need be none.
+    """
+    stamps = _checked_stamps(stamps_ns, gap_max)
+    q = _resampled(stamps, read_only("q", q, np.shape(q)), round(period * 1e9))
+    window = 2 * _half_window(period, cutoff) + 1
+    if len(q) < window:
+        raise ValueError(
+            f"recording of {len(q)} samples at {period} s; smoothing needs at least {window}"
+        )
+    return np.arange(len(q)) * period, savgol_filter(q, window, 3, axis=0)
+
+
 def from_positions(position: np.ndarray, period: float) -> Demonstration:
     """A demonstration of positions only: no arm, no turning, no smoothing.
 

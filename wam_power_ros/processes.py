@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,6 +83,18 @@ class Processes:
         self.check(but=running)
         self._running.remove(running)
 
+    def wait(self, running: Running) -> int:
+        """Exit status of a process that is to end by itself and speaks of its own failures.
+
+        Raises:
+            ProcessError: One of the others ended.
+        """
+        while (status := running.process.poll()) is None:
+            self._check(other for other in self._running if other is not running)
+            time.sleep(0.05)
+        self._running.remove(running)
+        return status
+
     def check(self, but: Running | None = None) -> None:
         """Raise when a process has ended, whatever its exit status.
 
@@ -92,9 +104,13 @@ class Processes:
         Raises:
             ProcessError: With the name, the exit status and the end of the log.
         """
-        for running in self._running:
+        well = but is not None and but.process.poll() == 0
+        self._check(other for other in self._running if not (well and other is but))
+
+    def _check(self, those: Iterable[Running]) -> None:
+        for running in those:
             status = running.process.poll()
-            if status is None or (running is but and status == 0):
+            if status is None:
                 continue
             how = f"signal {-status}" if status < 0 else f"status {status}"
             raise ProcessError(

@@ -14,15 +14,15 @@ from pathlib import Path
 
 import rclpy
 from pydantic import Field
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros import interface
 from wam_power_ros.params import Params
+from wam_power_ros.service_calls import TIMEOUT, ServiceCalls, ServiceError
 
 RECORDER = "demonstration_recorder"
-TIMEOUT = 60.0  # for a service to appear and to agree [s of wall time]
 
 
 class TeachingParams(Params):
@@ -34,42 +34,37 @@ class TeachingParams(Params):
     state_topic: str  # that the recorder listens to
 
 
-class TeachingError(RuntimeError):
-    """The series cannot go on; the message says which service did what."""
-
-
 class Teaching(Node):
     """Calls the services of controller, recorder and hand in turn."""
 
     def __init__(self) -> None:
         super().__init__("teaching", automatically_declare_parameters_from_overrides=True)
         self.params = TeachingParams.of(self)
-        self._executor = SingleThreadedExecutor()
-        self._executor.add_node(self)
+        self._calls = ServiceCalls(self)
 
     def teach(self) -> None:
         """Record the series; the arm holds its position afterwards.
 
         Raises:
-            TeachingError: A service does not appear, does not answer in time, or refuses.
+            ServiceError: A service does not appear, does not answer in time, or refuses.
         """
-        self._call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        self._calls.insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
         if not self.params.person:  # who takes longer than any node does
             self._wait_for_recorder()
         bags = []
         for number in range(1, self.params.demonstrations + 1):
             self._ask(f"demonstration {number}: press Enter, then lead the arm")
             if not self.params.person:  # back to the start, and the pancake into the pan
-                self._call(Trigger, interface.PANCAKE_RESET, Trigger.Request())
-            self._call(SetBool, interface.RECORD, SetBool.Request(data=True))
+                self._calls.insist(Trigger, interface.PANCAKE_RESET, Trigger.Request())
+            self._calls.insist(SetBool, interface.RECORD, SetBool.Request(data=True))
             if self.params.person:
                 self._ask("press Enter when the movement is over")
             else:
-                self._call(Trigger, interface.HAND_DEMONSTRATE, Trigger.Request())
-            bags.append(self._call(SetBool, interface.RECORD, SetBool.Request(data=False)))
+                self._calls.insist(Trigger, interface.HAND_DEMONSTRATE, Trigger.Request())
+            bags.append(self._calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False)))
             sys.stdout.write(f"  {number} of {self.params.demonstrations}: {bags[-1]}\n")
             sys.stdout.flush()
-        self._call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+        self._calls.insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
         Path(self.params.series).write_text(json.dumps(bags))
 
     def _wait_for_recorder(self) -> None:
@@ -80,7 +75,7 @@ class Teaching(Node):
             for info in self.get_subscriptions_info_by_topic(self.params.state_topic)
         ):
             if time.monotonic() > end:
-                raise TeachingError(f"{RECORDER} did not listen in {TIMEOUT:.0f} s")
+                raise ServiceError(f"{RECORDER} did not listen in {TIMEOUT:.0f} s")
             time.sleep(0.05)
 
     def _ask(self, text: str) -> None:
@@ -88,32 +83,7 @@ class Teaching(Node):
             sys.stderr.write(f"{text} ")
             sys.stderr.flush()
             if not sys.stdin.readline():
-                raise TeachingError("nobody is at the keyboard: standard input is closed")
-
-    def _call(self, kind: type, name: str, request: object) -> str:
-        """Message of a service that agreed.
-
-        A refusal is asked again until the time is up: a node that has just started may not have
-        seen a joint state yet.
-        """
-        end = time.monotonic() + TIMEOUT
-        client = self.create_client(kind, name)
-        try:
-            if not client.wait_for_service(TIMEOUT):
-                raise TeachingError(f"{name} did not appear in {TIMEOUT:.0f} s")
-            while True:
-                future = client.call_async(request)
-                left = max(end - time.monotonic(), 1.0)
-                self._executor.spin_until_future_complete(future, left)
-                if not future.done():
-                    raise TeachingError(f"{name} did not answer in {TIMEOUT:.0f} s")
-                if future.result().success:
-                    return str(future.result().message)
-                if time.monotonic() > end:
-                    raise TeachingError(f"{name} refused: {future.result().message}")
-                time.sleep(0.2)
-        finally:
-            self.destroy_client(client)
+                raise ServiceError("nobody is at the keyboard: standard input is closed")
 
 
 def main() -> int:
@@ -121,7 +91,7 @@ def main() -> int:
     rclpy.init()
     try:
         Teaching().teach()
-    except (TeachingError, ValueError) as error:
+    except (ServiceError, ValueError) as error:
         sys.stderr.write(f"{error}\n")
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):

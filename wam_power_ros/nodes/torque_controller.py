@@ -270,8 +270,8 @@ class TorqueController(LifecycleNode):
         return self._try(response, lambda core: core.execute())
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        for movement in (self._move, self._replay):
-            movement.finish(False, "stopped")
+        self._move.finish(False, "stopped")
+        self._replay.finish(False, f"stopped\n{self._followed()}".rstrip())
         return self._try(response, lambda core: core.stop())
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -315,9 +315,12 @@ class TorqueController(LifecycleNode):
         self._move.finish(core.ready, core.policy_id if core.ready else f"failed: {reason}")
         if self._replay.pending:
             done = mode is Mode.HOLD
-            error = core.replay_rms
-            text = "" if error is None else f"rms error {error.max():.4f} rad in the worst joint"
-            self._replay.finish(done, text if done else f"failed: {reason}")
+            self._replay.finish(done, self._followed() if done else f"failed: {reason}")
+
+    def _followed(self) -> str:
+        """How well the last replay went."""
+        error = None if self._controller is None else self._controller.replay_error
+        return "" if error is None or not error.count else error.text(self._params.joint_names)
 
     # Ten times and once a second
 
