@@ -4,7 +4,8 @@
     python -m wam_power_ros.experiments.comparison --tune pancake [--learner pi2] [--folder F]
 
 tunes one learner or all on a task: every settings of GRID with every noise of NOISE on a few tuning
-seeds, then the best of these on more of them. What it found is in TUNED, by hand.
+seeds, then the best of these on more of them. What it finds goes into TUNED by hand. TUNED is still
+a first guess, the same exploration for every learner of a task: not to be quoted yet.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ __all__ = ["chapter", "jobs", "tune"]
 GRID = [
     scales(stiffness, attractor)
     for stiffness in (0.3, 0.6, 1.0)
-    for attractor in (0.00625, 0.0125, 0.025, 0.05, 0.1, 0.2)
+    for attractor in (0.003125, 0.00625, 0.0125, 0.025, 0.05, 0.1, 0.2)
 ]
 TUNING = range(1_000_000, 1_000_060)
 HELD_OUT = range(401, 441)
