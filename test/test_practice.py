@@ -390,6 +390,33 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     assert why(fault="no joint state for 12 ms") == "no joint state for 12 ms"
 
 
+@pytest.mark.parametrize("name", ["paper", "flip"])
+def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name: str) -> None:
+    practice = started(name)
+    trial = practice.next_trial()
+    t = np.arange(0.005, 1.85, 1 / 120)
+    pan, still = paths(trial, 1.86, t)
+    free = np.clip(t - 0.5, 0.0, 0.6)  # thrown at 0.5 s, half a turn, caught 0.6 s later
+    rise = 2.943 * free - 4.905 * free**2
+    half = 0.5 * np.pi * free / 0.6
+    position = still.position + np.outer(rise, [0.0, 0.0, 1.0])
+    quat_xyzw = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1)
+
+    def judged(seen: np.ndarray) -> Assessment:
+        pancake = PancakePath(trial.id, t[seen], position[seen], quat_xyzw[seen])
+        return assess(trial.policy, pan, pancake, practice.settings, "")
+
+    whole = judged(t > 0.0).ret
+    rng = np.random.default_rng(2)
+    outcomes = []
+    for _ in range(24):
+        begin, length = rng.uniform(0.0, 1.8), rng.uniform(0.02, 0.5)
+        outcomes.append(judged((t < begin) | (t > begin + length)).ret)
+    usable = [ret for ret in outcomes if ret is not None]
+    assert 4 < len(usable) < 20
+    np.testing.assert_allclose(usable, whole, atol=0.05)
+
+
 def test_motion_limits_are_the_policys_own_fault_and_nothing_else_is() -> None:
     practice = started("flip")
     trial = practice.next_trial()

@@ -110,7 +110,8 @@ def usable(
         "zero pose": "the driver sends zeros when it has lost the body: is it in view?",
         "out of workspace": "units not metres, or world_to_base or up_axis wrong",
         "quaternion not of unit length": "the driver must send unit quaternions, x y z w",
-        "stamp too close": "frames come twice; one of each pair is used",
+        "older of a pair": "frames come two at a time, and the later one is used: a driver that "
+        "stamps them itself, such as vrpn_mocap with use_vrpn_timestamps:=true, loses none",
         "jump": "two bodies on one topic, or markers that swap",
     }.get(worst, "see the tracker's diagnostics")
     return [*rows, Row("mocap poses", expected, text, Verdict.FAIL, advice)]
