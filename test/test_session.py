@@ -236,7 +236,7 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
         (json.dumps({**record, "ret": "high"}).encode() + b"\n", "line 2: ret: .* got high"),
         (json.dumps({**record, "extra": 1}).encode() + b"\n", "line 2: extra: "),
         (json.dumps({**record, "schema": "x/2"}).encode() + b"\n", "line 2: schema: "),
-        (lines[0], "line 2: holds rollout 1"),
+        (lines[0], "line 2: rollout 1 cannot follow 1"),
     ]:
         text = b"".join([lines[0], damaged, *lines[2:]])
         log.write_bytes(text)

@@ -113,7 +113,7 @@ def choose_demonstration(
 
     The authors chose one good demonstration of a small series; good is here how it reproduces.
 
-    * "return": the highest return.
+    * "return": the highest return, a person's ratings included.
     * "flick": of those that tossed the pancake, the one nearest to a toss that is good to learn
       from: turned by at least 85 degrees (over 100 there is less left to learn but more speed is
       used up), at least .35 m high, and coming down .10 to .18 m outward of the pan. One that falls
@@ -143,9 +143,9 @@ def choose_demonstration(
     of = f"of {len(reproductions)}"
     tossed = [index for index in eligible if (reproductions[index].flight or {}).get("tossed")]
     if settings.choice == "return" or not tossed:
-        best = max(eligible, key=lambda index: float(reproductions[index].ret or 0.0))
+        best = max(eligible, key=lambda index: float(reproductions[index].worth or 0.0))
         rule = "highest return" if settings.choice == "return" else "none tossed; highest return"
-        return best, f"{rule} {of} reproductions, {reproductions[best].ret:.3f}"
+        return best, f"{rule} {of} reproductions, {reproductions[best].worth:.3f}"
     best = min(tossed, key=lambda index: _distance_from_flick(reproductions[index].flight or {}))
     flight = reproductions[best].flight or {}
     return best, (

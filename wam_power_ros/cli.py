@@ -28,7 +28,7 @@ from wam_power_ros import setups
 from wam_power_ros.processes import ProcessError, Processes, Running, private_domain
 
 if TYPE_CHECKING:
-    from wam_power_ros.records import Record
+    from wam_power_ros.records import Line, Record
 
 NODES = {  # executable -> module with a main(); setup.py has the same entry points
     "torque_controller": "wam_power_ros.nodes.torque_controller",
@@ -40,6 +40,7 @@ NODES = {  # executable -> module with a main(); setup.py has the same entry poi
     "optitrack_sim": "hardware_sim.optitrack_node",
 }
 SESSIONS = Path("sessions")
+DOMAIN = "ros_domain_id"  # file in a session's logs/: where its simulated nodes talk
 TASKS = {  # what may be taught -> how the recorder is set for it
     "flip": {},
     "reach": {"stem": "reach", "topics": [""], "mocap_topics": [""], "driver_topics": [""]},
@@ -117,6 +118,22 @@ def _parser() -> argparse.ArgumentParser:
     )
     policy.add_argument("config", nargs="*", metavar="NAME", help="as for config")
     policy.set_defaults(command=_policy)
+
+    tell = commands.add_parser(
+        "tell",
+        help="reward or punish the last rollout, or give a demonstration, while it learns",
+        description="Say something to the learner of a running session.",
+    )
+    tell.add_argument(
+        "word",
+        choices=("reward", "punish", "demonstration", "pause", "continue"),
+        help="reward or punish: the last finished rollout; demonstration: learn from it if it is "
+        "better; pause: after the trial under way, to record one",
+    )
+    tell.add_argument("bag", type=Path, nargs="?", help="of the demonstration")
+    tell.add_argument("--session", type=Path, help="folder (default: the newest one)")
+    gone_on_with = {"resume": True, "seed": None, "preset": None, "trials": None, "bags": None}
+    tell.set_defaults(command=_tell, **gone_on_with)
 
     report = commands.add_parser("report", help="write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
@@ -310,6 +327,22 @@ def _reproduce(options: argparse.Namespace) -> int:
     return 0
 
 
+def _tell(options: argparse.Namespace) -> int:
+    if (options.word == "demonstration") != (options.bag is not None):
+        raise UsageError("a demonstration, and only that, needs a bag")
+    domain = _session_folder(options) / "logs" / DOMAIN
+    if domain.exists():
+        os.environ |= {
+            "ROS_DOMAIN_ID": domain.read_text().strip(),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        }
+    from wam_power_ros.tell import tell
+
+    taken, answer = tell(options.word, options.bag)
+    print(answer if taken else f"refused: {answer}")
+    return 0 if taken else 2
+
+
 def _report(options: argparse.Namespace) -> int:
     from wam_power_ros import report, session
 
@@ -412,7 +445,9 @@ def _bench(
     with ExitStack() as leave:
         if _simulated(options):
             environment["ROS_DOMAIN_ID"] = str(leave.enter_context(private_domain()))
+            (folder / "logs" / DOMAIN).write_text(environment["ROS_DOMAIN_ID"] + "\n")
         else:
+            (folder / "logs" / DOMAIN).unlink(missing_ok=True)
             _consent()
         processes = leave.enter_context(Processes(folder / "logs", environment))
         bench = _Bench(processes, setup, file)
@@ -464,22 +499,23 @@ def _teach_series(bench: _Bench, folder: Path, options: argparse.Namespace) -> l
 def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Record]:
     """Show the session until the learner has ended it; returns its records."""
     from wam_power_ros import live, session
+    from wam_power_ros.records import with_ratings
 
-    log = folder / "rollouts.jsonl"
-    records: Sequence[Record] = ()
+    path = folder / "rollouts.jsonl"
+    log: Sequence[Line] = ()
     seen = 0
     over = False
     with live.Display() as display:
         while not over:
             over = learner.process.poll() is not None
             processes.check(but=learner)
-            size = log.stat().st_size if log.exists() else 0
+            size = path.stat().st_size if path.exists() else 0
             if size != seen:
                 seen = size
-                header, _, records = session.read(folder)
-                display.show(records, header.settings.budget + header.settings.retests)
+                settings, log = session.read(folder)[0].settings, session.read_log(folder)
+                display.show(log, settings.budget + settings.retests)
             time.sleep(0.2)
-    return records
+    return with_ratings(log)
 
 
 # Folders

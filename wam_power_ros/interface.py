@@ -45,6 +45,7 @@ POLICY = "/policy"
 REPLAY_TRAJECTORY = "/replay/trajectory"
 ROLLOUT_END_EFFECTOR = "/rollout/end_effector"
 ROLLOUT_PANCAKE = "/rollout/pancake"
+LEARNER_BAG = "/learner/bag"  # path of a demonstration to be given to the learner
 ROBOT_DESCRIPTION = "/robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
@@ -58,6 +59,10 @@ MOVE_TO_START = "/controller/move_to_start"
 REPLAY = "/controller/replay"
 GRAVITY_COMPENSATION = "/controller/gravity_compensation"
 RECORD = "/recorder/record"
+LEARNER_REWARD = "/learner/reward"
+LEARNER_PUNISH = "/learner/punish"
+LEARNER_DEMONSTRATION = "/learner/demonstration"
+LEARNER_PAUSE = "/learner/pause"
 WAM_GRAVITY_COMPENSATE = "/wam/gravityCompensate"
 WAM_HOLD = "/wam/holdJointPosition"
 WAM_MOVE_HOME = "/wam/moveHome"
@@ -65,6 +70,8 @@ WAM_IDLE = "/wam/idle"
 PANCAKE_RESET = "/pancake/reset"  # stand-in only
 PANCAKE_DROP = "/pancake/drop"  # stand-in only
 HAND_DEMONSTRATE = "/hand/demonstrate"  # stand-in only
+
+NO_BAG = f"no bag was named on {LEARNER_BAG}"  # yet: topics and services are not ordered
 
 # Frames
 BASE_FRAME = "wam_base"

@@ -18,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from wam_power_ros.flight import Flight
-from wam_power_ros.records import Record
+from wam_power_ros.records import Line, Record, with_ratings
 from wam_power_ros.returns import pancake_return
 
 SHOWN = 14  # newest rollouts in the table
@@ -43,6 +43,12 @@ def angle(record: Record) -> float | None:
     """How far the pancake had turned at t_f [degree], None when that is not known."""
     turned = (record.flight or {}).get("angle")
     return None if turned is None else abs(math.degrees(turned))
+
+
+def returned(record: Record) -> str:
+    """Its return, with what a person added or took: "0.712 +0.3"."""
+    rating = f" {record.adjustment:+.3g}" if record.adjustment is not None else ""
+    return _number(record.ret, ".3f") + rating
 
 
 def paper_return(record: Record) -> float:
@@ -75,15 +81,15 @@ def rollout_table(records: Sequence[Record], shown: int = SHOWN) -> Table:
     table.add_column("pancake", no_wrap=True)
     best = 0.0
     for place, record in enumerate(records):
-        better = record.ret is not None and record.ret > best
-        best = max(best, record.ret or 0.0)
+        better = record.worth is not None and record.worth > best
+        best = max(best, record.worth or 0.0)
         if place < len(records) - shown:
             continue
         turned = angle(record)
         table.add_row(
             str(record.number),
             Text(record.kind, style=STYLES.get(record.kind, "")),
-            Text(_number(record.ret, ".3f"), style="bold green" if better else ""),
+            Text(returned(record), style="bold green" if better else ""),
             *(_number(record.terms.get(term), ".3f") for term in terms),
             _number(turned, ".0f", "°"),
             f"{best:.3f}",
@@ -148,7 +154,7 @@ class Display:
     """Shows records as they come: a live table on a terminal, one line each in a file."""
 
     def __init__(self, console: Console | None = None) -> None:
-        self._records: Sequence[Record] = ()
+        self._log: Sequence[Line] = ()
         self._console = console or Console()
         self._progress = Progress(
             TextColumn("{task.completed:.0f} of at most {task.total:.0f} rollouts"),
@@ -173,36 +179,40 @@ class Display:
         if self._console.is_terminal:
             self._live.stop()
 
-    def show(self, records: Sequence[Record], most: int) -> None:
+    def show(self, log: Sequence[Line], most: int) -> None:
         """Show the session as it stands.
 
         Args:
-            records: All of them; those not shown before are printed where there is no terminal.
+            log: All of it; what was not shown before is printed where there is no terminal.
             most: So many rollouts there can be.
         """
-        new = records[len(self._records) :]
-        self._records = records
-        self._progress.update(self._task, completed=len(records), total=max(most, len(records)))
+        new = log[len(self._log) :]
+        self._log = log
+        count = sum(isinstance(entry, Record) for entry in log)
+        self._progress.update(self._task, completed=count, total=max(most, count))
         if not self._console.is_terminal:
-            for record in new:
-                self._console.print(line(record), highlight=False, soft_wrap=True, markup=False)
+            for entry in new:
+                self._console.print(line(entry), highlight=False, soft_wrap=True, markup=False)
 
     def _render(self) -> RenderableType:
-        if not self._records:
+        records = with_ratings(self._log)
+        if not records:
             return Group(Text("the first rollout is on its way", style="italic"), self._progress)
-        returns = [record.ret for record in self._records if record.ret is not None]
-        notes = [record.note for record in self._records if record.note]
-        parts = [rollout_table(self._records), Text(spark(returns), style="green")]
+        returns = [record.worth for record in records if record.worth is not None]
+        notes = [entry.note for entry in self._log if entry.note]
+        parts = [rollout_table(records), Text(spark(returns), style="green")]
         return Group(*parts, Text(notes[-1] if notes else "", style="italic"), self._progress)
 
 
-def line(record: Record) -> str:
-    """A rollout in one line."""
-    terms = ", ".join(f"{name} {_number(value, '.3f')}" for name, value in record.terms.items())
+def line(entry: Line) -> str:
+    """A rollout, or what a person did, in one line."""
+    if not isinstance(entry, Record):
+        return f"      a person: {entry.note}"
+    terms = ", ".join(f"{name} {_number(value, '.3f')}" for name, value in entry.terms.items())
     return (
-        f"{record.number:4d}  {record.kind:12s}  return {_number(record.ret, '.3f')} ({terms})  "
-        f"{_number(angle(record), '.0f', '°'):>4s}  {outcome(record)}"
-        + (f"  [{record.note}]" if record.note else "")
+        f"{entry.number:4d}  {entry.kind:12s}  return {_number(entry.ret, '.3f')} ({terms})  "
+        f"{_number(angle(entry), '.0f', '°'):>4s}  {outcome(entry)}"
+        + (f"  [{entry.note}]" if entry.note else "")
     )
 
 

@@ -3,28 +3,33 @@
 
 A session reproduces every demonstration once on the arm, chooses the one to learn from by its
 reproduction, explores, runs the mean now and then, stops by a rule, and re-tests its answer.
-Everything `Practice` knows follows from its candidates, settings, seed and records, so replaying
-the records of a log rebuilds it bit for bit. No ROS, no files, no clock.
+Meanwhile a person may rate rollouts and give further demonstrations. Everything `Practice` knows
+follows from its candidates, settings, seed and log, so replaying the lines of a log rebuilds it bit
+for bit. No ROS, no files, no clock.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from wam_power_ros.assessment import Assessment, assess, choose_demonstration
 from wam_power_ros.parameters import TURN_OF_FLICK, Parameters
-from wam_power_ros.policy import Policy
+from wam_power_ros.policy import Policy, check_id, to_json
 from wam_power_ros.power import Power, generator_state
 from wam_power_ros.presets import PracticeSettings, preset  # noqa: F401
-from wam_power_ros.records import Kind, Record, plain
+from wam_power_ros.records import Event, Given, Kind, Line, Rating, Record, plain
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 
 _REDRAWS_MAX = 20
+_RECENT = 5  # rollouts whose mean return a demonstration given later has to exceed
+RATING_MAX = 1.0  # of one rating: a whole return
+E = TypeVar("E", Rating, Given)
 
 
 @dataclass(frozen=True)
@@ -79,7 +84,7 @@ class _Evidence:
 
     id: str
     demonstration: str
-    z: np.ndarray
+    z: np.ndarray  # (size,)
     returns: list[float] = field(default_factory=list)
     successes: int = 0
 
@@ -115,6 +120,14 @@ class Practice:
       rollouts for ever; running the mean again is what tells luck from skill.
     * The session stops at that, or when the budget is used. Its answer is the confirmed mean or
       the last one; it is re-tested and not changed any more.
+    * A person may add to the return of any usable rollout until then (`rate`): the learner is told
+      everything again, with `Record.worth` for its return. A punished rollout is no success.
+    * A person may give a further demonstration until then (`give`). It is reproduced next. If that
+      is worth more than the mean of the last five rollouts, it is learnt from instead, from the
+      beginning and with what is left of the budget; if not, learning goes on as it was. The two
+      are not mixed: a weighted mean of different demonstrations smooths out the peaks of
+      acceleration that make a toss ([Kormushev2010], Sec. IV).
+    * What a person does takes effect on the next trial that is drawn, not on the one under way.
     """
 
     def __init__(
@@ -149,15 +162,17 @@ class Practice:
         self.settings = settings
         self.seed = seed
         self._forbidden = forbidden
-        self._candidates = tuple(candidates)
+        self._candidates = list(candidates)
         self._parameters = {
             policy.id: Parameters(policy, settings.variant, settings.noise) for policy in candidates
         }
         self._rng = np.random.Generator(np.random.PCG64(seed))
         self._records: list[Record] = []
+        self._log: list[Line] = []
+        self._events: list[Event] = []  # that wait for the end of the trial under way
         self._pending: Trial | None = None
         self._retry: _Retry | None = None
-        self._reproductions: list[Record] = []
+        self._reproductions: list[int] = []  # numbers of the rollouts, one a candidate
         self._demonstration: str | None = None
         self._choice = ""
         self._learner: Power | None = None
@@ -165,7 +180,6 @@ class Practice:
         self._practised = 0  # trials of the practice that are over, dropped ones included
         self._streak: tuple[np.ndarray, int] | None = None  # a mean that succeeds, and how often
         self._mean_wanted = False
-        self._evidence: dict[tuple[str, bytes], _Evidence] = {}
         self._stopped = ""
         self._answer: np.ndarray | None = None
         self._retested = 0
@@ -176,23 +190,34 @@ class Practice:
         candidates: Sequence[Policy],
         settings: PracticeSettings,
         seed: int,
-        records: Sequence[Record],
+        log: Sequence[Line],
         forbidden: Callable[[Policy], str] = lambda policy: "",
     ) -> Practice:
-        """Practice as it was after the last of `records`.
+        """Practice as it was after the last line of `log`.
 
         Raises:
-            ValueError: the records are not those of such a session; names the first that differs.
+            ValueError: the log is not that of such a session; names the first line that differs.
         """
         practice = cls(candidates, settings, seed, forbidden)
-        for record in records:
-            practice.replay(record)
+        for line in log:
+            practice.replay(line)
         return practice
 
     @property
+    def log(self) -> tuple[Line, ...]:
+        """All that happened so far, oldest first: what `from_records` needs."""
+        return tuple(self._log)
+
+    @property
     def records(self) -> tuple[Record, ...]:
-        """All rollouts so far, oldest first."""
+        """All rollouts so far, oldest first, with the ratings that have taken effect."""
         return tuple(self._records)
+
+    @property
+    def candidates(self) -> tuple[Policy, ...]:
+        """Policies of all demonstrations, those given later included."""
+        waiting = [event.candidate() for event in self._events if isinstance(event, Given)]
+        return (*self._candidates, *waiting)
 
     @property
     def parameters(self) -> Parameters | None:
@@ -247,22 +272,18 @@ class Practice:
         mean return less `return_noise` / sqrt(runs), the later one of equals. Once the session has
         stopped: its answer.
         """
-        if not self._evidence:
-            return None
         noise = self.settings.return_noise
-        answer = None
-        if self._answer is not None:
-            answer = self._evidence.get((str(self._demonstration), self._answer.tobytes()))
-        if answer is not None:
-            best, rule = answer, f"the answer: {self._stopped}"
+        known = [
+            evidence
+            for evidence in self._evidence()
+            if self._demonstration in (None, evidence.demonstration)
+        ]
+        if not known:
+            return None
+        answers = [e for e in known if self._answer is not None and (e.z == self._answer).all()]
+        if answers:
+            best, rule = answers[0], f"the answer: {self._stopped}"
         else:
-            known = [
-                evidence
-                for evidence in self._evidence.values()
-                if self._demonstration in (None, evidence.demonstration)
-            ]
-            if not known:
-                return None
             best = max(reversed(known), key=lambda evidence: evidence.lower_bound(noise))
             rule = f"lower bound {best.lower_bound(noise):.3f}, highest of {len(known)} policies"
         policy, _ = self._parameters[best.demonstration].policy(best.z, best.id)
@@ -272,6 +293,18 @@ class Practice:
             f"mean return {np.mean(best.returns):.3f}; {rule}"
         )
         return Best(policy, tuple(best.returns), best.successes, why)
+
+    def _evidence(self) -> list[_Evidence]:
+        """What is known of each policy that was run without noise, in the order of first runs."""
+        found: dict[tuple[str, bytes], _Evidence] = {}
+        for record in self._records:
+            if record.worth is not None and record.kind != "explore":
+                z = np.array(record.z)
+                default = _Evidence(record.id, record.demonstration, z)
+                evidence = found.setdefault((record.demonstration, z.tobytes()), default)
+                evidence.returns.append(record.worth)
+                evidence.successes += record.succeeded
+        return list(found.values())
 
     def next_trial(self) -> Trial | None:
         """Rollout to execute now, the same until it is learnt from; None when finished."""
@@ -373,19 +406,107 @@ class Practice:
             truth=None if truth is None else plain(truth),
             clock=plain(clock or {}),
         )
-        record = record.model_copy(update={"note": self._follow(record)})
-        self._records.append(record)
-        return record
+        return self._take_up(record.model_copy(update={"note": self._follow(record)}))
 
-    def replay(self, record: Record) -> None:
-        """Take up a logged record as if it had just been learnt.
+    def rate(
+        self, amount: float, number: int | None = None, clock: Mapping[str, Any] | None = None
+    ) -> Rating:
+        """Take a person's word that a rollout was worth more, or less, than its return.
 
-        The record's figures are used, so a log goes on where it was even where another processor
+        Args:
+            amount: to be added to its return; several ratings of a rollout add up.
+            number: of the rollout, the last finished one when omitted.
+            clock: wall-clock figures, logged only.
+
+        Returns:
+            What is to be appended to the log before anything else.
+
+        Raises:
+            ValueError: not a rating, no such rollout, one that is not learnt from, or nothing is
+                learnt any more.
+        """
+        if not (np.isfinite(amount) and 0.0 < abs(amount) <= RATING_MAX):
+            raise ValueError(f"a rating must be within ±{RATING_MAX} and not 0, got {amount}")
+        self._check_still_learning()
+        if not self._records:
+            raise ValueError("there is no finished rollout to rate yet")
+        number = len(self._records) if number is None else number
+        if not 1 <= number <= len(self._records):
+            raise ValueError(f"rollout {number} is not one of the {len(self._records)} on record")
+        record = self._records[number - 1]
+        if record.worth is None:
+            raise ValueError(f"{record.id} has no return and is not learnt from: {record.why}")
+        waiting = [e for e in self._events if isinstance(e, Rating) and e.rollout == number]
+        so_far = (record.adjustment or 0.0) + sum(event.amount for event in waiting)
+        before, after = (max((record.ret or 0.0) + part, 0.0) for part in (so_far, so_far + amount))
+        note = f"{record.id} {'rewarded' if amount > 0.0 else 'punished'}: "
+        return self._accept(
+            Rating(
+                after=self._effective,
+                rollout=number,
+                amount=float(amount),
+                note=f"{note}return {before:.3f} -> {after:.3f}",
+                clock=plain(clock or {}),
+            )
+        )
+
+    def give(self, policy: Policy, bag: str = "", clock: Mapping[str, Any] | None = None) -> Given:
+        """Take up a further demonstration: its policy is reproduced next.
+
+        Args:
+            policy: fitted to the demonstration, with an id of its own.
+            bag: the demonstration, logged only.
+            clock: wall-clock figures, logged only.
+
+        Returns:
+            What is to be appended to the log before anything else.
+
+        Raises:
+            ValueError: the id is taken, the policy does not have the parameters that are learnt,
+                the arm must not try it, or nothing is learnt any more.
+        """
+        self._check_still_learning()
+        check_id(policy.id)
+        if policy.id in [candidate.id for candidate in self.candidates]:
+            raise ValueError(f"there is a demonstration {policy.id!r} already")
+        parameters = Parameters(policy, self.settings.variant, self.settings.noise)
+        why = self._forbidden(parameters.policy(np.zeros(parameters.size), policy.id)[0])
+        if why:
+            raise ValueError(f"the arm must not try {policy.id}: {why}")
+        return self._accept(
+            Given(
+                after=self._effective,
+                id=policy.id,
+                policy=json.loads(to_json(policy)),
+                bag=bag,
+                note=f"{policy.id} is reproduced after rollout {self._effective}"
+                + (f": {bag}" if bag else ""),
+                clock=plain(clock or {}),
+            )
+        )
+
+    def replay(self, line: Line) -> None:
+        """Take up a line of a log as if it had just been made.
+
+        A record's figures are used, so a log goes on where it was even where another processor
         would have rounded its last digit differently.
 
         Raises:
-            ValueError: the record is not that of the trial that is due.
+            ValueError: it is not what comes next in this session.
         """
+        if isinstance(line, Record):
+            self._replay(line)
+            return
+        if line.after not in (len(self._records), len(self._records) + 1):
+            raise ValueError(
+                f"a line after record {len(self._records)} cannot take effect "
+                f"after record {line.after}"
+            )
+        if isinstance(line, Rating) and line.rollout > len(self._records):
+            raise ValueError(f"rollout {line.rollout} was rated before it was on record")
+        self._accept(line)
+
+    def _replay(self, record: Record) -> None:
         trial = self._next_trial(record.redrawn)
         if trial is None:
             raise ValueError(f"record {record.number} ({record.id}) comes after the session's end")
@@ -403,7 +524,63 @@ class Practice:
                 "session's: other settings, seed or candidates?"
             )
         self._follow(record)
-        self._records.append(record)
+        self._take_up(record)
+
+    def _take_up(self, record: Record) -> Record:
+        """Close the trial: only now does what a person did meanwhile take effect."""
+        self._records[-1] = record
+        self._log.append(record)
+        events, self._events = self._events, []
+        for event in events:
+            self._apply(event)
+        return record
+
+    @property
+    def _effective(self) -> int:
+        """Number of rollouts after which what a person does now takes effect."""
+        return len(self._records) + (self._pending is not None)
+
+    def _check_still_learning(self) -> None:
+        if self._stopped:
+            raise ValueError(f"nothing is learnt any more: {self._stopped}")
+
+    def _accept(self, event: E) -> E:
+        self._log.append(event)
+        if event.after == len(self._records):
+            self._apply(event)
+        else:
+            self._events.append(event)
+        return event
+
+    def _apply(self, event: Event) -> None:
+        if self._stopped:  # by the very rollout that was under way when it came
+            return
+        if isinstance(event, Given):
+            policy = event.candidate()
+            self._parameters[policy.id] = Parameters(
+                policy, self.settings.variant, self.settings.noise
+            )
+            self._candidates.append(policy)
+            return
+        record = self._records[event.rollout - 1]
+        total = (record.adjustment or 0.0) + event.amount
+        record = record.model_copy(update={"adjustment": total})
+        self._records[event.rollout - 1] = record
+        if self._learner is not None:
+            self._learner = self._taught_again()
+        if self._streak is not None and not record.succeeded:
+            if record.kind == "mean" and record.z == self._streak[0].tolist():
+                self._streak = None
+
+    def _taught_again(self) -> Power:
+        """A learner that was told all rollouts of the demonstration in their order."""
+        learner = Power(
+            self._parameters[str(self._demonstration)].size, self.settings.power, self._rng
+        )
+        for record in self._records:
+            if record.demonstration == self._demonstration and record.learnt_as is not None:
+                learner.tell(np.array(record.learnt_as), float(record.worth or 0.0))
+        return learner
 
     def _plan(self, redrawn: int | None) -> tuple[Kind, str, np.ndarray, int, int, str]:
         """Kind, demonstration, z, attempt, redraws and purpose of the next trial."""
@@ -411,10 +588,13 @@ class Practice:
             retry = self._retry
             why = f"attempt {retry.attempt}: {retry.why}"
             return retry.kind, retry.demonstration, retry.z, retry.attempt, 0, why
-        if self._learner is None or self._demonstration is None:
+        learner = self._learner
+        if len(self._reproductions) < len(self._candidates):
             candidate = self._candidates[len(self._reproductions)]
             zero = np.zeros(self._parameters[candidate.id].size)
             return "reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}"
+        if learner is None or self._demonstration is None:
+            raise ValueError("a session that never chose a demonstration is over")
         kind: Kind = "explore"
         if self._answer is not None:
             kind, z = "retest", self._answer
@@ -423,10 +603,10 @@ class Practice:
             kind, z = "mean", self._streak[0]
             why = f"confirms a mean, {self._streak[1] + 1} of {self.settings.confirm}"
         elif self._mean_wanted or self._is_mean_turn():
-            kind, z, why = "mean", self._learner.mean, "the mean, without noise"
+            kind, z, why = "mean", learner.mean, "the mean, without noise"
         else:
-            why = f"explores about the mean with noise {self._learner.noise:.2f}"
-            z, redrawn = self._sample(self._learner, self._parameters[self._demonstration], redrawn)
+            why = f"explores about the mean with noise {learner.noise:.2f}"
+            z, redrawn = self._sample(learner, self._parameters[self._demonstration], redrawn)
             return kind, self._demonstration, z, 1, redrawn, why
         return kind, self._demonstration, z, 1, 0, why
 
@@ -476,42 +656,66 @@ class Practice:
     def _follow(self, record: Record) -> str:
         """Bring everything up to date with a record, live or replayed; says what was decided."""
         self._pending = None
+        self._records.append(record)
         z = np.array(record.z)
         if record.ret is None and record.attempt < self.settings.attempts:
             attempt = record.attempt + 1
             self._retry = _Retry(record.kind, record.demonstration, z, attempt, record.why)
             return f"not learnt from ({record.why}), tried again"
         self._retry = None
-        if record.ret is not None and record.kind != "explore":
-            key = (record.demonstration, z.tobytes())
-            default = _Evidence(record.id, record.demonstration, z)
-            evidence = self._evidence.setdefault(key, default)
-            evidence.returns.append(record.ret)
-            evidence.successes += record.success
         if record.kind == "retest":
             self._retested += 1
             return "" if record.ret is not None else "dropped"
         self._used += record.ret is not None
         if record.kind == "reproduction":
-            self._reproductions.append(record)
-            if len(self._reproductions) == len(self._candidates):
-                self._choose()
-                return f"{self._choice}{self._stopped}"
-            return ""
-        return self._practise(record, z)
+            note = self._follow_reproduction(record)
+        else:
+            note = self._practise(record, z)
+        if self._learner is not None and not self._stopped:
+            answer = self._learner.mean if self._streak is None else self._streak[0]
+            limit = 3 * self.settings.budget
+            if self._used >= self.settings.budget:
+                self._stop(answer, f"budget of {self.settings.budget} rollouts used")
+            elif len(self._records) >= limit:
+                self._stop(answer, f"{limit} rollouts, of which only {self._used} were usable")
+        return "; ".join(part for part in (note, self._stopped) if part)
 
-    def _choose(self) -> None:
+    def _follow_reproduction(self, record: Record) -> str:
+        self._reproductions.append(record.number)
+        if self._learner is not None:
+            return self._compare(record)
+        if len(self._reproductions) < len(self._candidates):
+            return ""
+        reproductions = [self._records[number - 1] for number in self._reproductions]
         try:
-            index, why = choose_demonstration(self._reproductions, self.settings)
+            index, why = choose_demonstration(reproductions, self.settings)
         except ValueError as error:
             self._stopped = str(error)
-            return
-        record = self._reproductions[index]
-        self._demonstration = record.demonstration
-        self._choice = f"learns from {record.demonstration}: {why}"
-        parameters = self._parameters[record.demonstration]
-        self._learner = Power(parameters.size, self.settings.power, self._rng)
-        self._learner.tell(np.array(record.learnt_as), float(record.ret or 0.0))
+            return ""
+        self._learn_from(reproductions[index].demonstration, why)
+        return self._choice
+
+    def _compare(self, record: Record) -> str:
+        """Learn from a demonstration that was given later, if it is the better one."""
+        recent = [
+            float(other.worth)
+            for other in self._records
+            if other.demonstration == self._demonstration and other.worth is not None
+        ][-_RECENT:]
+        level = float(np.mean(recent))
+        if record.ret is None or record.fault:
+            return f"goes on with {self._demonstration}: {record.why}"
+        compared = f"return {record.ret:.3f} against {level:.3f} of the last {len(recent)}"
+        if record.ret <= level:
+            return f"goes on with {self._demonstration}: {compared}"
+        self._streak, self._mean_wanted = None, False  # of the demonstration learnt from till now
+        self._learn_from(record.demonstration, f"{compared}, from {self._demonstration}")
+        return self._choice
+
+    def _learn_from(self, demonstration: str, why: str) -> None:
+        self._demonstration = demonstration
+        self._choice = f"learns from {demonstration}: {why}"
+        self._learner = self._taught_again()
 
     def _practise(self, record: Record, z: np.ndarray) -> str:
         """Follow a trial that explored or ran the mean."""
@@ -537,14 +741,7 @@ class Practice:
             elif record.success and settings.mean_every == 0:
                 self._mean_wanted = True
                 note = "a success: the mean is run to confirm it"
-        if not self._stopped:
-            answer = learner.mean if self._streak is None else self._streak[0]
-            limit = 3 * settings.budget
-            if self._used >= settings.budget:
-                self._stop(answer, f"budget of {settings.budget} rollouts used")
-            elif len(self._records) + 1 >= limit:
-                self._stop(answer, f"{limit} rollouts, of which only {self._used} were usable")
-        return "; ".join(part for part in (note, self._stopped) if part)
+        return note
 
     def _has_margin(self, record: Record) -> bool:
         settings = self.settings

@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from wam_power_ros import figures, page, policy, session
-from wam_power_ros.live import angle, outcome, paper_return
+from wam_power_ros.live import angle, outcome, paper_return, returned
 from wam_power_ros.records import Record
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import SessionHeader
@@ -95,7 +95,8 @@ def write(folder: Path, exhibit: Exhibit | None = None, why_no_film: str = "") -
         session.SessionError: No session, or a malformed one.
     """
     header, candidates, records = session.read(folder)
-    learnt_from = next((r.demonstration for r in records if r.kind != "reproduction"), None)
+    practised = [record for record in records if record.kind != "reproduction"]
+    learnt_from = practised[-1].demonstration if practised else None
     start = next((candidate for candidate in candidates if candidate.id == learnt_from), None)
     saved = folder / "policy.json"
     answer = policy.from_json(saved.read_text()) if saved.exists() else None
@@ -133,6 +134,17 @@ def _verdict(header: SessionHeader, records: Sequence[Record]) -> str:
         said.append(f"The pancake was first flipped and caught in rollout {first.number}.")
     elif records:
         said.append("The pancake has not been flipped and caught yet.")
+    rated = [record for record in records if record.adjustment is not None]
+    if rated:
+        liked = sum((record.adjustment or 0.0) > 0.0 for record in rated)
+        said.append(
+            f"A person rewarded {liked} rollouts and punished {len(rated) - liked}; by how much "
+            "stands behind their returns."
+        )
+    begun = header.candidates
+    later = dict.fromkeys(r.demonstration for r in records if r.demonstration not in begun)
+    if later:
+        said.append(f"Given in the middle of learning: {', '.join(later)}.")
     unusable = [record for record in records if record.ret is None]
     if unusable:
         said.append(f"{len(unusable)} rollouts could not be judged and were not learnt from.")
@@ -226,7 +238,7 @@ def _table(records: Sequence[Record]) -> str:
         cells = [
             str(record.number),
             record.kind,
-            _number(record.ret),
+            returned(record),
             *(_number(record.terms.get(name)) for name in names),
             "–" if turned is None else f"{turned:.0f}°",
             outcome(record),

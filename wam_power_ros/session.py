@@ -3,7 +3,8 @@
 
     session.yaml     everything needed to run it again; written last, so it is complete or absent
     candidates/      the policies fitted to the demonstrations, one JSON file each
-    rollouts.jsonl   one `Record` a line, append-only, on disk before it is acknowledged
+    rollouts.jsonl   one `Record`, `Rating` or `Given` a line, append-only, on disk before it is
+                     acknowledged
     policy.json      the best policy so far, replaced atomically
     bags/            recordings
     .lock            held while a learner writes
@@ -32,7 +33,7 @@ from wam_power_ros import policy as policy_module
 from wam_power_ros.policy import Policy
 from wam_power_ros.practice import Practice
 from wam_power_ros.presets import PracticeSettings
-from wam_power_ros.records import Record
+from wam_power_ros.records import Given, Line, Rating, Record, line_of, with_ratings
 
 SCHEMA = "wam_power_ros/session/1"
 _PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
@@ -95,7 +96,7 @@ class Session:
     Attributes:
         folder: where it is.
         header: contents of session.yaml.
-        candidates: the candidate policies.
+        candidates: the policies it began with.
         bags: folder for the recordings.
     """
 
@@ -105,7 +106,7 @@ class Session:
         self.bags = folder / "bags"
         self._lock = lock
         self.header, self.candidates = _read_head(folder)
-        self._records, self._size = _read_records(folder / "rollouts.jsonl")
+        self._log, self._size = _read_log(folder / "rollouts.jsonl")
         self._file = self._open_log()
 
     @staticmethod
@@ -198,34 +199,37 @@ class Session:
         return self.header.seed
 
     @property
+    def log(self) -> tuple[Line, ...]:
+        """All lines on disk, oldest first."""
+        return tuple(self._log)
+
+    @property
     def records(self) -> tuple[Record, ...]:
-        """The rollouts on disk, oldest first."""
-        return tuple(self._records)
+        """The rollouts on disk, oldest first, with their ratings."""
+        return with_ratings(self._log)
 
     def practice(self) -> Practice:
-        """The practice as it was after the last rollout on disk.
+        """The practice as it was after the last line on disk.
 
         Raises:
             SessionError: the rollouts are not those of this session's settings and seed.
         """
-        return _practice(self.folder, self.header, self.candidates, self._records)
+        return _practice(self.folder, self.header, self.candidates, self._log)
 
-    def append(self, record: Record) -> None:
-        """Put a rollout on disk; when this returns, it is there to stay.
+    def append(self, entry: Line) -> None:
+        """Put a rollout, or what a person did, on disk; when this returns, it is there to stay.
 
         Raises:
-            SessionError: not the next rollout.
+            SessionError: not the next rollout, or something that takes effect at another time.
             OSError: it could not be written; the log is as it was, as far as the disk allows.
         """
         if self._file is None:
             raise SessionError(f"{self.folder} is closed")
-        if record.number != len(self._records) + 1:
-            raise SessionError(
-                f"rollout {record.number} cannot follow {len(self._records)} in {self.folder}"
-            )
-        line = (record.to_json() + "\n").encode()
+        if why := _out_of_place(entry, self._count):
+            raise SessionError(f"{why} in {self.folder}")
+        line = (entry.to_json() + "\n").encode()
         if len(line) > _LINE_MAX:
-            raise SessionError(f"rollout {record.number} has {len(line)} bytes, over {_LINE_MAX}")
+            raise SessionError(f"a line of {len(line)} bytes, over {_LINE_MAX}")
         try:
             _write_all(self._file, line)
             os.fsync(self._file)
@@ -233,7 +237,7 @@ class Session:
             os.ftruncate(self._file, self._size)
             raise
         self._size += len(line)
-        self._records.append(record)
+        self._log.append(entry)
 
     def save_policy(self, policy: Policy) -> None:
         """Replace policy.json, atomically: a reader sees the old or the new one, never a part."""
@@ -257,6 +261,10 @@ class Session:
     ) -> None:
         self.close()
 
+    @property
+    def _count(self) -> int:
+        return sum(isinstance(line, Record) for line in self._log)
+
     def _open_log(self) -> int | None:
         path = self.folder / "rollouts.jsonl"
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
@@ -267,7 +275,7 @@ class Session:
                 "session ended; it was never acknowledged and is run again",
                 path,
                 torn,
-                len(self._records),
+                len(self._log),
             )
             os.ftruncate(file, self._size)
         os.fsync(file)
@@ -278,17 +286,24 @@ class Session:
 def read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], tuple[Record, ...]]:
     """Header, candidates and rollouts of a session, for looking at: nothing is locked or changed.
 
-    A learner may be writing meanwhile; a line not yet complete is not returned.
+    Candidates include those given later; rollouts have their ratings. A learner may be writing
+    meanwhile; a line not yet complete is not returned.
 
     Raises:
         SessionError: no session, or a malformed file; names the file and line.
     """
-    folder = Path(folder)
-    if not Session.exists(folder):
-        raise SessionError(f"{folder} holds no session: there is no session.yaml")
-    header, candidates = _read_head(folder)
-    records, _ = _read_records(folder / "rollouts.jsonl")
-    return header, candidates, tuple(records)
+    header, candidates, log = _read(folder)
+    later = [line.candidate() for line in log if isinstance(line, Given)]
+    return header, (*candidates, *later), with_ratings(log)
+
+
+def read_log(folder: Path | str) -> tuple[Line, ...]:
+    """All lines of a session's log, for looking at.
+
+    Raises:
+        SessionError: as `read`.
+    """
+    return tuple(_read(folder)[2])
 
 
 def read_practice(folder: Path | str) -> Practice:
@@ -297,18 +312,23 @@ def read_practice(folder: Path | str) -> Practice:
     Raises:
         SessionError: as `read`, or the rollouts are not those of this session.
     """
-    header, candidates, records = read(folder)
-    return _practice(Path(folder), header, candidates, records)
+    return _practice(Path(folder), *_read(folder))
+
+
+def _read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], list[Line]]:
+    folder = Path(folder)
+    if not Session.exists(folder):
+        raise SessionError(f"{folder} holds no session: there is no session.yaml")
+    header, candidates = _read_head(folder)
+    log, _ = _read_log(folder / "rollouts.jsonl")
+    return header, candidates, log
 
 
 def _practice(
-    folder: Path,
-    header: SessionHeader,
-    candidates: Sequence[Policy],
-    records: Sequence[Record],
+    folder: Path, header: SessionHeader, candidates: Sequence[Policy], log: Sequence[Line]
 ) -> Practice:
     try:
-        return Practice.from_records(candidates, header.settings, header.seed, records)
+        return Practice.from_records(candidates, header.settings, header.seed, log)
     except ValueError as error:
         raise SessionError(f"{folder / 'rollouts.jsonl'}: {error}") from error
 
@@ -332,24 +352,38 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...]]:
     return header, tuple(candidates)
 
 
-def _read_records(path: Path) -> tuple[list[Record], int]:
-    """Records of the complete lines of a log, and how many bytes these lines have."""
+def _read_log(path: Path) -> tuple[list[Line], int]:
+    """Complete lines of a log, and how many bytes these have."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
         return [], 0
     # A line without its end was never acknowledged, whatever is in it.
     size = data.rfind(b"\n") + 1
-    records = []
-    for number, line in enumerate(data[:size].split(b"\n")[:-1], start=1):
+    log: list[Line] = []
+    count = 0
+    for number, text in enumerate(data[:size].split(b"\n")[:-1], start=1):
         try:
-            record = Record.from_json(line.decode())
+            line = line_of(text.decode())
         except ValueError as error:
             raise SessionError(f"{path}, line {number}: {_brief(error)}") from error
-        if record.number != number:
-            raise SessionError(f"{path}, line {number}: holds rollout {record.number}")
-        records.append(record)
-    return records, size
+        if why := _out_of_place(line, count):
+            raise SessionError(f"{path}, line {number}: {why}")
+        count += isinstance(line, Record)
+        log.append(line)
+    return log, size
+
+
+def _out_of_place(line: Line, count: int) -> str:
+    """Why a line cannot come after `count` rollouts, empty if it can."""
+    if isinstance(line, Record):
+        wrong = line.number != count + 1
+        return f"rollout {line.number} cannot follow {count}" if wrong else ""
+    if isinstance(line, Rating) and line.rollout > count:
+        return f"rollout {line.rollout} is rated before it is on record"
+    if line.after in (count, count + 1):
+        return ""
+    return f"what takes effect after rollout {line.after} cannot follow {count}"
 
 
 def _brief(error: Exception) -> str:

@@ -3,12 +3,14 @@
 
 The course of a session is `Practice`, its folder is `Session`; what is here is the conversation:
 publish the policy, bring the arm to its start, see the pancake rest in the pan, execute, take the
-two paths, make the record durable, go on.
+two paths, make the record durable, go on. Meanwhile a person may reward or punish the last finished
+rollout, give a further demonstration, or have it wait to record one: on disk before it is answered.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -32,11 +34,11 @@ from wam_power_ros.bags import read_demonstration
 from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.params import Params
-from wam_power_ros.practice import Practice, Trial
+from wam_power_ros.practice import RATING_MAX, Practice, Trial
 from wam_power_ros.presets import preset
 from wam_power_ros.primitive import PANCAKE, fit
 from wam_power_ros.real_time import executor_for
-from wam_power_ros.records import Record
+from wam_power_ros.records import Event, Record
 from wam_power_ros.rehearsal import rehearse
 from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
@@ -67,6 +69,7 @@ class LearnerParams(Params):
     service_timeout: float = Field(gt=0.0)  # [s of wall time]
     rollout_timeout: float = Field(gt=0.0)  # [s of wall time]
     patience: float = Field(gt=0.0)  # for the pancake to rest in the pan [s of wall time]
+    rating: float = Field(gt=0.0, le=RATING_MAX)  # of a reward or a punishment [return]
     unusable_max: int = Field(ge=1)  # rollouts in a row that could not be learnt from
 
 
@@ -98,6 +101,10 @@ class Learner(Node):
         self._resting = 0  # frames in a row
         self._rested_ns = 0  # stamp of the last of them
         self._pan_at_start = (np.zeros(3), np.eye(3))
+        self._session: Session | None = None
+        self._practice: Practice | None = None
+        self._paused = False
+        self._bag = ""  # that was named last
         subscribe = self.create_subscription
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
         subscribe(Path, interface.ROLLOUT_PANCAKE, self._on_pancake, interface.LATCHED)
@@ -106,6 +113,15 @@ class Learner(Node):
         subscribe(
             DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
         )
+        subscribe(String, interface.LEARNER_BAG, self._on_bag, interface.LATCHED)
+        rating = params.rating
+        for kind, name, answer in (
+            (Trigger, interface.LEARNER_REWARD, self._answer(lambda: self._rate(rating))),
+            (Trigger, interface.LEARNER_PUNISH, self._answer(lambda: self._rate(-rating))),
+            (Trigger, interface.LEARNER_DEMONSTRATION, self._answer(self._give)),
+            (SetBool, interface.LEARNER_PAUSE, self._on_pause),
+        ):
+            self.create_service(kind, name, answer)
         self._offers = {
             name: self.create_client(Trigger, name)
             for name in (
@@ -156,6 +172,55 @@ class Learner(Node):
             self.get_logger().warning(f"message ignored: {error}", throttle_duration_sec=1.0)
             return None
 
+    # What a person may do meanwhile
+
+    def _on_bag(self, message: String) -> None:
+        self._bag = message.data
+
+    def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._paused = request.data
+        response.success = True
+        response.message = "waits after the trial under way" if request.data else "goes on"
+        return response
+
+    def _answer(
+        self, take_up: Callable[[], Event]
+    ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
+        """A service that makes what `take_up` gives durable, or answers why there is nothing."""
+
+        def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                event = take_up()
+            except ValueError as error:
+                response.message = str(error)
+                self.get_logger().warning(f"refused: {error}")
+                return response
+            self._session.append(event)
+            self.get_logger().info(event.note)
+            response.success, response.message = True, event.note
+            return response
+
+        return answer
+
+    def _rate(self, amount: float) -> Event:
+        return self._under_way().rate(amount, clock={"at": time.time()})
+
+    def _give(self) -> Event:
+        practice, bag, self._bag = self._under_way(), self._bag, ""
+        if not bag:
+            raise ValueError(interface.NO_BAG)
+        taken = [candidate.id for candidate in practice.candidates]
+        number = len(taken) + 1
+        while f"demonstration-{number}" in taken:
+            number += 1
+        policy = self._fit(bag, f"demonstration-{number}")
+        return practice.give(policy, bag, clock={"at": time.time()})
+
+    def _under_way(self) -> Practice:
+        if self._practice is None:
+            raise ValueError("no session is under way")
+        return self._practice
+
     # Waiting
 
     def _until(self, condition: Callable[[], object], what: str, timeout: float) -> None:
@@ -191,8 +256,12 @@ class Learner(Node):
         session, practice = self._open()
         log = self.get_logger()
         with session:
+            self._session, self._practice = session, practice
             self._keep_best(session, practice)  # this may be where the last learner was killed
-            while (trial := practice.next_trial()) is not None:
+            while True:
+                self._until(lambda: not self._paused, "the pause is over", math.inf)
+                if (trial := practice.next_trial()) is None:
+                    break
                 begun = time.time()
                 record = self._perform(practice, trial, begun)
                 session.append(record)  # on disk before anything else is tried
@@ -217,9 +286,10 @@ class Learner(Node):
             session = Session.open(folder)
         else:
             settings = preset(params.preset, **({"budget": params.trials} if params.trials else {}))
-            session = Session.begin(folder, settings, params.seed, self._fit_all())
+            bags, candidates = self._fit_all()
+            session = Session.begin(folder, settings, params.seed, candidates, demonstrations=bags)
         practice = Practice.from_records(
-            session.candidates, session.settings, session.seed, session.records, self._forbidden
+            session.candidates, session.settings, session.seed, session.log, self._forbidden
         )
         self.get_logger().info(f"session {folder}: {len(session.records)} rollouts on record")
         return session, practice
@@ -228,15 +298,34 @@ class Learner(Node):
         """Why the arm must not try a policy: the fault in which its rehearsal ends."""
         return rehearse(self._rehearsed.arm, self._rehearsed.settings, policy).fault
 
-    def _fit_all(self) -> list[policies.Policy]:
-        if not any(self.params.demonstrations):
+    def _fit_all(self) -> tuple[list[str], list[policies.Policy]]:
+        """The demonstrations of which something can be made, and what."""
+        bags = list(filter(None, self.params.demonstrations))
+        if not bags:
             raise Trouble("a new session needs demonstrations: name at least one bag")
-        candidates = []
-        for number, bag in enumerate(filter(None, self.params.demonstrations), start=1):
+        candidates, refused = {}, []
+        for number, bag in enumerate(bags, start=1):
+            try:
+                candidates[bag] = self._fit(bag, f"demonstration-{number}")
+            except ValueError as error:
+                refused.append(str(error))
+                self.get_logger().warning(f"demonstration {number} is left out: {error}")
+        if not candidates:
+            raise Trouble(
+                f"nothing can be learnt from any of {len(bags)} demonstrations "
+                f"({'; '.join(refused)}). Teach others in a new session, or name other bags: "
+                "wam-power learn --session ... --bags ..."
+            )
+        return list(candidates), list(candidates.values())
+
+    def _fit(self, bag: str, id: str) -> policies.Policy:
+        """Policy of a demonstration; ValueError names the bag and says why there is none."""
+        try:
             stamps_ns, q = read_demonstration(FilePath(bag), self.params.joint_names)
             demonstration = from_joint_samples(self._arm, stamps_ns, q, trim=True)
-            candidates.append(fit([demonstration], PANCAKE, f"demonstration-{number}"))
-        return candidates
+            return fit([demonstration], PANCAKE, id)
+        except (ValueError, OSError) as error:
+            raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
 
     def _perform(self, practice: Practice, trial: Trial, begun: float) -> Record:
         """Execute one trial and learn from it, whatever comes of it."""
