@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wam_power_ros.power import (
+    SIZES,
     Power,
     PowerSettings,
+    choose_sigma,
     generator_state,
     power_update,
     restore_generator,
@@ -185,3 +187,67 @@ def test_states_of_other_things_are_refused() -> None:
             restore_generator(bad)
     with pytest.raises(ValueError, match="expected 'power'"):
         Power.from_state({"learner": "cma"})
+
+
+def searched(seed: int, noise: float, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Rollouts about zero on a slope in 12 dimensions, and returns with some noise."""
+    generator = rng(seed)
+    z = generator.standard_normal((count, 12))
+    ret = np.exp(0.3 * z[:, 0]) + noise * generator.standard_normal(count)
+    return z, np.maximum(ret, 0.0)
+
+
+def test_the_elite_is_larger_where_returns_are_noisy() -> None:
+    def mean_size(noise: float) -> float:
+        return float(np.mean([choose_sigma(*searched(seed, noise)) for seed in range(30)]))
+
+    assert 1.5 * mean_size(0.0) < mean_size(0.5)
+
+
+def test_the_gain_of_an_elite_is_that_of_the_formula() -> None:
+    z, ret = searched(1, 0.2, 20)
+    gains = {}
+    for size in (s for s in SIZES if s < 19):
+        lengths, along = [], []
+        for k in range(20):
+            others = np.delete(np.arange(20), k)
+            mean = power_update(np.zeros(12), z[others], ret[others], size)
+            lead = mean - z[others].mean(axis=0)
+            lengths.append(np.linalg.norm(lead))
+            along.append((z[k] - z[others].mean(axis=0)) @ lead / lengths[-1])
+        slope = np.cov(along, ret)[0, 1] / np.var(along, ddof=1)
+        gains[size] = np.mean(lengths) * slope
+    assert max(gains.values()) > 0.0
+    assert choose_sigma(z, ret) == max(gains, key=gains.get)
+
+
+def test_where_nothing_can_be_told_the_elite_is_the_papers() -> None:
+    z, ret = searched(0, 0.1)
+    assert choose_sigma(z[:7], ret[:7]) == 6
+    assert choose_sigma(z, np.zeros(60)) == 6
+    assert choose_sigma(z, np.ones(60)) == 6
+    assert choose_sigma(np.zeros((60, 12)), ret) == 6
+
+
+@given(seed=st.integers(0, 10_000))
+def test_a_chosen_elite_is_a_function_of_what_was_told(seed: int) -> None:
+    learner = Power(4, PowerSettings(sigma="auto"), rng(seed))
+    for _ in range(12):
+        z = learner.ask()
+        learner.tell(z, float(np.exp(-z @ z)))
+    again = Power.from_state(json.loads(json.dumps(learner.state())))
+    assert (again.sigma, again.ask().tolist()) == (learner.sigma, learner.ask().tolist())
+    assert again.mean.tolist() == learner.mean.tolist()
+    expected = power_update(
+        np.zeros(4),
+        np.array(learner.state()["z"]),
+        np.array(learner.state()["returns"]),
+        learner.sigma,
+    )
+    np.testing.assert_array_equal(learner.mean, expected)
+
+
+def test_a_fixed_elite_is_checked_and_no_other_word_than_auto_is_taken() -> None:
+    for sigma in (0, "large", 2.5):
+        with pytest.raises(ValueError, match="sigma"):
+            PowerSettings(sigma=sigma)

@@ -9,12 +9,14 @@ random generator from outside.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 Weights = Literal["return", "sharpened"]
+SIZES = (2, 3, 4, 6, 8, 12, 16, 24)  # of an elite that `choose_sigma` has to choose from
+_FEW = 8  # rollouts that are too few to choose by
 
 
 class Learner(Protocol):
@@ -48,7 +50,8 @@ class PowerSettings(BaseModel):
     """Settings of PoWER.
 
     Attributes:
-        sigma: size of the elite, the number of best past rollouts that make the mean.
+        sigma: size of the elite, the number of best past rollouts that make the mean; "auto": of
+            `choose_sigma`, anew after every rollout.
         weights: "return" weights them with their returns (the paper), "sharpened" with
             exp((R - R_max) / (sharpness (R_max - R_min))), R_min and R_max those of the elite.
         sharpness: see `weights`.
@@ -57,7 +60,7 @@ class PowerSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    sigma: int = Field(default=6, ge=1)
+    sigma: Annotated[int, Field(ge=1)] | Literal["auto"] = 6
     weights: Weights = "return"
     sharpness: float = Field(default=0.3, gt=0.0, allow_inf_nan=False)
     decay: float = Field(default=1.0, gt=0.0, le=1.0)
@@ -109,12 +112,71 @@ def power_update(
         raise ValueError(f"returns must be finite and >= 0, got {returns[bad][:3]}")
     if not (returns > 0.0).any():
         raise ValueError(f"none of {len(returns)} returns is positive")
-    newest_first = np.arange(len(returns))[::-1]
-    elite = newest_first[np.argsort(-returns[newest_first], kind="stable")][:sigma]
+    elite = _best_first(returns)[:sigma]
     weight = _weights(returns[elite], weights, sharpness)  # (k,)
     offsets = rollouts[elite] - theta  # (k, n)
     # Summed row by row and not by BLAS, whose order of summation depends on the processor.
     return theta + (weight[:, np.newaxis] * offsets).sum(axis=0) / weight.sum()
+
+
+def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
+    """Size of the elite whose mean promises most, judged by rollouts that had no part in it. Ours.
+
+    For each size s, and each rollout k left out in turn, m is the return-weighted mean of the s
+    best of the others and c the plain mean of the others:
+
+        d_k = m - c,    p_k = (theta_k - c) . d_k / |d_k|,
+        gain(s) = mean_k |d_k| cov_k(p, R) / var_k(p),
+
+    how far the elite leads away from where was searched, times how much the return rises along that
+    way for the rollouts left out. A small elite leads far, and where returns have no noise it leads
+    uphill; but if its best rollouts were only lucky, the one left out does not agree, the slope is
+    small and a larger elite wins, which averages luck out.
+
+    Args:
+        rollouts: parameters of the past rollouts, oldest first. Shape (m, n)
+        returns: their returns, none negative. Shape (m,)
+
+    Returns:
+        The size out of `SIZES` of the highest gain, the smaller one of equals; 6, the paper's,
+        for fewer than 8 rollouts or when nothing can be told from them.
+    """
+    count = len(returns)
+    if count < _FEW:
+        return 6
+    order = _best_first(returns)
+    rollouts, returns = rollouts[order], returns[order]
+    sums = np.cumsum(returns[:, np.newaxis] * rollouts, axis=0)  # of the first 1, 2, ... best
+    weights = np.cumsum(returns)
+    centre = (rollouts.sum(axis=0) - rollouts) / (count - 1)  # (m, n), of all but k
+    best, chosen = 0.0, 6
+    for size in SIZES:
+        if size >= count - 1:
+            break
+        inside = np.arange(count) < size  # then the next one takes the place of k
+        total = np.where(inside, weights[size] - returns, weights[size - 1])
+        if not (total > 0.0).all():
+            continue
+        own = returns[:, np.newaxis] * rollouts
+        lead = np.where(inside[:, np.newaxis], sums[size] - own, sums[size - 1])
+        lead = lead / total[:, np.newaxis] - centre  # d_k, (m, n)
+        length = np.sqrt((lead**2).sum(axis=1))
+        if not (length > 0.0).all():
+            continue
+        along = ((rollouts - centre) * lead).sum(axis=1) / length  # p_k
+        spread = along - along.mean()
+        if not (variance := float((spread**2).mean())) > 0.0:
+            continue
+        gain = float(length.mean()) * float((spread * (returns - returns.mean())).mean()) / variance
+        if gain > best:
+            best, chosen = gain, size
+    return chosen
+
+
+def _best_first(returns: np.ndarray) -> np.ndarray:
+    """Indices by falling return; of equal returns the later rollout is first."""
+    newest_first = np.arange(len(returns))[::-1]
+    return newest_first[np.argsort(-returns[newest_first], kind="stable")]
 
 
 def _weights(returns: np.ndarray, kind: Weights, sharpness: float) -> np.ndarray:
@@ -159,6 +221,13 @@ class Power:
     def noise(self) -> float:
         """Standard deviation of the next exploration, in units of z."""
         return self.settings.decay ** len(self._returns)
+
+    @property
+    def sigma(self) -> int:
+        """Size of the elite that made the mean, or will make the first."""
+        if self.settings.sigma != "auto":
+            return self.settings.sigma
+        return choose_sigma(np.array(self._told), np.array(self._returns))
 
     @property
     def count(self) -> int:
@@ -222,7 +291,7 @@ class Power:
                 np.zeros(self.size),
                 np.stack(self._told),
                 np.array(self._returns),
-                self.settings.sigma,
+                self.sigma,
                 self.settings.weights,
                 self.settings.sharpness,
             )
