@@ -75,6 +75,12 @@ def table(setup: Setup) -> dict[str, Access]:
         for topic in (arm["state_topic"], *(topic for name in lists for topic in recorder[name]))
     )
     paths = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_PANCAKE)
+    told = (
+        interface.LEARNER_REWARD,
+        interface.LEARNER_PUNISH,
+        interface.LEARNER_DEMONSTRATION,
+        interface.LEARNER_PAUSE,
+    )
     return {
         "torque_controller": Access(
             publishes=(arm["command_topic"], paths[0], interface.DIAGNOSTICS),
@@ -113,7 +119,9 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.PANCAKE_STATE,
                 interface.PANCAKE_TRUTH,
                 interface.DIAGNOSTICS,
+                interface.LEARNER_BAG,
             ),
+            serves=told,
             calls=(
                 interface.MOVE_TO_START,
                 interface.EXECUTE,
@@ -135,8 +143,9 @@ def table(setup: Setup) -> dict[str, Access]:
             calls=(interface.STOP, interface.REPLAY, interface.RECORD),
         ),
         "enabling_switch": Access(publishes=(interface.ENABLE,), process="operator"),
+        "tell": Access(publishes=(interface.LEARNER_BAG,), calls=told, process="operator"),
         "operator": Access(  # a person with `ros2 service call`, `ros2 lifecycle set`
-            publishes=(interface.REPLAY_TRAJECTORY,),
+            publishes=(interface.REPLAY_TRAJECTORY, interface.LEARNER_BAG),
             subscribes=(interface.DIAGNOSTICS,),
             calls=(
                 interface.EXECUTE,
@@ -146,6 +155,7 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.REPLAY,
                 interface.GRAVITY_COMPENSATION,
                 interface.RECORD,
+                *told,
                 *(f"/torque_controller/{name}" for name in LIFECYCLE),
             ),
         ),
