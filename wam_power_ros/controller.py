@@ -18,8 +18,8 @@ from scipy.interpolate import CubicSpline
 
 from wam_power_ros import primitive, rotations, safety
 from wam_power_ros.arm import Arm, Motion, Speeds
+from wam_power_ros.following import FollowingError
 from wam_power_ros.policy import Policy, to_json, with_id
-from wam_power_ros.replay import FollowingError
 from wam_power_ros.rollout import EndEffectorPath
 from wam_power_ros.safety import Limits, Stamp
 from wam_power_ros.torque_law import TorqueLaw
