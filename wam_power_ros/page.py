@@ -124,7 +124,7 @@ PAGE = Template("""<!doctype html>
   figcaption, caption { color: var(--quiet); font-size: .85rem; max-width: 46rem; }
   caption { text-align: left; white-space: normal; padding-bottom: .4rem; }
   .cards { display: flex; flex-wrap: wrap; gap: .8rem; margin-bottom: 1.2rem; }
-  .cards div { flex: 1 1 9rem; padding: .8rem 1rem; border: 1px solid var(--line);
+  .cards div { flex: 1 1 7rem; padding: .8rem 1rem; border: 1px solid var(--line);
                border-radius: .5rem; }
   .cards b { display: block; font-size: 1.5rem; color: var(--blue); }
   .cards span, .quiet { color: var(--quiet); font-size: .85rem; }
@@ -152,7 +152,8 @@ PAGE = Template("""<!doctype html>
     .claims th[colspan] { display: block; border: 0; padding: .8rem 0 0; font-size: 1rem; }
     .claims tr { display: block; border-bottom: 1px solid var(--line); padding: .7rem 0; }
     .claims td { display: flex; gap: .8rem; border: 0; padding: .08rem 0; }
-    .claims td::before { content: attr(data-head); flex: 0 0 5.2rem; color: var(--quiet); }
+    .claims td::before { content: attr(data-head); flex: 0 0 5.2rem; color: var(--quiet);
+                        font-weight: 400; }
     .claims td:first-child { display: block; font-weight: 600; padding-bottom: .3rem; }
     .claims td:first-child::before { content: none; }
     .claims small { font-weight: 400; }

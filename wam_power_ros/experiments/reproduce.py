@@ -145,7 +145,7 @@ def render(
     sections = [chapter.title for chapter in told] + [MACHINE]
     links = "".join(f'<a href="#{page.anchor(title)}">{escape(title)}</a>' for title in sections)
     values = [
-        ("claims met, of those with a yardstick", f"{met} of {len(judged)}"),
+        ("claims with a yardstick met", f"{met} of {len(judged)}"),
         ("runs", str(len(jobs))),
         ("processor time", duration(cpu)),
     ]
@@ -167,7 +167,7 @@ def _verdicts(judged: Sequence[Claim]) -> list[str]:
     if not missed:
         return [f"All {len(judged)} claims with a yardstick are met."] if judged else []
     names = "; ".join(f"{claim.what}: {claim.ours}" for claim in missed)
-    return [f"{len(missed)} of the {len(judged)} claims with a yardstick are not met. {names}."]
+    return [f"Not met, of {len(judged)} claims with a yardstick: {names}."]
 
 
 def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
@@ -231,20 +231,20 @@ def duration(seconds: float) -> str:
 def overview(told: Sequence[Chapter]) -> Table:
     """Claims of the chapters as a table for the terminal."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for name in ("", "paper", "measured", "spread", "over", "verdict"):
-        table.add_column(name, overflow="fold")
+    table.add_column("", ratio=5)
+    table.add_column("paper", ratio=2)
+    table.add_column("measured", ratio=4)
+    table.add_column("verdict", no_wrap=True)
     styles = {True: "green", False: "red", None: "dim"}
     for chapter in told:
         table.add_row(Text(chapter.title, style="bold"))
         for claim in chapter.all_claims():
-            table.add_row(
-                Text(claim.what),
-                Text(claim.paper),
-                Text(claim.ours),
-                Text(claim.spread),
-                Text(claim.count),
-                Text(claim.verdict, style=styles[claim.met]),
-            )
+            measured = Text(claim.ours)
+            about = ", ".join(words for words in (claim.spread, claim.count) if words)
+            measured.append(f"\n{about}" if about else "", style="dim")
+            verdict = Text(claim.verdict, style=styles[claim.met])
+            table.add_row(Text(claim.what), Text(claim.paper), measured, verdict)
+        table.add_row()
     return table
 
 

@@ -30,6 +30,7 @@ import re
 import signal
 import time
 import traceback
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
@@ -318,7 +319,9 @@ def _computed(
         done = Parallel(n_jobs=workers, batch_size=1, return_as="generator_unordered")(calls)
     stack.callback(done.close)
     try:
-        yield from done
+        with warnings.catch_warnings():  # of a worker that loky replaces, as it may at any time
+            warnings.filterwarnings("ignore", message="A worker stopped", category=UserWarning)
+            yield from done
     except BrokenExecutor as error:
         raise JobError(f"a process that computed is gone, out of memory perhaps: {error}") from None
 
