@@ -3,6 +3,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -78,6 +79,37 @@ def test_seeds_and_times_are_told_in_short() -> None:
     times = [0.123, 9.7, 45.2, 99.6, 3600.0, 7500.0]
     told = ["0.12 s", "9.7 s", "45 s", "2 min", "60 min", "2 h 5 min"]
     assert [reproduce.duration(seconds) for seconds in times] == told
+
+
+def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_numbers(
+    tmp_path: Path,
+) -> None:
+    def begin(folder: Path, workers: int) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "wam_power_ros.cli", "reproduce", "--quick"]
+        command += ["--only", "reaching", "--folder", str(folder), "--jobs", str(workers)]
+        environment = os.environ | {"PYTHONPATH": PYTHONPATH}
+        return subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    stopped, whole = tmp_path / "stopped", tmp_path / "whole"
+    with begin(stopped, 1) as process:
+        while not files(stopped):
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    assert process.returncode == 130, err
+    assert f"What is finished is in {stopped}" in out and "wam-power reproduce --quick" in out
+    assert not (stopped / "report.html").exists()
+    for folder, workers in ((stopped, 2), (whole, 1)):
+        with begin(folder, workers) as process:
+            _, err = process.communicate()
+        assert process.returncode == 0, err
+    assert files(stopped) == files(whole) != {}
+    assert (stopped / "report.html").exists()
+    shown = {path.name: path.read_bytes() for path in (stopped / "figures").iterdir()}
+    assert shown == {path.name: path.read_bytes() for path in (whole / "figures").iterdir()} != {}
 
 
 # On a cluster
