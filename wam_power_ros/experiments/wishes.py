@@ -15,8 +15,9 @@ import numpy as np
 
 from hardware_sim.hand import PITCH_RATE
 from hardware_sim.world import Truth
-from wam_power_ros.experiments import reaching
 from wam_power_ros.experiments.pancake import NOVICE, stand_in, teach
+from wam_power_ros.experiments.reaching_runs import NOISE, POWER, evaluate, generator
+from wam_power_ros.experiments.scenario import synthetic
 from wam_power_ros.experiments.studies import Job
 from wam_power_ros.experiments.wishes_chapter import (
     DEMONSTRATION,
@@ -57,23 +58,20 @@ def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> d
     Returns:
         Noise-free return of the final mean, and the median size of the elite, of each run.
     """
-    scenario = reaching.Scenario()
-    parameters = Parameters(scenario.policy, "full", reaching.NOISE["full"])
-    settings = PowerSettings(sigma=sigma, decay=reaching.POWER.decay)
-    learners = [
-        Power(parameters.size, settings, np.random.Generator(np.random.PCG64(seed)))
-        for seed in seeds
-    ]
+    scenario = synthetic()
+    parameters = Parameters(scenario.policy, "full", NOISE["full"])
+    settings = PowerSettings(sigma=sigma, decay=POWER.decay)
+    learners = [Power(parameters.size, settings, generator(seed)) for seed in seeds]
     disturbed = [np.random.default_rng([seed, 1]) for seed in seeds]
     sizes = []
-    for k in range(rollouts):
-        drawn = [parameters.policy(learner.ask(), f"trial-{k}") for learner in learners]
-        returns, _ = scenario.evaluate([policy for policy, _ in drawn])
-        for learner, (_, z), ret, rng in zip(learners, drawn, returns, disturbed, strict=True):
+    for _ in range(rollouts):
+        drawn = np.stack([parameters.clip(learner.ask()) for learner in learners])
+        returns, _ = evaluate(drawn, parameters, scenario)
+        for learner, z, ret, rng in zip(learners, drawn, returns, disturbed, strict=True):
             learner.tell(z, max(float(ret) + noise * float(rng.standard_normal()), 0.0))
         sizes.append([learner.sigma for learner in learners])
-    means = [parameters.policy(learner.mean, "mean")[0] for learner in learners]
-    final, _ = scenario.evaluate(means)
+    means = np.stack([parameters.clip(learner.mean) for learner in learners])
+    final, _ = evaluate(means, parameters, scenario)
     return {"final": final.tolist(), "sigma": np.median(sizes, axis=0).tolist()}
 
 
