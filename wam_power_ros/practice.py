@@ -22,7 +22,7 @@ from wam_power_ros.assessment import Assessment, assess, choose_demonstration
 from wam_power_ros.parameters import TURN_OF_FLICK, Parameters
 from wam_power_ros.policy import Policy, check_id, to_json
 from wam_power_ros.power import Power, generator_state
-from wam_power_ros.presets import PracticeSettings, preset  # noqa: F401
+from wam_power_ros.presets import PracticeSettings
 from wam_power_ros.records import Event, Given, Kind, Line, Rating, Record, plain
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 
