@@ -29,6 +29,7 @@ REACQUIRE = 5  # frames that agree with each other, and are the pancake again
 SET_BACK = 10  # frames in a row from the past: the clock was set back
 COAST = SECOND // 10  # how long a hidden pancake is taken to fly on
 WINDOW = SECOND // 10  # of the velocity, or two periods if that is longer
+OFFSET_WINDOW = 5 * SECOND  # of the frames that tell how far clocks are apart
 UNIT = 1e-3  # how far from 1 the length of a quaternion may be
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # (x, y, z) -> (x, -z, y)
 
@@ -350,20 +351,26 @@ def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> str:
 
 
 class ClockOffset:
-    """How late frames come after their stamps: their latency, and how far two clocks are apart."""
+    """How late frames come after their stamps: their latency, and how far two clocks are apart.
 
-    def __init__(self, count: int = 100) -> None:
-        """Over the newest `count` frames."""
-        self._ages: deque[int] = deque(maxlen=count)
+    Over the frames of the last 5 s, however many a second: a tracker that has to wait for its turn
+    finds seconds of frames that are all late, and must not take that for the clocks.
+    """
+
+    def __init__(self) -> None:
+        self._frames: deque[tuple[int, int]] = deque()  # receipt, age
 
     def add(self, stamp_ns: int, received_ns: int) -> None:
         """Take a frame with its stamp and, by this machine's clock, its receipt [ns]."""
-        self._ages.append(received_ns - stamp_ns)
+        frames = self._frames
+        frames.append((received_ns, received_ns - stamp_ns))
+        while not 0 <= received_ns - frames[0][0] <= OFFSET_WINDOW:
+            frames.popleft()
 
     @property
     def seconds(self) -> float:
         """The age nearest to 0 [s]: what is left of it is not jitter."""
-        return min(self._ages, key=abs, default=0) * 1e-9
+        return min((age for _, age in self._frames), key=abs, default=0) * 1e-9
 
 
 def falling(path: PancakePath, span: float = 0.2) -> np.ndarray | None:
