@@ -217,6 +217,8 @@ class WamSim(Node):
     def _change(self, label: str) -> None:
         """The controller does something else: a rollout begins or ends with that very tick."""
         was, self._label = self._label, label
+        if was == "fault" and label == "hold":  # who resets the controller has activated the arm
+            self.world.idle = False
         if self.world.frozen and self._settled and label not in ("hold", "inactive"):
             self.world.release()
         if was.startswith("rollout "):

@@ -111,6 +111,29 @@ def test_a_ros2_control_driver_ends_with_a_command_of_a_wrong_size(
     probe.until(lambda: doing() == "commanded", "the driver at work again")
 
 
+def test_an_arm_that_was_idled_is_active_again_once_the_fault_is_reset(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Rehearsal(probe, processes, tmp_path, "libbarrett")
+    torques = probe.publisher(JointState, "/joint_torque_commands", interface.COMMAND)
+    write = interface.TorqueWriter(bench.setup["wam_sim"]["joint_names"], "joint_state")
+
+    def doing() -> str:
+        return diagnosis(bench.diagnostics, "wam_sim").get("message", "")
+
+    def step(label: str) -> None:
+        stamp_ns = interface.sensor_stamp(bench.states[-1])
+        torques.publish(write(stamp_ns, label, np.zeros(7)))
+        probe.until(lambda: interface.sensor_stamp(bench.states[-1]) > stamp_ns, "a step")
+
+    step("fault")
+    assert probe.call(Trigger, interface.WAM_IDLE).success
+    step("fault")
+    probe.until(lambda: doing() == "idle", "the arm idle")
+    step("hold")
+    probe.until(lambda: doing() == "commanded", "the arm active")
+
+
 # A second arm, by URDF and YAML alone
 
 

@@ -45,6 +45,7 @@ from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import Session
 
 T = TypeVar("T")
+STARTS = 5  # of a trial, when faults come before its rollout
 CLOCKS_APART = 0.2  # most that arm and motion capture may be [s]; the tracker scores no more
 FAULT_PATIENCE = 2.5  # for the diagnostics that name a fault, which come once a second [s]
 CONTROLLER = "torque_controller"  # name of the node whose diagnostics tell of faults
@@ -75,6 +76,10 @@ class LearnerParams(Params):
 
 class Trouble(RuntimeError):
     """The session cannot go on; what was acknowledged is on disk."""
+
+
+class FaultFirst(Trouble):
+    """The controller is at fault, and the rollout has not begun."""
 
 
 class Learner(Node):
@@ -329,21 +334,15 @@ class Learner(Node):
 
     def _perform(self, practice: Practice, trial: Trial, begun: float) -> Record:
         """Execute one trial and learn from it, whatever comes of it."""
-        self._resting = 0
         self._pan_at_start = self._arm.tool_pose(trial.policy.q_start)
-        self._reach_start(trial)
-        if self.params.pancake_reset:
-            self._insist(interface.PANCAKE_RESET, trial)
-        self._resting = 0
-        self._until(
-            lambda: self._resting >= 3, "the pancake rests in the pan", self.params.patience
-        )
-        rested_ns = self._rested_ns
-        if self.params.record_rollouts:
-            self._begin_bag(trial)
-        self._truth = None
-        self._fault = ""
-        self._insist(interface.EXECUTE, trial)
+        for attempt in range(STARTS):
+            try:
+                rested_ns = self._start(trial)
+                break
+            except FaultFirst as fault:  # nothing was tried: no trial is spent
+                self.get_logger().warning(f"{trial.id} from its start again: {fault}")
+                if attempt == STARTS - 1:
+                    raise
         pan, pancake = self._paths_of(trial, rested_ns)
         bag = self._end_bag() if self.params.record_rollouts else ""
         if self.count_publishers(interface.PANCAKE_TRUTH):
@@ -360,6 +359,28 @@ class Learner(Node):
             truth=self._truth_of(trial),
             clock={"begun": begun, "took": time.time() - begun},
         )
+
+    def _start(self, trial: Trial) -> int:
+        """Begin the rollout of a trial; returns the stamp at which the pancake rested before [ns].
+
+        Raises:
+            FaultFirst: The controller came to a fault before the rollout had begun.
+        """
+        self._resting = 0
+        self._reach_start(trial)
+        if self.params.pancake_reset:
+            self._insist(interface.PANCAKE_RESET, trial)
+        self._resting = 0
+        self._until(
+            lambda: self._resting >= 3, "the pancake rests in the pan", self.params.patience
+        )
+        rested_ns = self._rested_ns
+        if self.params.record_rollouts:
+            self._begin_bag(trial)
+        self._truth = None
+        self._fault = ""
+        self._insist(interface.EXECUTE, trial)
+        return rested_ns
 
     def _paths_of(self, trial: Trial, rested_ns: int) -> tuple[EndEffectorPath, PancakePath]:
         """The two paths of the rollout that began after the pancake rested.
@@ -434,6 +455,8 @@ class Learner(Node):
             done, answer = self._call(name)
             if done and answer == trial.id:
                 return
+            if "fault" in answer:
+                raise FaultFirst(f"{answer} ({self._fault or 'no reason told yet'})")
             if time.monotonic() > end:
                 raise Trouble(f"{name} for {trial.id} refused: {answer}")
             self._executor.spin_once(timeout_sec=0.05)
