@@ -51,11 +51,14 @@ class Lab:
     def __init__(self, folder: Path, probe: Probe, processes: Processes) -> None:
         self._folder, self._probe, self._processes = folder, probe, processes
         (text,) = [text for text in blocks("yaml") if "world_to_base" in text]
+        (folder / "bags").symlink_to(ROOT / "bags")
         mine = yaml.safe_load(text)
         for node in ("wam_sim", "torque_controller"):  # tests share their machine
             mine.setdefault(node, {"ros__parameters": {}})
             mine[node]["ros__parameters"]["realtime_priority"] = 0
         (folder / "my_lab.yaml").write_text(yaml.safe_dump(mine))
+        steps = {"wam_sim": {"ros__parameters": {"pace": "lockstep"}}}  # however busy the machine
+        (folder / "lockstep.yaml").write_text(yaml.safe_dump(steps))
         self._running: list[subprocess.Popen[bytes]] = []
         names = ["geodude", "natnet_ros2", str(folder / "my_lab.yaml")]
         self._setup = setups.setup(names, rehearse=True)
@@ -87,9 +90,9 @@ class Lab:
 
     def _wam_power(self, words: list[str]) -> None:
         words = [str(path) for word in words for path in self._expanded(word)]
-        if words[0] in ("teach", "learn"):
+        if words[0] in ("replay", "teach", "learn"):
             self.leave()  # as the guide says: end the launch file first
-            words.append("--rehearse")
+            words += ["--config", str(self._folder / "lockstep.yaml"), "--rehearse"]
         if words[0] == "learn":
             self._learn(words)
         else:

@@ -137,10 +137,12 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.PANCAKE_RESET,
                 interface.HAND_DEMONSTRATE,
             ),
+            process="operator",
         ),
         "replaying": Access(
             publishes=(interface.REPLAY_TRAJECTORY,),
-            calls=(interface.STOP, interface.REPLAY, interface.RECORD),
+            calls=(interface.REPLAY, interface.STOP, interface.RECORD),
+            process="operator",
         ),
         "enabling_switch": Access(publishes=(interface.ENABLE,), process="operator"),
         "tell": Access(publishes=(interface.LEARNER_BAG,), calls=told, process="operator"),

@@ -367,6 +367,7 @@ def _replay(options: argparse.Namespace) -> int:
     with _bench(options, folder, 0, changes) as bench:
         names = bench.setup["torque_controller"]["joint_names"]
         command = [sys.executable, "-m", "wam_power_ros.replaying", "--ros-args"]
+        command += _enclave("operator")
         for given in (
             f"bag:={json.dumps(str(options.bag.resolve()))}",
             f"speed:={options.speed}",
@@ -423,8 +424,7 @@ class _Bench:
         """Start a node with its part of the set-up, and some parameters over it."""
         command = [sys.executable, "-m", "wam_power_ros.cli", "run", node, "--ros-args"]
         command += ["--params-file", str(self.file)]
-        if os.environ.get("ROS_SECURITY_ENABLE") == "true":
-            command += ["--enclave", f"/{node}"]
+        command += _enclave(node)
         for name, value in parameters.items():
             command += ["-p", f"{node}:{name}:={value}"]
         return self.processes.start(node, command)
@@ -458,6 +458,12 @@ def _bench(
         yield bench
 
 
+def _enclave(name: str) -> list[str]:
+    """Options that put a node into its enclave, where security is on."""
+    secure = os.environ.get("ROS_SECURITY_ENABLE") == "true"
+    return ["--enclave", f"/{name}"] if secure else []
+
+
 def _simulated(options: argparse.Namespace) -> bool:
     return options.rehearse or not options.config
 
@@ -489,6 +495,7 @@ def _teach_series(bench: _Bench, folder: Path, options: argparse.Namespace) -> l
         hand = "a person" if person else "the simulated hand"
         print(f"Teaching: {options.demonstrations} demonstrations, by {hand}")
         command = [sys.executable, "-m", "wam_power_ros.teaching", "--ros-args"]
+        command += _enclave("operator")
         command += ["-p", f"demonstrations:={options.demonstrations}"]
         command += ["-p", f"series:={series}", "-p", f"person:={json.dumps(person)}"]
         command += ["-p", f"state_topic:={bench.setup['torque_controller']['state_topic']}"]
