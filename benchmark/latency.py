@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """State to torque in real time: the controller beside a bare echo of the same messages.
 
-    python -m benchmark.latency [--seconds 60] [--load 0]
+    python -m benchmark.latency [--seconds 60] [--load 0] [--stages]
 
 The stand-in publishes 500 states a second on the wall clock. The controller answers each with a
 torque, the echo, a bare rclpy node in a process of its own, with the same message holding zeros.
 Both are timed by the stand-in's process, in the same run and with the same scheduling, so machine
-and middleware cancel in the ratio.
+and middleware cancel in the ratio. Each topic has one reader.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from benchmark.stages import table as table_of_stages
 from wam_power_ros import interface, real_time
 from wam_power_ros.processes import Processes, Running, private_domain
 
@@ -58,6 +59,7 @@ class Echo(Node):
 def stand_in(report: Path) -> int:
     """Run the stand-ins, timing each state's answers; the figures go to `report` at the end."""
     from hardware_sim.standins import StandIns
+    from hardware_sim.wam_node import WamSim
 
     sent: dict[int, int] = {}  # stamp -> when it was published [ns, steady clock]
     answered: dict[str, dict[int, int]] = {interface.EFFORT_COMMANDS: {}, ECHO: {}}
@@ -66,6 +68,14 @@ def stand_in(report: Path) -> int:
         now = time.monotonic_ns()
         stamp_ns = int(message.layout.dim[0].label.partition(" ")[0])
         answered[topic].setdefault(stamp_ns, now)
+
+    take = WamSim._on_torque
+
+    def taken(wam: WamSim, message: Float64MultiArray) -> None:
+        on_answer(interface.EFFORT_COMMANDS, message)
+        take(wam, message)
+
+    WamSim._on_torque = taken  # a reader more would make the controller's topic the dearer one
 
     def make() -> StandIns:
         bench = StandIns()
@@ -76,10 +86,9 @@ def stand_in(report: Path) -> int:
             publish(message)
 
         bench.wam.publish = timed
-        for topic in answered:
-            bench.wam.create_subscription(
-                Float64MultiArray, topic, partial(on_answer, topic), interface.STATE_IN
-            )
+        bench.wam.create_subscription(
+            Float64MultiArray, ECHO, partial(on_answer, ECHO), interface.COMMAND
+        )
         return bench
 
     status = real_time.run(make, spin=lambda bench, ended: bench.spin(ended))
@@ -91,8 +100,13 @@ def stand_in(report: Path) -> int:
     return status
 
 
-def measure(seconds: float, fifo: bool, load: int) -> dict[str, dict[str, float]]:
-    """One run; figures of the controller and of the echo, and CPU of each process [%]."""
+def measure(
+    seconds: float, fifo: bool, load: int, say: Callable[[str], object] | None = None
+) -> dict[str, dict[str, float]]:
+    """One run; figures of the controller and of the echo, and CPU of each process [%].
+
+    With `say`, the controller times its stages, which costs it a little, and they are told.
+    """
     module = [sys.executable, "-m"]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
         report = Path(folder) / "times.npy"
@@ -117,7 +131,13 @@ def measure(seconds: float, fifo: bool, load: int) -> dict[str, dict[str, float]
             controller = processes.start(
                 "controller",
                 [
-                    *(*module, "wam_power_ros.nodes.torque_controller", "--ros-args"),
+                    *module,
+                    *(
+                        ["benchmark.stages", str(Path(folder) / "stages.npy")]
+                        if say
+                        else ["wam_power_ros.nodes.torque_controller"]
+                    ),
+                    "--ros-args",
                     *("--params-file", f"{ROOT}/config/torque_controller.yaml"),
                     *("-p", f"realtime_priority:={priority['controller']}"),
                 ],
@@ -127,12 +147,16 @@ def measure(seconds: float, fifo: bool, load: int) -> dict[str, dict[str, float]
             )
             for i in range(load):
                 processes.start(f"load {i}", [sys.executable, "-c", "while True: pass"])
-            time.sleep(6.0)  # discovery, and imports
+            time.sleep(10.0)  # discovery, and imports
             begun_ns, before = time.monotonic_ns(), _cpu([arm, controller, echo])
             time.sleep(seconds)
             ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
             processes.check()
         rows = np.load(report)
+        if say:
+            stages = np.load(Path(folder) / "stages.npy")
+            within = (stages[:, 0] >= begun_ns) & (stages[:, 0] < ended_ns)
+            say(table_of_stages(stages[within], rows))
     rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
     cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
     return {
@@ -191,6 +215,7 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="of each run")
     parser.add_argument("--load", type=int, default=0, help="busy processes beside")
+    parser.add_argument("--stages", action="store_true", help="tell where the time goes, too")
     parser.add_argument("--json", type=Path, help="write the figures there too")
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options, _ = parser.parse_known_args()
@@ -206,6 +231,8 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
             continue
         results[title] = measure(options.seconds, fifo, options.load)
         say(table(title, results[title]))
+        if options.stages:
+            measure(options.seconds, fifo, options.load, say)
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
     return 0

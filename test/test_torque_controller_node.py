@@ -468,6 +468,46 @@ def test_a_released_or_silent_switch_ends_teaching(
     arm.diagnosis(lambda d: "enabling switch" in d["message"], "it is told")
 
 
+@pytest.mark.requirement("S-52")
+def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled(
+    probe: Probe, processes: Processes
+) -> None:
+    idled: list[float] = []
+
+    def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        idled.append(time.monotonic())
+        return response
+
+    probe.node.create_service(Trigger, interface.WAM_IDLE, idle)
+    arm = PlayedArm(probe, processes, state_timeout=0.05)
+
+    def flow(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            arm.send()
+            probe.spin(0.0015)
+
+    def held() -> bool:
+        flow(0.05)
+        label = arm.read()[-1].label if arm.read() else ""
+        if label == "fault":  # a busy machine has kept us from sending
+            probe.call(Trigger, interface.RESET)
+        return label == "hold"
+
+    probe.until(held, "the arm is held")
+    idled.clear()
+    arm.process.send_signal(signal.SIGSTOP)
+    flow(0.5)
+    arm.process.send_signal(signal.SIGCONT)
+
+    def faulted() -> bool:
+        flow(0.02)
+        return arm.read()[-1].label == "fault"
+
+    probe.until(faulted, "the fault")
+    assert not idled
+
+
 BROKEN = """
 import sys
 from wam_power_ros import real_time
@@ -533,6 +573,29 @@ def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
 
     probe.until(late, "the overload is told")
     assert told()["mode"] == ("hold" if allowed else "fault")
+
+
+@pytest.mark.requirement("S-51")
+@pytest.mark.parametrize("hours", [-1, 1])
+def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(
+    probe: Probe, processes: Processes, hours: int
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.stamp_ns = 10**13
+    arm.activate()
+    arm.send()
+    before = arm.answer()
+    arm.stamp_ns += hours * 3_600_000_000_000
+    for _ in range(8):  # five are refused first when they are older
+        arm.send()
+        probe.spin(0.02)
+    arm.send()
+    after = arm.answer()
+    assert after.label == "fault"
+    np.testing.assert_allclose(after.tau, before.tau, atol=1e-9)
+    assert probe.call(Trigger, interface.RESET).success
+    arm.send()
+    assert arm.answer().label == "hold"
 
 
 @pytest.mark.requirement("S-02")

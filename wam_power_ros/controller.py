@@ -368,6 +368,11 @@ class Controller:
         return self._label
 
     @property
+    def stamp_ns(self) -> int | None:
+        """Of the last state that was accepted, None before the first [ns]."""
+        return self._stamp
+
+    @property
     def policy_id(self) -> str | None:
         """Of the policy that is loaded."""
         return None if self._policy is None else self._policy.id

@@ -107,7 +107,7 @@ def spin(
     node: Node,
     ended: Callable[[], bool],
     between: Callable[[], None] | None = None,
-    every: float = 0.2,
+    every: float | Callable[[], float] = 0.2,
     failed: Callable[[Exception], None] | None = None,
 ) -> None:
     """Dispatch the callbacks of `node` until `ended()`.
@@ -116,14 +116,14 @@ def spin(
         node: Whose callbacks.
         ended: Asked after every callback and at least `every` [s].
         between: Called as often.
-        every: [s].
+        every: [s], or asked for it every time.
         failed: Told of an exception that a callback did not catch, after which the node goes on;
             without it, it ends.
     """
     executor = executor_for(node)
     while not ended() and rclpy.ok():  # not executor.spin(): it hangs in these builds
         try:
-            executor.spin_once(timeout_sec=every)
+            executor.spin_once(timeout_sec=every() if callable(every) else every)
             if between is not None:
                 between()
         except Exception as error:

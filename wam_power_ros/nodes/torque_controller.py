@@ -60,6 +60,7 @@ class TorqueController(LifecycleNode):
         self._qd: np.ndarray | None = None  # of the velocity topic
         self._stamp_ns = 0  # of the last state
         self._arrived_ns = self._sent_ns = 0  # steady clock
+        self._watched_ns = self._excused_ns = 0  # steady clock, as all these
         self._idle_asked = False
         self._enabled_ns = -ENABLE_NS
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may stay away
@@ -190,9 +191,9 @@ class TorqueController(LifecycleNode):
         if self._params.hold_to_run:
             controller.enabled = arrived_ns - self._enabled_ns < ENABLE_NS
         tau = controller.step(stamp_ns, q, self._qd if qd is None else qd)
+        if controller.stamp_ns != stamp_ns:
+            return None  # refused and counted by the core; `watch` sends when no good one comes
         self._arrived_ns, self._idle_asked = arrived_ns, False
-        if stamp_ns < self._stamp_ns and controller.mode is not Mode.INACTIVE:
-            return None  # counted by the core: the newest stamp wins
         self._stamp_ns = stamp_ns
         if not self._active:
             return None
@@ -227,14 +228,29 @@ class TorqueController(LifecycleNode):
         self._qd = self._qd if qd is None else qd
         return None
 
+    def patience(self) -> float:
+        """How long `watch` need not be called if no state comes [s]."""
+        if not self._active or self._state_timeout == 0.0:
+            return 0.1
+        wait = max(self._due_ns(), self._excused_ns) - time.monotonic_ns()
+        return min(max(wait * 1e-9, 0.0), 0.01)
+
+    def _due_ns(self) -> int:
+        """When the next torque is due without a state [ns, steady clock]."""
+        stale_ns = self._arrived_ns + round(self._state_timeout * 1e9)
+        return max(stale_ns, self._sent_ns + round(self._params.period * 1e9))
+
     def watch(self) -> None:
         """Between callbacks: carry the arm when its states stay away (not in lockstep)."""
         if not self._active or self._state_timeout == 0.0:
             return
         core, now = self._controller, time.monotonic_ns()
-        age = now - self._arrived_ns
-        if age < self._state_timeout * 1e9 or now - self._sent_ns < 0.9e9 * self._params.period:
+        if now - self._watched_ns > STALE_FAULT_NS:  # it was us who stood still: states wait for us
+            self._excused_ns = now + STALE_FAULT_NS
+        self._watched_ns = now
+        if now < self._due_ns() or now < self._excused_ns:
             return
+        age = now - self._arrived_ns
         if age > STALE_FAULT_NS:
             core.fault(f"no joint state for {age // 1_000_000} ms")
         if age > STALE_IDLE_NS and not self._idle_asked and self._params.idle_service:
@@ -386,7 +402,7 @@ def main() -> int:
     return real_time.run(
         TorqueController,
         spin=lambda node, ended: real_time.spin(
-            node, ended, node.watch, every=0.002, failed=node.failed
+            node, ended, node.watch, node.patience, node.failed
         ),
     )
 

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages as a broken driver, a broken learner or an enemy might send them, from a seed.
+
+Most joint states are those of an arm that drifts about, so that the controller is at work; into
+them come wrong stamps, values, lengths and names, policies with a value spoilt, and calls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from sensor_msgs.msg import JointState
+
+from wam_power_ros import interface
+from wam_power_ros import policy as policies
+from wam_power_ros.controller import Controller, ControllerError
+from wam_power_ros.policy import Policy
+
+PERIOD_NS = 2_000_000
+ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e9, -25.0, 25.0, 0.0)
+STEPS = (0, -PERIOD_NS, -(10**9), 3, 4 * PERIOD_NS, 10 * PERIOD_NS, 3_600 * 10**9)
+CALLS = (
+    Controller.hold,
+    Controller.stop,
+    Controller.execute,
+    Controller.move_to_start,
+    lambda core: core.set_gravity_compensation(True),
+    lambda core: core.set_gravity_compensation(False),
+    lambda core: core.fault("fuzz"),
+    Controller.stale_torque,
+)
+
+
+def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iterator[JointState]:
+    """Joint states without end; about one in eight is not as it should be."""
+    n, stamp_ns = len(names), 10**12
+    q, qd = home.copy(), np.zeros(n)
+    while True:
+        qd = 0.98 * qd + 0.002 * rng.standard_normal(n)  # at rest, mostly: so that it may go on
+        q = home + 0.999 * (q - home) + 0.002 * qd
+        stamp_ns += PERIOD_NS
+        values = [q.tolist(), qd.tolist(), [0.0] * n]
+        named, stamp = list(names), stamp_ns
+        wrong = int(rng.integers(64))
+        if wrong < 3:
+            field = values[int(rng.integers(2))]
+            field[int(rng.integers(n))] = ODD[int(rng.integers(len(ODD)))]
+        elif wrong == 3:
+            stamp += STEPS[int(rng.integers(len(STEPS)))]
+            stamp_ns = max(stamp, stamp_ns) if rng.random() < 0.1 else stamp_ns
+        elif wrong == 4:
+            field = values[int(rng.integers(2))]
+            del field[int(rng.integers(n)) :]
+        elif wrong == 5:
+            order = rng.permutation(n)
+            named = [names[i] for i in order] + ["finger"]
+            values = [[field[i] for i in order] + [9.0] for field in values]
+        elif wrong == 6:
+            named[int(rng.integers(n))] = names[int(rng.integers(n))]
+        elif wrong == 7:
+            values = (10.0 * rng.standard_normal((3, n))).tolist()
+        message = JointState(name=named)
+        message.position, message.velocity, message.effort = values
+        message.header.stamp = interface.stamp(max(stamp, 0))
+        yield message
+
+
+def spoilt(policy: Policy, rng: np.random.Generator) -> str:
+    """The text of a policy, most often with something wrong in it."""
+    text = policies.to_json(policy)
+    kind, at = int(rng.integers(5)), int(rng.integers(len(text)))
+    if kind == 0:
+        return text
+    if kind == 1:
+        return text[:at]
+    if kind == 2:
+        return text[:at] + chr(int(rng.integers(32, 127))) + text[at + 1 :]
+    numbers = [i for i, mark in enumerate(text) if mark in "0123456789"]
+    at = numbers[int(rng.integers(len(numbers)))]
+    return text[:at] + ("NaN", "1e999", "-9", "[]", "9e9")[int(rng.integers(5))] + text[at + 1 :]
+
+
+def bombard(controller: Controller, policy: Policy, messages: int, seed: int) -> dict[str, float]:
+    """Put messages through reading, controller and writing, as the node does, in one process.
+
+    Returns:
+        How many torques came out, and of these not finite, over a limit, or with a change over the
+        limit of two periods; the largest share of a limit that was reached.
+    """
+    rng, arm = np.random.default_rng(seed), controller.arm
+    names = list(arm.joint_names)
+    read = interface.JointStateReader(names)
+    write = interface.TorqueWriter(names, "multiarray")
+    limit, step = controller.limits.torque, 2.0 * 0.002 * controller.limits.torque_rate
+    found = {"torques": 0, "not finite": 0, "over": 0, "jumps": 0, "refused": 0, "largest": 0.0}
+    before: np.ndarray | None = None
+    controller.load(policy)
+    source = states(names, policy.q_start, rng)
+    for _ in range(messages):
+        chance = rng.random()
+        if chance < 0.01:
+            try:
+                CALLS[int(rng.integers(len(CALLS)))](controller)
+            except ControllerError:
+                found["refused"] += 1
+        elif chance < 0.06:  # a person is patient
+            try:
+                controller.reset()
+            except ControllerError:
+                found["refused"] += 1
+        elif chance < 0.062:
+            try:
+                controller.load(policies.from_json(spoilt(policy, rng)))
+            except (ValueError, ControllerError):
+                found["refused"] += 1
+        try:
+            reading = read(next(source))
+        except ValueError:
+            found["refused"] += 1
+            continue
+        active = controller.mode.value != "inactive"
+        tau = np.array(write(reading[0], controller.label, controller.step(*reading)).data)
+        found["torques"] += 1
+        found["not finite"] += not np.isfinite(tau).all()
+        share = float(np.max(np.abs(tau) / limit))
+        found["largest"] = max(found["largest"], share)
+        found["over"] += not share <= 1.0
+        if before is not None and active:
+            found["jumps"] += not (np.abs(tau - before) <= step + 1e-9).all()
+        before = tau
+    return found
