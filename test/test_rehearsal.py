@@ -50,6 +50,7 @@ def test_a_gentle_movement_is_rehearsed_without_a_fault(arm: Arm) -> None:
     assert rehearsal.fault == ""
     assert 0.1 < rehearsal.tool_peak < 1.0
     assert (rehearsal.qd_peak < arm.qd_max).all()
+    assert f"elbow at most {rehearsal.elbow_peak:.2f} m/s" in str(rehearsal)
 
 
 def test_a_movement_that_is_too_fast_ends_in_the_fault_it_would_cause(arm: Arm) -> None:

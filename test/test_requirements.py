@@ -8,6 +8,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 ROW = re.compile(r"^\| (S-\d\d) \|(.*)\|$", re.MULTILINE)
 SAFETY = (ROOT / "docs/safety.md").read_text()
+MEASURED = set(re.findall(r'"(S-\d\d)"', (ROOT / "benchmark/faults.py").read_text()))
 Trace = dict[str, set[str]]  # requirement -> tests
 
 
@@ -47,6 +48,15 @@ def test_every_requirement_has_its_tests_and_every_test_its_requirement() -> Non
 def test_no_requirement_is_promised_twice() -> None:
     idents = [ident for ident, _ in ROW.findall(SAFETY)]
     assert sorted(set(idents)) == sorted(idents)
+
+
+def test_what_the_benchmark_of_faults_measures_has_its_figure() -> None:
+    """A column of every table holds the worst that was seen, or says that it is not known yet."""
+    cells = {ident: row.split("|")[1].strip() for ident, row in ROW.findall(SAFETY)}
+    assert len(MEASURED) > 8 and MEASURED <= cells.keys()
+    assert [
+        ident for ident in sorted(MEASURED) if not re.search(r"\d|^not measured yet$", cells[ident])
+    ] == []
 
 
 def test_a_broken_trace_is_told() -> None:

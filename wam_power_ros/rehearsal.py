@@ -37,6 +37,11 @@ class Rehearsal:
     elbow_peak: float
     tool_peak: float
 
+    def __str__(self) -> str:
+        """In a line; the elbow's peak is what the arm's safety board must allow."""
+        peaks = f"elbow at most {self.elbow_peak:.2f} m/s, tool {self.tool_peak:.2f} m/s"
+        return f"{peaks}; would end in a fault: {self.fault}" if self.fault else peaks
+
 
 def rehearse(
     arm: Arm,

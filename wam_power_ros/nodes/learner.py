@@ -301,7 +301,9 @@ class Learner(Node):
 
     def _forbidden(self, policy: policies.Policy) -> str:
         """Why the arm must not try a policy: the fault in which its rehearsal ends."""
-        return rehearse(self._rehearsed.arm, self._rehearsed.settings, policy).fault
+        rehearsal = rehearse(self._rehearsed.arm, self._rehearsed.settings, policy)
+        self.get_logger().info(f"{policy.id} rehearsed: {rehearsal}")
+        return rehearsal.fault
 
     def _fit_all(self) -> tuple[list[str], list[policies.Policy]]:
         """The demonstrations of which something can be made, and what."""
