@@ -61,7 +61,7 @@ class BrokenOptitrack(optitrack_node.OptitrackSim):
         super().__init__()
         self._seen: MocapFrame | None = None
 
-    def publish(self, frame: MocapFrame, stamp_offset_ns: int) -> None:
+    def publish(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
         """One frame as the broken motion capture tells it."""
         if _Fault.name == "frozen" and self._seen is not None:
             frame = self._seen._replace(stamp_ns=frame.stamp_ns)
@@ -73,7 +73,7 @@ class BrokenOptitrack(optitrack_node.OptitrackSim):
             )
         else:
             self._seen = frame
-        super().publish(frame, stamp_offset_ns)
+        super().publish(frame, stamp_offset_ns, now_ns)
 
 
 if __name__ == "__main__":
