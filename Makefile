@@ -55,7 +55,7 @@ reproduce: $(READY)
 	$(BIN)/wam-power reproduce $(ARGS)
 
 test: $(READY)
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(ARGS)  # they mostly wait for processes
 
 lint: $(READY)
 	$(BIN)/ruff check .

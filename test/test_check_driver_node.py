@@ -49,7 +49,7 @@ class Bench:
         file = self._folder / "rows.json"
         file.unlink(missing_ok=True)
         command = [sys.executable, "-m", "wam_power_ros.cli", "run", "check_driver"]
-        command += ["--seconds", "1", "--json", str(file), *arguments]
+        command += ["--seconds", "2", "--json", str(file), *arguments]
         ended = subprocess.run(
             command,
             cwd=ROOT,
