@@ -26,6 +26,7 @@ from wam_power_ros.service_calls import ServiceCalls, ServiceError
 
 STOPPED = 130  # exit status
 LONGEST = 3600.0  # [s of wall time] of a replay
+SETTLING = 1.0  # [s of wall time] in which a stopped arm comes to rest, still recorded
 NOT_YET = "nothing valid has come"  # the movement is still on its way
 
 
@@ -100,6 +101,7 @@ class Replaying(Node):
         self._calls.insist(Trigger, interface.STOP)
         if not self._calls.until(future.done):
             raise ServiceError(f"{interface.REPLAY} did not answer after {interface.STOP}")
+        self._calls.until(lambda: False, SETTLING)
 
     def _ask(self, text: str) -> None:
         if self._params.person and not self._signals:
