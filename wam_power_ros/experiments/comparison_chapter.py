@@ -42,8 +42,9 @@ def chapter(results: Results) -> Chapter:
         title="Learners side by side",
         text=[
             "All learners have the same rollouts, start at the same demonstration and learn full "
-            "matrices and attractors. Settings and exploration of each were tuned alike, on other "
-            "seeds. Screened PoWER draws candidates from PoWER's own distribution and tries the "
+            "matrices and attractors. Settings and exploration are a first guess, one exploration "
+            "for all learners of a task: nothing is tuned yet, and who is ahead may change when it "
+            "is. Screened PoWER draws candidates from PoWER's own distribution and tries the "
             "one a model promises most of. The model of reaching is Eq. 1's free path and Eq. 4, "
             "and the places where rollouts were stopped; that of the pancake is the toss Eq. 1 "
             "plans, flying freely, put right by the returns. It is told no more than the others "

@@ -38,7 +38,7 @@ def chapter(results: Results) -> Chapter:
             "Four demonstrations are fitted by two primitives; a sphere lies on their mean. A "
             "rollout that meets it stays where it is; the return is Eq. 4. PoWER (sigma 3, noise "
             "times 0.965 a rollout, as in the authors' scripts) learns full matrices or only their "
-            "diagonals. The noise of each was tuned on 60 seeds of their own, over the same grid. "
+            "diagonals. The noise of each was chosen on 60 other seeds. "
             f"Left open by the paper: {GEOMETRY}.",
         ],
         parts=[_synthetic(synthetic), _taught(taught, results[EXECUTED])],

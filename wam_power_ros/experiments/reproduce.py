@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
-import importlib.util
 import os
 import platform
 import sys
@@ -18,7 +17,6 @@ from collections.abc import Iterator, Sequence
 from html import escape
 from itertools import groupby
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Literal
 
 from rich.console import Console
@@ -68,8 +66,11 @@ def run(
     if unknown:
         raise ValueError(f"{', '.join(unknown)}: no such study; there are {', '.join(STUDIES)}")
     began = time.monotonic()
-    modules = {name: _module(name) for name in STUDIES if name in only}
-    modules = {name: module for name, module in modules.items() if hasattr(module, "jobs")}
+    modules = {
+        name: importlib.import_module(f"wam_power_ros.experiments.{name}")
+        for name in STUDIES
+        if name in only
+    }
     wanted = {name: module.jobs(scale) for name, module in modules.items()}
     jobs = [job for some in wanted.values() for job in some]
     kept = folder / "results"
@@ -252,8 +253,3 @@ def _say(told: Sequence[Chapter], time_it_took: str) -> None:
     console = Console(file=sys.stdout)
     console.print(overview(told))
     console.print(f"\n{time_it_took}", highlight=False)
-
-
-def _module(name: str) -> ModuleType:
-    full = f"wam_power_ros.experiments.{name}"
-    return importlib.import_module(full) if importlib.util.find_spec(full) else ModuleType(name)
