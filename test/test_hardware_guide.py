@@ -122,7 +122,7 @@ class Lab:
             timeout=PATIENCE,
         )
         sys.stdout.write(ended.stdout + ended.stderr)
-        assert ended.returncode == 0
+        assert ended.returncode == 0, ended.stderr
 
     def _learn(self, words: list[str]) -> None:
         """Let it learn until one more rollout is on record, then Ctrl-C."""

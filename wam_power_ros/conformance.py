@@ -217,7 +217,7 @@ def clock(name: str, received_ns: np.ndarray, stamp_ns: np.ndarray) -> Row:
 def publishers(name: str, type: str, ends: Sequence[Endpoint], latched: bool = False) -> Row:
     """Whether what others publish can be heard by our best-effort (or latched) subscription."""
     expected = f"{type}, {'reliable, latched' if latched else 'any reliability'}"
-    text = ", ".join(f"{end.node}: {_qos(end)}" for end in ends) or "no publisher"
+    text = ", ".join(sorted(f"{end.node}: {_qos(end)}" for end in ends)) or "no publisher"
     if not ends:
         return Row(name, expected, text, Verdict.UNCHECKED)
     if wrong := [end for end in ends if end.type != type]:
@@ -269,13 +269,13 @@ def command_path(
         count: Torques heard meanwhile.
     """
     expected = f"one driver listens on {topic}, {type}; nobody commands"
-    text = f"heard by {', '.join(end.node for end in drivers) or 'nobody'}"
+    text = f"heard by {', '.join(sorted(end.node for end in drivers)) or 'nobody'}"
 
     def row(found: str, result: Verdict, advice: str = "") -> Row:
         return Row("command path", expected, found, result, advice)
 
     if commanders:
-        text += f"; {', '.join(end.node for end in commanders)} may command too"
+        text += f"; {', '.join(sorted(end.node for end in commanders))} may command too"
         return row(text, Verdict.FAIL, "end it: the arm can follow one commander only")
     if count:
         advice = "deactivate the controller before checking"

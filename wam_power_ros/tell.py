@@ -4,15 +4,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros import interface
+from wam_power_ros.service_calls import TIMEOUT, ServiceCalls, ServiceError
 
 WORDS = {
     "reward": (interface.LEARNER_REWARD, Trigger, Trigger.Request()),
@@ -21,7 +21,6 @@ WORDS = {
     "pause": (interface.LEARNER_PAUSE, SetBool, SetBool.Request(data=True)),
     "continue": (interface.LEARNER_PAUSE, SetBool, SetBool.Request(data=False)),
 }
-TIMEOUT = 60.0  # for a learner to be found and to answer [s of wall time]
 
 
 def tell(word: str, bag: Path | None = None) -> tuple[bool, str]:
@@ -37,42 +36,23 @@ def tell(word: str, bag: Path | None = None) -> tuple[bool, str]:
     context = rclpy.Context()
     rclpy.init(context=context)
     try:
-        return _Teller(context).tell(word, bag)
+        return _tell(rclpy.create_node("tell", context=context), word, bag)
+    except ServiceError as error:
+        return False, f"{error}; is there a learner with the same ROS_DOMAIN_ID?"
     finally:
         rclpy.shutdown(context=context)
 
 
-class _Teller:
-    def __init__(self, context: rclpy.Context) -> None:
-        self._node = rclpy.create_node("tell", context=context)
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(self._node)
-        self._end = time.monotonic() + TIMEOUT
-
-    def tell(self, word: str, bag: Path | None) -> tuple[bool, str]:
-        name, kind, request = WORDS[word]
-        client = self._node.create_client(kind, name)
-        if not self._until(client.service_is_ready):
-            return False, f"no learner offers {name}; is it the same ROS_DOMAIN_ID?"
-        if bag is not None:
-            named = self._node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
-            named.publish(String(data=str(bag.resolve())))
-        while True:
-            future = client.call_async(request)
-            if not self._until(future.done):
-                return False, f"no answer of {name} within {TIMEOUT:.0f} s"
-            answer = future.result()
-            early = bag is not None and answer.message == interface.NO_BAG
-            if not early or time.monotonic() > self._end:
-                return answer.success, answer.message
-            self._spin()
-
-    def _until(self, condition: Callable[[], bool]) -> bool:
-        while not condition():
-            if time.monotonic() > self._end:
-                return False
-            self._spin()
-        return True
-
-    def _spin(self) -> None:
-        self._executor.spin_once(timeout_sec=0.05)
+def _tell(node: Node, word: str, bag: Path | None) -> tuple[bool, str]:
+    name, kind, request = WORDS[word]
+    calls = ServiceCalls(node)
+    if bag is not None:
+        named = node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
+        named.publish(String(data=str(bag.resolve())))
+    end = time.monotonic() + TIMEOUT
+    while True:
+        answer = calls.call(kind, name, request)
+        early = bag is not None and answer.message == interface.NO_BAG  # it has not heard of it yet
+        if not early or time.monotonic() > end:
+            return answer.success, answer.message
+        calls.until(lambda: False, 0.05)
