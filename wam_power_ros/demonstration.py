@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from wam_power_ros import rotations
 from wam_power_ros.policy import read_only
@@ -125,7 +124,7 @@ def from_joint_samples(
     matrix = np.array([pose[1] for pose in poses])
     first, last = 0, len(q) - 1
     if trim:
-        velocity = savgol_filter(position, window, 3, deriv=1, delta=period, axis=0)
+        velocity = _smoothed(position, window, 1, period)
         first, last = _movement(np.linalg.norm(velocity, axis=1), trim_start, trim_end, period)
     # Smoothing sees half a window beyond the movement and nothing farther away.
     start = min(max(first - half, 0), len(q) - window)
@@ -133,12 +132,11 @@ def from_joint_samples(
     kept = slice(first - start, last - start + 1)
 
     def smooth(values: np.ndarray, derivative: int) -> np.ndarray:
-        wide = savgol_filter(values[start:stop], window, 3, deriv=derivative, delta=period, axis=0)
-        return wide[kept]
+        return _smoothed(values[start:stop], window, derivative, period)[kept]
 
     relative = np.matmul(matrix[start:stop], matrix[first].T)
     vectors = rotations.continuous(rotations.log(relative))
-    vectors = savgol_filter(vectors, window, 3, axis=0)[kept]
+    vectors = _smoothed(vectors, window)[kept]
     quat = rotations.multiply(rotations.quat_of_vector(vectors), rotations.quat_xyzw(matrix[first]))
     return Demonstration(
         t=np.arange(last - first + 1) * period,
@@ -182,7 +180,7 @@ def smooth_joints(
         raise ValueError(
             f"recording of {len(q)} samples at {period} s; smoothing needs at least {window}"
         )
-    return np.arange(len(q)) * period, savgol_filter(q, window, 3, axis=0)
+    return np.arange(len(q)) * period, _smoothed(q, window)
 
 
 def from_positions(position: np.ndarray, period: float) -> Demonstration:
@@ -264,6 +262,16 @@ def _half_window(period: float, cutoff: float) -> int:
     if not 0.0 < cutoff < 0.5 * nyquist:
         raise ValueError(f"cutoff = {cutoff} Hz must be in (0, {0.5 * nyquist}) at {period} s")
     return max(2, math.ceil((4.0 * nyquist / cutoff + 4.6) / 3.2))
+
+
+def _smoothed(
+    values: np.ndarray, window: int, derivative: int = 0, period: float = 1.0
+) -> np.ndarray:
+    """Savitzky-Golay with a cubic, along the first axis."""
+    # Imported when used: it takes longer than all else, and a controller that starts never smooths.
+    from scipy.signal import savgol_filter
+
+    return savgol_filter(values, window, 3, deriv=derivative, delta=period, axis=0)
 
 
 def _movement(speed: np.ndarray, start: float, end: float, period: float) -> tuple[int, int]:
