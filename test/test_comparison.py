@@ -9,7 +9,9 @@ import pytest
 from wam_power_ros.experiments import comparison, comparison_chapter, reaching
 from wam_power_ros.experiments.comparison import EFFORT, GRID, HELD_OUT, TUNED
 from wam_power_ros.experiments.comparison_chapter import LEARNERS, TASKS
-from wam_power_ros.experiments.comparison_runs import reaching_runs
+from wam_power_ros.experiments.comparison_runs import learner_of, reaching_runs
+from wam_power_ros.learners import Search
+from wam_power_ros.power import Power
 
 
 @pytest.mark.parametrize("name", LEARNERS)
@@ -18,6 +20,20 @@ def test_every_learner_runs_on_the_reach_and_the_same_twice(name: str) -> None:
     once, again = reaching_runs(**arguments), reaching_runs(**arguments)
     assert json.loads(json.dumps(once)) == again
     assert np.shape(once["returns"]) == (1, 3)
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_each_name_is_the_learner_it_says(name: str) -> None:
+    class Silent:
+        def predict(self, z: np.ndarray) -> np.ndarray:
+            return np.zeros(len(z))
+
+        def learn(self, z: np.ndarray, ret: float) -> None: ...
+
+    for settings in GRID[name]:
+        learner = learner_of(settings, 4, 0, Silent())
+        assert isinstance(learner, Power if name == "power" else Search)
+        assert name == "power" or learner.settings.kind.startswith(name)
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -194,3 +194,10 @@ def test_a_learnt_reach_is_executed_near_its_plan() -> None:
     assert told["fault"] == ""
     assert told["rms"] < 0.06
     assert len(told["planned"]) == len(told["executed"])
+
+
+def test_practice_on_the_arm_is_told_what_the_arm_did_and_repeats_itself() -> None:
+    told = reaching_arm.practised_run("full", TUNING[0], 3)
+    assert told == reaching_arm.practised_run("full", TUNING[0], 3)
+    assert told["fault"] == "" and 0.0 < told["return"] < 1.0
+    assert len(told["returns"]) == 3

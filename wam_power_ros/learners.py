@@ -133,8 +133,11 @@ class RandomSearch(_Settings):
     kind: Literal["random"] = "random"
 
 
-Settings = ShapedPower | AdaptivePower | Pi2 | Cma | Reinforce | Enac | RandomSearch | Screened
-_SETTINGS = TypeAdapter(Annotated[Settings, Field(discriminator="kind")])
+Settings = Annotated[
+    ShapedPower | AdaptivePower | Pi2 | Cma | Reinforce | Enac | RandomSearch | Screened,
+    Field(discriminator="kind"),
+]
+_SETTINGS: TypeAdapter[Settings] = TypeAdapter(Settings)
 
 
 class _Method(Protocol):

@@ -52,7 +52,7 @@ ROLLOUTS = {"reaching": 100, "pancake": 40}
 HELD_OUT = {"reaching": range(401, 441), "pancake": range(401, 417)}
 EFFORT = {
     "reaching": Effort(range(1_000_000, 1_000_010), range(1_000_010, 1_000_070), 4),
-    "pancake": Effort(range(21, 24), range(24, 30), 2),
+    "pancake": Effort(range(21, 23), range(24, 28), 2),
 }
 NOISE = {
     "reaching": [

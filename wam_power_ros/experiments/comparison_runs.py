@@ -29,7 +29,7 @@ from wam_power_ros.toss import TossModel
 VARIANT = "full"  # on both tasks
 NOVICE = 5.0  # [rad/s] intended pitch rate of the hand that teaches: leaves something to learn
 REPEATS = 5  # of the answer
-_SETTINGS: TypeAdapter[PowerSettings | Settings] = TypeAdapter(Settings | PowerSettings)
+_SETTINGS: TypeAdapter[Settings] = TypeAdapter(Settings)
 
 
 def reaching_runs(
@@ -49,9 +49,9 @@ def reaching_runs(
     """
     scenario = synthetic()
     parameters = Parameters(scenario.policy, VARIANT, scales(stiffness, attractor))
-    chosen = _SETTINGS.validate_python(settings)
     learners = [
-        _learner(parameters.size, chosen, seed, FreePath(parameters, scenario)) for seed in seeds
+        learner_of(settings, parameters.size, seed, FreePath(parameters, scenario))
+        for seed in seeds
     ]
     runs = learn_many(learners, parameters, scenario, rollouts)
     return {
@@ -85,9 +85,8 @@ def pancake_run(
     paper = preset("paper", variant=VARIANT, noise=noise)
     parameters = Parameters(demonstrated, VARIANT, paper.noise)
     start, _ = bench.arm.tool_pose(demonstrated.q_start)
-    chosen = _SETTINGS.validate_python(settings)
     model = TossModel(parameters, start, paper.pancake_weights)
-    learner = _learner(parameters.size, chosen, seed, model)
+    learner = learner_of(settings, parameters.size, seed, model)
 
     def returned(z: np.ndarray, id: str) -> tuple[float, bool]:
         policy, _ = parameters.policy(z, id)
@@ -107,8 +106,19 @@ def pancake_run(
     return {"seed": seed, "returns": returns, "repeats": repeats, "faults": faults}
 
 
-def _learner(size: int, settings: PowerSettings | Settings, seed: int, model: Model) -> Learner:
-    if isinstance(settings, PowerSettings):
-        return Power(size, settings, generator(seed))
-    screens = isinstance(settings, Screened)
-    return Search(size, settings, generator(seed), model if screens else None)
+def learner_of(settings: dict[str, Any], size: int, seed: int, model: Model) -> Learner:
+    """A learner by its settings as data; those without a "kind" are PoWER's.
+
+    Args:
+        settings: of the learner, as data.
+        size: of z.
+        seed: of the exploration.
+        model: for a learner that screens; the others are not told of it.
+
+    Raises:
+        ValueError: settings of no learner.
+    """
+    if "kind" not in settings:
+        return Power(size, PowerSettings(**settings), generator(seed))
+    chosen = _SETTINGS.validate_python(settings)
+    return Search(size, chosen, generator(seed), model if isinstance(chosen, Screened) else None)

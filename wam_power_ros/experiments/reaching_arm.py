@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reaching taught on the simulated arm, learnt on Eq. 1, and executed by the torque controller.
+"""Reaching taught on the simulated arm, learnt on Eq. 1 or on the arm by the torque controller.
 
 The four demonstrations are bags/reach_*. The sphere is in nobody's way but the path's: the arm
-does not feel it. Whether the executed path clears it is reported.
+does not feel it. What was learnt on Eq. 1 is executed, and whether that path clears the sphere is
+reported; practice on the arm is told what the executed paths return.
 """
 
 from __future__ import annotations
@@ -17,14 +18,25 @@ from hardware_sim.world import JOINTS, World
 from wam_power_ros.bags import read_demonstration
 from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.experiments.bench import Bench
-from wam_power_ros.experiments.reaching_chapter import EXECUTED, TAUGHT, VARIANTS
-from wam_power_ros.experiments.reaching_runs import DRAWN, NOISE, as_data, study
+from wam_power_ros.experiments.reaching_chapter import EXECUTED, PRACTISED, TAUGHT, VARIANTS
+from wam_power_ros.experiments.reaching_runs import (
+    DRAWN,
+    NOISE,
+    POWER,
+    as_data,
+    generator,
+    study,
+)
 from wam_power_ros.experiments.scenario import Scenario, taught
 from wam_power_ros.experiments.studies import Job
 from wam_power_ros.parameters import Parameters
+from wam_power_ros.policy import Policy
+from wam_power_ros.power import Power
 from wam_power_ros.resources import share
 
 NOISE_SEED = 7  # of the stand-in
+PRACTICE = 60  # rollouts on the arm, at most
+APPRENTICES = 3  # seeds that practise on the arm
 
 
 def jobs(seeds: Sequence[int], rollouts: int) -> list[Job]:
@@ -35,6 +47,9 @@ def jobs(seeds: Sequence[int], rollouts: int) -> list[Job]:
         found.append(Job(TAUGHT, f"{variant}-{seeds[0]}-{seeds[-1]}", taught_runs, arguments))
         one = {"variant": variant, "seed": seeds[0], "rollouts": rollouts}
         found.append(Job(EXECUTED, variant, executed_run, one))
+        for seed in seeds[:APPRENTICES]:
+            one = {"variant": variant, "seed": seed, "rollouts": min(rollouts, PRACTICE)}
+            found.append(Job(PRACTISED, f"{variant}-{seed}", practised_run, one))
     return found
 
 
@@ -50,11 +65,8 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     (run,) = study(variant, [seed], rollouts, scenario)
     parameters = Parameters(scenario.policy, variant, NOISE[variant])
     policy, _ = parameters.policy(run.mean, "reach-0001")
-    bench = Bench(World(seed=NOISE_SEED))
-    pan, _, _, fault = bench.run(policy)
+    executed, fault = _executed(Bench(World(seed=NOISE_SEED)), policy, scenario)
     planned = scenario.free(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
-    t = np.arange(scenario.steps) * scenario.period
-    executed = np.stack([np.interp(t, pan.t, x) for x in pan.position.T], axis=1)
     shown = np.linspace(0, scenario.steps - 1, DRAWN).round().astype(int)
     deviation = np.linalg.norm(executed - planned, axis=1)
     away = np.linalg.norm(executed - scenario.obstacle, axis=1)
@@ -73,6 +85,50 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
         "planned_return": run.final,
         "executed_return": float(scenario.worth(scenario.stopped(executed[np.newaxis])[0])[0]),
     }
+
+
+def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
+    """PoWER whose rollouts are executed on the arm: Eq. 4 of executed paths, a fault returns 0.
+
+    Returns:
+        "returns" of the rollouts, the demonstration's reproduction not among them; "faults" of
+        them; return, "clearance" [m] of the sphere and "fault" of the final mean, executed.
+    """
+    scenario = taught_scenario()
+    parameters = Parameters(scenario.policy, variant, NOISE[variant])
+    learner = Power(parameters.size, POWER, generator(seed))
+    bench = Bench(World(seed=seed))
+
+    def returned(z: np.ndarray, id: str) -> tuple[np.ndarray, str, float]:
+        path, fault = _executed(bench, parameters.policy(z, id)[0], scenario)
+        stopped, _ = scenario.stopped(path[np.newaxis])
+        return path, fault, 0.0 if fault else float(scenario.worth(stopped)[0])
+
+    returns, faults = [], 0
+    for k in range(rollouts):
+        z = parameters.clip(learner.ask())
+        _, fault, ret = returned(z, f"trial-{k}")
+        learner.tell(z, ret)
+        returns.append(ret)
+        faults += bool(fault)
+    path, fault, ret = returned(parameters.clip(learner.mean), "learnt")
+    away = np.linalg.norm(path - scenario.obstacle, axis=1)
+    return {
+        "variant": variant,
+        "seed": seed,
+        "returns": returns,
+        "faults": faults,
+        "return": ret,
+        "clearance": float(away.min() - scenario.radius),
+        "fault": fault,
+    }
+
+
+def _executed(bench: Bench, policy: Policy, scenario: Scenario) -> tuple[np.ndarray, str]:
+    """The tool's path (T, 3) [m] at the samples of the scenario, and the fault if any."""
+    pan, _, _, fault = bench.run(policy)
+    t = np.arange(scenario.steps) * scenario.period
+    return np.stack([np.interp(t, pan.t, x) for x in pan.position.T], axis=1), fault
 
 
 @cache
