@@ -120,8 +120,7 @@ class WamSim(Node):
         self._settling: Iterator[None] = iter(())  # of the world that is being put back
         self._settled = True
 
-        lockstep = params.pace == "lockstep"  # as fast as it goes: no reader may lose by it
-        qos = interface.STATE_OUT_LOCKSTEP if lockstep else interface.STATE_OUT
+        qos = interface.STATE_OUT_DEEP
         self._states = self.create_publisher(JointState, params.state_topic, qos)
         self._velocities = None
         if params.velocity_topic:

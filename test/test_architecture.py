@@ -30,7 +30,8 @@ ROS_EDGE = {
 }
 # Files, clocks, processes and sockets are theirs; every other module is the core.
 TELLING = {"cli", "live", "figures", "study_figures", "page", "report"}
-EDGE = ROS_EDGE | TELLING | {"processes", "resources", "setups", "session", "bags", "recovery"}
+BAGS = {"bags", "recording", "recovery"}
+EDGE = ROS_EDGE | TELLING | BAGS | {"processes", "resources", "setups", "session"}
 OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}
 
 MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])

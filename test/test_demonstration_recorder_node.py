@@ -15,6 +15,7 @@ from conftest import Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -322,8 +323,38 @@ def test_a_disk_that_is_nearly_full_closes_the_bag_in_time(
     path = bench.start()
     bench.send(200)
     bench.status("stopped below 1000000000 MB free")
-    assert len(bags.read_demonstration(path, NAMES)[0]) > 0
+    assert json.loads(information(path)["custom_data"]["joint_names"]) == NAMES  # it is closed
     assert bench.record(False) == (False, "not recording")
+
+
+@pytest.mark.parametrize(
+    ("qos", "lost"), [(interface.STATE_OUT_DEEP, False), (interface.STATE_OUT, True)]
+)
+def test_what_came_while_the_recorder_stood_still_is_sent_again_or_told_as_lost(
+    probe: Probe, processes: Processes, tmp_path: Path, qos: QoSProfile, lost: bool
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    bench.states = probe.publisher(JointState, interface.JOINT_STATES, qos)
+    bench.start()
+    bench.send(50)
+    probe.spin(1.0)
+    bench.node.send_signal(signal.SIGSTOP)
+    try:
+        for _ in range(3000):  # more than shared memory holds for a reader
+            zero, stamp_ns = np.zeros(7), START + 2_000_000 * bench.sent
+            bench.states.publish(bench.write(stamp_ns, zero, zero, zero))
+            bench.sent += 1
+            time.sleep(1e-4)
+    finally:
+        bench.node.send_signal(signal.SIGCONT)
+    bench.send(50)
+    if lost:
+        bench.status("lost before they came: {'/joint_states': ")
+    else:
+        bench.status(f"/joint_states', value='{bench.sent}'")
+    path = bench.stop()
+    stamps, _ = bags.read_demonstration(path, NAMES)
+    assert (len(stamps) < bench.sent) == lost
 
 
 def test_a_recorder_that_stands_still_holds_nobody_up(

@@ -89,7 +89,9 @@ def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE"
 
 # QoS: publish reliable, subscribe best effort, except what is latched
 STATE_OUT = _qos(10)
-STATE_OUT_LOCKSTEP = _qos(4000)  # what a recorder that falls behind has missed is sent again
+# Of the stand-in, whose states may come in a row: in lockstep, and when it catches up with its
+# clock. A recorder that could not run for seconds is sent again what it has missed.
+STATE_OUT_DEEP = _qos(4000)
 STATE_IN = _qos(10, "BEST_EFFORT")
 STATE_RECORD = _qos(4000, "BEST_AVAILABLE")  # a recorder may fall behind, it may not lose
 COMMAND = _qos(1)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Demonstration recorder: `/recorder/record` true and false in, a bag each time out.
 
-Messages are written as they came, never decoded. The bag is `rollout_<id>` when a policy has come
-since the last recording began, else `<stem>_<date>_<time>`.
+Messages are taken as they come and written by another thread, never decoded. The bag is
+`rollout_<id>` when a policy has come since the last recording began, else `<stem>_<date>_<time>`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from std_srvs.srv import SetBool
 from wam_power_ros import __version__, bags, interface, policy, real_time
 from wam_power_ros.nodes.raw_topics import RawTopics
 from wam_power_ros.params import Params
+from wam_power_ros.recording import Recording
 
 MEGABYTE = 1_000_000
-FLUSH_PERIOD = 0.5  # [s] a kill loses what came since, and what it takes to write it
+LOOK_PERIOD = 0.5  # [s] at the disk
 
 
 class DemonstrationRecorderParams(Params):
@@ -54,12 +55,11 @@ class DemonstrationRecorder(Node):
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self._params = params = DemonstrationRecorderParams.of(self)
         self._directory = Path(params.directory).expanduser().absolute()
-        self._writer: bags.BagWriter | None = None
+        self._recording: Recording | None = None
         self._last: dict[str, bytes] = {}  # message of the latched topics
         self._policy_id = ""  # of a policy that came since the last recording began
         self._trouble = ""  # what ended a recording
         self._note = ""  # on the last bag
-        self._clock = Clock(clock_type=ClockType.SYSTEM_TIME)
 
         self._state_topic = self.resolve_topic_name(params.state_topic)
         self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
@@ -73,7 +73,7 @@ class DemonstrationRecorder(Node):
         )
         self.create_service(SetBool, interface.RECORD, self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(FLUSH_PERIOD, self._flush, clock=steady)
+        self.create_timer(LOOK_PERIOD, self._look_at_disk, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
         # A driver keeps ten states for a reader that is late, no more; in lockstep all are kept.
         lockstep = self.get_parameter("use_sim_time").value
@@ -87,11 +87,8 @@ class DemonstrationRecorder(Node):
     def _on_message(self, topic: str, cdr: bytes) -> None:
         if topic in self._latched:
             self._last[topic] = cdr
-        if self._writer is not None:
-            try:
-                self._write(topic, cdr)
-            except OSError as error:
-                self._give_up(error)
+        if self._recording is not None:
+            self._write(topic, cdr)
 
     def _on_policy(self, message: String) -> None:
         try:
@@ -110,8 +107,8 @@ class DemonstrationRecorder(Node):
 
     def _start(self) -> str:
         """Begin a bag; the message is its path."""
-        if self._writer is not None:
-            raise ValueError(f"already recording {self._writer.path}")
+        if self._recording is not None:
+            raise ValueError(f"already recording {self._recording.path}")
         self._directory.mkdir(parents=True, exist_ok=True)
         if (free := self._free()) < self._params.free_to_start:
             needed = self._params.free_to_start
@@ -119,42 +116,38 @@ class DemonstrationRecorder(Node):
         self._topics.look()
         kind = "rollout" if self._policy_id else self._params.stem
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
-        self._writer = bags.BagWriter(bags.free_path(self._directory, f"{kind}_{stem}"))
+        path = bags.free_path(self._directory, f"{kind}_{stem}")
+        self._recording = Recording(path, kind, self._notes)
         self._policy_id = self._trouble = self._note = ""
-        try:
-            self._writer.event("start", kind, self._now(), self._notes)
-            for topic, cdr in self._last.items():
-                self._write(topic, cdr)
-        except OSError as error:
-            self._give_up(error)
-            raise
-        self.get_logger().info(f"recording {self._writer.path}")
-        return str(self._writer.path)
+        self._topics.lost.clear()
+        for topic, cdr in self._last.items():
+            self._write(topic, cdr)
+        self.get_logger().info(f"recording {path}")
+        return str(path)
 
     def _stop(self, reason: str) -> str:
         """Close the bag; the message is its path."""
-        writer = self._writer
-        if writer is None:
+        recording = self._recording
+        if recording is None:
             raise ValueError("not recording")
         try:
-            writer.event("stop", reason, self._now())
-            writer.close({**self._notes, **writer.completeness(self._state_topic)})
+            states = recording.close(reason, self._notes, self._state_topic)
         except OSError as error:
             self._give_up(error)
             raise
-        self._writer = None
-        self.get_logger().info(f"recorded {writer.path}: {sum(writer.counts.values())} messages")
-        states = writer.stamps.get(self._state_topic, bags.GapCounter()).gaps()
-        if states.missing:
+        self._recording = None
+        count = sum(recording.counts.values())
+        self.get_logger().info(f"recorded {recording.path}: {count} messages")
+        if states is not None and states.missing:
             longest = f"longest gap {states.longest:.3f} s"
             self._note = f"{states.missing} messages missing on {self._state_topic}, {longest}"
             self.get_logger().warning(self._note)
-        return str(writer.path)
+        return str(recording.path)
 
     def _write(self, topic: str, cdr: bytes) -> None:
-        if topic not in self._writer.counts:
-            self._writer.add(topic, self._topics.msgtype(topic), self._topics.offered(topic))
-        self._writer.write(topic, self._now(), cdr)
+        if topic not in self._recording:
+            self._recording.add(topic, self._topics.msgtype(topic), self._topics.offered(topic))
+        self._recording.write(topic, cdr)
 
     @property
     def _notes(self) -> dict[str, str]:
@@ -166,51 +159,52 @@ class DemonstrationRecorder(Node):
             "version": f"wam_power_ros {__version__}",
         }
 
-    def _now(self) -> int:
-        return self._clock.now().nanoseconds
-
     def _free(self) -> float:
         return shutil.disk_usage(self._directory).free / MEGABYTE
 
     def _give_up(self, error: OSError) -> None:
         """Leave the bag unfinished and go on: nothing else depends on the disk."""
-        writer, self._writer = self._writer, None
-        writer.abandon()
-        self._trouble = f"{writer.path} left unfinished: {error}"
+        path, self._recording = self._recording.path, None
+        self._trouble = f"{path} left unfinished: {error}"
         self.get_logger().error(self._trouble)
         self._report()
 
-    def _flush(self) -> None:
-        """What came goes to the disk."""
-        try:
-            if self._writer is not None:
-                self._writer.flush()
-                if self._free() < self._params.free_to_continue:
-                    self._stop("disk nearly full")
-                    self._trouble = f"stopped below {self._params.free_to_continue:.0f} MB free"
-        except OSError as error:
-            if self._writer is not None:
-                self._give_up(error)
+    def _look_at_disk(self) -> None:
+        """Whether it took what came, and will take more."""
+        recording = self._recording
+        if recording is not None and recording.error is not None:
+            self._give_up(recording.error)
+        elif recording is not None and self._free() < self._params.free_to_continue:
+            try:
+                self._stop("disk nearly full")
+                self._trouble = f"stopped below {self._params.free_to_continue:.0f} MB free"
+            except OSError:
+                pass  # told already
 
     def _report(self) -> None:
-        writer = self._writer
-        counts = writer.counts if writer else {}
-        level, text = "ok", f"recording {writer.path}" if writer else "idle"
+        recording = self._recording
+        counts = recording.counts if recording else {}
+        lost = dict(self._topics.lost) if recording else {}
+        level, text = "ok", f"recording {recording.path}" if recording else "idle"
         if self._trouble:
             level, text = "error", self._trouble
         elif self._note:
             level, text = "warn", self._note
-        elif writer and self._state_topic not in counts:
+        elif recording and self._state_topic not in recording:
             level, text = "warn", f"nothing yet on {self._state_topic}"
+        elif lost:
+            level, text = "warn", f"{text}; lost before they came: {lost}"
         silent = [topic for topic in self._topics.names if topic not in counts]
         values = {**counts, "without a message": silent}
+        values["waiting for the disk"] = recording.waiting if recording else 0
+        values["lost before they came"] = sum(lost.values())
         values["real-time scheduling"] = self._granted.scheduling
         name, now = "demonstration_recorder: bag", self.get_clock().now().to_msg()
         self._diagnostics.publish(interface.diagnostics(now, name, "disk", level, text, values))
 
     def close(self) -> None:
         """Finish the bag before the process ends."""
-        if self._writer is not None:
+        if self._recording is not None:
             try:
                 self._stop("shutdown")
             except OSError as error:

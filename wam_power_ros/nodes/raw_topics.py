@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import importlib
+from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple
 
 from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -32,6 +34,9 @@ class RawTopics:
 
     A subscription made earlier would have to guess, and one that guesses reliable hears nothing of
     a best-effort driver.
+
+    Attributes:
+        lost: Messages that were sent and will not come, by topic, as the middleware counts them.
     """
 
     def __init__(
@@ -41,6 +46,7 @@ class RawTopics:
         self._node, self._on_message = node, on_message
         self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
         self._taps: dict[str, _Tap] = {}
+        self.lost: Counter[str] = Counter()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(LOOK_PERIOD, self.look, clock=steady)
 
@@ -92,8 +98,12 @@ class RawTopics:
             partial(self._on_message, name),
             qos,
             raw=True,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=partial(self._on_lost, name)),
         )
         self._taps[name] = _Tap(msgtype, reliable, latched, subscription)
+
+    def _on_lost(self, name: str, info: QoSMessageLostInfo) -> None:
+        self.lost[name] += info.total_count_change
 
 
 def _is_reliable(info: TopicEndpointInfo) -> bool:
