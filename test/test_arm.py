@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The rigid-body model against finite differences and Barrett's own figures."""
 
+import copy
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -112,10 +114,17 @@ def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm
     assert (*speeds[:2], speeds[4]) == arm.reference_point_speeds(HOME, np.ones(7))
     assert speeds[3] == speeds[0]
     end = Arm(URDF, NAMES, tool_frame="wam_link6").tool_pose(HOME)
-    np.testing.assert_allclose(other.guarded_positions(HOME)[2], end[0] + end[1] @ [0, 0, 0.1])
+    np.testing.assert_allclose(
+        other.motion(HOME, np.ones(7)).guarded_positions[2], end[0] + end[1] @ [0, 0, 0.1]
+    )
     assert Arm(URDF, NAMES, guarded=()).motion(HOME, np.ones(7)).guarded_speeds == ()
     with pytest.raises(ValueError, match="another_robots_link"):
         Arm(URDF, NAMES, guarded=[wrist._replace(link="another_robots_link")])
+
+
+def test_an_arm_is_not_copied_with_arrays_over_another_ones_buffers(arm: Arm) -> None:
+    with pytest.raises(TypeError, match="make another"):
+        copy.deepcopy(arm)
 
 
 def test_results_are_not_changed_by_later_calls(arm: Arm) -> None:

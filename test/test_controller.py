@@ -653,7 +653,7 @@ def test_a_rollout_that_leaves_the_workspace_is_a_fault() -> None:
 @pytest.mark.requirement("S-23")
 @pytest.mark.parametrize("guarded", ["elbow", "tool"])
 def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> None:
-    elbow, _ = MODEL.guarded_positions(HOME)
+    elbow, _ = MODEL.motion(HOME, np.zeros(7)).guarded_positions
     tool, _ = MODEL.tool_pose(HOME)
     plane = {"elbow": (-1.0, 0.0, 0.0, 0.01 - elbow[0]), "tool": (-1.0, 0.0, 0.0, -0.01 - tool[0])}
     controller, plant = begin(controller=make(limits=safety.limits_of(MODEL, plane=plane[guarded])))

@@ -117,12 +117,12 @@ def test_each_motion_limit_is_named_when_exceeded() -> None:
 @pytest.mark.requirement("S-23")
 def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
     tilted = safety.limits_of(ARM, plane=(0.6, 0.0, 0.8, 0.5))
-    before, behind = np.array([0.5, 9.0, 0.3]), np.array([0.3, 0.0, 0.3])  # 0.54 and 0.42
+    before, behind = [0.5, 9.0, 0.3], [0.3, 0.0, 0.3]  # 0.54 and 0.42
     assert safety.behind_plane({"elbow": before, "tool": before}, tilted) is None
     assert safety.behind_plane({"elbow": behind, "tool": before}, tilted).startswith(
         "elbow is 0.080 m behind"
     )
-    assert safety.behind_plane({"tool": np.full(3, math.nan)}, tilted) is not None
+    assert safety.behind_plane({"tool": [math.nan] * 3}, tilted) is not None
 
 
 @pytest.mark.requirement("S-24")

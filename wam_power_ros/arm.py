@@ -2,6 +2,8 @@
 """The arm's rigid-body model: kinematics and dynamics of a chain of joints, by Pinocchio.
 
 Works in buffers of its own, so one `Arm` belongs to one thread; every array it returns is new.
+Inside, what Pinocchio has computed is read through arrays that lie over its buffers: asking for it
+again and again would cost more than computing it.
 """
 
 import math
@@ -45,7 +47,8 @@ class Motion(NamedTuple):
         rotation: Tool axes as columns. Shape (3, 3).
         twist: Linear velocity [m/s] and angular velocity [rad/s]. Shape (6,).
         drift: Jdot qd, the tool's acceleration when no joint accelerates. Shape (6,).
-        guarded_speeds: Of the guarded points [m/s].
+        guarded_positions: Of the guarded points [m], three numbers each.
+        guarded_speeds: Of the same [m/s].
         tool_speed: [m/s].
     """
 
@@ -53,6 +56,7 @@ class Motion(NamedTuple):
     rotation: np.ndarray
     twist: np.ndarray
     drift: np.ndarray
+    guarded_positions: list[list[float]]
     guarded_speeds: tuple[float, ...]
     tool_speed: float
 
@@ -60,7 +64,6 @@ class Motion(NamedTuple):
 class Speeds(NamedTuple):
     """The part of `Motion` that limits of speed look at; see there."""
 
-    twist: np.ndarray
     guarded_speeds: tuple[float, ...]
     tool_speed: float
 
@@ -152,11 +155,20 @@ class Arm:
         for name, link, offset in guarded:
             frame = self.model.frames[self._frame(link)]
             point = frame.placement.act(_checked(f"guarded point {name}", offset, 3))
-            points.append((int(frame.parentJoint), point))
+            points.append((int(frame.parentJoint), point.tolist()))
         self._guarded = [
-            (joint, [(point, point.tolist()) for _, point in group])
+            (_Body(self._data, joint), [point for _, point in group])
             for joint, group in groupby(points, key=lambda pair: pair[0])
         ]
+        frame = self.model.frames[self._tool]
+        self._tool_body = _Body(self._data, int(frame.parentJoint))
+        self._tool_point = frame.placement.translation.tolist()
+        placement = self._data.oMf[self._tool]
+        self._tool_position, self._tool_rotation = placement.translation, placement.rotation
+
+    def __reduce__(self) -> object:
+        """A copy's arrays would not lie over its buffers."""
+        raise TypeError("an Arm cannot be copied; make another from the same URDF")
 
     def _frame(self, name: str) -> int:
         if not self.model.existFrame(name):
@@ -173,36 +185,52 @@ class Arm:
         """
         model, data, tool = self.model, self._data, self._tool
         pin.forwardKinematics(model, data, q, qd, self._zero)
-        placement = pin.updateFramePlacement(model, data, tool)
+        pin.updateFramePlacement(model, data, tool)
         twist = pin.getFrameVelocity(model, data, tool, _AXES).vector
         return Motion(
-            position=placement.translation.copy(),
-            rotation=placement.rotation.copy(),
+            position=self._tool_position.copy(),
+            rotation=self._tool_rotation.copy(),
             twist=twist,
             drift=pin.getFrameClassicalAcceleration(model, data, tool, _AXES).vector,
+            guarded_positions=self._guarded_positions(),
             guarded_speeds=self._guarded_speeds(),
             tool_speed=_length(twist),
         )
 
     def speeds(self, q: np.ndarray, qd: np.ndarray) -> Speeds:
-        """The speeds of one state, in half the time of `motion`.
+        """The speeds of one state, in a third of the time of `motion`.
 
         Args:
             q: [rad]. Shape (n,).
             qd: [rad/s]. Shape (n,).
         """
-        model, data = self.model, self._data
-        pin.forwardKinematics(model, data, q, qd)
-        twist = pin.getFrameVelocity(model, data, self._tool, _AXES).vector
-        return Speeds(twist, self._guarded_speeds(), _length(twist))
+        pin.forwardKinematics(self.model, self._data, q, qd)
+        tool_speed = _point_speed(self._tool_body.twist.tolist(), self._tool_point)
+        return Speeds(self._guarded_speeds(), tool_speed)
 
     def _guarded_speeds(self) -> tuple[float, ...]:
         """Of the state whose kinematics were computed last."""
         speeds: list[float] = []
-        for joint, points in self._guarded:
-            body = self._data.v[joint].vector.tolist()
-            speeds += [_point_speed(body, point) for _, point in points]
+        for body, points in self._guarded:
+            twist = body.twist.tolist()
+            speeds += [_point_speed(twist, point) for point in points]
         return tuple(speeds)
+
+    def _guarded_positions(self) -> list[list[float]]:
+        """Of the state whose kinematics were computed last."""
+        positions = []
+        for body, points in self._guarded:
+            (ax, bx, cx), (ay, by, cy), (az, bz, cz) = body.rotation.tolist()
+            px, py, pz = body.position.tolist()
+            positions += [
+                [
+                    px + ax * x + bx * y + cx * z,
+                    py + ay * x + by * y + cy * z,
+                    pz + az * x + bz * y + cz * z,
+                ]
+                for x, y, z in points
+            ]
+        return positions
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
         """Jacobian, inverse mass matrix and bias torque of one state.
@@ -230,16 +258,6 @@ class Arm:
         pin.forwardKinematics(self.model, self._data, q)
         placement = pin.updateFramePlacement(self.model, self._data, self._tool)
         return placement.translation.copy(), placement.rotation.copy()
-
-    def guarded_positions(self, q: np.ndarray) -> list[np.ndarray]:
-        """Where the guarded points are, in the base frame [m]. Shape (3,) each.
-
-        Args:
-            q: [rad]. Shape (n,).
-        """
-        pin.forwardKinematics(self.model, self._data, q)
-        placements = self._data.oMi
-        return [placements[joint].act(at) for joint, points in self._guarded for at, _ in points]
 
     def reference_point_speeds(self, q: np.ndarray, qd: np.ndarray) -> tuple[float, ...]:
         """Speeds of the guarded points and, last, of the tool [m/s].
@@ -274,6 +292,20 @@ class Arm:
     def forward_dynamics(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Acceleration under a torque, without friction [rad/s^2]. Shape (n,)."""
         return pin.aba(self.model, self._data, q, qd, tau)
+
+
+class _Body:
+    """Where a link is and how it moves, as `data` has it now: arrays that lie over its buffers.
+
+    Attributes:
+        position: Of the link's joint frame, in the base frame [m]. Shape (3,).
+        rotation: Its axes as columns. Shape (3, 3).
+        twist: Linear [m/s] and angular [rad/s] velocity, in the frame of the link. Shape (6,).
+    """
+
+    def __init__(self, data: pin.Data, joint: int) -> None:
+        self.position, self.rotation = data.oMi[joint].translation, data.oMi[joint].rotation
+        self.twist = data.v[joint].vector
 
 
 def _chain(full: pin.Model, joint_names: tuple[str, ...]) -> pin.Model:

@@ -334,7 +334,6 @@ class Controller:
         self._stamp: int | None = None
         self._q: np.ndarray | None = None
         self._qd = np.zeros(arm.n)
-        self._motion: Motion | Speeds | None = None
         self._sent = np.zeros(arm.n)
         self._steps = 0
         self._rejections: deque[int] = deque(maxlen=5)  # the steps in which they came
@@ -589,9 +588,9 @@ class Controller:
         self._plan.append(lambda q: MinJerk(q, goal, self.settings.move_speed))
 
     def _unrest(self) -> str | None:
-        if self._motion is None:
+        if self._q is None:
             return "no joint state has come yet"
-        motion = self._motion
+        motion = self.arm.motion(self._q, self._qd)
         speed = max(*motion.guarded_speeds, motion.tool_speed, 0.0)
         if speed > self.settings.rest_speed:
             return f"the arm moves at {speed:.3f} m/s, limit {self.settings.rest_speed}"
@@ -703,14 +702,14 @@ class Controller:
         counters, limits, period = self.counters, self.limits, self.settings.period
         counters["accepted"] += 1
         self._rejected_in_row = 0
-        # Only what moves by itself needs to know where it is.
-        motion = (self.arm.motion if self._mode in _MOVING else self.arm.speeds)(q, qd)
+        # Who holds need not know where.
+        motion = (self.arm.speeds if self._mode is Mode.HOLD else self.arm.motion)(q, qd)
         dt = period
         if stamp is not Stamp.FIRST and self._stamp is not None and self._q is not None:
             dt = (stamp_ns - self._stamp) * 1e-9
             self._check_continuity(stamp, dt, q)
             dt = min(max(dt, 0.5 * period), 2.0 * period)
-        self._stamp, self._q, self._qd, self._motion = stamp_ns, q, qd, motion
+        self._stamp, self._q, self._qd = stamp_ns, q, qd
         self._check_motion(q, qd, motion)
         if self.settings.hold_to_run and self._lacks_hand(self._mode):
             self.fault("the enabling switch was released")
@@ -759,7 +758,7 @@ class Controller:
             if self._mode is not Mode.GRAVITY_COMPENSATION:  # there nothing refers to a posture
                 self.fault(f"a joint jumped by {jump:.3f} rad from one state to the next")
 
-    def _check_motion(self, q: np.ndarray, qd: np.ndarray, motion: Motion) -> None:
+    def _check_motion(self, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds) -> None:
         mode, limits = self._mode, self.limits
         if mode in _PASSIVE:
             return
@@ -771,8 +770,9 @@ class Controller:
             q.tolist(), qd.tolist(), motion, guarded, limits, tool_speed, boxed
         )
         if reason is None and mode in _MOVING:
-            points = dict(zip(guarded, self.arm.guarded_positions(q), strict=True))
-            reason = safety.behind_plane(points | {"tool": motion.position}, limits)
+            points = dict(zip(guarded, motion.guarded_positions, strict=True))
+            points["tool"] = motion.position.tolist()
+            reason = safety.behind_plane(points, limits)
         self._exceeded = 0 if reason is None else self._exceeded + 1
         if reason is not None and self._exceeded >= limits.periods:
             self.fault(reason)
@@ -879,7 +879,7 @@ class Controller:
         rollout = self._rollout
         if rollout is None:
             return
-        if not rollout.count and self._motion is not None:  # ended before its first state
+        if not rollout.count and self._q is not None:  # ended before its first state
             self._sample(rollout, 0, self.arm.motion(self._q, self._qd))
         count = rollout.count
         self._finished = EndEffectorPath(

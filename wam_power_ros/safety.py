@@ -281,16 +281,15 @@ def exceeded(
     return None
 
 
-def behind_plane(points: Mapping[str, np.ndarray], limits: Limits) -> str | None:
+def behind_plane(points: Mapping[str, Sequence[float]], limits: Limits) -> str | None:
     """Name the first point that is behind the limits' plane, or None.
 
     Args:
-        points: In the base frame [m]. Shape (3,) each.
+        points: In the base frame [m], three numbers each.
         limits: Of the arm.
     """
     nx, ny, nz, least = limits._plane
-    for name, point in points.items():
-        x, y, z = point.tolist()
+    for name, (x, y, z) in points.items():
         if not nx * x + ny * y + nz * z >= least:
             depth = least - nx * x - ny * y - nz * z
             return f"{name} is {depth:.3f} m behind the plane {limits._plane}"
