@@ -32,6 +32,7 @@ from wam_power_ros.messages import path_message as path_message
 from wam_power_ros.messages import pose as pose
 from wam_power_ros.messages import pose_message as pose_message
 from wam_power_ros.messages import sensor_stamp as sensor_stamp
+from wam_power_ros.messages import set_stamp as set_stamp
 from wam_power_ros.messages import stamp as stamp
 
 # Topics
@@ -143,20 +144,27 @@ class JointStateReader:
             same = np.array_equal(index, np.arange(len(names)))
             self._seen, self._index = list(names), None if same else index
         q = _joint_values("position", message.position, len(names))
-        if self._index is not None:
-            q = q[self._index]
-        if not _finite(q):
-            raise ValueError(f"position {q.tolist()} must be finite")
         qd = None
         if len(message.velocity):
             qd = _joint_values("velocity", message.velocity, len(names))
-            if self._index is not None:
-                qd = qd[self._index]
-            if not _finite(qd):
-                if np.isinf(qd).any():
-                    raise ValueError(f"velocity {qd.tolist()} must be finite, NaN or left out")
-                qd = None
-        return JointReading(sensor_stamp(message), q, qd)
+        return self.reading(nanoseconds(message.header.stamp), q, qd)
+
+    def reading(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> JointReading:
+        """A reading from the numbers of a message with the names of the last one.
+
+        Raises:
+            ValueError: a value not acceptable.
+        """
+        if self._index is not None:
+            q = q[self._index]
+            qd = None if qd is None else qd[self._index]
+        if not _finite(q):
+            raise ValueError(f"position {q.tolist()} must be finite")
+        if qd is not None and not _finite(qd):
+            if np.isinf(qd).any():
+                raise ValueError(f"velocity {qd.tolist()} must be finite, NaN or left out")
+            qd = None
+        return JointReading(set_stamp(stamp_ns), q, qd)
 
     def velocity(self, message: JointState) -> np.ndarray | None:
         """Joint velocities from a message of their own; nameless ones count in our order.

@@ -41,7 +41,15 @@ def sensor_stamp(message: object) -> int:
     Raises:
         ValueError: the stamp is not set: such messages cannot be put in order.
     """
-    stamp_ns = nanoseconds(message.header.stamp)
+    return set_stamp(nanoseconds(message.header.stamp))
+
+
+def set_stamp(stamp_ns: int) -> int:
+    """A sensor's stamp [ns], if it is set.
+
+    Raises:
+        ValueError: it is not.
+    """
     if stamp_ns <= 0:
         raise ValueError(f"stamp is {stamp_ns} ns; the driver must stamp its messages")
     return stamp_ns

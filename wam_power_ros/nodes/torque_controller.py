@@ -24,7 +24,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from wam_power_ros import access, interface, real_time
+from wam_power_ros import access, interface, real_time, wire
 from wam_power_ros import policy as policies
 from wam_power_ros.controller import Controller, ControllerError, Mode
 from wam_power_ros.late_service import LateTrigger
@@ -68,10 +68,12 @@ class TorqueController(LifecycleNode):
         self._statistics = LoopStatistics(round(params.period * 1e9))
         self._granted = real_time.Granted()
 
-        self._read = interface.JointStateReader(params.joint_names)
-        self._write = interface.TorqueWriter(params.joint_names, params.command_type)
+        self._reader = interface.JointStateReader(params.joint_names)
+        self._read = wire.StateReader(self._reader)
+        writer = interface.TorqueWriter(params.joint_names, params.command_type)
+        self._write = wire.TorqueSender(writer)
         self._commands = self.create_publisher(
-            self._write.message_type, params.command_topic, interface.COMMAND
+            writer.message_type, params.command_topic, interface.COMMAND
         )
         self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self._diagnostics = self.create_publisher(
@@ -80,7 +82,7 @@ class TorqueController(LifecycleNode):
         self._guard = SoleCommander(self, self._commands)
         self._idle = self.create_client(Trigger, params.idle_service or interface.WAM_IDLE)
         subscribe = self.create_subscription
-        subscribe(JointState, params.state_topic, self._on_state, interface.STATE_IN)
+        subscribe(JointState, params.state_topic, self._on_state, interface.STATE_IN, raw=True)
         if params.hold_to_run:
             subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
         if params.velocity_topic:
@@ -172,13 +174,13 @@ class TorqueController(LifecycleNode):
 
     # Every state
 
-    def _on_state(self, message: JointState) -> None:
+    def _on_state(self, message: bytes) -> None:
         try:
             self._answer(message)
         except Exception as error:
             self.failed(error)
 
-    def _answer(self, message: JointState) -> None:
+    def _answer(self, message: bytes) -> None:
         arrived_ns = time.monotonic_ns()
         controller = self._controller
         try:
@@ -222,7 +224,7 @@ class TorqueController(LifecycleNode):
 
     def _on_velocity(self, message: JointState) -> None:
         try:
-            qd = self._read.velocity(message)
+            qd = self._reader.velocity(message)
         except ValueError as error:
             return self._refuse("joint velocity", error)
         self._qd = self._qd if qd is None else qd
