@@ -27,10 +27,11 @@ import numpy as np
 from hardware_sim.sensing import Encoders, Mocap
 from hardware_sim.world import World
 from wam_power_ros.arm import Arm
-from wam_power_ros.controller import Controller, Mode
+from wam_power_ros.controller import Controller
 from wam_power_ros.experiments.bench import Bench
 from wam_power_ros.experiments.pancake import teach
 from wam_power_ros.flight import observe_flight
+from wam_power_ros.modes import Mode
 from wam_power_ros.policy import Policy
 from wam_power_ros.torque_law import TorqueLaw
 from wam_power_ros.tracker import Tracker

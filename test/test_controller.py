@@ -13,16 +13,10 @@ from hypothesis import strategies as st
 
 from wam_power_ros import primitive, rotations, safety
 from wam_power_ros.arm import Arm
-from wam_power_ros.controller import (
-    TRANSITIONS,
-    Brake,
-    Controller,
-    ControllerError,
-    ControllerSettings,
-    MinJerk,
-    Mode,
-    Sampled,
-)
+from wam_power_ros.controller import Controller, ControllerError
+from wam_power_ros.controller_settings import ControllerSettings
+from wam_power_ros.joint_references import Brake, MinJerk, Sampled
+from wam_power_ros.modes import TRANSITIONS, Mode
 from wam_power_ros.policy import Basis, Policy, with_id
 from wam_power_ros.resources import share
 from wam_power_ros.torque_law import TorqueLaw

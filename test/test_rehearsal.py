@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from wam_power_ros.arm import Arm
-from wam_power_ros.controller import ControllerSettings
+from wam_power_ros.controller_settings import ControllerSettings
 from wam_power_ros.policy import Basis, Policy
 from wam_power_ros.rehearsal import rehearse
 from wam_power_ros.resources import share

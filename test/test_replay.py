@@ -17,8 +17,9 @@ from scipy.interpolate import CubicSpline
 
 from wam_power_ros import bags, cli
 from wam_power_ros.arm import Arm
-from wam_power_ros.controller import Controller, ControllerError, Mode
+from wam_power_ros.controller import Controller, ControllerError
 from wam_power_ros.following import FollowingError
+from wam_power_ros.modes import Mode
 from wam_power_ros.replay import EASE, movement
 from wam_power_ros.replaying import of_recorded
 from wam_power_ros.resources import share

@@ -6,283 +6,29 @@ the sequence of states and calls. While an arm at rest repeats its state, the to
 point bit for bit (25 periods undo 25 N m): a rollout that begins there depends on nothing before.
 """
 
-import enum
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Callable
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
-from wam_power_ros import primitive, rotations, safety
+from wam_power_ros import primitive, safety
 from wam_power_ros.arm import Arm, Motion, Speeds
+from wam_power_ros.controller_settings import ControllerSettings
+from wam_power_ros.execution import Execution
 from wam_power_ros.following import FollowingError
+from wam_power_ros.joint_references import Brake, Course, JointTrajectory, MinJerk, Sampled
+from wam_power_ros.modes import BOXED, HELD, MOVING, PASSIVE, REFERENCED, TRANSITIONS, Mode
 from wam_power_ros.policy import Policy, to_json, with_id
 from wam_power_ros.rollout import EndEffectorPath
-from wam_power_ros.safety import Limits, Stamp
-from wam_power_ros.torque_law import TorqueLaw
+from wam_power_ros.safety import Stamp
 
 
 class ControllerError(RuntimeError):
     """A request that was refused; nothing has changed, and the message says why."""
 
 
-class Mode(enum.Enum):
-    """What the controller does with the arm."""
-
-    INACTIVE = "inactive"  # nothing is sent: the driver holds the arm by its own means
-    GRAVITY_COMPENSATION = "gravity_compensation"  # a person moves the arm: teaching
-    HOLD = "hold"
-    MOVE_TO_START = "move_to_start"
-    ROLLOUT = "rollout"
-    REPLAY = "replay"
-    FAULT = "fault"  # latched: brings the arm to rest and carries it until `reset`
-
-
-TRANSITIONS = {
-    Mode.INACTIVE: {Mode.GRAVITY_COMPENSATION, Mode.HOLD},
-    Mode.GRAVITY_COMPENSATION: {
-        Mode.INACTIVE,
-        Mode.HOLD,
-        Mode.MOVE_TO_START,
-        Mode.REPLAY,
-        Mode.FAULT,
-    },
-    Mode.HOLD: {
-        Mode.INACTIVE,
-        Mode.GRAVITY_COMPENSATION,
-        Mode.MOVE_TO_START,
-        Mode.ROLLOUT,
-        Mode.REPLAY,
-        Mode.FAULT,
-    },
-    Mode.MOVE_TO_START: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
-    Mode.ROLLOUT: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
-    Mode.REPLAY: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
-    Mode.FAULT: {Mode.HOLD},  # by `reset` only
-}
-_REFERENCED = (Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY)  # modes that follow a joint reference
-# A rotation vector's spring pulls about the wrong axis the more, the longer the vector: at 2.4 rad
-# the orientation becomes unstable.
-TURN_MAX = 2.0
 _INTEGERS = (int, np.integer)
-_PASSIVE = (Mode.INACTIVE, Mode.FAULT)  # modes in which nothing can go wrong any more
-_MOVING = (Mode.MOVE_TO_START, Mode.ROLLOUT, Mode.REPLAY)  # modes in which the arm moves by itself
-_HELD = (Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT)  # modes of `hold_to_run`
-_BOXED = (Mode.ROLLOUT, Mode.REPLAY)  # modes in which the tool must stay in the workspace
-
-
-@dataclass(frozen=True)
-class ControllerSettings:
-    """Choices of the controller; the defaults suit the Barrett WAM with a pan.
-
-    Attributes:
-        period: Of the joint states [s].
-        driver_compensates_gravity: The driver adds g(q) itself; it is left out of what is sent.
-        hold_to_run: Teaching, replay and the first run of a policy need `Controller.enabled`.
-        law: From the tool's acceleration to joint torques.
-        limits: None for those of the arm with the defaults of `safety.Limits`.
-        hold_bandwidth: Natural frequency of the joints in hold, move and replay [rad/s].
-            With a delay of 8 ms, 30 is the most that survives a push of 40 N.
-        hold_damping_ratio: Of the same.
-        friction_share: Of the joints' friction that is fed forward where the reference moves.
-        move_speed: Peak joint speed of a move to a start [rad/s].
-        brake_time: In which a motion comes to rest when hold begins [s].
-        settle_time: Rollout with its last row after the end of the movement [s].
-        path_period: Of the end-effector path [s].
-        start_tolerance: Largest joint error at which a rollout may start [rad].
-        rest_speed: Slower than this the arm is at rest [m/s]; for the rotation of the tool [rad/s]
-            four times the number.
-        tracking_error: Largest joint error while moving, replaying or holding before it is a fault
-            [rad].
-        fault_damping: Decay of all joint motion in a fault [1/s].
-        teaching_damping: Decay of all joint motion while teaching, at `teaching_speed` [1/s]. It
-            grows with the square of the speed, so it is not felt at low speed and takes about 10 N
-            at 2.5 m/s.
-        teaching_speed: [m/s].
-        velocity_cutoff: Of the low-pass for differentiated positions when a driver sends no
-            velocity [rad/s]; libbarrett uses 180.
-        stale: Without states for longer than this the next one is a fault [s].
-        stiffness_max: Largest stiffness a policy may ask for [1/s^2]. With a damping of 32 1/s and
-            a delay of 8 ms the loop is stable to about 2800, with 4 ms to about 4800.
-
-    Raises:
-        ValueError: A value out of range.
-    """
-
-    period: float = 0.002
-    driver_compensates_gravity: bool = False
-    hold_to_run: bool = False
-    law: TorqueLaw = field(default_factory=TorqueLaw)
-    limits: Limits | None = None
-    hold_bandwidth: float = 25.0
-    hold_damping_ratio: float = 0.7
-    friction_share: float = 0.8
-    move_speed: float = 0.3
-    brake_time: float = 0.15
-    settle_time: float = 1.0
-    path_period: float = 0.01
-    start_tolerance: float = 0.05
-    rest_speed: float = 0.05
-    tracking_error: float = 0.3
-    fault_damping: float = 20.0
-    teaching_damping: float = 1.0
-    teaching_speed: float = 2.5
-    velocity_cutoff: float = 180.0
-    stale: float = 0.02
-    stiffness_max: float = 2500.0
-
-    def __post_init__(self) -> None:
-        other = ("driver_compensates_gravity", "hold_to_run", "law", "limits", "friction_share")
-        for name, value in vars(self).items():
-            if name not in other and not 0.0 < value < math.inf:
-                raise ValueError(f"{name} = {value} must be positive and finite")
-        if not 0.0 <= self.friction_share <= 1.0:
-            raise ValueError(f"friction_share = {self.friction_share} must be in [0, 1]")
-        if self.path_period < self.period:
-            raise ValueError(f"path_period = {self.path_period} must be at least {self.period}")
-
-
-class JointTrajectory(Protocol):
-    """A recorded joint movement; `demonstration.Demonstration` is one."""
-
-    t: np.ndarray  # (N,) [s], increasing
-    q: np.ndarray  # (N, n) [rad]
-
-
-State = tuple[np.ndarray, np.ndarray, np.ndarray]  # q_ref, qd_ref, qdd_ref, each (n,)
-
-
-class JointReference(Protocol):
-    """Something to follow."""
-
-    duration: float
-
-    def at(self, t: float) -> State:
-        """Position [rad], speed [rad/s] and acceleration [rad/s^2] at time t [s]."""
-        ...
-
-
-class MinJerk:
-    """The straight line of least jerk from one posture to another, from rest to rest.
-
-    Args:
-        q_from: [rad]. Shape (n,).
-        q_to: [rad]. Shape (n,).
-        speed: Peak speed of the joint that goes farthest [rad/s].
-    """
-
-    def __init__(self, q_from: np.ndarray, q_to: np.ndarray, speed: float) -> None:
-        self._from, self._way = q_from, q_to - q_from
-        self._to, self._zero = q_to.copy(), np.zeros(len(q_to))
-        self.duration = max(0.1, 1.875 * float(np.abs(self._way).max()) / speed)
-
-    def at(self, t: float) -> State:
-        """See `JointReference`."""
-        if t >= self.duration:
-            return self._to, self._zero, self._zero
-        s = max(t, 0.0) / self.duration
-        x = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
-        v = s**2 * (30.0 + s * (-60.0 + 30.0 * s)) / self.duration
-        a = s * (60.0 + s * (-180.0 + 120.0 * s)) / self.duration**2
-        return self._from + x * self._way, v * self._way, a * self._way
-
-
-class Brake:
-    """Smoothly to rest; a joint that hardly moves stays where it is.
-
-    Args:
-        q: Posture at the beginning [rad]. Shape (n,).
-        qd: Speed at the beginning [rad/s]. Shape (n,).
-        duration: Until the arm rests [s].
-        q_min: No joint brakes beyond [rad]. Shape (n,).
-        q_max: No joint brakes beyond [rad]. Shape (n,).
-    """
-
-    def __init__(
-        self,
-        q: np.ndarray,
-        qd: np.ndarray,
-        duration: float,
-        q_min: np.ndarray,
-        q_max: np.ndarray,
-    ) -> None:
-        self.duration = duration
-        qd = np.where(np.abs(qd) < 0.05, 0.0, qd)
-        way = 0.5 * duration * qd  # of the blend below
-        way = np.clip(way, np.minimum(q_min - q, 0.0), np.maximum(q_max - q, 0.0))
-        self._q, self._qd = q, way / (0.5 * duration)
-        self._end, self._zero = q + way, np.zeros(len(q))
-
-    def at(self, t: float) -> State:
-        """See `JointReference`."""
-        if t >= self.duration:
-            return self._end, self._zero, self._zero
-        s = max(t, 0.0) / self.duration
-        left = 1.0 - s**3 * (10.0 + s * (-15.0 + 6.0 * s))  # share of the speed
-        way = self.duration * (s - s**4 * (2.5 + s * (-3.0 + s)))  # its integral
-        change = -(s**2) * (30.0 + s * (-60.0 + 30.0 * s)) / self.duration
-        return self._q + way * self._qd, left * self._qd, change * self._qd
-
-
-class Sampled:
-    """A recorded movement, through a cubic spline, sampled on the control grid.
-
-    Attributes:
-        q: [rad]. Shape (rows, n).
-        qd: [rad/s]. Shape (rows, n).
-        qdd: [rad/s^2]. Shape (rows, n).
-        duration: [s].
-
-    Args:
-        t: Strictly increasing [s]. Shape (N,), N >= 4.
-        q: Smooth [rad]. Shape (N, n).
-        speed: 1 for as recorded.
-        period: Of the control loop [s].
-
-    Raises:
-        ValueError: Names the value and the rule.
-    """
-
-    def __init__(self, t: Sequence[float], q: np.ndarray, speed: float, period: float) -> None:
-        t, q = np.array(t, dtype=float), np.array(q, dtype=float)
-        if t.ndim != 1 or q.ndim != 2 or len(t) != len(q) or len(t) < 4:
-            raise ValueError(f"t {t.shape} and q {q.shape} must be (N,) and (N, n), N >= 4")
-        if not (np.isfinite(t).all() and np.isfinite(q).all() and np.all(np.diff(t) > 0.0)):
-            raise ValueError("the times must increase and all values be finite")
-        if not 0.0 < speed < math.inf:
-            raise ValueError(f"speed {speed} must be positive")
-        self.duration = float(t[-1] - t[0]) / speed
-        if self.duration > 600.0:
-            raise ValueError(f"the movement takes {self.duration:.0f} s; at most 600 allowed")
-        self._period = period
-        rows = round(self.duration / period) + 1
-        spline = CubicSpline((t - t[0]) / speed, q)
-        grid = np.minimum(np.arange(rows) * period, self.duration)
-        self.q, self.qd, self.qdd = (spline(grid, order) for order in range(3))
-
-    def at(self, t: float) -> State:
-        """See `JointReference`; the nearest row."""
-        row = min(max(round(t / self._period), 0), len(self.q) - 1)
-        return self.q[row], self.qd[row], self.qdd[row]
-
-
-@dataclass
-class _Rollout:
-    """A rollout under way, with its path so far."""
-
-    id: str
-    tables: primitive.Tables
-    reference: np.ndarray  # (3, 3) R_ref transposed
-    end: int  # tick after which it is over
-    t: np.ndarray  # (m,)
-    position: np.ndarray  # (m, 3)
-    quat_xyzw: np.ndarray  # (m, 4)
-    count: int = 0
-    next_sample: int = 0  # tick
-    start_ns: int | None = None
 
 
 class Controller:
@@ -340,10 +86,7 @@ class Controller:
         self._rejected_in_row = 0
         self._exceeded = 0  # states in a row beyond a motion limit
 
-        # what is followed: the reference under way, and those to come
-        self._reference: JointReference | None = None
-        self._reference_ns = 0
-        self._plan: deque[Callable[[np.ndarray], JointReference]] = deque()
+        self._course = Course(self._brake)
         self._ref: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref of the last state
         self.replay_error: FollowingError | None = None
 
@@ -351,7 +94,7 @@ class Controller:
         self._tables: primitive.Tables | None = None
         self._content = ""  # of the policy, whatever its id, where `hold_to_run` asks what is new
         self._tried: set[str] = set()  # contents that have run to their end once
-        self._rollout: _Rollout | None = None
+        self._rollout: Execution | None = None
         self._finished: EndEffectorPath | None = None
 
     # ------------------------------------------------------------------ what a caller may see
@@ -439,7 +182,7 @@ class Controller:
 
     def stop(self) -> None:
         """Abort what is under way and hold; without effect when inactive or in a fault."""
-        if self._mode not in _PASSIVE:
+        if self._mode not in PASSIVE:
             self.hold()
 
     def set_gravity_compensation(self, on: bool) -> None:
@@ -494,8 +237,7 @@ class Controller:
                 f"possible at speed {speed / share:.3f}"
             )
         self._ask_for_hand(Mode.REPLAY)
-        self._move(Mode.REPLAY, sampled.q[0])
-        self._plan.append(lambda _: sampled)
+        self._move(Mode.REPLAY, sampled.q[0], sampled)
         self.replay_error = FollowingError(self.arm, len(sampled.q))
 
     def execute(self) -> None:
@@ -508,25 +250,14 @@ class Controller:
         if reason is not None or self._policy is None or self._tables is None:
             raise ControllerError(f"rollout refused: {reason}")
         self._ask_for_hand(Mode.ROLLOUT)
-        policy, settings = self._policy, self.settings
-        end = round((policy.basis.duration + settings.settle_time) / settings.period)
-        size = end // round(settings.path_period / settings.period) + 2
         self._enter(Mode.ROLLOUT)
         self._finished = None
         self.rollout_stamp_ns = None
-        self._rollout = _Rollout(
-            id=policy.id,
-            tables=self._tables,
-            reference=rotations.matrix(policy.orientation_reference).T,
-            end=end,
-            t=np.empty(size),
-            position=np.empty((size, 3)),
-            quat_xyzw=np.empty((size, 4)),
-        )
+        self._rollout = Execution(self._policy, self._tables, self.settings)
 
     def fault(self, reason: str) -> None:
         """Latch a fault from outside (another commander, an overrun); aborts what is under way."""
-        if self._mode in _PASSIVE:
+        if self._mode in PASSIVE:
             return
         self.fault_reason = reason
         self.counters["faults"] += 1
@@ -549,7 +280,7 @@ class Controller:
 
     def deactivate(self) -> None:
         """Abort what is under way; nothing may be sent any more. A fault stays latched."""
-        if self._mode not in _PASSIVE:
+        if self._mode not in PASSIVE:
             self._enter(Mode.INACTIVE)
 
     def _enter(self, mode: Mode, reset: bool = False) -> None:
@@ -564,16 +295,15 @@ class Controller:
         if self._q is None and mode is not Mode.INACTIVE:
             raise ControllerError(f"{mode.value} refused: no joint state has come yet")
         self._end_rollout()
-        if mode not in _REFERENCED:
+        if mode not in REFERENCED:
             self._ref = None
         self._mode = mode
-        self._reference = None
-        self._plan.clear()
+        self._course.begin()
         self._exceeded = 0
 
     def _lacks_hand(self, mode: Mode) -> bool:
         """Whether the enabling switch must be held in this mode, and is not."""
-        if self.enabled or not self.settings.hold_to_run or mode not in _HELD:
+        if self.enabled or not self.settings.hold_to_run or mode not in HELD:
             return False
         return mode is not Mode.ROLLOUT or self._content not in self._tried
 
@@ -581,11 +311,11 @@ class Controller:
         if self._lacks_hand(mode):
             raise ControllerError(f"{mode.value} refused: the enabling switch is not held")
 
-    def _move(self, mode: Mode, goal: np.ndarray) -> None:
+    def _move(self, mode: Mode, goal: np.ndarray, *then: Sampled) -> None:
         if (unrest := self._unrest()) is not None:
             raise ControllerError(f"{mode.value} refused: {unrest}")
         self._enter(mode)
-        self._plan.append(lambda q: MinJerk(q, goal, self.settings.move_speed))
+        self._course.begin(lambda q: MinJerk(q, goal, self.settings.move_speed), *then)
 
     def _unrest(self) -> str | None:
         if self._q is None:
@@ -639,7 +369,7 @@ class Controller:
             self.counters["repeated"] += 1
             return self._sent
         if stamp is Stamp.OLDER:
-            if self._mode not in _PASSIVE:
+            if self._mode not in PASSIVE:
                 return self._reject("older")
             stamp = Stamp.FIRST  # the driver has started again
         q = self._read(q, safety.IMPLAUSIBLE_Q)
@@ -760,16 +490,16 @@ class Controller:
 
     def _check_motion(self, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds) -> None:
         mode, limits = self._mode, self.limits
-        if mode in _PASSIVE:
+        if mode in PASSIVE:
             return
         teaching = mode is Mode.GRAVITY_COMPENSATION
         tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
-        boxed = mode in _BOXED
+        boxed = mode in BOXED
         guarded = self.arm.guarded
         reason = safety.exceeded(
             q.tolist(), qd.tolist(), motion, guarded, limits, tool_speed, boxed
         )
-        if reason is None and mode in _MOVING:
+        if reason is None and mode in MOVING:
             points = dict(zip(guarded, motion.guarded_positions, strict=True))
             points["tool"] = motion.position.tolist()
             reason = safety.behind_plane(points, limits)
@@ -794,8 +524,11 @@ class Controller:
         self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, _: Motion
     ) -> np.ndarray:
         """Inverse dynamics of the reference and of a spring-damper: every joint decoupled."""
-        q_ref, qd_ref, qdd_ref = self._follow(stamp_ns, q, qd)
+        last = self._ref or (q, qd)  # continue from the reference, else from where the arm is
+        q_ref, qd_ref, qdd_ref = self._course.at(stamp_ns, *last)
         self._ref = q_ref, qd_ref
+        if self._course.ended:
+            self._mode = Mode.HOLD
         # Plain floats: NumPy costs more than the arithmetic, above all when the caches are cold.
         speed_ref = qd_ref.tolist()
         error = [a - b for a, b in zip(q_ref.tolist(), q.tolist(), strict=True)]
@@ -804,7 +537,7 @@ class Controller:
         # An arm that was carried off while it held (idled by its board, say) must not spring back.
         if worst > self.settings.tracking_error and (self._mode is not Mode.HOLD or at_end):
             raise ValueError(f"a joint is {worst:.3f} rad away from where it should be")
-        if self._mode is Mode.REPLAY and isinstance(self._reference, Sampled):
+        if self._mode is Mode.REPLAY and isinstance(self._course.reference, Sampled):
             self.replay_error.add(q_ref, q)
         bandwidth, ratio = self.settings.hold_bandwidth, self.settings.hold_damping_ratio
         stiffness, damping = bandwidth**2, 2.0 * ratio * bandwidth
@@ -817,62 +550,23 @@ class Controller:
             tau += share * (arm.friction * np.tanh(qd_ref / 0.02) + arm.damping * qd_ref)
         return tau
 
-    def _follow(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Reference of this state: q_ref, qd_ref, qdd_ref. Begins the next when one has ended."""
-        last = self._ref or (q, qd)  # continue from the reference, else from where the arm is
-        if self._reference is None:
-            self._begin(stamp_ns, *last)
-        while self._mode is not Mode.HOLD:
-            end_ns = self._reference_ns + round(self._reference.duration * 1e9)
-            if stamp_ns < end_ns:
-                break
-            q_end, qd_end, _ = self._reference.at(self._reference.duration)
-            if not self._plan:
-                self._mode = Mode.HOLD
-            self._begin(end_ns, q_end, qd_end)
-        return self._reference.at((stamp_ns - self._reference_ns) * 1e-9)
-
-    def _begin(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> None:
-        self._reference_ns = stamp_ns
-        if self._plan:
-            self._reference = self._plan.popleft()(q)
-        else:
-            self._reference = Brake(
-                q, qd, self.settings.brake_time, self.limits.q_min, self.limits.q_max
-            )
+    def _brake(self, q: np.ndarray, qd: np.ndarray) -> Brake:
+        limits = self.limits
+        return Brake(q, qd, self.settings.brake_time, limits.q_min, limits.q_max)
 
     def _rollout_torque(
         self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion
     ) -> np.ndarray:
         """Eq. 1 in closed loop on the measured state, and the orientation that belongs to it."""
         rollout = self._rollout
-        if rollout.start_ns is None:
-            rollout.start_ns = self.rollout_stamp_ns = stamp_ns
-        k = (stamp_ns - rollout.start_ns + self._period_ns // 2) // self._period_ns
-        if k > rollout.end:
+        tick = rollout.tick(stamp_ns)
+        self.rollout_stamp_ns = rollout.start_ns
+        if tick is None:
             self._tried.add(self._content)
             self._enter(Mode.HOLD)
             return self._reference_torque(stamp_ns, q, qd, motion)
-        if k >= rollout.next_sample:
-            self._sample(rollout, k, motion)
-        vector = rotations.log(motion.rotation.dot(rollout.reference)).tolist()
-        if math.hypot(*vector) > TURN_MAX:
-            raise ValueError(f"the tool is turned by more than {TURN_MAX} rad from the reference")
-        wanted = primitive.acceleration(
-            rollout.tables, k, motion.position, vector, motion.twist.tolist()
-        )
+        wanted = rollout.acceleration(tick, motion)
         return self.settings.law.torque(motion, self.arm.dynamics(q, qd), qd, wanted)
-
-    def _sample(self, rollout: _Rollout, k: int, motion: Motion) -> None:
-        every = round(self.settings.path_period / self.settings.period)
-        row = rollout.count
-        rollout.t[row] = k * self._period_ns * 1e-9  # the float that a stamp comes back as
-        rollout.position[row] = motion.position
-        rollout.quat_xyzw[row] = rotations.quat_xyzw(motion.rotation)
-        rollout.count += 1
-        rollout.next_sample = (k // every + 1) * every
 
     def _end_rollout(self) -> None:
         """Publish the path of a rollout that is over, complete or not."""
@@ -880,9 +574,6 @@ class Controller:
         if rollout is None:
             return
         if not rollout.count and self._q is not None:  # ended before its first state
-            self._sample(rollout, 0, self.arm.motion(self._q, self._qd))
-        count = rollout.count
-        self._finished = EndEffectorPath(
-            rollout.id, rollout.t[:count], rollout.position[:count], rollout.quat_xyzw[:count]
-        )
+            rollout.sample(0, self.arm.motion(self._q, self._qd))
+        self._finished = rollout.path()
         self._rollout = None

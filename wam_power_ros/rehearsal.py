@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wam_power_ros.arm import Arm
-from wam_power_ros.controller import Controller, ControllerError, ControllerSettings, Mode
+from wam_power_ros.controller import Controller, ControllerError
+from wam_power_ros.controller_settings import ControllerSettings
+from wam_power_ros.modes import Mode
 from wam_power_ros.policy import Policy
 from wam_power_ros.safety import limits_of
 

@@ -14,7 +14,9 @@ import yaml
 
 from hardware_sim.hand import Hand, Script
 from hardware_sim.world import HOME, Truth, World
-from wam_power_ros.controller import Controller, ControllerSettings, Mode
+from wam_power_ros.controller import Controller
+from wam_power_ros.controller_settings import ControllerSettings
+from wam_power_ros.modes import Mode
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.policy import Policy
 from wam_power_ros.rehearsal import rehearse

@@ -26,9 +26,10 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros import access, interface, real_time, wire
 from wam_power_ros import policy as policies
-from wam_power_ros.controller import Controller, ControllerError, Mode
+from wam_power_ros.controller import Controller, ControllerError
 from wam_power_ros.late_service import LateTrigger
 from wam_power_ros.loop_statistics import LoopStatistics
+from wam_power_ros.modes import Mode
 from wam_power_ros.nodes.sole_commander import SoleCommander
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.resources import share

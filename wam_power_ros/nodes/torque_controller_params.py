@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from wam_power_ros.arm import Arm, Guarded
-from wam_power_ros.controller import Controller, ControllerSettings
+from wam_power_ros.controller import Controller
+from wam_power_ros.controller_settings import ControllerSettings
 from wam_power_ros.params import Params
 from wam_power_ros.safety import limits_of
 from wam_power_ros.torque_law import TorqueLaw
