@@ -24,7 +24,7 @@ from rich.table import Table
 
 from wam_power_ros import session
 from wam_power_ros.live import outcome
-from wam_power_ros.practice import Record
+from wam_power_ros.records import Record
 
 ROOT = Path(__file__).resolve().parents[1]
 SET_UPS = (

@@ -14,11 +14,12 @@ from wam_power_ros.assessment import Assessment
 from wam_power_ros.live import line, returned
 from wam_power_ros.policy import Policy, to_json
 from wam_power_ros.power import Power
-from wam_power_ros.practice import Practice, Trial
+from wam_power_ros.practice import Practice
 from wam_power_ros.presets import preset
 from wam_power_ros.records import Event, Given, Line, Rating, Record, line_of, with_ratings
 from wam_power_ros.report import render
 from wam_power_ros.session import Session, SessionError, read, read_log, read_practice
+from wam_power_ros.trial import Trial
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 LATER = demonstrated_policy("flick-9", seed=9)

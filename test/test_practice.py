@@ -13,10 +13,11 @@ from toss_task import demonstrated_policy, toss
 from wam_power_ros.assessment import Assessment, assess, choose_demonstration
 from wam_power_ros.parameters import TURN_OF_FLICK, Parameters
 from wam_power_ros.policy import Policy, to_json
-from wam_power_ros.practice import Practice, Trial
+from wam_power_ros.practice import Practice
 from wam_power_ros.presets import PracticeSettings, preset
 from wam_power_ros.records import Record
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
+from wam_power_ros.trial import Trial
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 Judge = Callable[[Trial], Assessment]

@@ -9,8 +9,8 @@ import numpy as np
 from wam_power_ros.assessment import Assessment
 from wam_power_ros.parameters import TURN_OF_FLICK
 from wam_power_ros.policy import Basis, Policy
-from wam_power_ros.practice import Trial
 from wam_power_ros.presets import PracticeSettings
+from wam_power_ros.trial import Trial
 
 
 def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> Policy:

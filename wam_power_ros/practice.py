@@ -11,94 +11,27 @@ for bit. No ROS, no files, no clock.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
 
 from wam_power_ros.assessment import Assessment, assess, choose_demonstration
-from wam_power_ros.parameters import TURN_OF_FLICK, Parameters
+from wam_power_ros.confirmation import Confirmation
+from wam_power_ros.correction import corrected
+from wam_power_ros.evidence import Best, evidence_of
+from wam_power_ros.parameters import Parameters
 from wam_power_ros.policy import Policy, check_id, to_json
 from wam_power_ros.power import Power, generator_state
 from wam_power_ros.presets import PracticeSettings
 from wam_power_ros.records import Event, Given, Kind, Line, Rating, Record, plain
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
+from wam_power_ros.trial import Retry, Trial
 
 _REDRAWS_MAX = 20
 _RECENT = 5  # rollouts whose mean return a demonstration given later has to exceed
 RATING_MAX = 1.0  # of one rating: a whole return
 E = TypeVar("E", Rating, Given)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A rollout to be executed.
-
-    Attributes:
-        number: position in the session, from 1.
-        id: name of the rollout and of its policy, "trial-0007".
-        kind: "reproduction" of a demonstration, "explore", "mean" or "retest" (not learnt from).
-        demonstration: id of the candidate it starts from.
-        policy: what to execute.
-        z: coordinates of that policy. Shape (size,)
-        theta: the same in their own units. Shape (size,)
-        attempt: 1, or more when earlier rollouts of the same z could not be learnt from.
-        redrawn: number of samples that were forbidden before this one.
-        why: what the trial is for, in words.
-    """
-
-    number: int
-    id: str
-    kind: Kind
-    demonstration: str
-    policy: Policy
-    z: np.ndarray
-    theta: np.ndarray
-    attempt: int
-    redrawn: int
-    why: str
-
-
-@dataclass(frozen=True)
-class Best:
-    """The policy a session would answer with now.
-
-    Attributes:
-        policy: the policy, named after the first trial that ran it.
-        returns: returns of its noise-free runs.
-        successes: number of these runs that succeeded.
-        why: the evidence for it, in words.
-    """
-
-    policy: Policy
-    returns: tuple[float, ...]
-    successes: int
-    why: str
-
-
-@dataclass
-class _Evidence:
-    """Noise-free runs of one z."""
-
-    id: str
-    demonstration: str
-    z: np.ndarray  # (size,)
-    returns: list[float] = field(default_factory=list)
-    successes: int = 0
-
-    def lower_bound(self, return_noise: float) -> float:
-        return float(np.mean(self.returns)) - return_noise / math.sqrt(len(self.returns))
-
-
-@dataclass(frozen=True)
-class _Retry:
-    kind: Kind
-    demonstration: str
-    z: np.ndarray
-    attempt: int
-    why: str
 
 
 class Practice:
@@ -171,15 +104,14 @@ class Practice:
         self._log: list[Line] = []
         self._events: list[Event] = []  # that wait for the end of the trial under way
         self._pending: Trial | None = None
-        self._retry: _Retry | None = None
+        self._retry: Retry | None = None
         self._reproductions: list[int] = []  # numbers of the rollouts, one a candidate
         self._demonstration: str | None = None
         self._choice = ""
         self._learner: Power | None = None
         self._used = 0  # usable rollouts, of the budget
         self._practised = 0  # trials of the practice that are over, dropped ones included
-        self._streak: tuple[np.ndarray, int] | None = None  # a mean that succeeds, and how often
-        self._mean_wanted = False
+        self._confirmation = Confirmation(settings)
         self._stopped = ""
         self._answer: np.ndarray | None = None
         self._retested = 0
@@ -275,7 +207,7 @@ class Practice:
         noise = self.settings.return_noise
         known = [
             evidence
-            for evidence in self._evidence()
+            for evidence in evidence_of(self._records)
             if self._demonstration in (None, evidence.demonstration)
         ]
         if not known:
@@ -293,18 +225,6 @@ class Practice:
             f"mean return {np.mean(best.returns):.3f}; {rule}"
         )
         return Best(policy, tuple(best.returns), best.successes, why)
-
-    def _evidence(self) -> list[_Evidence]:
-        """What is known of each policy that was run without noise, in the order of first runs."""
-        found: dict[tuple[str, bytes], _Evidence] = {}
-        for record in self._records:
-            if record.worth is not None and record.kind != "explore":
-                z = np.array(record.z)
-                default = _Evidence(record.id, record.demonstration, z)
-                evidence = found.setdefault((record.demonstration, z.tobytes()), default)
-                evidence.returns.append(record.worth)
-                evidence.successes += record.succeeded
-        return list(found.values())
 
     def next_trial(self) -> Trial | None:
         """Rollout to execute now, the same until it is learnt from; None when finished."""
@@ -379,7 +299,10 @@ class Practice:
             due = None if self._pending is None else self._pending.id
             raise ValueError(f"rollout {trial.id!r} is not the one that is due ({due})")
         trial = self._pending
-        learnt = assessment.ret is not None and trial.kind != "retest"
+        learnt, learnt_as = assessment.ret is not None and trial.kind != "retest", None
+        if learnt:
+            parameters = self._parameters[trial.demonstration]
+            learnt_as = corrected(trial, assessment, parameters, self.settings, self._forbidden)
         why = assessment.why
         if trial.kind == "retest" and not why:
             why = "a re-test is not learnt from"
@@ -393,7 +316,7 @@ class Practice:
             z=trial.z.tolist(),
             theta=trial.theta.tolist(),
             learnt=learnt,
-            learnt_as=self._corrected(trial, assessment).tolist() if learnt else None,
+            learnt_as=None if learnt_as is None else learnt_as.tolist(),
             ret=None if assessment.ret is None else float(assessment.ret),
             terms=plain(assessment.terms),
             success=bool(assessment.success),
@@ -568,9 +491,8 @@ class Practice:
         self._records[event.rollout - 1] = record
         if self._learner is not None:
             self._learner = self._taught_again()
-        if self._streak is not None and not record.succeeded:
-            if record.kind == "mean" and record.z == self._streak[0].tolist():
-                self._streak = None
+        if not record.succeeded:
+            self._confirmation.forget(record)
 
     def _taught_again(self) -> Power:
         """A learner that was told all rollouts of the demonstration in their order."""
@@ -599,10 +521,10 @@ class Practice:
         if self._answer is not None:
             kind, z = "retest", self._answer
             why = f"re-test {self._retested + 1} of {self.settings.retests}"
-        elif self._streak is not None:
-            kind, z = "mean", self._streak[0]
-            why = f"confirms a mean, {self._streak[1] + 1} of {self.settings.confirm}"
-        elif self._mean_wanted or self._is_mean_turn():
+        elif self._confirmation.z is not None:
+            kind, z = "mean", self._confirmation.z
+            why = f"confirms a mean, {self._confirmation.count + 1} of {self.settings.confirm}"
+        elif self._confirmation.wanted or self._is_mean_turn():
             kind, z, why = "mean", learner.mean, "the mean, without noise"
         else:
             why = f"explores about the mean with noise {learner.noise:.2f}"
@@ -626,33 +548,6 @@ class Practice:
         every = self.settings.mean_every
         return every > 0 and (self._practised + 1) % every == 0
 
-    def _corrected(self, trial: Trial, assessment: Assessment) -> np.ndarray:
-        """The trial's z with its catch shift and its flick moved by what landing and turn missed.
-
-        The catch shift goes to where the pancake came down, the flick to where it would have made
-        half a turn: errors with a direction, which a return does not have.
-        """
-        settings, flight = self.settings, assessment.flight
-        if not (settings.landing_gain or settings.turn_gain):
-            return trial.z
-        if flight is None or not (flight["tossed"] and flight["seen"]):
-            return trial.z
-        shift = settings.landing_gain * float(flight["landing_error"][0])  # along x
-        flick = settings.turn_gain * (math.pi - float(flight["angle"])) / TURN_OF_FLICK
-        parameters = self._parameters[trial.demonstration]
-        moved = np.zeros(parameters.size)
-        for group, value, limit in (
-            ("catch_shift", shift, settings.landing_limit),
-            ("flick", flick, settings.turn_limit),
-        ):
-            index = parameters.groups[group]
-            moved[index] = float(np.clip(value, -limit, limit)) / parameters.scale[index]
-        for share in (1.0, 0.5, 0.25):  # not to where the arm cannot follow
-            z = trial.z + share * moved
-            if not self._forbidden(parameters.policy(z, "corrected")[0]):
-                return z
-        return trial.z
-
     def _follow(self, record: Record) -> str:
         """Bring everything up to date with a record, live or replayed; says what was decided."""
         self._pending = None
@@ -660,7 +555,7 @@ class Practice:
         z = np.array(record.z)
         if record.ret is None and record.attempt < self.settings.attempts:
             attempt = record.attempt + 1
-            self._retry = _Retry(record.kind, record.demonstration, z, attempt, record.why)
+            self._retry = Retry(record.kind, record.demonstration, z, attempt, record.why)
             return f"not learnt from ({record.why}), tried again"
         self._retry = None
         if record.kind == "retest":
@@ -672,7 +567,8 @@ class Practice:
         else:
             note = self._practise(record, z)
         if self._learner is not None and not self._stopped:
-            answer = self._learner.mean if self._streak is None else self._streak[0]
+            known = self._confirmation.z
+            answer = self._learner.mean if known is None else known
             limit = 3 * self.settings.budget
             if self._used >= self.settings.budget:
                 self._stop(answer, f"budget of {self.settings.budget} rollouts used")
@@ -708,7 +604,7 @@ class Practice:
         compared = f"return {record.ret:.3f} against {level:.3f} of the last {len(recent)}"
         if record.ret <= level:
             return f"goes on with {self._demonstration}: {compared}"
-        self._streak, self._mean_wanted = None, False  # of the demonstration learnt from till now
+        self._confirmation = Confirmation(self.settings)  # the old one's is of no use
         self._learn_from(record.demonstration, f"{compared}, from {self._demonstration}")
         return self._choice
 
@@ -719,36 +615,16 @@ class Practice:
 
     def _practise(self, record: Record, z: np.ndarray) -> str:
         """Follow a trial that explored or ran the mean."""
-        settings, learner = self.settings, self._learner
+        learner = self._learner
         if learner is None:
             raise ValueError(f"record {record.number}: {record.kind} before the choice")
         self._practised += 1
         if record.learnt_as is not None and record.ret is not None:
             learner.tell(np.array(record.learnt_as), record.ret)
-        note = "" if record.ret is not None else "dropped"
-        if settings.confirm > 0:
-            if record.kind == "mean":
-                self._mean_wanted = False
-                before = 0 if self._streak is None else self._streak[1]
-                good = record.success and self._has_margin(record)
-                self._streak = (z, before + 1) if good else None
-                if good:
-                    note = f"{before + 1} of {settings.confirm} successes in a row"
-                    if before + 1 == settings.confirm:
-                        self._stop(z, f"a mean succeeded {settings.confirm} times in a row")
-                elif before > 0:
-                    note = f"ended after {before} successes in a row"
-            elif record.success and settings.mean_every == 0:
-                self._mean_wanted = True
-                note = "a success: the mean is run to confirm it"
-        return note
-
-    def _has_margin(self, record: Record) -> bool:
-        settings = self.settings
-        if settings.success_angle == 0.0 or settings.confirm_margin == 0.0:
-            return True
-        turned = abs((record.flight or {}).get("angle", 0.0))
-        return turned >= settings.success_angle + settings.confirm_margin
+        note = self._confirmation.follow(record)
+        if self._confirmation.complete:
+            self._stop(z, f"a mean succeeded {self.settings.confirm} times in a row")
+        return note or ("" if record.ret is not None else "dropped")
 
     def _stop(self, answer: np.ndarray, why: str) -> None:
         parameters = self._parameters[str(self._demonstration)]

@@ -34,7 +34,7 @@ from wam_power_ros.bags import read_demonstration
 from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.params import Params
-from wam_power_ros.practice import RATING_MAX, Practice, Trial
+from wam_power_ros.practice import RATING_MAX, Practice
 from wam_power_ros.presets import preset
 from wam_power_ros.primitive import PANCAKE, fit
 from wam_power_ros.real_time import executor_for
@@ -43,6 +43,7 @@ from wam_power_ros.rehearsal import rehearse
 from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.session import Session
+from wam_power_ros.trial import Trial
 
 T = TypeVar("T")
 STARTS = 5  # of a trial, when faults come before its rollout
