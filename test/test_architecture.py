@@ -26,7 +26,7 @@ SIMULATOR = {"hardware_sim", "mujoco"}
 # May import ROS: all that speaks it, beside nodes/.
 ROS_EDGE = {
     *("access", "interface", "messages", "params", "real_time", "late_service", "service_calls"),
-    *("teaching", "replaying", "enabling", "tell", "wire"),
+    *("teaching", "replaying", "playing", "enabling", "tell", "wire"),
 }
 # Files, clocks, processes and sockets are theirs; every other module is the core.
 TELLING = {"cli", "live", "figures", "study_figures", "page", "report"}

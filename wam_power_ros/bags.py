@@ -12,7 +12,8 @@ import json
 import os
 import struct
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -378,20 +379,65 @@ def _joint_angles(path: Path, topic: str, cdr: bytes) -> tuple[int, dict[str, fl
 
 def _messages(path: Path, topic: str, msgtype: str) -> list[bytes]:
     """Serialized messages of a topic, in the order of reception."""
+    found = topics(path)
+    if topic not in found:
+        raise ValueError(f"{path}: no topic {topic}; it has {sorted(found)}")
+    if found[topic].msgtype != msgtype:
+        raise ValueError(f"{path}: {topic} is of type {found[topic].msgtype}, not {msgtype}")
+    return [cdr for _, _, cdr in messages(path, [topic])]
+
+
+@dataclass(frozen=True)
+class Topic:
+    """What a bag says of one of its topics.
+
+    Attributes:
+        msgtype: As in "std_msgs/msg/String".
+        offered: QoS of its publishers.
+    """
+
+    msgtype: str
+    offered: tuple[Qos, ...]
+
+
+def topics(path: Path) -> dict[str, Topic]:
+    """Topics of a rosbag2 bag, in the order of their names.
+
+    Raises:
+        ValueError: It is no bag, or a topic has several types.
+    """
+    found: dict[str, Topic] = {}
+    with _reading(path) as reader:
+        for item in sorted(reader.connections, key=lambda item: item.topic):
+            known = found.get(item.topic, Topic(item.msgtype, ()))
+            if known.msgtype != item.msgtype:
+                raise ValueError(f"{item.topic} is of type {known.msgtype} and {item.msgtype}")
+            offered = (*known.offered, *item.ext.offered_qos_profiles)
+            found[item.topic] = Topic(item.msgtype, offered)
+    return found
+
+
+def messages(path: Path, names: Iterable[str]) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, time of reception [ns] and bytes of the messages of some topics, in that order.
+
+    Raises:
+        ValueError: It is no bag, or damaged.
+    """
+    names = set(names)
+    with _reading(path) as reader:
+        kept = [item for item in reader.connections if item.topic in names]
+        for connection, stamp_ns, cdr in reader.messages(kept) if kept else ():
+            yield connection.topic, stamp_ns, cdr
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[Reader]:
     _check_metadata(path)
     try:
         with Reader(path) as reader:
-            found = [(item.topic, item.msgtype) for item in reader.connections]
-            kept = [item for item in reader.connections if item.topic == topic]
-            cdrs = [cdr for _, _, cdr in reader.messages(kept)] if kept else []
+            yield reader
     except Exception as error:  # whatever a damaged file makes the reader raise
         raise ValueError(f"{path} cannot be read as a bag: {error}") from error
-    types = {type_ for name, type_ in found if name == topic}
-    if not types:
-        raise ValueError(f"{path}: no topic {topic}; it has {sorted({name for name, _ in found})}")
-    if types != {msgtype}:
-        raise ValueError(f"{path}: {topic} is of type {sorted(types)}, not {msgtype}")
-    return cdrs
 
 
 def _check_metadata(path: Path) -> None:

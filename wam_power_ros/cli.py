@@ -150,6 +150,22 @@ def _parser() -> argparse.ArgumentParser:
     _arm_options(replay)
     replay.set_defaults(command=_replay)
 
+    play = commands.add_parser(
+        "play",
+        help="play a bag as topics, as ros2 bag play does, but nothing that commands an arm",
+        description="Publish what was recorded, as it was recorded; no arm moves by it.",
+    )
+    play.add_argument("bag", type=Path, help="any bag of the common message types")
+    play.add_argument("--rate", type=float, default=1.0, help="1 for as recorded (default)")
+    play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="of these alone")
+    play.add_argument(
+        "--wait",
+        type=float,
+        default=0.0,
+        help="for a reader of every topic before it begins, at most [s] (default 0)",
+    )
+    play.set_defaults(command=_play)
+
     recover = commands.add_parser(
         "recover", help="make a bag of what a kill, a full disk or a bad copy has left of one"
     )
@@ -381,6 +397,13 @@ def _replay(options: argparse.Namespace) -> int:
                 return bench.processes.wait(replaying)
             except KeyboardInterrupt:  # it stops the arm first; only then may the others end
                 replaying.process.send_signal(signal.SIGINT)
+
+
+def _play(options: argparse.Namespace) -> None:
+    from wam_power_ros import playing
+
+    signal.signal(signal.SIGTERM, _interrupt)
+    playing.play(options.bag, options.rate, options.topics, options.wait)
 
 
 def _recover(options: argparse.Namespace) -> None:
