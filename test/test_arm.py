@@ -117,7 +117,7 @@ def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm
     np.testing.assert_allclose(
         other.motion(HOME, np.ones(7)).guarded_positions[2], end[0] + end[1] @ [0, 0, 0.1]
     )
-    assert Arm(URDF, NAMES, guarded=()).motion(HOME, np.ones(7)).guarded_speeds == ()
+    assert Arm(URDF, NAMES, guarded=()).motion(HOME, np.ones(7)).guarded_speeds == []
     with pytest.raises(ValueError, match="another_robots_link"):
         Arm(URDF, NAMES, guarded=[wrist._replace(link="another_robots_link")])
 

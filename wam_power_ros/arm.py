@@ -6,9 +6,10 @@ Inside, what Pinocchio has computed is read through arrays that lie over its buf
 again and again would cost more than computing it.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
-from itertools import groupby
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -57,14 +58,14 @@ class Motion(NamedTuple):
     twist: np.ndarray
     drift: np.ndarray
     guarded_positions: list[list[float]]
-    guarded_speeds: tuple[float, ...]
+    guarded_speeds: list[float]
     tool_speed: float
 
 
 class Speeds(NamedTuple):
     """The part of `Motion` that limits of speed look at; see there."""
 
-    guarded_speeds: tuple[float, ...]
+    guarded_speeds: list[float]
     tool_speed: float
 
 
@@ -151,18 +152,11 @@ class Arm:
         self._tool = self._frame(tool_frame)
         self._zero = np.zeros(self.n)
         self.guarded = tuple(point.name for point in guarded)
-        points = []  # (joint, point in its frame)
-        for name, link, offset in guarded:
-            frame = self.model.frames[self._frame(link)]
-            point = frame.placement.act(_checked(f"guarded point {name}", offset, 3))
-            points.append((int(frame.parentJoint), point.tolist()))
         self._guarded = [
-            (_Body(self._data, joint), [point for _, point in group])
-            for joint, group in groupby(points, key=lambda pair: pair[0])
+            self._point(self._frame(link), _checked(f"guarded point {name}", offset, 3))
+            for name, link, offset in guarded
         ]
-        frame = self.model.frames[self._tool]
-        self._tool_body = _Body(self._data, int(frame.parentJoint))
-        self._tool_point = frame.placement.translation.tolist()
+        self._tool_point = self._point(self._tool, np.zeros(3))
         placement = self._data.oMf[self._tool]
         self._tool_position, self._tool_rotation = placement.translation, placement.rotation
 
@@ -175,6 +169,11 @@ class Arm:
             known = [frame.name for frame in self.model.frames]
             raise ValueError(f"no frame {name!r} in the robot description; known: {known}")
         return int(self.model.getFrameId(name))
+
+    def _point(self, frame: int, offset: np.ndarray) -> _Point:
+        """A point given in a frame [m]. Shape (3,)."""
+        parent = self.model.frames[frame]
+        return _Point(self._data, int(parent.parentJoint), parent.placement.act(offset).tolist())
 
     def motion(self, q: np.ndarray, qd: np.ndarray) -> Motion:
         """Kinematics of one state.
@@ -192,8 +191,8 @@ class Arm:
             rotation=self._tool_rotation.copy(),
             twist=twist,
             drift=pin.getFrameClassicalAcceleration(model, data, tool, _AXES).vector,
-            guarded_positions=self._guarded_positions(),
-            guarded_speeds=self._guarded_speeds(),
+            guarded_positions=[point.position() for point in self._guarded],
+            guarded_speeds=[point.speed() for point in self._guarded],
             tool_speed=_length(twist),
         )
 
@@ -205,32 +204,7 @@ class Arm:
             qd: [rad/s]. Shape (n,).
         """
         pin.forwardKinematics(self.model, self._data, q, qd)
-        tool_speed = _point_speed(self._tool_body.twist.tolist(), self._tool_point)
-        return Speeds(self._guarded_speeds(), tool_speed)
-
-    def _guarded_speeds(self) -> tuple[float, ...]:
-        """Of the state whose kinematics were computed last."""
-        speeds: list[float] = []
-        for body, points in self._guarded:
-            twist = body.twist.tolist()
-            speeds += [_point_speed(twist, point) for point in points]
-        return tuple(speeds)
-
-    def _guarded_positions(self) -> list[list[float]]:
-        """Of the state whose kinematics were computed last."""
-        positions = []
-        for body, points in self._guarded:
-            (ax, bx, cx), (ay, by, cy), (az, bz, cz) = body.rotation.tolist()
-            px, py, pz = body.position.tolist()
-            positions += [
-                [
-                    px + ax * x + bx * y + cx * z,
-                    py + ay * x + by * y + cy * z,
-                    pz + az * x + bz * y + cz * z,
-                ]
-                for x, y, z in points
-            ]
-        return positions
+        return Speeds([point.speed() for point in self._guarded], self._tool_point.speed())
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
         """Jacobian, inverse mass matrix and bias torque of one state.
@@ -294,18 +268,34 @@ class Arm:
         return pin.aba(self.model, self._data, q, qd, tau)
 
 
-class _Body:
-    """Where a link is and how it moves, as `data` has it now: arrays that lie over its buffers.
+class _Point:
+    """A point of a link, where it is and how fast in the state `data` was computed for last.
 
-    Attributes:
-        position: Of the link's joint frame, in the base frame [m]. Shape (3,).
-        rotation: Its axes as columns. Shape (3, 3).
-        twist: Linear [m/s] and angular [rad/s] velocity, in the frame of the link. Shape (6,).
+    Args:
+        data: Pinocchio's, over whose buffers we read.
+        joint: That moves the link.
+        at: In the frame of the joint [m], three numbers.
     """
 
-    def __init__(self, data: pin.Data, joint: int) -> None:
-        self.position, self.rotation = data.oMi[joint].translation, data.oMi[joint].rotation
-        self.twist = data.v[joint].vector
+    def __init__(self, data: pin.Data, joint: int, at: list[float]) -> None:
+        self._at = at
+        self._origin, self._rotation = data.oMi[joint].translation, data.oMi[joint].rotation
+        self._twist = data.v[joint].vector  # in the frame of the joint
+
+    def position(self) -> list[float]:
+        """In the base frame [m]: three numbers."""
+        x, y, z = self._at
+        rows = zip(self._origin.tolist(), self._rotation.tolist(), strict=True)
+        return [origin + a * x + b * y + c * z for origin, (a, b, c) in rows]
+
+    def speed(self) -> float:
+        """[m/s]."""
+        vx, vy, vz, wx, wy, wz = self._twist.tolist()
+        x, y, z = self._at
+        vx += wy * z - wz * y
+        vy += wz * x - wx * z
+        vz += wx * y - wy * x
+        return math.sqrt(vx * vx + vy * vy + vz * vz)
 
 
 def _chain(full: pin.Model, joint_names: tuple[str, ...]) -> pin.Model:
@@ -345,14 +335,4 @@ def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
 def _length(twist: np.ndarray) -> float:
     """Of its linear part [m/s]."""
     vx, vy, vz, *_ = twist.tolist()
-    return math.sqrt(vx * vx + vy * vy + vz * vz)
-
-
-def _point_speed(twist: list[float], point: Sequence[float]) -> float:
-    """Speed of a point of a body, from the body's twist in its own frame [m/s]."""
-    vx, vy, vz, wx, wy, wz = twist
-    x, y, z = point
-    vx += wy * z - wz * y
-    vy += wz * x - wx * z
-    vz += wx * y - wy * x
     return math.sqrt(vx * vx + vy * vy + vz * vz)

@@ -60,8 +60,6 @@ class Controller:
                 f"limits are for {self.limits.torque.size} joints, the arm has {arm.n}"
             )
         self._period_ns = round(settings.period * 1e9)
-        self._mode = Mode.INACTIVE
-        self._label = self._mode.value
         self._laws: dict[Mode, Callable[[int, np.ndarray, np.ndarray, Motion], np.ndarray]] = {
             Mode.INACTIVE: self._rest_torque,
             Mode.GRAVITY_COMPENSATION: self._teaching_torque,
@@ -71,6 +69,8 @@ class Controller:
             Mode.REPLAY: self._reference_torque,
             Mode.FAULT: self._rest_torque,
         }
+        self._set(Mode.INACTIVE)
+        self._label = self._mode_label
         self.counters: Counter[str] = Counter()
         self.fault_reason: str | None = None
         self.rollout_stamp_ns: int | None = None
@@ -297,9 +297,12 @@ class Controller:
         self._end_rollout()
         if mode not in REFERENCED:
             self._ref = None
-        self._mode = mode
+        self._set(mode)
         self._course.begin()
         self._exceeded = 0
+
+    def _set(self, mode: Mode) -> None:
+        self._mode, self._law, self._mode_label = mode, self._laws[mode], mode.value
 
     def _lacks_hand(self, mode: Mode) -> bool:
         """Whether the enabling switch must be held in this mode, and is not."""
@@ -454,13 +457,13 @@ class Controller:
         sent.setflags(write=False)
         self._sent = sent
         rollout = self._rollout
-        self._label = self._mode.value if rollout is None else f"rollout {rollout.id}"
+        self._label = self._mode_label if rollout is None else f"rollout {rollout.id}"
         return sent
 
     def _torque(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion) -> np.ndarray:
         """What the mode wants, before the limits; a fault when that cannot be computed."""
         try:
-            tau = self._laws[self._mode](stamp_ns, q, qd, motion)
+            tau = self._law(stamp_ns, q, qd, motion)
             wrong = None if math.isfinite(sum(tau.tolist())) else "the torque was not finite"
         except Exception as error:  # whatever it is, the arm needs a torque in this very tick
             wrong = f"no torque: {error}"
@@ -527,8 +530,8 @@ class Controller:
         last = self._ref or (q, qd)  # continue from the reference, else from where the arm is
         q_ref, qd_ref, qdd_ref = self._course.at(stamp_ns, *last)
         self._ref = q_ref, qd_ref
-        if self._course.ended:
-            self._mode = Mode.HOLD
+        if self._course.ended and self._mode is not Mode.HOLD:
+            self._set(Mode.HOLD)
         # Plain floats: NumPy costs more than the arithmetic, above all when the caches are cold.
         speed_ref = qd_ref.tolist()
         error = [a - b for a, b in zip(q_ref.tolist(), q.tolist(), strict=True)]
