@@ -240,17 +240,23 @@ def test_the_life_cycle_decides_whether_torques_are_sent(
     assert change(Transition.TRANSITION_CLEANUP)
 
 
+def idle_service(probe: Probe) -> list[float]:
+    """The driver's service; when it was called [s, steady clock]."""
+    called: list[float] = []
+
+    def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        called.append(time.monotonic())
+        return response
+
+    probe.node.create_service(Trigger, interface.WAM_IDLE, idle)
+    return called
+
+
 @pytest.mark.requirement("S-42", "S-43")
 def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     probe: Probe, processes: Processes
 ) -> None:
-    idled: list[float] = []
-
-    def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        idled.append(time.monotonic())
-        return response
-
-    probe.node.create_service(Trigger, interface.WAM_IDLE, idle)
+    idled = idle_service(probe)
     arm = PlayedArm(probe, processes, state_timeout=0.006)
 
     def held() -> bool:
@@ -472,20 +478,17 @@ def test_a_released_or_silent_switch_ends_teaching(
 def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled(
     probe: Probe, processes: Processes
 ) -> None:
-    idled: list[float] = []
-
-    def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        idled.append(time.monotonic())
-        return response
-
-    probe.node.create_service(Trigger, interface.WAM_IDLE, idle)
+    idled = idle_service(probe)
     arm = PlayedArm(probe, processes, state_timeout=0.05)
+
+    pauses: list[float] = []
 
     def flow(seconds: float) -> None:
         end = time.monotonic() + seconds
-        while time.monotonic() < end:
+        while (begin := time.monotonic()) < end:
             arm.send()
             probe.spin(0.0015)
+            pauses.append(time.monotonic() - begin)
 
     def held() -> bool:
         flow(0.05)
@@ -496,6 +499,7 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
 
     probe.until(held, "the arm is held")
     idled.clear()
+    pauses.clear()
     arm.process.send_signal(signal.SIGSTOP)
     flow(0.5)
     arm.process.send_signal(signal.SIGCONT)
@@ -505,7 +509,7 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
         return arm.read()[-1].label == "fault"
 
     probe.until(faulted, "the fault")
-    assert not idled
+    assert not idled or max(pauses) > 0.05  # a busy machine has kept us from sending
 
 
 BROKEN = """

@@ -23,9 +23,11 @@ from wam_power_ros.power import (
     Learner,
     Power,
     Weights,
-    generator_state,
+    check_rollout,
     power_update,
     restore_generator,
+    state_of,
+    tell_again,
 )
 from wam_power_ros.screening import Model, Screened, ScreenedPower
 
@@ -209,25 +211,16 @@ class Search:
         Raises:
             ValueError: z or `ret` cannot be learnt from; nothing has changed then.
         """
+        check_rollout(z, ret, self.size)
         z = np.array(z, dtype=float)
-        if z.shape != (self.size,) or not np.isfinite(z).all():
-            raise ValueError(f"z must be finite and of shape ({self.size},), got {z.shape}: {z}")
-        if not (np.isfinite(ret) and ret >= 0.0):
-            raise ValueError(f"a return must be finite and >= 0, got {ret}")
         self._told.append(z)
         self._returns.append(float(ret))
         self._method.learn(z, float(ret))
 
     def state(self) -> dict[str, Any]:
         """All of the learner as data for JSON, generator included; `from_state` is its inverse."""
-        return {
-            "learner": self.settings.kind,
-            "size": self.size,
-            "settings": self.settings.model_dump(mode="json"),
-            "z": [z.tolist() for z in self._told],
-            "returns": list(self._returns),
-            "generator": generator_state(self._rng),
-        }
+        settings, told, returns = self.settings, self._told, self._returns
+        return state_of(settings.kind, settings, told, returns, self.size, self._rng)
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any], model: Model | None = None) -> Search:
@@ -242,10 +235,7 @@ class Search:
         """
         settings = _SETTINGS.validate_python(state["settings"])
         learner = cls(int(state["size"]), settings, restore_generator(state["generator"]), model)
-        if len(state["z"]) != len(state["returns"]):
-            raise ValueError(f"{len(state['z'])} rollouts but {len(state['returns'])} returns")
-        for z, ret in zip(state["z"], state["returns"], strict=True):
-            learner.tell(z, ret)
+        tell_again(learner, state)
         return learner
 
 

@@ -8,7 +8,7 @@ random generator from outside.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
@@ -248,25 +248,14 @@ class Power:
         Raises:
             ValueError: z or `ret` cannot be learnt from; nothing has changed then.
         """
-        z = np.array(z, dtype=float)  # a copy: the caller may do with his as he likes
-        if z.shape != (self.size,) or not np.isfinite(z).all():
-            raise ValueError(f"z must be finite and of shape ({self.size},), got {z.shape}: {z}")
-        if not (np.isfinite(ret) and ret >= 0.0):
-            raise ValueError(f"a return must be finite and >= 0, got {ret}")
-        self._told.append(z)
+        check_rollout(z, ret, self.size)
+        self._told.append(np.array(z, dtype=float))  # the caller may do with his as he likes
         self._returns.append(float(ret))
         self._update()
 
     def state(self) -> dict[str, Any]:
         """All of the learner as data for JSON, generator included; `from_state` is its inverse."""
-        return {
-            "learner": "power",
-            "size": self.size,
-            "settings": self.settings.model_dump(mode="json"),
-            "z": [z.tolist() for z in self._told],
-            "returns": list(self._returns),
-            "generator": generator_state(self._rng),
-        }
+        return state_of("power", self.settings, self._told, self._returns, self.size, self._rng)
 
     @classmethod
     def from_state(cls, state: Mapping[str, Any]) -> Power:
@@ -279,10 +268,7 @@ class Power:
             raise ValueError(f"state of learner {state.get('learner')!r}, expected 'power'")
         settings = PowerSettings.model_validate(state["settings"])
         learner = cls(int(state["size"]), settings, restore_generator(state["generator"]))
-        if len(state["z"]) != len(state["returns"]):
-            raise ValueError(f"{len(state['z'])} rollouts but {len(state['returns'])} returns")
-        for z, ret in zip(state["z"], state["returns"], strict=True):
-            learner.tell(z, ret)
+        tell_again(learner, state)
         return learner
 
     def _update(self) -> None:
@@ -295,6 +281,50 @@ class Power:
                 self.settings.weights,
                 self.settings.sharpness,
             )
+
+
+def check_rollout(z: np.ndarray, ret: float, size: int) -> None:
+    """Check what a learner of `size` parameters is told; see `Learner.tell`.
+
+    Raises:
+        ValueError: it cannot be learnt from.
+    """
+    z = np.array(z, dtype=float)
+    if z.shape != (size,) or not np.isfinite(z).all():
+        raise ValueError(f"z must be finite and of shape ({size},), got {z.shape}: {z}")
+    if not (np.isfinite(ret) and ret >= 0.0):
+        raise ValueError(f"a return must be finite and >= 0, got {ret}")
+
+
+def state_of(
+    kind: str,
+    settings: BaseModel,
+    told: Sequence[np.ndarray],
+    returns: Sequence[float],
+    size: int,
+    rng: np.random.Generator,
+) -> dict[str, Any]:
+    """`Learner.state` of a learner that follows from its settings and what it was told."""
+    return {
+        "learner": kind,
+        "size": size,
+        "settings": settings.model_dump(mode="json"),
+        "z": [z.tolist() for z in told],
+        "returns": list(returns),
+        "generator": generator_state(rng),
+    }
+
+
+def tell_again(learner: Learner, state: Mapping[str, Any]) -> None:
+    """Tell a learner all that the one of this `state` was told.
+
+    Raises:
+        ValueError: not as many returns as rollouts, or one that cannot be learnt from.
+    """
+    if len(state["z"]) != len(state["returns"]):
+        raise ValueError(f"{len(state['z'])} rollouts but {len(state['returns'])} returns")
+    for z, ret in zip(state["z"], state["returns"], strict=True):
+        learner.tell(z, ret)
 
 
 def generator_state(rng: np.random.Generator) -> dict[str, Any]:
