@@ -15,24 +15,29 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-DEADLINE = 120.0  # [s] for the scheduler to be there
+DEADLINE = 600.0  # [s] for the scheduler to be there
 WORKERS = 2
 
 
-def main() -> int:
-    """Run both, compare, tell."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", metavar="STUDY", help="of these studies alone")
-    only = parser.parse_args().only
-    arguments = ["--quick", *(["--only", *only] if only else [])]
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
-        folder = Path(name)
-        log = stack.enter_context((folder / "dask.log").open("wb"))
+@contextmanager
+def local_cluster(folder: Path, path: str = str(ROOT)) -> Iterator[str]:
+    """Address of a Dask scheduler with `WORKERS` workers, each a process; ended on leaving.
+
+    Args:
+        folder: where they work and log.
+        path: their PYTHONPATH.
+
+    Raises:
+        TimeoutError: no scheduler within `DEADLINE`; with what it said.
+    """
+    environment = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
+    told = folder / "dask.log"
+    with ExitStack() as stack, told.open("wb") as log:
 
         def start(*command: str) -> None:
             process = subprocess.Popen(
@@ -47,14 +52,26 @@ def main() -> int:
 
         start("scheduler", "--host", "127.0.0.1", "--port", "0")
         end = time.monotonic() + DEADLINE
-        while not (found := re.search(r"tcp://\S+:\d+", (folder / "dask.log").read_text())):
+        while not (found := re.search(r"tcp://127\.0\.0\.1:\d+", told.read_text())):
             if time.monotonic() > end:
-                raise TimeoutError((folder / "dask.log").read_text())
+                raise TimeoutError(told.read_text())
             time.sleep(0.05)
         alone = ("--nthreads", "1", "--no-nanny", "--local-directory", ".")
         for _ in range(WORKERS):
             start("worker", found.group(), *alone)
-        for place, option in (("cluster", ["--scheduler", found.group()]), ("here", [])):
+        yield found.group()
+
+
+def main() -> int:
+    """Run both, compare, tell."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", metavar="STUDY", help="of these studies alone")
+    only = parser.parse_args().only
+    arguments = ["--quick", *(["--only", *only] if only else [])]
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    with tempfile.TemporaryDirectory() as name, local_cluster(Path(name)) as address:
+        folder = Path(name)
+        for place, option in (("cluster", ["--scheduler", address]), ("here", [])):
             began = time.monotonic()
             command = [sys.executable, "-m", "wam_power_ros.cli", "reproduce", *arguments, *option]
             subprocess.run(

@@ -8,13 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 import study_jobs
 from test_studies import draws, files
 
+from benchmark.cluster import local_cluster
 from wam_power_ros import cli
 from wam_power_ros.experiments import reproduce, studies
 
@@ -119,31 +119,8 @@ def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_num
 def cluster(tmp_path: Path) -> Iterator[str]:
     """Address of a Dask scheduler with two workers, each an operating system process."""
     pytest.importorskip("distributed")
-    environment = os.environ | {"PYTHONPATH": PYTHONPATH, "OMP_NUM_THREADS": "1"}
-    told = tmp_path / "scheduler.log"
-    with ExitStack() as stack, told.open("wb") as log:
-
-        def start(*command: str) -> None:
-            process = subprocess.Popen(
-                [sys.executable, "-m", "dask", *command, "--no-dashboard"],
-                env=environment,
-                cwd=tmp_path,
-                stdout=log,
-                stderr=log,
-            )
-            stack.callback(process.wait)
-            stack.callback(process.kill)
-
-        start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        end = time.monotonic() + 600.0
-        while not (found := re.search(r"tcp://127\.0\.0\.1:\d+", told.read_text())):
-            assert time.monotonic() < end, told.read_text()
-            time.sleep(0.05)
-        for _ in range(2):
-            start(
-                "worker", found.group(), "--nthreads", "1", "--no-nanny", "--local-directory", "."
-            )
-        yield found.group()
+    with local_cluster(tmp_path, PYTHONPATH) as address:
+        yield address
 
 
 def test_a_cluster_of_two_worker_processes_gives_the_same_files(
