@@ -4,8 +4,8 @@
     python -m benchmark.faults [--rows stale kill ...] [--repeats 5] [--json FILE]
 
 Every row runs real nodes in a private domain, with SCHED_FIFO where the machine permits (`lab`).
-`--repeats` replaces each row's own number of repeats. Rows `learner` and `disk` run
-`benchmark.kill` and the test of a full disk.
+`--repeats` replaces each row's own number of repeats. Rows `learner`, `recorder` and `disk`
+run `benchmark.kill`, `benchmark.recover` and the test of a full disk.
 """
 
 from __future__ import annotations
@@ -342,6 +342,21 @@ def learner(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     )
 
 
+def recorder(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
+    """The recorder is killed while it records, and what is left is recovered."""
+    command = [sys.executable, "-m", "benchmark.recover", "--cuts", "0", "--kills", str(repeats)]
+    command += ["--seed", str(rng.integers(21, 100))]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    told = [line for line in done.stdout.splitlines() if line.startswith(("killed", "disk", "WR"))]
+    return Row(
+        "S-65",
+        "recorder killed (-9), or its disk full: a second lost at most, all before it recovered",
+        "; ".join(told) or "nothing was printed",
+        repeats,
+        done.returncode == 0,
+    )
+
+
 def disk(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     """The disk fills up while recording."""
     test = "test_a_disk_that_fills_up_ends_the_recording_and_nothing_else"
@@ -372,6 +387,7 @@ ROWS = {  # name -> what it does, and how often
     "starved_plain": (starved(False), 30),
     "network": (network, 5),
     "learner": (learner, 50),
+    "recorder": (recorder, 50),
     "disk": (disk, 3),
 }
 

@@ -9,7 +9,7 @@ time. What comes back must begin as the whole does, hold every message of the ch
 
 Kills: a recorder hears 500 states a second and is killed (-9) at a random moment, or its disk
 refuses (a limit of the file's size); lost is the time from the last state in the recovered bag to
-the last one sent before.
+the last one sent before, and none may be missing among those that came back.
 """
 
 from __future__ import annotations
@@ -161,8 +161,8 @@ class Source(Node):
             self._executor.spin_once(timeout_sec=max(0.0, due - time.monotonic()))
 
 
-def lost(folder: Path, rng: np.random.Generator, full: bool) -> float:
-    """Seconds lost when a recorder is killed, or its disk is full."""
+def lost(folder: Path, rng: np.random.Generator, full: bool) -> tuple[float, int]:
+    """Seconds lost when a recorder is killed, or its disk is full, and states missing before."""
     with private_domain() as domain:
         environment = {
             "ROS_DOMAIN_ID": str(domain),
@@ -189,7 +189,8 @@ def lost(folder: Path, rng: np.random.Generator, full: bool) -> float:
             rclpy.shutdown(context=context)
             os.environ.pop("ROS_DOMAIN_ID")
     stamps_ns, _ = bags.read_demonstration(recover(path).path, NAMES)
-    return (START + 2_000_000 * (source.sent - 1) - int(stamps_ns[-1])) * 1e-9
+    missing = int((stamps_ns[-1] - stamps_ns[0]) // 2_000_000 + 1) - len(stamps_ns)
+    return (START + 2_000_000 * (source.sent - 1) - int(stamps_ns[-1])) * 1e-9, missing
 
 
 def _refuse_more(recorder: Running, file: Path) -> None:
@@ -217,12 +218,15 @@ def main() -> int:
             wrong += found
             print(f"{name}: cut at {options.cuts} places, {len(found)} wrong")
         for full, count in ((False, options.kills), (True, options.kills // 4)):
+            what = "disk full" if full else "killed -9"
             losses = []
             for number in range(count):
                 place = Path(folder) / f"{'full' if full else 'kill'}_{number}"
-                losses.append(lost(place, rng, full))
+                loss, missing = lost(place, rng, full)
+                losses.append(loss)
+                if missing:
+                    wrong.append(f"{what} ({number}): {missing} states missing before")
             if losses:
-                what = "disk full" if full else "killed -9"
                 worst = f"worst {max(losses):.3f} s, median {np.median(losses):.3f} s"
                 print(f"{what}: {count} times, lost at {worst}")
                 wrong += [f"{what}: {loss:.3f} s lost" for loss in losses if loss > PROMISE]

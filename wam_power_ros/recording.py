@@ -17,7 +17,7 @@ from rosbags.interfaces import Qos
 
 from wam_power_ros.bags import BagWriter, Gaps
 
-WRITE_PERIOD = 0.5  # [s] a kill loses what came since, and what it takes to write it
+WRITE_PERIOD = 0.3  # [s] a kill loses what came since, and what it takes to write it
 WAITING_MAX = 100_000  # messages: a disk that hangs for minutes is as good as full
 
 

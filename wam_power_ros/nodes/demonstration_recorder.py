@@ -27,7 +27,7 @@ from wam_power_ros.params import Params
 from wam_power_ros.recording import Recording
 
 MEGABYTE = 1_000_000
-LOOK_PERIOD = 0.5  # [s] at the disk
+LOOK_PERIOD = 0.1  # [s] at how the writing goes, and at the disk
 
 
 class DemonstrationRecorderParams(Params):
