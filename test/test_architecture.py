@@ -29,9 +29,9 @@ ROS_EDGE = {
     *("teaching", "replaying", "playing", "enabling", "tell", "wire"),
 }
 # Files, clocks, processes and sockets are theirs; every other module is the core.
-TELLING = {"cli", "live", "figures", "study_figures", "page", "report"}
+TELLING = {"cli", "lessons", "live", "figures", "study_figures", "page", "report"}
 BAGS = {"bags", "recording", "recovery"}
-EDGE = ROS_EDGE | TELLING | BAGS | {"processes", "resources", "setups", "session"}
+EDGE = ROS_EDGE | TELLING | BAGS | {"processes", "resources", "setups", "session", "workbench"}
 OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}
 
 MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])

@@ -9,26 +9,16 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import os
 import shlex
 import signal
-import subprocess
 import sys
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
-from datetime import datetime
+from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING
 
-from wam_power_ros import setups
-from wam_power_ros.processes import ProcessError, Processes, Running, private_domain
-
-if TYPE_CHECKING:
-    from wam_power_ros.records import Line, Record
+from wam_power_ros import lessons, setups
+from wam_power_ros.processes import ProcessError
+from wam_power_ros.workbench import UsageError, interrupt, shown
 
 NODES = {  # executable -> module with a main(); setup.py has the same entry points
     "torque_controller": "wam_power_ros.nodes.torque_controller",
@@ -39,17 +29,6 @@ NODES = {  # executable -> module with a main(); setup.py has the same entry poi
     "wam_sim": "hardware_sim.wam_node",
     "optitrack_sim": "hardware_sim.optitrack_node",
 }
-SESSIONS = Path("sessions")
-DOMAIN = "ros_domain_id"  # file in a session's logs/: where its simulated nodes talk
-TASKS = {  # what may be taught -> how the recorder is set for it
-    "flip": {},
-    "reach": {"stem": "reach", "topics": [""], "mocap_topics": [""], "driver_topics": [""]},
-}
-REPLAYS = Path("replays")
-
-
-class UsageError(Exception):
-    """What was asked for cannot be done; the message says what can."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -88,18 +67,18 @@ def _parser() -> argparse.ArgumentParser:
         "--bags", type=Path, nargs="+", help="learn from these demonstrations; teach none"
     )
     _teaching_options(learn)
-    learn.set_defaults(command=_learn)
+    learn.set_defaults(command=lessons.learn)
 
     teach = commands.add_parser(
         "teach", help="record demonstrations", description="Record demonstrations by hand."
     )
     teach.add_argument("--seed", type=_natural, help="of the stand-in (default 0)")
     teach.add_argument(
-        "--task", choices=TASKS, default="flip", help="what the simulated hand shows (flip)"
+        "--task", choices=lessons.TASKS, default="flip", help="what the simulated hand shows (flip)"
     )
     teach.add_argument("--folder", type=Path, help="for the bags (default: demonstrations/NOW)")
     _teaching_options(teach)
-    teach.set_defaults(command=_teach)
+    teach.set_defaults(command=lessons.teach)
 
     config = commands.add_parser(
         "config",
@@ -133,11 +112,11 @@ def _parser() -> argparse.ArgumentParser:
     tell.add_argument("bag", type=Path, nargs="?", help="of the demonstration")
     tell.add_argument("--session", type=Path, help="folder (default: the newest one)")
     gone_on_with = {"resume": True, "seed": None, "preset": None, "trials": None, "bags": None}
-    tell.set_defaults(command=_tell, **gone_on_with)
+    tell.set_defaults(command=lessons.tell, **gone_on_with)
 
     report = commands.add_parser("report", help="write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
-    report.set_defaults(command=_report)
+    report.set_defaults(command=lessons.report)
 
     replay = commands.add_parser(
         "replay",
@@ -148,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("--speed", type=float, default=1.0, help="1 for as recorded (default)")
     replay.add_argument("--folder", type=Path, help="for its recording (default: replays/NOW)")
     _arm_options(replay)
-    replay.set_defaults(command=_replay)
+    replay.set_defaults(command=lessons.replay)
 
     play = commands.add_parser(
         "play",
@@ -267,55 +246,6 @@ def _enable(_: argparse.Namespace) -> int:
     return importlib.import_module("wam_power_ros.enabling").main()
 
 
-def _teach(options: argparse.Namespace) -> None:
-    folder = (options.folder or Path("demonstrations") / _now()).resolve()
-    changes = {"wam_sim": {"hand": options.task}, "demonstration_recorder": TASKS[options.task]}
-    with _bench(options, folder, options.seed or 0, changes) as bench:
-        bags = _teach_series(bench, folder, options)
-    if options.task == "flip":
-        shown = [*map(_shown, bags), *_chosen(options)]
-        print("To learn from them:\n  wam-power learn --bags", *shown)
-
-
-def _learn(options: argparse.Namespace) -> int:
-    from wam_power_ros import live, session
-
-    folder = _session_folder(options)
-    begun = session.Session.exists(folder)
-    if begun:
-        header, _, records = session.read(folder)
-        seed = header.seed
-        print(f"Going on with {folder}: {len(records)} rollouts are on record.")
-    else:
-        seed = options.seed or 0
-        print(f"A new session, {folder}; Ctrl-C stops it, nothing learnt is lost.")
-    signal.signal(signal.SIGTERM, _interrupt)
-    again = " ".join(["wam-power learn --session", str(_shown(folder)), *_chosen(options)])
-    try:
-        with _bench(options, folder, seed) as bench:
-            bench.start("pancake_tracker")
-            bags = [] if begun else [path.resolve() for path in options.bags or []]
-            if not begun and not bags:
-                bags = _teach_series(bench, folder, options)
-            learner = bench.start(
-                "learner",
-                session=folder,
-                seed=seed,
-                demonstrations=json.dumps([str(bag) for bag in bags] or [""]),
-                **({"preset": options.preset} if options.preset else {}),
-                **({"trials": options.trials} if options.trials else {}),
-            )
-            records = _follow(folder, bench.processes, learner)
-    except KeyboardInterrupt:
-        print(f"\nStopped. What was learnt is in {_shown(folder)}. To go on:\n  {again}")
-        return 130
-    except ProcessError:
-        print(f"\nWhat was learnt is in {_shown(folder)}. To go on:\n  {again}")
-        raise
-    print(live.summary(records))
-    return _report(argparse.Namespace(session=folder))
-
-
 def _reproduce(options: argparse.Namespace) -> int:
     # One thread a process: with more, sums are ordered otherwise and last digits move. To be set
     # before NumPy is imported; worker processes inherit it.
@@ -323,7 +253,7 @@ def _reproduce(options: argparse.Namespace) -> int:
     from wam_power_ros.experiments import reproduce, studies
 
     folder = options.folder or Path("reproduction-quick" if options.quick else "reproduction")
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, interrupt)
     try:
         report = reproduce.run(
             folder,
@@ -339,70 +269,14 @@ def _reproduce(options: argparse.Namespace) -> int:
     except studies.JobError as error:
         print(f"wam-power: {error}What is finished is in {folder}.", file=sys.stderr)
         return 1
-    print(f"Report: {_shown(report.resolve())}")
+    print(f"Report: {shown(report.resolve())}")
     return 0
-
-
-def _tell(options: argparse.Namespace) -> int:
-    if (options.word == "demonstration") != (options.bag is not None):
-        raise UsageError("a demonstration, and only that, needs a bag")
-    domain = _session_folder(options) / "logs" / DOMAIN
-    if domain.exists():
-        os.environ |= {
-            "ROS_DOMAIN_ID": domain.read_text().strip(),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        }
-    from wam_power_ros.tell import tell
-
-    taken, answer = tell(options.word, options.bag)
-    print(answer if taken else f"refused: {answer}")
-    return 0 if taken else 2
-
-
-def _report(options: argparse.Namespace) -> int:
-    from wam_power_ros import report, session
-
-    folder = options.session
-    _, _, records = session.read(folder)
-    if any(record.truth for record in records):
-        _exhibit(folder)
-    else:
-        report.write(folder)
-    print(f"Report: {_shown(folder.resolve() / 'report.html')}")
-    return 0
-
-
-def _replay(options: argparse.Namespace) -> int:
-    from wam_power_ros import bags, replay
-
-    arm = setups.setup(options.config, options.rehearse)["torque_controller"]
-    replay.movement(*bags.read_demonstration(options.bag, arm["joint_names"]), options.speed)
-    folder = (options.folder or REPLAYS / _now()).resolve()
-    signal.signal(signal.SIGTERM, _interrupt)
-    changes = {"demonstration_recorder": {"stem": "replay"}}
-    with _bench(options, folder, 0, changes) as bench:
-        names = bench.setup["torque_controller"]["joint_names"]
-        command = [sys.executable, "-m", "wam_power_ros.replaying", "--ros-args"]
-        command += _enclave("operator")
-        for given in (
-            f"bag:={json.dumps(str(options.bag.resolve()))}",
-            f"speed:={options.speed}",
-            f"joint_names:={json.dumps(list(names))}",
-            f"person:={json.dumps(not _simulated(options))}",
-        ):
-            command += ["-p", given]
-        replaying = bench.processes.start("replaying", command, talks=True)
-        while True:
-            try:
-                return bench.processes.wait(replaying)
-            except KeyboardInterrupt:  # it stops the arm first; only then may the others end
-                replaying.process.send_signal(signal.SIGINT)
 
 
 def _play(options: argparse.Namespace) -> None:
     from wam_power_ros import playing
 
-    signal.signal(signal.SIGTERM, _interrupt)
+    signal.signal(signal.SIGTERM, interrupt)
     playing.play(options.bag, options.rate, options.topics, options.wait)
 
 
@@ -411,179 +285,6 @@ def _recover(options: argparse.Namespace) -> None:
 
     for bag in options.bag:
         print(recover(bag))
-
-
-def _exhibit(folder: Path) -> None:
-    """Write the report of a simulated session, with a film if this machine can render one."""
-    command = [sys.executable, "-m", "wam_power_ros.experiments.exhibit", str(folder)]
-    if (why := _failure(command, os.environ.get("MUJOCO_GL", "egl"))) is not None:
-        print(f"No film of it: {why}")
-        if (why := _failure([*command, "--no-film", why], "disable")) is not None:
-            raise UsageError(f"no report: {why}")
-
-
-def _failure(command: Sequence[str], gl: str) -> str | None:
-    """Run a command; the last thing it said when it failed, None when it did not."""
-    ended = subprocess.run(
-        command, env={**os.environ, "MUJOCO_GL": gl}, stderr=subprocess.PIPE, text=True
-    )
-    if ended.returncode == 0:
-        return None
-    return (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
-
-
-# Processes
-
-
-@dataclass(frozen=True)
-class _Bench:
-    """The nodes of one set-up."""
-
-    processes: Processes
-    setup: setups.Setup
-    file: Path  # that holds it
-
-    def start(self, node: str, **parameters: object) -> Running:
-        """Start a node with its part of the set-up, and some parameters over it."""
-        command = [sys.executable, "-m", "wam_power_ros.cli", "run", node, "--ros-args"]
-        command += ["--params-file", str(self.file)]
-        command += _enclave(node)
-        for name, value in parameters.items():
-            command += ["-p", f"{node}:{name}:={value}"]
-        return self.processes.start(node, command)
-
-
-@contextmanager
-def _bench(
-    options: argparse.Namespace, folder: Path, seed: int, changes: setups.Setup | None = None
-) -> Iterator[_Bench]:
-    """Controller, recorder into `folder`, and stand-ins unless there is a real arm."""
-    setup = setups.setup(options.config, options.rehearse)
-    for node, values in (changes or {}).items():
-        setup[node] |= values
-    file = folder / "logs" / "parameters.yaml"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(setups.text(setup))
-    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **os.environ}
-    with ExitStack() as leave:
-        if _simulated(options):
-            environment["ROS_DOMAIN_ID"] = str(leave.enter_context(private_domain()))
-            (folder / "logs" / DOMAIN).write_text(environment["ROS_DOMAIN_ID"] + "\n")
-        else:
-            (folder / "logs" / DOMAIN).unlink(missing_ok=True)
-            _consent()
-        processes = leave.enter_context(Processes(folder / "logs", environment))
-        bench = _Bench(processes, setup, file)
-        if _simulated(options):
-            bench.start("wam_sim", seed=seed)
-        bench.start("torque_controller")
-        bench.start("demonstration_recorder", directory=folder / "bags")
-        yield bench
-
-
-def _enclave(name: str) -> list[str]:
-    """Options that put a node into its enclave, where security is on."""
-    secure = os.environ.get("ROS_SECURITY_ENABLE") == "true"
-    return ["--enclave", f"/{name}"] if secure else []
-
-
-def _simulated(options: argparse.Namespace) -> bool:
-    return options.rehearse or not options.config
-
-
-def _chosen(options: argparse.Namespace) -> list[str]:
-    """The options that choose the same set-up again."""
-    again = [word for name in options.config for word in ("--config", name)]
-    return [*again, "--rehearse"] if options.rehearse else again
-
-
-def _consent() -> None:
-    """Nobody steps through a life cycle here: the controller holds the arm once states come."""
-    print(
-        "The controller takes hold of the arm where it is as soon as its driver sends states. "
-        "Hand on the pendant, then press Enter: ",
-        end="",
-        file=sys.stderr,
-        flush=True,
-    )
-    if not sys.stdin.readline():
-        raise UsageError("nobody is at the keyboard: standard input is closed")
-
-
-def _teach_series(bench: _Bench, folder: Path, options: argparse.Namespace) -> list[Path]:
-    """Bags of the series taught in this folder, which is taught now if it was not yet."""
-    series = folder / "demonstrations.json"
-    person = not _simulated(options)
-    if not series.exists():
-        hand = "a person" if person else "the simulated hand"
-        print(f"Teaching: {options.demonstrations} demonstrations, by {hand}")
-        command = [sys.executable, "-m", "wam_power_ros.teaching", "--ros-args"]
-        command += _enclave("operator")
-        command += ["-p", f"demonstrations:={options.demonstrations}"]
-        command += ["-p", f"series:={series}", "-p", f"person:={json.dumps(person)}"]
-        command += ["-p", f"state_topic:={bench.setup['torque_controller']['state_topic']}"]
-        bench.processes.finish(bench.processes.start("teaching", command, talks=True))
-    return [Path(bag) for bag in json.loads(series.read_text())]
-
-
-def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Record]:
-    """Show the session until the learner has ended it; returns its records."""
-    from wam_power_ros import live, session
-    from wam_power_ros.records import with_ratings
-
-    path = folder / "rollouts.jsonl"
-    log: Sequence[Line] = ()
-    seen = 0
-    over = False
-    with live.Display() as display:
-        while not over:
-            over = learner.process.poll() is not None
-            processes.check(but=learner)
-            size = path.stat().st_size if path.exists() else 0
-            if size != seen:
-                seen = size
-                settings, log = session.read(folder)[0].settings, session.read_log(folder)
-                display.show(log, settings.budget + settings.retests)
-            time.sleep(0.2)
-    return with_ratings(log)
-
-
-# Folders
-
-
-def _session_folder(options: argparse.Namespace) -> Path:
-    from wam_power_ros.session import Session, read
-
-    folder = options.session
-    if folder is None and options.resume:
-        begun = [path for path in SESSIONS.glob("*") if Session.exists(path)]
-        if not begun:
-            raise UsageError(f"no session in {SESSIONS.resolve()} to go on with; name --session")
-        folder = max(begun, key=lambda path: (path / "session.yaml").stat().st_mtime)
-    if folder is None:
-        folder = SESSIONS / f"{_now()}-seed-{options.seed or 0}"
-    if options.resume and not Session.exists(folder):
-        raise UsageError(f"{folder} holds no session to go on with")
-    if Session.exists(folder):
-        header, _, _ = read(folder)
-        if options.seed is not None and options.seed != header.seed:
-            raise UsageError(f"{folder} was begun with seed {header.seed}; leave --seed out")
-        if options.preset or options.trials or options.bags:
-            raise UsageError(f"{folder} was begun already; leave --preset, --trials and --bags out")
-    return folder.resolve()
-
-
-def _now() -> str:
-    return datetime.now().strftime("%Y-%m-%d-%H%M%S")
-
-
-def _shown(path: Path) -> Path:
-    here = Path.cwd()
-    return path.relative_to(here) if path.is_relative_to(here) else path
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":
