@@ -6,17 +6,17 @@ from __future__ import annotations
 import dataclasses
 import signal
 import subprocess
+import sys
 from pathlib import Path
-from typing import Any
 
 from conftest import ROOT, Probe, Processes
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from test_session_over_dds import JOINTS, SEED, learnt, lines
 
 from hardware_sim.world import World, WorldSettings
 from wam_power_ros import bags, interface
 from wam_power_ros.arm import Arm
+from wam_power_ros.cli import DOMAIN
 from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.experiments.bench import Bench
 from wam_power_ros.policy import Policy
@@ -63,6 +63,16 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
         assert read_log(folder)[-1].note == answer.message  # on disk before it is answered
         return answer.message
 
+    (folder / "logs").mkdir()
+    (folder / "logs" / DOMAIN).write_text(processes.environment["ROS_DOMAIN_ID"])
+
+    def tell(*words: object) -> tuple[int, str]:
+        """Exit status of `wam-power tell`, which finds the learner by its session, and its word."""
+        command = [sys.executable, "-m", "wam_power_ros.cli", "tell", *map(str, words)]
+        told = processes.start([*command, "--session", str(folder)], ROS_DOMAIN_ID="")
+        probe.until(lambda: told.poll() is not None, "an answer", 300.0)
+        return told.returncode, processes.output(told)
+
     first = learner()
     offered = probe.node.get_service_names_and_types
     probe.until(lambda: interface.LEARNER_REWARD in dict(offered()), "the learner", 300.0)
@@ -70,19 +80,15 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert not refused.success  # nothing to rate: no rollout yet, or not even a session read
     probe.until(rollouts, "a first rollout", 300.0)
     assert say(interface.LEARNER_REWARD).startswith("trial-0001 rewarded: return ")
+    assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
     refused = probe.call(Trigger, interface.LEARNER_DEMONSTRATION, deadline=300.0)
     assert (refused.success, refused.message) == (False, interface.NO_BAG)
-    named = probe.publisher(String, interface.LEARNER_BAG, interface.LATCHED)
-    named.publish(String(data=str(LATER.parent)))  # no bag, but a folder of them
-    refused = probe.until(
-        lambda: taken_up(probe, interface.LEARNER_DEMONSTRATION), "a refusal", 300.0
-    )
-    assert not refused.success and str(LATER.parent) in refused.message
-    named.publish(String(data=str(LATER)))
-    given = probe.until(
-        lambda: taken_up(probe, interface.LEARNER_DEMONSTRATION), "an answer", 300.0
-    )
-    assert given.success and str(LATER) in given.message, given.message
+    status, answer = tell("demonstration", LATER.parent)  # no bag, but a folder of them
+    assert status == 2 and answer.startswith("refused: ") and str(LATER.parent) in answer, answer
+    status, answer = tell("demonstration", LATER)
+    assert status == 0 and str(LATER) in answer, answer
+    notes = [line.note for line in read_log(folder) if not isinstance(line, Record)]
+    assert notes[-1] == answer.strip()
     assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
     kept = lines(folder)
 
@@ -95,7 +101,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     if len(rollouts()) < 5:
         assert say(interface.LEARNER_PUNISH).startswith(f"{rollouts()[-1].id} punished: ")
         assert read_log(folder)[-1].after == len(rollouts())  # nothing was under way
-        assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=False)).success
+        assert tell("continue")[0] == 0
     probe.until(lambda: second.poll() is not None, "the end of the session", 400.0)
     assert second.returncode == 0, processes.output(second)
     assert lines(folder)[: len(kept)] == kept
@@ -113,9 +119,3 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
                 practice.replay(event)
     undisturbed = [line.to_json() for line in practice.log if isinstance(line, Record)]
     assert learnt(undisturbed) == learnt([record.to_json() for record in rollouts()])
-
-
-def taken_up(probe: Probe, service: str) -> Any:  # noqa: ANN401 (each service has its own type)
-    """Answer of the learner, once the bag named before has reached it."""
-    answer = probe.call(Trigger, service, deadline=300.0)
-    return None if answer.message == interface.NO_BAG else answer
