@@ -2,7 +2,8 @@
 """Messages as a broken driver, a broken learner or an enemy might send them, from a seed.
 
 Most joint states are those of an arm that drifts about, so that the controller is at work; into
-them come wrong stamps, values, lengths and names, policies with a value spoilt, and calls.
+them come wrong stamps, values, lengths and names, bytes spoilt or cut off, policies with a value
+spoilt, and calls.
 """
 
 from __future__ import annotations
@@ -11,9 +12,11 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
 
-from wam_power_ros import interface
+from wam_power_ros import interface, wire
 from wam_power_ros import policy as policies
 from wam_power_ros.controller import Controller, ControllerError
 from wam_power_ros.policy import Policy
@@ -67,6 +70,17 @@ def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iter
         yield message
 
 
+def garbled(data: bytes, rng: np.random.Generator) -> bytes:
+    """The bytes of a message; of one in 64 some are spoilt or missing."""
+    if rng.random() > 1.0 / 64.0:
+        return data
+    spoilt, at = bytearray(data), int(rng.integers(len(data)))
+    if rng.random() < 0.2:
+        return data[:at]
+    spoilt[at] = int(rng.integers(256))
+    return bytes(spoilt)
+
+
 def spoilt(policy: Policy, rng: np.random.Generator) -> str:
     """The text of a policy, most often with something wrong in it."""
     text = policies.to_json(policy)
@@ -91,8 +105,8 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
     """
     rng, arm = np.random.default_rng(seed), controller.arm
     names = list(arm.joint_names)
-    read = interface.JointStateReader(names)
-    write = interface.TorqueWriter(names, "multiarray")
+    read = wire.StateReader(interface.JointStateReader(names))
+    write = wire.TorqueSender(interface.TorqueWriter(names, "multiarray"))
     limit, step = controller.limits.torque, 2.0 * 0.002 * controller.limits.torque_rate
     found = {"torques": 0, "not finite": 0, "over": 0, "jumps": 0, "refused": 0, "largest": 0.0}
     before: np.ndarray | None = None
@@ -102,7 +116,8 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
         chance = rng.random()
         if chance < 0.01:
             try:
-                CALLS[int(rng.integers(len(CALLS)))](controller)
+                torque = CALLS[int(rng.integers(len(CALLS)))](controller)
+                before = before if torque is None else torque  # sent, where no state had come
             except ControllerError:
                 found["refused"] += 1
         elif chance < 0.06:  # a person is patient
@@ -116,12 +131,15 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
             except (ValueError, ControllerError):
                 found["refused"] += 1
         try:
-            reading = read(next(source))
+            reading = read(garbled(serialize_message(next(source)), rng))
         except ValueError:
             found["refused"] += 1
             continue
+        if reading is None:  # no name of ours is left
+            continue
         active = controller.mode.value != "inactive"
-        tau = np.array(write(reading[0], controller.label, controller.step(*reading)).data)
+        sent = write(reading[0], controller.label, controller.step(*reading))
+        tau = np.array(deserialize_message(sent, Float64MultiArray).data)
         found["torques"] += 1
         found["not finite"] += not np.isfinite(tau).all()
         share = float(np.max(np.abs(tau) / limit))
