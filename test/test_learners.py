@@ -219,6 +219,18 @@ def test_screening_tries_the_candidate_that_promises_most() -> None:
     np.testing.assert_array_equal(learner.ask(), promised)
 
 
+def test_the_more_was_tried_the_fewer_candidates_a_model_is_asked_about() -> None:
+    asked: list[int] = []
+
+    class Counting(Crude):
+        def predict(self, z: np.ndarray) -> np.ndarray:
+            asked.append(len(z))
+            return super().predict(z)
+
+    climb(Search(SIZE, Screened(candidates=16, half_life=2), rng(1), Counting()), 12)
+    assert asked == [16, 11, 8, 6, 4, 3, 2]  # then one, which is tried without asking
+
+
 def test_one_candidate_is_power_itself() -> None:
     screened = climb(search(Screened(candidates=1, sigma=3, decay=0.97), 5), 40)
     power = climb(Power(SIZE, PowerSettings(sigma=3, decay=0.97), rng(5)), 40)

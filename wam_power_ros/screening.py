@@ -41,10 +41,14 @@ class Screened(BaseModel):
     rollouts but cannot pass for success: with a model that says nothing this is PoWER itself.
     The noise may be wide, for bad candidates cost a prediction and not a rollout.
 
+    A model is right about the large and wrong about the small: the more has been tried, the fewer
+    candidates are drawn. In the end it is PoWER alone that refines what the model led to.
+
     Attributes:
         sigma: size of the elite.
         decay: factor on the exploration for each rollout told.
-        candidates: drawn for each exploration; 1 is PoWER.
+        candidates: drawn for the first exploration; 1 is PoWER.
+        half_life: rollouts told after which half as many are drawn, never fewer than one.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -53,6 +57,7 @@ class Screened(BaseModel):
     sigma: int = Field(default=3, ge=1)
     decay: float = Field(default=0.965, gt=0.0, le=1.0)
     candidates: int = Field(default=200, ge=1)
+    half_life: float = Field(default=16.0, gt=0.0)
 
 
 class ScreenedPower:
@@ -68,9 +73,10 @@ class ScreenedPower:
 
     def draw(self, rng: np.random.Generator) -> np.ndarray:
         """The most promising of the candidates, the first of equals. Shape (size,)."""
-        noise = self._settings.decay ** len(self._told)
-        shape = (self._settings.candidates, len(self.mean))
-        candidates = self.mean + noise * rng.standard_normal(shape)
+        told = len(self._told)
+        noise = self._settings.decay**told
+        count = max(1, round(self._settings.candidates * 0.5 ** (told / self._settings.half_life)))
+        candidates = self.mean + noise * rng.standard_normal((count, len(self.mean)))
         if len(candidates) == 1:
             return candidates[0]
         return candidates[int(np.argmax(self._model.predict(candidates)))]

@@ -75,7 +75,7 @@ GRID: dict[str, list[dict[str, Any]]] = {
     "reinforce": [{"kind": "reinforce", "population": 10, "rate": rate} for rate in (0.5, 2.0)],
     "enac": [{"kind": "enac", "population": 10, "rate": rate} for rate in (0.5, 2.0)],
     "random": [{"kind": "random"}],
-    "screened": [{"kind": "screened", "sigma": sigma, "decay": 0.965} for sigma in (3, 6)],
+    "screened": [{"kind": "screened", "half_life": half_life} for half_life in (4, 16)],
 }
 _UNTUNED = {name: settings[0] for name, settings in GRID.items()}
 TUNED: dict[str, dict[str, Choice]] = {
