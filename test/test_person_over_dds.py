@@ -16,7 +16,6 @@ from test_session_over_dds import JOINTS, SEED, learnt, lines
 from hardware_sim.world import World, WorldSettings
 from wam_power_ros import bags, interface
 from wam_power_ros.arm import Arm
-from wam_power_ros.cli import DOMAIN
 from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.experiments.bench import Bench
 from wam_power_ros.policy import Policy
@@ -25,6 +24,7 @@ from wam_power_ros.presets import preset
 from wam_power_ros.primitive import PANCAKE, fit
 from wam_power_ros.records import Record
 from wam_power_ros.session import Session, read_log
+from wam_power_ros.workbench import DOMAIN
 
 TAUGHT, LATER = sorted((ROOT / "bags").glob("demo_*"))[:2]
 SETTINGS = preset("flip", budget=5, retests=0)

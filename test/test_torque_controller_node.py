@@ -383,6 +383,28 @@ def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: 
     assert "policy" in refusal.message
 
 
+def test_a_move_is_answered_for_the_policy_it_was_made_for(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
+    policies.publish(String(data=to_json(lift("first"))))
+    arm.diagnosis(lambda values: values["policy"] == "first", "the first policy")
+    moved = probe.begin(Trigger, interface.MOVE_TO_START)
+    arm.diagnosis(lambda values: values["mode"] == "move_to_start", "the move")
+    policies.publish(String(data=to_json(lift("second"))))
+    arm.diagnosis(lambda values: values["policy"] == "second", "the second policy")
+
+    def answered() -> bool:
+        arm.send()
+        probe.spin(0.02)
+        return moved.done()
+
+    probe.until(answered, "the end of the move")
+    assert (moved.result().success, moved.result().message) == (True, "first")
+
+
 def test_a_driver_may_name_its_joints_otherwise_than_the_model(
     probe: Probe, processes: Processes
 ) -> None:

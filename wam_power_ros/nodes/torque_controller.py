@@ -58,6 +58,7 @@ class TorqueController(LifecycleNode):
         self._refused: Counter[str] = Counter()
         self._trouble = ""  # the last refusal, for the diagnostics
         self._movement: interface.JointMovement | None = None  # to be replayed
+        self._moved_for = ""  # policy to whose start the arm was sent last
         self._qd: np.ndarray | None = None  # of the velocity topic
         self._stamp_ns = 0  # of the last state
         self._arrived_ns = self._sent_ns = 0  # steady clock
@@ -315,8 +316,9 @@ class TorqueController(LifecycleNode):
         return response
 
     def _begin_move(self) -> str | None:
-        refusal = self._try(Trigger.Response(), lambda core: core.move_to_start())
-        return None if refusal.success else refusal.message
+        answer = self._try(Trigger.Response(), lambda core: core.move_to_start())
+        self._moved_for = answer.message
+        return None if answer.success else answer.message
 
     def _begin_replay(self) -> str | None:
         if self._movement is None:
@@ -331,7 +333,8 @@ class TorqueController(LifecycleNode):
         if mode in MOVING or (mode is Mode.HOLD and not core.at_rest):
             return
         reason = core.fault_reason or f"mode is {mode.value}"
-        self._move.finish(core.ready, core.policy_id if core.ready else f"failed: {reason}")
+        # Another policy may have come since; its start is near, but nobody has moved there.
+        self._move.finish(core.ready, self._moved_for if core.ready else f"failed: {reason}")
         if self._replay.pending:
             done = mode is Mode.HOLD
             self._replay.finish(done, self._followed() if done else f"failed: {reason}")
