@@ -6,7 +6,7 @@ from array import array
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
@@ -122,6 +122,7 @@ def test_bytes_cut_or_spoilt_are_refused_or_finite(message: bytes, data: st.Data
         max_size=8,
     )
 )
+@example(torques=[(8, "hold", [0.0] * 3), (9, "hold", [1.0] * 3), (10, "hold", [2.0] * 3)])
 def test_torques_are_written_as_rclpy_writes_them(
     kind: str, torques: list[tuple[int, str, list[float]]]
 ) -> None:
