@@ -332,7 +332,7 @@ def learner(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     command = [sys.executable, "-m", "benchmark.kill", "--kills", str(repeats)]
     command += ["--trials", str(max(4, repeats // 3)), "--seed", str(rng.integers(21, 100))]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    last = (done.stdout.strip().splitlines() or ["nothing was printed"])[-1]
+    last = (done.stdout.strip() or done.stderr.strip() or "nothing was printed").splitlines()[-1]
     return Row(
         "S-61",
         "learner killed (-9): no acknowledged rollout lost, the same records in the end",
