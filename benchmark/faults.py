@@ -330,7 +330,7 @@ def network(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 def learner(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     """The learner is killed in the middle of a session."""
     command = [sys.executable, "-m", "benchmark.kill", "--kills", str(repeats)]
-    command += ["--trials", str(max(4, repeats // 3)), "--seed", str(rng.integers(21, 100))]
+    command += ["--trials", str(max(8, repeats // 3)), "--seed", str(rng.integers(21, 100))]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     last = (done.stdout.strip() or done.stderr.strip() or "nothing was printed").splitlines()[-1]
     return Row(
