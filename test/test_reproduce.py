@@ -26,7 +26,7 @@ PYTHONPATH = os.pathsep.join([str(ROOT), str(ROOT / "test"), os.environ.get("PYT
 def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """One study, "draws", in place of those of the paper."""
     monkeypatch.setattr(reproduce, "STUDIES", ("draws",))
-    monkeypatch.setattr(reproduce, "_module", lambda name: study_jobs)
+    monkeypatch.setitem(sys.modules, "wam_power_ros.experiments.draws", study_jobs)
 
 
 @pytest.mark.usefixtures("made_up")
