@@ -53,7 +53,7 @@ def _sigma(results: Results) -> Chapter:
         "reaching, noisy returns": results[REACHING_NOISY][f"sigma-{AUTO}"]["sigma"],
         "pancake, Eq. 5": [run["sigma"] for run in results[f"{SIGMA}{AUTO}"].values()],
     }
-    names = list(tasks["pancake, Eq. 5"])
+    names = list(dict.fromkeys(name for values in tasks.values() for name in values))
     rows, best, claims, said = [], [], [], []
     for task, values in tasks.items():
         medians = {name: float(np.median(values[name])) for name in values}
