@@ -335,7 +335,7 @@ def jobs(scale: Scale) -> list[Job]:
             {**default, "condition": CONDITIONS[name], "carried": {"as it is": {}}},
         )
         for name in LEARNT_UNDER[one]
-        for seed in seeds[:4][one]
+        for seed in seeds[:8][one]
     ]
     for study, count, some in ((PAPER, 50, seeds[one]), (LONG, 100, seeds[:4][one])):
         changes = {**retests, "budget": budgets[count], "confirm": 0}
