@@ -245,6 +245,8 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
         bench.insist(interface.EXECUTE)
         probe.spin(0.15)
     processes.end(bench.controller, signal.SIGKILL)
+    killed_ns = time.time_ns()  # states of before may still be on their way to a busy test
+    probe.until(lambda: bench.state().stamp_ns > killed_ns, "a state of after the kill")
     arm, killed = arm_model(), bench.state()
     count = len(bench.messages)
     end_ns = killed.stamp_ns + 2_500_000_000  # by the arm's clock, whatever ours says
