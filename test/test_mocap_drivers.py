@@ -132,7 +132,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
         for state, when in zip(seen, at, strict=True)
         if 0.1 < when < 0.95
     ]
-    assert np.median(errors) < 0.01
+    assert np.quantile(errors, 0.9) < 0.02
     assert max(errors) < 0.06  # where a busy machine stamps a frame at receipt, it comes late
     resting = [state for state, when in zip(seen, at, strict=True) if 0.2 < when < 0.55]
     assert len(resting) > 20

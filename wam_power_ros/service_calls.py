@@ -66,7 +66,7 @@ class ServiceCalls:
         """
         future = self.begin(kind, name, request)
         if not self.until(future.done, patience):
-            raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
+            raise ServiceError(f"{name} did not answer in {patience:.0f} s")
         return future.result()
 
     def insist(self, kind: type, name: str, request: object = None) -> str:
