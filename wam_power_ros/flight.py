@@ -25,6 +25,7 @@ _GRID = 0.001  # [s]
 _HUBER = 2.5  # standard deviations beyond which a frame counts less
 _SLOWED_MIN = 0.2  # 1 + decay s, from which on the spin is not extrapolated
 _UNKNOWN = 1.0  # [m], [s] or [rad]: the standard deviation of what was not seen
+_STEP = math.sqrt(float(np.finfo(float).eps))  # of differences, as a share of a parameter
 
 
 @dataclass(frozen=True)
@@ -482,21 +483,32 @@ def _fit_spin(frames: _Frames, arc: _Arc, pan: EndEffectorPath, settings: Flight
     targets = np.vstack([normals, release_normal])
     noise = np.append(np.full(len(t), settings.tilt_noise), settings.release_std)[:, None]
 
-    def residuals(theta: np.ndarray) -> np.ndarray:
-        modelled = _spun(theta, times, normal0)
-        along = theta[2:5] @ _spun(theta, np.zeros(1), normal0)[0]
+    def many_residuals(thetas: np.ndarray) -> np.ndarray:  # (B, 6) -> (B, residuals)
+        modelled = _spun(thetas, np.append(times, 0.0), normal0)  # (B, m + 1, 3)
+        along = np.sum(thetas[:, 2:5] * modelled[:, -1], axis=1)
         priors = (
-            *(theta[2:5] / settings.spin_std),
-            (theta[5] - settings.spin_decay) / settings.spin_decay_std,
-            along / settings.precession_std,
+            thetas[:, 2:5] / settings.spin_std,
+            (thetas[:, 5:] - settings.spin_decay) / settings.spin_decay_std,
+            along[:, None] / settings.precession_std,
         )
-        return np.concatenate([((modelled - targets) / noise).ravel(), priors])
+        misses = (modelled[:, :-1] - targets) / noise
+        return np.concatenate([misses.reshape(len(thetas), -1), *priors], axis=1)
+
+    def residuals(theta: np.ndarray) -> np.ndarray:
+        return many_residuals(theta[np.newaxis])[0]
+
+    def jacobian(theta: np.ndarray) -> np.ndarray:  # forward differences, all in one go
+        steps = _STEP * np.maximum(1.0, np.abs(theta))
+        rows = many_residuals(np.vstack([theta, theta + np.diag(steps)]))
+        return (rows[1:] - rows[0]).T / steps
 
     fits = []
     for omega in _spin_guesses(np.append(release, t), np.vstack([release_normal, normals])):
-        start = np.concatenate([_turn(normal0, omega, t, origin, normals), omega, [0.0]])
-        start[5] = settings.spin_decay
-        fits.append(least_squares(residuals, start, loss="huber", f_scale=_HUBER, max_nfev=60))
+        turn = _turn(normal0, omega, t, origin, normals)
+        start = np.concatenate([turn, omega, [settings.spin_decay]])
+        fits.append(
+            least_squares(residuals, start, jacobian, loss="huber", f_scale=_HUBER, max_nfev=60)
+        )
     fits.sort(key=lambda fitted: fitted.cost)
     best = fits[0]
     information = best.jac.T @ best.jac
@@ -512,14 +524,17 @@ def _fit_spin(frames: _Frames, arc: _Arc, pan: EndEffectorPath, settings: Flight
 
 
 def _spun(theta: np.ndarray, s: np.ndarray, normal0: np.ndarray) -> np.ndarray:
-    """Normals after the turn theta[:2] of normal0 and the spin theta[2:]. Shape (m, 3)."""
-    first, second = _tangents(normal0)
-    start = rotations.exp(theta[0] * first + theta[1] * second) @ normal0
-    decay = theta[5] * s
+    """Normals after the turn theta[:2] of normal0 and the spin theta[2:].
+
+    Shapes: theta (..., 6), s (m,); returns (..., m, 3).
+    """
+    start = rotations.exp(theta[..., :2] @ np.array(_tangents(normal0))) @ normal0
+    decay = theta[..., 5:] * s  # (..., m)
     small = np.abs(decay) < 1e-6
     safe = np.where(small, 1.0, np.maximum(decay, _SLOWED_MIN - 1.0))
     elapsed = s * np.where(small, 1.0 - 0.5 * decay, np.log1p(safe) / safe)
-    return rotations.exp(elapsed[:, None] * theta[2:5]) @ start
+    turns = rotations.exp(elapsed[..., None] * theta[..., None, 2:5])  # (..., m, 3, 3)
+    return (turns @ start[..., None, :, None])[..., 0]
 
 
 def _turn(

@@ -317,7 +317,7 @@ def jobs(scale: Scale) -> list[Job]:
     one = slice(1 if quick else None)  # of several things, in "quick" only the first
     series = 2 if quick else 3  # demonstrations
     # Reproductions of the demonstrations that are not chosen are none of the paper's rollouts.
-    budgets = {count: series - 1 + (3 if quick else count) for count in (50, 80, 100)}
+    budgets = {count: series - 1 + (3 if quick else count) for count in (50, 100)}
     retests = {"retests": 1 if quick else 30}
     fewer = {"retests": 1 if quick else 10}
     common = {"demonstrations": series, "repeats": 1 if quick else 4}
@@ -347,7 +347,7 @@ def jobs(scale: Scale) -> list[Job]:
             )
             for seed in some
         ]
-    changes = {**fewer, "budget": budgets[80], "confirm": 0}
+    changes = {**fewer, "budget": budgets[50], "confirm": 0}
     wanted += [
         (f"{ABLATION}{variant}", seed, {**paper, "changes": {**changes, "variant": variant}})
         for variant in VARIANTS[2 if quick else 0 :]

@@ -35,7 +35,7 @@ from wam_power_ros.presets import preset
 
 __all__ = ["chapter", "jobs", "search", "session"]
 
-HELD_OUT = range(501, 513)  # seeds nothing was tuned on
+HELD_OUT = range(501, 511)  # seeds nothing was tuned on
 HELD_OUT_REACHING = range(501, 531)
 TUNING = range(21, 22)  # for "quick"
 SIZES: tuple[int | str, ...] = ("auto", 3, 6, 10, 20)
