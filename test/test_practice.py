@@ -524,6 +524,7 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
             Record.from_json(damage)
 
 
+@pytest.mark.requirement("S-31")
 def test_forbidden_samples_are_drawn_again_and_only_what_is_allowed_is_tried() -> None:
     def forbidden(policy: Policy) -> str:
         return "too far out" if policy.attractors[3, 0] > CANDIDATES[0].attractors[3, 0] else ""
@@ -538,10 +539,11 @@ def test_forbidden_samples_are_drawn_again_and_only_what_is_allowed_is_tried() -
     assert sum(record.redrawn for record in practice.records) > 0
 
 
-def test_a_replayed_practice_redraws_without_asking_what_is_forbidden() -> None:
-    def parity(policy: Policy) -> str:
-        return "odd" if int(policy.attractors[0, 0] * 1e6) % 2 else ""
+def parity(policy: Policy) -> str:
+    return "odd" if int(policy.attractors[0, 0] * 1e6) % 2 else ""
 
+
+def test_a_replayed_practice_redraws_without_asking_what_is_forbidden() -> None:
     def never(policy: Policy) -> str:
         raise AssertionError(f"asked about {policy.id}")
 
@@ -552,11 +554,30 @@ def test_a_replayed_practice_redraws_without_asking_what_is_forbidden() -> None:
     assert again.records == practice.records
 
 
-def test_when_every_sample_is_forbidden_the_practice_still_goes_on() -> None:
-    practice = Practice(CANDIDATES, preset("flip", budget=8, retests=0), 3, lambda policy: "no")
+@pytest.mark.requirement("S-31")
+def test_when_everything_is_forbidden_only_what_ran_before_is_run_again() -> None:
+    practice = Practice(CANDIDATES, preset("flip", budget=8, retests=2), 3, lambda policy: "no")
     records = run(practice)
-    assert len(records) == 8
-    assert {record.redrawn for record in records if record.kind == "explore"} == {20}
+    assert len(records) == 10
+    after = [record for record in records if record.kind != "reproduction"]
+    ran = {tuple(record.z) for record in records if record.kind == "reproduction"}
+    assert after and {tuple(record.z) for record in after} <= ran
+    assert {record.redrawn for record in after if record.kind == "explore"} == {25}
+
+
+@pytest.mark.requirement("S-31")
+def test_a_forbidden_mean_or_answer_is_drawn_back_to_what_ran_without_a_fault() -> None:
+    settings = preset("flip", budget=24, retests=1, mean_every=4, confirm=0)
+    drawn_back = 0
+    for seed in range(2):
+        practice = Practice(CANDIDATES[:1], settings, seed, parity)
+        while (trial := practice.next_trial()) is not None:
+            assert trial.kind == "reproduction" or not parity(trial.policy)
+            drawn_back += trial.kind == "mean" and trial.redrawn > 0
+            practice.note(trial, toss(trial, practice.settings))
+        again = Practice.from_records(CANDIDATES[:1], settings, seed, practice.records)
+        assert again.records == practice.records and again.next_trial() is None
+    assert drawn_back > 0
 
 
 def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:

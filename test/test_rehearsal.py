@@ -53,6 +53,7 @@ def test_a_gentle_movement_is_rehearsed_without_a_fault(arm: Arm) -> None:
     assert f"elbow at most {rehearsal.elbow_peak:.2f} m/s" in str(rehearsal)
 
 
+@pytest.mark.requirement("S-31")
 def test_a_movement_that_is_too_fast_ends_in_the_fault_it_would_cause(arm: Arm) -> None:
     rehearsal = rehearse(arm, ControllerSettings(), lift(arm, 0.9))
     assert "limit" in rehearsal.fault

@@ -29,6 +29,7 @@ from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.trial import Retry, Trial
 
 _REDRAWS_MAX = 20
+_HALVINGS_MAX = 5  # of the way from what ran without a fault to what is forbidden
 _RECENT = 5  # rollouts whose mean return a demonstration given later has to exceed
 RATING_MAX = 1.0  # of one rating: a whole return
 E = TypeVar("E", Rating, Given)
@@ -48,6 +49,9 @@ class Practice:
       dropped.
     * A rollout ended by a motion limit (over-speed, workspace) is learnt from with return 0: the
       policy brought that about itself.
+    * What is forbidden is not tried: a sample is drawn again, and a mean, an answer or the last of
+      20 such samples is drawn back, halfway and halfway again, to the best rollout so far that
+      ended without a fault.
     * A mean that succeeds is run again, unchanged, until it fails or has succeeded `confirm` times
       in a row; all these runs are learnt from. Returns are noisy and an elite keeps its lucky
       rollouts for ever; running the mean again is what tells luck from skill.
@@ -76,8 +80,8 @@ class Practice:
             candidates: policies fitted to the demonstrations, each with an id of its own.
             settings: see there.
             seed: of the exploration, >= 0.
-            forbidden: why the arm must not try a sampled policy, empty if it may; what is
-                forbidden is drawn again. The same policy must always get the same answer.
+            forbidden: why the arm must not try a policy, empty if it may; the same policy must
+                always get the same answer. Not asked about the demonstrations.
 
         Raises:
             ValueError: no candidates, two of the same id, or a budget that leaves no practice.
@@ -114,6 +118,7 @@ class Practice:
         self._confirmation = Confirmation(settings)
         self._stopped = ""
         self._answer: np.ndarray | None = None
+        self._allowed: np.ndarray | None = None  # the last mean or answer found not forbidden
         self._retested = 0
 
     @classmethod
@@ -517,32 +522,72 @@ class Practice:
             return "reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}"
         if learner is None or self._demonstration is None:
             raise ValueError("a session that never chose a demonstration is over")
-        kind: Kind = "explore"
+        parameters = self._parameters[self._demonstration]
+        kind: Kind = "mean"
         if self._answer is not None:
-            kind, z = "retest", self._answer
+            kind = "retest"
+            z, redrawn = self._drawn_back(self._answer, parameters, redrawn)
+            self._answer = z
             why = f"re-test {self._retested + 1} of {self.settings.retests}"
         elif self._confirmation.z is not None:
-            kind, z = "mean", self._confirmation.z
+            z, redrawn = self._confirmation.z, 0
             why = f"confirms a mean, {self._confirmation.count + 1} of {self.settings.confirm}"
         elif self._confirmation.wanted or self._is_mean_turn():
-            kind, z, why = "mean", learner.mean, "the mean, without noise"
+            z, redrawn = self._drawn_back(learner.mean, parameters, redrawn)
+            why = "the mean, without noise"
         else:
+            kind = "explore"
+            z, redrawn = self._sample(learner, parameters, redrawn)
             why = f"explores about the mean with noise {learner.noise:.2f}"
-            z, redrawn = self._sample(learner, self._parameters[self._demonstration], redrawn)
-            return kind, self._demonstration, z, 1, redrawn, why
-        return kind, self._demonstration, z, 1, 0, why
+        return kind, self._demonstration, z, 1, redrawn, why
 
     def _sample(
         self, learner: Power, parameters: Parameters, redrawn: int | None
     ) -> tuple[np.ndarray, int]:
-        """A sample that is not forbidden, and how many were; the last one if all are."""
-        last = _REDRAWS_MAX if redrawn is None else redrawn
-        for count in range(last + 1):
+        """A sample that is not forbidden and how many were; drawn back if all are."""
+        asked = _REDRAWS_MAX if redrawn is None else min(redrawn + 1, _REDRAWS_MAX)
+        for count in range(asked):
             z = learner.ask()
-            if redrawn is None and count < last:
-                if not self._forbidden(parameters.policy(z, "sample")[0]):
-                    break
-        return z, count
+            if redrawn is None and not self._forbidden(parameters.policy(z, "sample")[0]):
+                return z, count
+        if redrawn is not None and redrawn < _REDRAWS_MAX:
+            return z, redrawn
+        halved = None if redrawn is None else redrawn - _REDRAWS_MAX
+        z, halved = self._drawn_back(z, parameters, halved)
+        return z, _REDRAWS_MAX + halved
+
+    def _drawn_back(
+        self, z: np.ndarray, parameters: Parameters, halved: int | None
+    ) -> tuple[np.ndarray, int]:
+        """z, or where that is forbidden a point nearer to what ran, and how often it was halved.
+
+        `halved` is known when it is replayed: nothing is asked then.
+        """
+        ran = self._best_without_fault(parameters.size)
+        nearer = [z, *(ran + 0.5**count * (z - ran) for count in range(1, _HALVINGS_MAX)), ran]
+        if halved is None:
+            allowed = (k for k in range(_HALVINGS_MAX) if self._allows(nearer[k], parameters))
+            halved = next(allowed, _HALVINGS_MAX)
+        return nearer[halved], halved
+
+    def _allows(self, z: np.ndarray, parameters: Parameters) -> bool:
+        if self._allowed is not None and np.array_equal(z, self._allowed):
+            return True  # an answer is asked about once, not before every re-test
+        if self._forbidden(parameters.policy(z, "sample")[0]):
+            return False
+        self._allowed = z
+        return True
+
+    def _best_without_fault(self, size: int) -> np.ndarray:
+        """The z of the rollout that was worth most; 0 if each had a fault."""
+        ran = [
+            record
+            for record in self._records
+            if record.demonstration == self._demonstration
+            and record.worth is not None
+            and not record.fault
+        ]
+        return np.array(max(ran, key=lambda record: record.worth).z) if ran else np.zeros(size)
 
     def _is_mean_turn(self) -> bool:
         every = self.settings.mean_every

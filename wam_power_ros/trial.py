@@ -24,7 +24,8 @@ class Trial:
         z: coordinates of that policy. Shape (size,)
         theta: the same in their own units. Shape (size,)
         attempt: 1, or more when earlier rollouts of the same z could not be learnt from.
-        redrawn: number of samples that were forbidden before this one.
+        redrawn: number of samples that were forbidden before this one; from 20 on, and for a
+            mean, the times it was drawn back by half instead.
         why: what the trial is for, in words.
     """
 
