@@ -22,7 +22,7 @@ RELIABLE = 0.9  # share of an answer's re-tests
 DEFAULT, PAPER, LONG = "pancake-default", "pancake-paper", "pancake-paper-100"
 THEIRS = "paper's settings"
 LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
-BLOCK = 20  # rollouts averaged in the ablation
+BLOCK = 10  # rollouts averaged in the ablation
 OPEN = "the paper tells neither how often a success was repeated nor how the answer was tested"
 
 
