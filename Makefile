@@ -27,7 +27,7 @@ endif
 
 help:
 	@echo 'make learn [ARGS="--seed 3"]   the arm learns to flip a pancake, in simulation'
-	@echo 'make reproduce                 the paper from scratch, with a report (about an hour on 2 cores, by what parts took)'
+	@echo 'make reproduce                 the paper from scratch, with a report (about an hour on 2 cores: 2 h of processor time)'
 	@echo 'make test  [ARGS="-k power"]   the tests'
 	@echo 'make lint                      ruff: rules and format'
 	@echo 'make build                     colcon build, with colcon from PyPI'

@@ -42,7 +42,7 @@ def node(name: str, *configs: str, **parameters: object) -> list[str]:
 def learn_killed(
     folder: Path, bags: list[str], seed: int, trials: int, kills: int
 ) -> tuple[list[str], list[str]]:
-    """A session whose learner is killed.
+    """A session whose learner is killed, so often or until it is over.
 
     Returns:
         What was lost, and a line about every kill.
@@ -75,6 +75,9 @@ def learn_killed(
                 while len(lines(folder)) < len(kept) + rollouts and time.monotonic() < end:
                     time.sleep(0.01)
                 time.sleep(life)
+                if learner.process.poll() == 0:  # it has finished: nothing is left to kill
+                    report.append(f"  the session was over after {kill - 1} kills")
+                    break
                 if learner.process.poll() is not None or time.monotonic() > end:
                     raise RuntimeError(f"no session to kill ({kill})\n{learner.tail}")
                 before = lines(folder)
@@ -129,7 +132,8 @@ def main() -> int:
                 found.append(f"{record['id']}: no bag {record['bag']!r}")
         bags_left = sorted(path.name for path in (killed / "bags").iterdir())
         say(f"seed {seed}, {len(lines(undisturbed))} rollouts: {took:.0f} s undisturbed, ")
-        say(f"{longer:.0f} s with {options.kills} kills\n" + "\n".join(report) + "\n")
+        kills = sum("on record" in line for line in report)
+        say(f"{longer:.0f} s with {kills} kills\n" + "\n".join(report) + "\n")
         say(f"bags: {len(bags_left)}, of rollouts cut short as well\n")
         say(verdict("rollouts, undisturbed and killed", found) + "\n")
     return int(bool(found))

@@ -28,7 +28,7 @@ from wam_power_ros.toss import TossModel
 
 VARIANT = "full"  # on both tasks
 NOVICE = 5.0  # [rad/s] intended pitch rate of the hand that teaches: leaves something to learn
-REPEATS = 5  # of the answer
+REPEATS = 3  # of the answer
 _SETTINGS: TypeAdapter[Settings] = TypeAdapter(Settings)
 
 

@@ -162,7 +162,7 @@ def session(
     changes: Mapping[str, Any] | None = None,
     condition: Mapping[str, Any] | None = None,
     carried: Mapping[str, Mapping[str, Any]] | None = None,
-    repeats: int = 4,
+    repeats: int = 3,
     exhibited: bool = False,
 ) -> dict[str, Any]:
     """One session from its first demonstration to the last re-test, as plain data.
@@ -320,7 +320,7 @@ def jobs(scale: Scale) -> list[Job]:
     budgets = {count: series - 1 + (3 if quick else count) for count in (50, 100)}
     retests = {"retests": 1 if quick else 30}
     fewer = {"retests": 1 if quick else 10}
-    common = {"demonstrations": series, "repeats": 1 if quick else 4}
+    common = {"demonstrations": series, "repeats": 1 if quick else 3}
     default = {**common, "name": "flip", "changes": {**retests, **({"budget": 4} if quick else {})}}
     paper = {**common, "name": "paper", "pitch_rate": NOVICE}
     conditions = dict(list(CONDITIONS.items())[one])
@@ -338,7 +338,7 @@ def jobs(scale: Scale) -> list[Job]:
         for seed in seeds[:8][one]
     ]
     for study, count, some in ((PAPER, 50, seeds[one]), (LONG, 100, seeds[:4][one])):
-        changes = {**retests, "budget": budgets[count], "confirm": 0}
+        changes = {**fewer, "budget": budgets[count], "confirm": 0}
         wanted += [
             (
                 study,

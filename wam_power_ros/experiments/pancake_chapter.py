@@ -197,7 +197,7 @@ def _robustness(sessions: Sequence[Session], learnt: Mapping[str, Sequence[Sessi
 def _paper(
     sessions: Sequence[Session], long: Sequence[Session], default: Sequence[Session]
 ) -> Chapter:
-    curves = [session["curve"] for session in sessions]
+    curves = _curves(sessions)
     early, late = study_figures.first_and_last_five(curves)
     gain = late - early
     fig5 = paper_table("fig5")[:, 1]
@@ -319,7 +319,7 @@ def _compliance(
     ]
     rows, finals = [], {}
     for name, sessions in ablation.items():
-        curves = study_figures.stack([session["curve"] for session in sessions])
+        curves = study_figures.stack(_curves(sessions))
         blocks = [np.nanmean(curves[:, k : k + BLOCK]) for k in range(0, curves.shape[1], BLOCK)]
         finals[name] = np.nanmean(curves[:, -BLOCK:], axis=1)
         landed = _shares(sessions, "landed")
@@ -387,10 +387,7 @@ def _compliance(
                 "pancake-ablation",
                 "Return of Eq. 5 with less of the stiffness to learn: median over sessions.",
                 study_figures.learner_curves(
-                    {
-                        name: [session["curve"] for session in sessions]
-                        for name, sessions in ablation.items()
-                    },
+                    {name: _curves(sessions) for name, sessions in ablation.items()},
                     ours=("full",),
                     ylabel="return (Eq. 5)",
                 ),
@@ -471,8 +468,13 @@ def _condition_row(name: str, runs: Sequence[Sequence[Mapping[str, Any]]]) -> li
     ]
 
 
+def _curves(sessions: Sequence[Session]) -> list[list[float]]:
+    """Returns of the rollouts of each session that could be judged."""
+    return [[ret for ret in session["curve"] if ret is not None] for session in sessions]
+
+
 def _paper_row(name: str, sessions: Sequence[Session]) -> list[str]:
-    early, late = study_figures.first_and_last_five([session["curve"] for session in sessions])
+    early, late = study_figures.first_and_last_five(_curves(sessions))
     rows = _retests(sessions)
     return [
         name,
