@@ -42,6 +42,7 @@ from wam_power_ros.records import Event, Record
 from wam_power_ros.rehearsal import rehearse
 from wam_power_ros.resources import share
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
+from wam_power_ros.service_calls import DISCOVERY
 from wam_power_ros.session import Session
 from wam_power_ros.trial import Trial
 
@@ -138,6 +139,7 @@ class Learner(Node):
             )
         }
         self._offers[interface.RECORD] = self.create_client(SetBool, interface.RECORD)
+        self._asked: set[str] = set()  # of these services
         self._executor = executor_for(self)
 
     # Messages in
@@ -246,6 +248,10 @@ class Learner(Node):
         timeout = self.params.service_timeout if timeout is None else timeout
         client = self._offers[name]
         self._until(client.service_is_ready, f"service {name} is offered", timeout)
+        if name not in self._asked:  # or a learner that has just started waits for a lost answer
+            self._asked.add(name)
+            seen = time.monotonic() + DISCOVERY
+            self._until(lambda: time.monotonic() > seen, f"{name} has seen us", math.inf)
         future = client.call_async(request)
         try:
             self._until(future.done, f"answer of {name}", timeout)
