@@ -657,6 +657,7 @@ class Practice:
         self._demonstration = demonstration
         self._choice = f"learns from {demonstration}: {why}"
         self._learner = self._taught_again()
+        self._allowed = None  # z means another policy now
 
     def _practise(self, record: Record, z: np.ndarray) -> str:
         """Follow a trial that explored or ran the mean."""
