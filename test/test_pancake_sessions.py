@@ -91,7 +91,6 @@ def results(default: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]
         "pancake-paper-100": few,
         "pancake-learnt-80-V": few,
         "pancake-ablation-diagonal": few,
-        "pancake-ablation-full": few,
     }
 
 

@@ -63,7 +63,7 @@ LEARNT_UNDER = (
     "2 ms more delay",
     "80 V",
 )  # sessions held there, too
-VARIANTS = ("attractors", "diagonal", "symmetric", "full")
+LESS = ("attractors", "diagonal", "symmetric")  # than the full matrices of the paper's sessions
 Scale = Literal["full", "quick"]
 
 
@@ -337,20 +337,15 @@ def jobs(scale: Scale) -> list[Job]:
         for name in LEARNT_UNDER[one]
         for seed in seeds[:8][one]
     ]
-    for study, count, some in ((PAPER, 50, seeds[one]), (LONG, 100, seeds[:4][one])):
-        changes = {**fewer, "budget": budgets[count], "confirm": 0}
-        wanted += [
-            (
-                study,
-                seed,
-                {**paper, "changes": changes, "exhibited": study == PAPER and seed == seeds[0]},
-            )
-            for seed in some
-        ]
-    changes = {**fewer, "budget": budgets[50], "confirm": 0}
+    changes = {count: {**fewer, "budget": budgets[count], "confirm": 0} for count in budgets}
     wanted += [
-        (f"{ABLATION}{variant}", seed, {**paper, "changes": {**changes, "variant": variant}})
-        for variant in VARIANTS[2 if quick else 0 :]
+        (PAPER, seed, {**paper, "changes": changes[50], "exhibited": seed == seeds[0]})
+        for seed in seeds[one]
+    ]
+    wanted += [(LONG, seed, {**paper, "changes": changes[100]}) for seed in seeds[:4][one]]
+    wanted += [
+        (f"{ABLATION}{variant}", seed, {**paper, "changes": {**changes[50], "variant": variant}})
+        for variant in LESS[2 if quick else 0 :]
         for seed in seeds[:10][one]
     ]
     return [

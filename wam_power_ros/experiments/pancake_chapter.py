@@ -37,6 +37,8 @@ def chapter(results: Results) -> Chapter:
     long = list(results[LONG].values())
     learnt = _named(results, LEARNT)
     ablation = _named(results, ABLATION)
+    ablated = next(sessions for study, sessions in results.items() if study.startswith(ABLATION))
+    ablation["full"] = [results[PAPER][key] for key in ablated]  # of the same seeds
     return Chapter(
         title="Flipping a pancake (Sec. III-B, Figs. 3 to 6)",
         text=[
