@@ -21,6 +21,7 @@ from wam_power_ros.confirmation import Confirmation
 from wam_power_ros.correction import corrected
 from wam_power_ros.evidence import Best, evidence_of
 from wam_power_ros.parameters import Parameters
+from wam_power_ros.permission import Permission
 from wam_power_ros.policy import Policy, check_id, to_json
 from wam_power_ros.power import Power, generator_state
 from wam_power_ros.presets import PracticeSettings
@@ -28,8 +29,6 @@ from wam_power_ros.records import Event, Given, Kind, Line, Rating, Record, plai
 from wam_power_ros.rollout import EndEffectorPath, PancakePath
 from wam_power_ros.trial import Retry, Trial
 
-_REDRAWS_MAX = 20
-_HALVINGS_MAX = 5  # of the way from what ran without a fault to what is forbidden
 _RECENT = 5  # rollouts whose mean return a demonstration given later has to exceed
 RATING_MAX = 1.0  # of one rating: a whole return
 E = TypeVar("E", Rating, Given)
@@ -113,12 +112,12 @@ class Practice:
         self._demonstration: str | None = None
         self._choice = ""
         self._learner: Power | None = None
+        self._permission: Permission | None = None  # with the learner
         self._used = 0  # usable rollouts, of the budget
         self._practised = 0  # trials of the practice that are over, dropped ones included
         self._confirmation = Confirmation(settings)
         self._stopped = ""
         self._answer: np.ndarray | None = None
-        self._allowed: np.ndarray | None = None  # the last mean or answer found not forbidden
         self._retested = 0
 
     @classmethod
@@ -515,68 +514,31 @@ class Practice:
             retry = self._retry
             why = f"attempt {retry.attempt}: {retry.why}"
             return retry.kind, retry.demonstration, retry.z, retry.attempt, 0, why
-        learner = self._learner
         if len(self._reproductions) < len(self._candidates):
             candidate = self._candidates[len(self._reproductions)]
             zero = np.zeros(self._parameters[candidate.id].size)
             return "reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}"
-        if learner is None or self._demonstration is None:
+        learner, permission = self._learner, self._permission
+        if learner is None or permission is None or self._demonstration is None:
             raise ValueError("a session that never chose a demonstration is over")
-        parameters = self._parameters[self._demonstration]
+        ran = self._best_without_fault(learner.size)
         kind: Kind = "mean"
         if self._answer is not None:
             kind = "retest"
-            z, redrawn = self._drawn_back(self._answer, parameters, redrawn)
+            z, redrawn = permission.drawn_back(self._answer, ran, redrawn)
             self._answer = z
             why = f"re-test {self._retested + 1} of {self.settings.retests}"
         elif self._confirmation.z is not None:
             z, redrawn = self._confirmation.z, 0
             why = f"confirms a mean, {self._confirmation.count + 1} of {self.settings.confirm}"
         elif self._confirmation.wanted or self._is_mean_turn():
-            z, redrawn = self._drawn_back(learner.mean, parameters, redrawn)
+            z, redrawn = permission.drawn_back(learner.mean, ran, redrawn)
             why = "the mean, without noise"
         else:
             kind = "explore"
-            z, redrawn = self._sample(learner, parameters, redrawn)
+            z, redrawn = permission.sample(learner, ran, redrawn)
             why = f"explores about the mean with noise {learner.noise:.2f}"
         return kind, self._demonstration, z, 1, redrawn, why
-
-    def _sample(
-        self, learner: Power, parameters: Parameters, redrawn: int | None
-    ) -> tuple[np.ndarray, int]:
-        """A sample that is not forbidden and how many were; drawn back if all are."""
-        asked = _REDRAWS_MAX if redrawn is None else min(redrawn + 1, _REDRAWS_MAX)
-        for count in range(asked):
-            z = learner.ask()
-            if redrawn is None and not self._forbidden(parameters.policy(z, "sample")[0]):
-                return z, count
-        if redrawn is not None and redrawn < _REDRAWS_MAX:
-            return z, redrawn
-        halved = None if redrawn is None else redrawn - _REDRAWS_MAX
-        z, halved = self._drawn_back(z, parameters, halved)
-        return z, _REDRAWS_MAX + halved
-
-    def _drawn_back(
-        self, z: np.ndarray, parameters: Parameters, halved: int | None
-    ) -> tuple[np.ndarray, int]:
-        """z, or where that is forbidden a point nearer to what ran, and how often it was halved.
-
-        `halved` is known when it is replayed: nothing is asked then.
-        """
-        ran = self._best_without_fault(parameters.size)
-        nearer = [z, *(ran + 0.5**count * (z - ran) for count in range(1, _HALVINGS_MAX)), ran]
-        if halved is None:
-            allowed = (k for k in range(_HALVINGS_MAX) if self._allows(nearer[k], parameters))
-            halved = next(allowed, _HALVINGS_MAX)
-        return nearer[halved], halved
-
-    def _allows(self, z: np.ndarray, parameters: Parameters) -> bool:
-        if self._allowed is not None and np.array_equal(z, self._allowed):
-            return True  # an answer is asked about once, not before every re-test
-        if self._forbidden(parameters.policy(z, "sample")[0]):
-            return False
-        self._allowed = z
-        return True
 
     def _best_without_fault(self, size: int) -> np.ndarray:
         """The z of the rollout that was worth most; 0 if each had a fault."""
@@ -657,7 +619,7 @@ class Practice:
         self._demonstration = demonstration
         self._choice = f"learns from {demonstration}: {why}"
         self._learner = self._taught_again()
-        self._allowed = None  # z means another policy now
+        self._permission = Permission(self._parameters[demonstration], self._forbidden)
 
     def _practise(self, record: Record, z: np.ndarray) -> str:
         """Follow a trial that explored or ran the mean."""
