@@ -335,7 +335,7 @@ def jobs(scale: Scale) -> list[Job]:
             {**default, "condition": CONDITIONS[name], "carried": {"as it is": {}}},
         )
         for name in LEARNT_UNDER[one]
-        for seed in seeds[:8][one]
+        for seed in seeds[:5][one]
     ]
     changes = {count: {**fewer, "budget": budgets[count], "confirm": 0} for count in budgets}
     wanted += [
@@ -346,7 +346,7 @@ def jobs(scale: Scale) -> list[Job]:
     wanted += [
         (f"{ABLATION}{variant}", seed, {**paper, "changes": {**changes[50], "variant": variant}})
         for variant in LESS[2 if quick else 0 :]
-        for seed in seeds[:10][one]
+        for seed in seeds[:8][one]
     ]
     return [
         Job(study, f"seed-{seed}", session, {"seed": seed, **arguments})
