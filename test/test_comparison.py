@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from wam_power_ros.experiments import comparison, comparison_chapter, reaching
-from wam_power_ros.experiments.comparison import EFFORT, GRID, HELD_OUT, TUNED
-from wam_power_ros.experiments.comparison_chapter import LEARNERS, TASKS
+from wam_power_ros.experiments.comparison import BESIDE, EFFORT, GRID, HELD_OUT, TUNED
+from wam_power_ros.experiments.comparison_chapter import FOILS, LEARNERS, NOT_THE_PAPERS, TASKS
 from wam_power_ros.experiments.comparison_runs import learner_of, reaching_runs
 from wam_power_ros.learners import Search
 from wam_power_ros.power import Power
@@ -41,6 +41,17 @@ def test_no_learner_is_tuned_on_a_seed_it_is_judged_on(task: str) -> None:
     tuning = {*EFFORT[task].few, *EFFORT[task].many}
     assert not tuning & set(HELD_OUT[task])
     assert set(TUNED[task]) == set(GRID) == set(LEARNERS)
+
+
+def test_whatever_is_claimed_is_run_on_every_held_out_seed() -> None:
+    seeds: dict[str, set[int]] = {}
+    for job in comparison.jobs("full"):
+        if job.study == "comparison-pancake":
+            seeds.setdefault(job.key.split("-")[0], set()).add(job.arguments["seed"])
+    claimed = {*FOILS, *NOT_THE_PAPERS}
+    for name in LEARNERS:
+        assert seeds[name] <= set(HELD_OUT["pancake"])
+        assert len(seeds[name]) == (len(HELD_OUT["pancake"]) if name in claimed else BESIDE)
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -127,13 +127,15 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     # and so are the states, while it lies still and while it flies
     seen = [interface.odometry(state) for state in states]
     at = [(state.stamp_ns - start_ns) * 1e-9 for state in seen]
+    # (a busy machine holds the film up: what is coasted then says so by its variance)
+    measured = 1.01 * setup["pancake_tracker"]["noise"] ** 2
     errors = [
         np.linalg.norm(state.position - toss(when)[0])
         for state, when in zip(seen, at, strict=True)
-        if 0.1 < when < 0.95
+        if 0.1 < when < 0.95 and state.variance < measured
     ]
-    assert np.quantile(errors, 0.9) < 0.02
-    assert max(errors) < 0.3  # a frame stamped at receipt comes late where the machine is busy
+    assert len(errors) > 80
+    assert max(errors) < 0.02
     resting = [state for state, when in zip(seen, at, strict=True) if 0.2 < when < 0.55]
     assert len(resting) > 20
     assert np.median([np.linalg.norm(state.velocity) for state in resting]) < 0.05

@@ -38,6 +38,19 @@ def test_the_papers_rule_fires_at_the_third_good_return_in_a_row() -> None:
     assert pancake._fires([0.95, 0.91, 0.89]) is None
 
 
+@pytest.mark.parametrize("scale", ["quick", "full"])
+def test_what_is_ablated_stands_beside_the_papers_own_session_of_its_seed(scale: str) -> None:
+    jobs = pancake.jobs(scale)
+    ablated = [job for job in jobs if job.study.startswith(pancake_chapter.ABLATION)]
+    papers = {job.key: job.arguments for job in jobs if job.study == pancake_chapter.PAPER}
+    assert ablated
+    for job in ablated:
+        changes = {key: x for key, x in job.arguments["changes"].items() if key != "variant"}
+        session = {**job.arguments, "changes": changes}
+        paper = {key: x for key, x in papers[job.key].items() if key != "exhibited"}
+        assert session == paper
+
+
 def test_what_is_judged_is_held_out_and_what_is_tried_is_not() -> None:
     full, quick = pancake.jobs("full"), pancake.jobs("quick")
     assert {job.arguments["seed"] for job in full} == set(pancake.HELD_OUT)
