@@ -65,19 +65,3 @@ def test_a_sample_is_allowed_or_what_ran_and_its_count_brings_it_back(
     again, _ = Permission(PARAMETERS, never).sample(twice, RAN, count)
     assert np.array_equal(again, z)
     assert np.array_equal(once.ask(), twice.ask())  # both have drawn as often
-
-
-def test_an_answer_is_asked_about_once_and_another_demonstration_anew() -> None:
-    asked = []
-
-    def noted(policy: Policy) -> str:
-        asked.append(place(policy))
-        return ""
-
-    permission = Permission(PARAMETERS, noted)
-    for _ in range(3):
-        permission.drawn_back(RIGHT, RAN)
-    assert len(asked) == 1
-    other = Parameters(demonstrated_policy("flick-2", seed=2), "planar", SETTINGS.noise)
-    Permission(other, noted).drawn_back(RIGHT, RAN)
-    assert len(asked) == 2

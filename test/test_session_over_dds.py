@@ -204,6 +204,66 @@ def test_the_command_it_prints_goes_on_to_the_end(
     assert (interrupted.folder / "report.html").exists()
 
 
+def with_low_limits(folder: Path) -> Path:
+    """A set-up under which no toss is possible."""
+    file = folder / "low.yaml"
+    file.write_text("torque_controller: {ros__parameters: {tool_speed_max: 0.5}}")
+    return file
+
+
+@pytest.mark.requirement("S-31")
+def test_a_demonstration_whose_reproduction_would_end_in_a_fault_is_not_reproduced(
+    demonstration: Path, tmp_path: Path
+) -> None:
+    low = with_low_limits(tmp_path)
+    arguments = (
+        "--bags",
+        str(demonstration),
+        "--config",
+        str(low),
+        "--rehearse",
+        "--session",
+        "session",
+    )
+    status, output = ended(wam_power(tmp_path, "learn", *arguments))
+    assert status != 0
+    assert f"{demonstration}: would end in a fault: tool" in output
+    assert not Session.exists(tmp_path / "session")
+
+
+@pytest.mark.requirement("S-31")
+def test_a_session_taken_up_under_lower_limits_sends_nothing_that_breaks_them(
+    candidate: Policy, tmp_path: Path
+) -> None:
+    folder, low = begin(tmp_path / "session", candidate), with_low_limits(tmp_path)
+    arguments = ("--session", "session", "--config", str(low), "--rehearse")
+    status, output = ended(wam_power(tmp_path, "learn", *arguments))
+    assert status != 0
+    assert "trial-0001 (reproduces demonstration-1) was not sent: by these limits" in output
+    assert lines(folder) == []
+
+
+SIM = {"use_sim_time": True}
+
+
+def all_but_the_learner(processes: Processes, folder: Path) -> subprocess.Popen[bytes]:
+    """Start the nodes of a session; returns the controller."""
+    processes.node(
+        "hardware_sim.wam_node", "wam_sim.yaml", "optitrack_sim.yaml", **{"wam_sim:seed": SEED}
+    )
+    processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **SIM)
+    recorder = "demonstration_recorder"
+    directory = {"directory": folder / "bags"}
+    processes.node(f"wam_power_ros.nodes.{recorder}", f"{recorder}.yaml", **SIM, **directory)
+    controller = "torque_controller"
+    return processes.node(f"wam_power_ros.nodes.{controller}", f"{controller}.yaml", **SIM)
+
+
+def learner(processes: Processes, folder: Path) -> subprocess.Popen[bytes]:
+    node = "wam_power_ros.nodes.learner"
+    return processes.node(node, "learner.yaml", **SIM, session=folder)
+
+
 def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
     probe: Probe,
     processes: Processes,
@@ -212,19 +272,7 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
     tmp_path: Path,
 ) -> None:
     folder = begin(tmp_path / "session", candidate)
-    sim = {"use_sim_time": True}
-    processes.node(
-        "hardware_sim.wam_node", "wam_sim.yaml", "optitrack_sim.yaml", **{"wam_sim:seed": SEED}
-    )
-    processes.node("wam_power_ros.nodes.torque_controller", "torque_controller.yaml", **sim)
-    processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **sim)
-    recorder = "demonstration_recorder"
-    directory = {"directory": folder / "bags"}
-    processes.node(f"wam_power_ros.nodes.{recorder}", f"{recorder}.yaml", **sim, **directory)
-
-    def learner() -> subprocess.Popen[bytes]:
-        node = "wam_power_ros.nodes.learner"
-        return processes.node(node, "learner.yaml", **sim, session=folder)
+    all_but_the_learner(processes, folder)
 
     # What a killed learner may leave: a recording, and a path and truth of the trial under way.
     left = PathMessage
@@ -239,14 +287,14 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
 
     kept: list[bytes] = []
     for rollout in ROLLOUTS[:2]:
-        killed = learner()
+        killed = learner(processes, folder)
         recording = bags.unfinished(folder / "bags" / f"rollout_{rollout}")
         probe.until(recording.exists, f"recording of {rollout}", 120.0)
         probe.spin(float(np.random.default_rng(SEED).uniform(0.1, 0.6)))
         assert processes.end(killed, signal.SIGKILL) == -signal.SIGKILL
         assert lines(folder)[: len(kept)] == kept
         kept = lines(folder)
-    last = learner()
+    last = learner(processes, folder)
     probe.until(lambda: last.poll() is not None, "the end of the session", 120.0)
     assert last.returncode == 0, processes.output(last)
     assert lines(folder)[: len(kept)] == kept
@@ -260,6 +308,29 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
         labels = {message.layout.dim[0].label.partition(" ")[2] for message in commands}
         assert f"rollout {bag[8:18]}" in labels
         assert not labels - {"hold", f"rollout {bag[8:18]}"}  # one rollout a bag, and only that
+
+
+@pytest.mark.requirement("S-67")
+def test_answers_that_do_not_come_cost_a_session_time_and_nothing_else(
+    probe: Probe,
+    processes: Processes,
+    candidate: Policy,
+    expected: list[dict[str, Any]],
+    tmp_path: Path,
+) -> None:
+    folder = begin(tmp_path / "session", candidate)
+    controller = all_but_the_learner(processes, folder)
+    learning = learner(processes, folder)
+    recording = bags.unfinished(folder / "bags" / f"rollout_{ROLLOUTS[0]}")
+    probe.until(recording.exists, f"recording of {ROLLOUTS[0]}", 120.0)
+    controller.send_signal(signal.SIGSTOP)  # before it has answered that the rollout begins
+    try:
+        probe.until(lambda: "from its start again" in processes.output(learning), "a new start")
+    finally:
+        controller.send_signal(signal.SIGCONT)
+    probe.until(lambda: learning.poll() is not None, "the end of the session", 120.0)
+    assert learning.returncode == 0, processes.output(learning)
+    assert learnt(lines(folder)) == expected
 
 
 def test_another_reader_opens_the_demonstration(demonstration: Path) -> None:

@@ -24,13 +24,12 @@ class Permission:
     Args:
         parameters: of the demonstration.
         forbidden: why the arm must not try a policy, empty if it may; the same policy must always
-            get the same answer.
+            get the same answer, and an answer's is asked for before every re-test.
     """
 
     def __init__(self, parameters: Parameters, forbidden: Callable[[Policy], str]) -> None:
         self._parameters = parameters
         self._forbidden = forbidden
-        self._allowed: np.ndarray | None = None  # the last that was not forbidden
 
     def sample(
         self, learner: Power, ran: np.ndarray, redrawn: int | None = None
@@ -71,17 +70,9 @@ class Permission:
         """
         nearer = [z, *(ran + 0.5**count * (z - ran) for count in range(1, HALVINGS_MAX)), ran]
         if halved is None:
-            allowed = (count for count in range(HALVINGS_MAX) if self._allows(nearer[count]))
+            allowed = (count for count in range(HALVINGS_MAX) if not self._forbids(nearer[count]))
             halved = next(allowed, HALVINGS_MAX)
         return nearer[halved], halved
-
-    def _allows(self, z: np.ndarray) -> bool:
-        if self._allowed is not None and np.array_equal(z, self._allowed):
-            return True  # an answer is asked about once, not before every re-test
-        if self._forbids(z):
-            return False
-        self._allowed = z
-        return True
 
     def _forbids(self, z: np.ndarray) -> bool:
         return bool(self._forbidden(self._parameters.policy(z, "sample")[0]))

@@ -34,6 +34,12 @@ RATING_MAX = 1.0  # of one rating: a whole return
 E = TypeVar("E", Rating, Given)
 
 
+def reproduced(candidate: Policy, settings: PracticeSettings) -> Policy:
+    """The policy that reproduces a demonstration: the candidate in the parameters of a session."""
+    parameters = Parameters(candidate, settings.variant, settings.noise)
+    return parameters.policy(np.zeros(parameters.size), candidate.id)[0]
+
+
 class Practice:
     """A session from its first reproduction to its last re-test.
 
@@ -80,7 +86,8 @@ class Practice:
             settings: see there.
             seed: of the exploration, >= 0.
             forbidden: why the arm must not try a policy, empty if it may; the same policy must
-                always get the same answer. Not asked about the demonstrations.
+                always get the same answer. Not asked about these candidates: ask it yourself
+                about what `reproduced` gives of each.
 
         Raises:
             ValueError: no candidates, two of the same id, or a budget that leaves no practice.
@@ -396,9 +403,7 @@ class Practice:
         check_id(policy.id)
         if policy.id in [candidate.id for candidate in self.candidates]:
             raise ValueError(f"there is a demonstration {policy.id!r} already")
-        parameters = Parameters(policy, self.settings.variant, self.settings.noise)
-        why = self._forbidden(parameters.policy(np.zeros(parameters.size), policy.id)[0])
-        if why:
+        if why := self._forbidden(reproduced(policy, self.settings)):
             raise ValueError(f"the arm must not try {policy.id}: {why}")
         return self._accept(
             Given(

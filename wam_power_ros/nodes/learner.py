@@ -32,10 +32,11 @@ from wam_power_ros import policy as policies
 from wam_power_ros.arm import Arm
 from wam_power_ros.bags import read_demonstration
 from wam_power_ros.demonstration import from_joint_samples
+from wam_power_ros.modes import Mode
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
 from wam_power_ros.params import Params
-from wam_power_ros.practice import RATING_MAX, Practice
-from wam_power_ros.presets import preset
+from wam_power_ros.practice import RATING_MAX, Practice, reproduced
+from wam_power_ros.presets import PracticeSettings, preset
 from wam_power_ros.primitive import PANCAKE, fit
 from wam_power_ros.real_time import executor_for
 from wam_power_ros.records import Event, Record
@@ -48,8 +49,12 @@ from wam_power_ros.trial import Trial
 
 T = TypeVar("T")
 STARTS = 5  # of a trial, when faults come before its rollout
+ANSWER = 10.0  # one that has not come by then is taken for lost [s of wall time]
+AWAY = "from the start"  # in a refusal: the arm is not where it was sent
+TELLING = 5.0  # what is waited for for so long is told [s of wall time]
 CLOCKS_APART = 0.2  # most that arm and motion capture may be [s]; the tracker scores no more
 FAULT_PATIENCE = 2.5  # for the diagnostics that name a fault, which come once a second [s]
+MOVING = Mode.MOVE_TO_START.value
 CONTROLLER = "torque_controller"  # name of the node whose diagnostics tell of faults
 
 
@@ -80,8 +85,8 @@ class Trouble(RuntimeError):
     """The session cannot go on; what was acknowledged is on disk."""
 
 
-class FaultFirst(Trouble):
-    """The controller is at fault, and the rollout has not begun."""
+class NotBegun(Trouble):
+    """The rollout has not begun, as far as is known: a fault came first, or no answer."""
 
 
 class Learner(Node):
@@ -100,11 +105,13 @@ class Learner(Node):
         own, *over = (share(file) for file in params.controller)
         as_set = TorqueControllerParams.of_file(own, "torque_controller", *over)
         self._rehearsed = as_set.controller(urdf)
+        self._verdicts: dict[str, str] = {}  # movement -> the fault its rehearsal ended in
         self._policy_pub = self.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._pan: tuple[int, EndEffectorPath] | None = None
         self._pancake: tuple[int, PancakePath] | None = None
         self._truth: dict[str, Any] | None = None
         self._fault = ""
+        self._mode = ""  # of the controller, as told once a second
         self._resting = 0  # frames in a row
         self._rested_ns = 0  # stamp of the last of them
         self._pan_at_start = (np.zeros(3), np.eye(3))
@@ -172,6 +179,7 @@ class Learner(Node):
             if status.name.startswith(CONTROLLER):
                 at_fault = status.level == DiagnosticStatus.ERROR
                 self._fault = status.message if at_fault else ""
+                self._mode = {each.key: each.value for each in status.values}.get("mode", "")
 
     def _read(self, convert: Callable[[], T]) -> T | None:
         try:
@@ -232,32 +240,50 @@ class Learner(Node):
     # Waiting
 
     def _until(self, condition: Callable[[], object], what: str, timeout: float) -> None:
-        end = time.monotonic() + timeout
+        if not self._comes(condition, what, timeout):
+            raise Trouble(f"not within {timeout:.0f} s: {what}")
+
+    def _comes(self, condition: Callable[[], object], what: str, timeout: float) -> bool:
+        """Whether it comes true in time; what is waited for is told."""
+        begun, told = time.monotonic(), False
         while not condition():
             if not rclpy.ok():
                 raise ExternalShutdownException
-            if time.monotonic() > end:
-                raise Trouble(f"not within {timeout:.0f} s: {what}")
+            waited = time.monotonic() - begun
+            if waited > timeout:
+                return False
+            if waited > TELLING and not told:
+                self.get_logger().info(f"waiting: {what}")
+                told = True
             self._executor.spin_once(timeout_sec=0.05)
+        return True
 
-    def _call(self, name: str, timeout: float | None = None) -> tuple[bool, str]:
-        request = Trigger.Request()
-        return self._ask(name, request, timeout)
+    def _call(self, name: str) -> tuple[bool | None, str]:
+        return self._ask(name, Trigger.Request())
 
-    def _ask(self, name: str, request: object, timeout: float | None = None) -> tuple[bool, str]:
-        timeout = self.params.service_timeout if timeout is None else timeout
+    def _ask(self, name: str, request: object) -> tuple[bool | None, str]:
+        """Whether a service agreed, and its words; None if no answer has come.
+
+        Questions and answers can be lost: the middleware drops an answer to a client that it has
+        not discovered, and a node may be started again. So nothing waits long for one.
+        """
         client = self._offers[name]
+        timeout = self.params.service_timeout
         self._until(client.service_is_ready, f"service {name} is offered", timeout)
         if name not in self._asked:  # or a learner that has just started waits for a lost answer
             self._asked.add(name)
-            seen = time.monotonic() + DISCOVERY
-            self._until(lambda: time.monotonic() > seen, f"{name} has seen us", math.inf)
+            self._comes(lambda: False, f"{name} sees us", DISCOVERY)
         future = client.call_async(request)
-        try:
-            self._until(future.done, f"answer of {name}", timeout)
-        finally:
-            if not future.done():
-                client.remove_pending_request(future)
+        late = time.monotonic() + ANSWER
+        self._comes(
+            lambda: future.done() or (time.monotonic() > late and self._mode != MOVING),
+            f"answer of {name}",
+            self.params.patience,
+        )
+        if not future.done():
+            client.remove_pending_request(future)
+            self.get_logger().warning(f"{name} does not answer")
+            return None, "no answer"
         response = future.result()
         return response.success, response.message
 
@@ -298,7 +324,7 @@ class Learner(Node):
             session = Session.open(folder)
         else:
             settings = preset(params.preset, **({"budget": params.trials} if params.trials else {}))
-            bags, candidates = self._fit_all()
+            bags, candidates = self._fit_all(settings)
             session = Session.begin(folder, settings, params.seed, candidates, demonstrations=bags)
         practice = Practice.from_records(
             session.candidates, session.settings, session.seed, session.log, self._forbidden
@@ -308,11 +334,14 @@ class Learner(Node):
 
     def _forbidden(self, policy: policies.Policy) -> str:
         """Why the arm must not try a policy: the fault in which its rehearsal ends."""
-        rehearsal = rehearse(self._rehearsed.arm, self._rehearsed.settings, policy)
-        self.get_logger().info(f"{policy.id} rehearsed: {rehearsal}")
-        return rehearsal.fault
+        movement = policies.to_json(policies.with_id(policy, "movement"))
+        if movement not in self._verdicts:
+            rehearsal = rehearse(self._rehearsed.arm, self._rehearsed.settings, policy)
+            self.get_logger().info(f"{policy.id} rehearsed: {rehearsal}")
+            self._verdicts[movement] = rehearsal.fault
+        return self._verdicts[movement]
 
-    def _fit_all(self) -> tuple[list[str], list[policies.Policy]]:
+    def _fit_all(self, settings: PracticeSettings) -> tuple[list[str], list[policies.Policy]]:
         """The demonstrations of which something can be made, and what."""
         bags = list(filter(None, self.params.demonstrations))
         if not bags:
@@ -320,7 +349,10 @@ class Learner(Node):
         candidates, refused = {}, []
         for number, bag in enumerate(bags, start=1):
             try:
-                candidates[bag] = self._fit(bag, f"demonstration-{number}")
+                candidate = self._fit(bag, f"demonstration-{number}")
+                if why := self._forbidden(reproduced(candidate, settings)):
+                    raise ValueError(f"{bag}: would end in a fault: {why}")
+                candidates[bag] = candidate
             except ValueError as error:
                 refused.append(str(error))
                 self.get_logger().warning(f"demonstration {number} is left out: {error}")
@@ -343,13 +375,18 @@ class Learner(Node):
 
     def _perform(self, practice: Practice, trial: Trial, begun: float) -> Record:
         """Execute one trial and learn from it, whatever comes of it."""
+        if why := self._forbidden(trial.policy):  # a session of other limits goes on here
+            raise Trouble(
+                f"{trial.id} ({trial.why}) was not sent: by these limits it would end in a "
+                f"fault: {why}"
+            )
         self._pan_at_start = self._arm.tool_pose(trial.policy.q_start)
         for attempt in range(STARTS):
             try:
                 rested_ns = self._start(trial)
                 break
-            except FaultFirst as fault:  # nothing was tried: no trial is spent
-                self.get_logger().warning(f"{trial.id} from its start again: {fault}")
+            except NotBegun as why:  # nothing was tried, or is not counted: no trial is spent
+                self.get_logger().warning(f"{trial.id} from its start again: {why}")
                 if attempt == STARTS - 1:
                     raise
         pan, pancake = self._paths_of(trial, rested_ns)
@@ -373,7 +410,7 @@ class Learner(Node):
         """Begin the rollout of a trial; returns the stamp at which the pancake rested before [ns].
 
         Raises:
-            FaultFirst: The controller came to a fault before the rollout had begun.
+            NotBegun: The controller came to a fault before, or nothing was answered.
         """
         self._resting = 0
         self._reach_start(trial)
@@ -442,7 +479,7 @@ class Learner(Node):
         end = time.monotonic() + self.params.patience
         while True:  # the policy each time: during a rollout, a killed learner's, it is refused
             self._policy_pub.publish(String(data=policies.to_json(trial.policy)))
-            done, why = self._call(interface.MOVE_TO_START, self.params.patience)
+            done, why = self._call(interface.MOVE_TO_START)
             if done and why == trial.id:
                 return
             if time.monotonic() > end:
@@ -464,8 +501,12 @@ class Learner(Node):
             done, answer = self._call(name)
             if done and answer == trial.id:
                 return
+            if done is None:  # it may have begun: from the start again, rather than twice
+                raise NotBegun(f"{name}: {answer}")
             if "fault" in answer:
-                raise FaultFirst(f"{answer} ({self._fault or 'no reason told yet'})")
+                raise NotBegun(f"{answer} ({self._fault or 'no reason told yet'})")
+            if AWAY in answer and answer.endswith(trial.id):  # what seemed lost has moved it
+                raise NotBegun(f"{name}: {answer}")
             if time.monotonic() > end:
                 raise Trouble(f"{name} for {trial.id} refused: {answer}")
             self._executor.spin_once(timeout_sec=0.05)
