@@ -31,7 +31,8 @@ ROS_EDGE = {
 # Files, clocks, processes and sockets are theirs; every other module is the core.
 TELLING = {"cli", "lessons", "live", "figures", "study_figures", "page", "report"}
 BAGS = {"bags", "recording", "recovery"}
-EDGE = ROS_EDGE | TELLING | BAGS | {"processes", "resources", "setups", "session", "workbench"}
+MACHINE = {"dds_ports", "processes", "resources"}
+EDGE = ROS_EDGE | TELLING | BAGS | MACHINE | {"setups", "session", "workbench"}
 OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}
 
 MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])

@@ -19,6 +19,7 @@ import rclpy
 from std_msgs.msg import Bool
 
 from wam_power_ros import interface
+from wam_power_ros.dds_ports import number_by_process
 
 FIRST, NEXT = 0.75, 0.15  # [s] in which a key that is held repeats for the first time, and again
 PERIOD = 0.02  # [s] at which the state of the key is published
@@ -44,7 +45,8 @@ def main() -> int:
     if not sys.stdin.isatty():
         raise ValueError("enable needs a terminal, whose keys are the switch")
     rclpy.init()
-    node = rclpy.create_node("enabling_switch")
+    with number_by_process():
+        node = rclpy.create_node("enabling_switch")
     switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
     key, terminal = HeldKey(), sys.stdin.fileno()
     before = termios.tcgetattr(terminal)

@@ -25,6 +25,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import QosDurability, QosReliability
 
 from wam_power_ros import bags, interface
+from wam_power_ros.dds_ports import number_by_process
 
 LOOK_AROUND = 4.0  # [s] in which others that are there are found, as a rule within 2
 LOOK_PERIOD = 1.0  # [s] for publishers that come later
@@ -93,7 +94,8 @@ def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float 
     context = rclpy.Context()
     rclpy.init(context=context)
     try:
-        node = Node("player", context=context)
+        with number_by_process():
+            node = Node("player", context=context)
         _Player(node, topics).play(path, rate, wait)
     finally:
         rclpy.try_shutdown(context=context)

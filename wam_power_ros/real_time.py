@@ -18,6 +18,8 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from wam_power_ros.dds_ports import number_by_process
+
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 
 
@@ -154,7 +156,8 @@ def run(
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
-        node = make_node()
+        with number_by_process():
+            node = make_node()
         spin(node, lambda: bool(signals))
     except ValueError as error:
         if node is not None:

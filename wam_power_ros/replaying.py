@@ -21,6 +21,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros import bags, interface, replay
+from wam_power_ros.dds_ports import number_by_process
 from wam_power_ros.params import Params
 from wam_power_ros.service_calls import ServiceCalls, ServiceError
 
@@ -129,7 +130,9 @@ def main() -> int:
     """Entry point of `python -m wam_power_ros.replaying`."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
-        return Replaying().replay()
+        with number_by_process():
+            replaying = Replaying()
+        return replaying.replay()
     except (ServiceError, ValueError) as error:
         sys.stderr.write(f"wam-power: {error}\n")
         return 2

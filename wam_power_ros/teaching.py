@@ -19,6 +19,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros import interface
+from wam_power_ros.dds_ports import number_by_process
 from wam_power_ros.params import Params
 from wam_power_ros.service_calls import TIMEOUT, ServiceCalls, ServiceError
 
@@ -90,7 +91,9 @@ def main() -> int:
     """Entry point of `python -m wam_power_ros.teaching`."""
     rclpy.init()
     try:
-        Teaching().teach()
+        with number_by_process():
+            teaching = Teaching()
+        teaching.teach()
     except (ServiceError, ValueError) as error:
         sys.stderr.write(f"{error}\n")
         return 2

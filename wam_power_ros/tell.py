@@ -12,6 +12,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros import interface
+from wam_power_ros.dds_ports import number_by_process
 from wam_power_ros.service_calls import TIMEOUT, ServiceCalls, ServiceError
 
 WORDS = {
@@ -36,7 +37,9 @@ def tell(word: str, bag: Path | None = None) -> tuple[bool, str]:
     context = rclpy.Context()
     rclpy.init(context=context)
     try:
-        return _tell(rclpy.create_node("tell", context=context), word, bag)
+        with number_by_process():
+            node = rclpy.create_node("tell", context=context)
+        return _tell(node, word, bag)
     except ServiceError as error:
         return False, f"{error}; is there a learner with the same ROS_DOMAIN_ID?"
     finally:

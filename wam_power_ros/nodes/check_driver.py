@@ -45,6 +45,7 @@ from wam_power_ros.arm import Arm
 from wam_power_ros.arm_conformance import ArmRecord, StateSample
 from wam_power_ros.command_check import CommandCheck
 from wam_power_ros.conformance import Endpoint, Row, Verdict
+from wam_power_ros.dds_ports import number_by_process
 from wam_power_ros.mocap_conformance import CloudSample, FrameSample
 from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
@@ -420,7 +421,8 @@ def main() -> int:
         setup = setups.setup(options.config)
         arm = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
         mocap = PancakeTrackerParams.of_values("pancake_tracker", setup["pancake_tracker"])
-        node = CheckDriver(arm, mocap, console)
+        with number_by_process():
+            node = CheckDriver(arm, mocap, console)
         rows = conformance.accepted(node.check(options.seconds, options.active), options.accept)
     except (ValueError, OSError) as error:
         errors.print(f"cannot check: {error}", markup=False)

@@ -31,6 +31,7 @@ from wam_power_ros import interface, messages
 from wam_power_ros import policy as policies
 from wam_power_ros.arm import Arm
 from wam_power_ros.bags import read_demonstration
+from wam_power_ros.dds_ports import number_by_process
 from wam_power_ros.demonstration import from_joint_samples
 from wam_power_ros.modes import Mode
 from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
@@ -526,7 +527,8 @@ def main() -> int:
     rclpy.init()
     node = None
     try:
-        node = Learner()
+        with number_by_process():
+            node = Learner()
         node.practise()
     except (Trouble, ValueError, OSError) as error:
         (node.get_logger() if node else rclpy.logging.get_logger("learner")).fatal(str(error))
