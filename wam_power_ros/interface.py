@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
@@ -103,6 +104,9 @@ LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
 DIAGNOSTICS_QOS = _qos(10)
 CLOCK_QOS = _qos(1, "BEST_EFFORT")
 ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")
+# A request to idle that a cut network has kept back would drop an arm that is carried again.
+IDLE_QOS = _qos(1)
+IDLE_QOS.lifespan = Duration(seconds=0.2)
 
 
 # Joint states

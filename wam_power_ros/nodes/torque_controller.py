@@ -82,7 +82,8 @@ class TorqueController(LifecycleNode):
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self._guard = SoleCommander(self, self._commands)
-        self._idle = self.create_client(Trigger, params.idle_service or interface.WAM_IDLE)
+        idle = params.idle_service or interface.WAM_IDLE
+        self._idle = self.create_client(Trigger, idle, qos_profile=interface.IDLE_QOS)
         subscribe = self.create_subscription
         subscribe(JointState, params.state_topic, self._on_state, interface.STATE_IN, raw=True)
         if params.hold_to_run:
