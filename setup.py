@@ -3,7 +3,7 @@
 
 from pathlib import Path
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = "wam_power_ros"
 
@@ -41,7 +41,7 @@ setup(
     maintainer="wam_power_ros maintainers",
     maintainer_email="wam_power_ros@users.noreply.github.com",
     python_requires=">=3.10,<3.14",
-    packages=[NAME, f"{NAME}.nodes", f"{NAME}.experiments", "hardware_sim"],
+    packages=find_packages(include=[NAME, f"{NAME}.*", "hardware_sim", "hardware_sim.*"]),
     package_data={NAME: ["data/*.csv"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
@@ -58,9 +58,9 @@ setup(
             f"pancake_tracker = {NAME}.nodes.pancake_tracker:main",
             f"learner = {NAME}.nodes.learner:main",
             f"check_driver = {NAME}.nodes.check_driver:main",
-            "wam_sim = hardware_sim.wam_node:main",
+            "wam_sim = hardware_sim.main:main",
             "optitrack_sim = hardware_sim.optitrack_node:main",
-            f"wam-power = {NAME}.cli:main",
+            f"wam-power = {NAME}.cli.main:main",
         ]
     },
 )

@@ -30,9 +30,9 @@ from std_srvs.srv import Trigger
 
 from benchmark.fuzz import bombard, spoilt, states
 from benchmark.lab import ARM, HOME, NAMES, ROOT, WATCHER, Lab, core
-from wam_power_ros import interface, real_time
-from wam_power_ros.policy import Basis, Policy
-from wam_power_ros.resources import share
+from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros import interface, scheduling
 from wam_power_ros.rotations import quat_xyzw
 
 
@@ -412,7 +412,7 @@ def alone(function: Callable, scratch: Path, repeats: int, rng: np.random.Genera
     if child == 0:
         try:
             if function in PLAYED or function in WATCHED:  # busy processes must not inherit it
-                real_time._schedule(ARM if function in PLAYED else WATCHER)
+                scheduling._schedule(ARM if function in PLAYED else WATCHER)
             lab = Lab(scratch)
             with lab.open():
                 row = function(lab, repeats, rng)

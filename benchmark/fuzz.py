@@ -16,10 +16,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from wam_power_ros import interface, wire
-from wam_power_ros import policy as policies
-from wam_power_ros.controller import Controller, ControllerError
-from wam_power_ros.policy import Policy
+from wam_power_ros.control.controller import Controller, ControllerError
+from wam_power_ros.learning import policy as policies
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.ros import cdr, interface
 
 PERIOD_NS = 2_000_000
 ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e9, -25.0, 25.0, 0.0)
@@ -105,8 +105,8 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
     """
     rng, arm = np.random.default_rng(seed), controller.arm
     names = list(arm.joint_names)
-    read = wire.StateReader(interface.JointStateReader(names))
-    write = wire.TorqueSender(interface.TorqueWriter(names, "multiarray"))
+    read = cdr.StateReader(interface.JointStateReader(names))
+    write = cdr.TorqueSender(interface.TorqueWriter(names, "multiarray"))
     limit, step = controller.limits.torque, 2.0 * 0.002 * controller.limits.torque_rate
     found = {"torques": 0, "not finite": 0, "over": 0, "jumps": 0, "refused": 0, "largest": 0.0}
     before: np.ndarray | None = None

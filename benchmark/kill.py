@@ -22,8 +22,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.sessions import ENVIRONMENT, ROOT, differences, learn, lines, records, verdict
-from wam_power_ros.bags import UNFINISHED
-from wam_power_ros.processes import Processes, private_domain
+from wam_power_ros.bags.reader import UNFINISHED
+from wam_power_ros.cli.processes import Processes, private_domain
 
 PATIENCE = 120.0  # for a rollout [s]
 

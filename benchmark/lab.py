@@ -23,10 +23,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from wam_power_ros import interface
-from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
-from wam_power_ros.processes import Processes, Running, private_domain
-from wam_power_ros.resources import share
+from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.params.resources import share
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.ros import interface
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES = [f"wam_j{i}" for i in range(1, 8)]

@@ -28,8 +28,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from benchmark.stages import table as table_of_stages
-from wam_power_ros import interface, real_time
-from wam_power_ros.processes import Processes, Running, private_domain
+from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.ros import interface, scheduling
 
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
 ECHO = "/echo/commands"
@@ -49,7 +49,7 @@ class Echo(Node):
         self.create_subscription(
             JointState, interface.JOINT_STATES, self._on_state, interface.STATE_IN
         )
-        real_time.request(priority)
+        scheduling.request(priority)
 
     def _on_state(self, message: JointState) -> None:
         stamp_ns = interface.nanoseconds(message.header.stamp)
@@ -58,7 +58,7 @@ class Echo(Node):
 
 def stand_in(report: Path) -> int:
     """Run the stand-ins, timing each state's answers; the figures go to `report` at the end."""
-    from hardware_sim.standins import StandIns
+    from hardware_sim.main import StandIns
     from hardware_sim.wam_node import WamSim
 
     sent: dict[int, int] = {}  # stamp -> when it was published [ns, steady clock]
@@ -91,7 +91,7 @@ def stand_in(report: Path) -> int:
         )
         return bench
 
-    status = real_time.run(make, spin=lambda bench, ended: bench.spin(ended))
+    status = scheduling.run(make, spin=lambda bench, ended: bench.spin(ended))
     rows = [
         (at, *(times.get(stamp_ns, 0) for times in answered.values()))
         for stamp_ns, at in sent.items()
@@ -222,7 +222,7 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     if options.role:
         role, _, priority = options.role.partition(" ")
         if role == "echo":
-            return real_time.run(lambda: Echo(int(priority)))
+            return scheduling.run(lambda: Echo(int(priority)))
         return stand_in(Path(options.role))
     results = {}
     for title, fifo in (("SCHED_FIFO", True), ("plain scheduling", False)):

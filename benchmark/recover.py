@@ -39,10 +39,11 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from benchmark.kill import node
-from wam_power_ros import bags, interface
-from wam_power_ros.bags import BagWriter, unfinished
-from wam_power_ros.processes import Processes, Running, private_domain
-from wam_power_ros.recovery import recover
+from wam_power_ros.bags import reader
+from wam_power_ros.bags.reader import BagWriter, unfinished
+from wam_power_ros.bags.recovery import recover
+from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.ros import interface
 
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
 START = 1_700_000_000_000_000_000
@@ -52,23 +53,23 @@ PROMISE = 1.0  # [s] that a kill may cost
 
 def write(path: Path, states: int, close: bool) -> Path:
     """A bag as the recorder writes it; its MCAP file."""
-    make, serialize = bags.TYPES.types, bags.TYPES.serialize_cdr
+    make, serialize = reader.TYPES.types, reader.TYPES.serialize_cdr
     rng = np.random.default_rng(0)
     writer = BagWriter(path)
     writer.event("start", "demo", START, {"joint_names": str(NAMES).replace("'", '"')})
-    writer.add(bags.STATES, bags.JOINT_STATE, [bags.qos(reliable=True, latched=False)])
+    writer.add(reader.STATES, reader.JOINT_STATE, [reader.qos(reliable=True, latched=False)])
     for index in range(states):
         stamp_ns = START + 2_000_000 * index
         sec, nanosec = divmod(stamp_ns, 1_000_000_000)
         stamp = make["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
-        state = make[bags.JOINT_STATE](
+        state = make[reader.JOINT_STATE](
             header=make["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
             name=NAMES,
             position=rng.normal(size=7),
             velocity=rng.normal(size=7),
             effort=rng.normal(size=7),
         )
-        writer.write(bags.STATES, stamp_ns, bytes(serialize(state, bags.JOINT_STATE)))
+        writer.write(reader.STATES, stamp_ns, bytes(serialize(state, reader.JOINT_STATE)))
         if index % FLUSH == FLUSH - 1:
             writer.flush()
     if close:
@@ -189,7 +190,7 @@ def lost(folder: Path, rng: np.random.Generator, full: bool) -> tuple[float, int
             source.destroy_node()
             rclpy.shutdown(context=context)
             os.environ.pop("ROS_DOMAIN_ID")
-    stamps_ns, _ = bags.read_demonstration(recover(path).path, NAMES)
+    stamps_ns, _ = reader.read_demonstration(recover(path).path, NAMES)
     missing = int((stamps_ns[-1] - stamps_ns[0]) // 2_000_000 + 1) - len(stamps_ns)
     return (START + 2_000_000 * (source.sent - 1) - int(stamps_ns[-1])) * 1e-9, missing
 

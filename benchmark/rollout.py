@@ -24,17 +24,17 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from hardware_sim.sensing import Encoders, Mocap
+from hardware_sim.sensors import Encoders, Mocap
 from hardware_sim.world import World
-from wam_power_ros.arm import Arm
-from wam_power_ros.controller import Controller
-from wam_power_ros.experiments.bench import Bench
-from wam_power_ros.experiments.pancake import teach
-from wam_power_ros.flight import observe_flight
-from wam_power_ros.modes import Mode
-from wam_power_ros.policy import Policy
-from wam_power_ros.torque_law import TorqueLaw
-from wam_power_ros.tracker import Tracker
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.torque_law import TorqueLaw
+from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.studies.flip_sessions import teach
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.tasks.flip.flight import observe_flight
+from wam_power_ros.tracking.tracker import Tracker
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 

@@ -32,13 +32,15 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros import bags, interface, setups
-from wam_power_ros.arm import Arm
-from wam_power_ros.demonstration import from_joint_samples
-from wam_power_ros.policy import Policy, to_json
-from wam_power_ros.primitive import PANCAKE, fit
-from wam_power_ros.processes import Processes, Running, private_domain
-from wam_power_ros.resources import share
+from wam_power_ros.bags import reader
+from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros import interface
 
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
@@ -207,16 +209,16 @@ def taught() -> Policy:
     """The flip as the first shipped demonstration has it."""
     bag = min(share("bags").glob("demo_*"))
     arm = Arm(share("urdf/wam7.urdf").read_text(), NAMES)
-    return fit([from_joint_samples(arm, *bags.read_demonstration(bag, NAMES))], PANCAKE, "soak")
+    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, NAMES))], PANCAKE, "soak")
 
 
 def start(processes: Processes, folder: Path) -> dict[str, Running]:
     """The nodes, with the stand-in at the pace of life."""
-    setup = setups.setup((), rehearse=True)
+    setup = overlay.setup((), rehearse=True)
     setup["demonstration_recorder"]["directory"] = str(folder)
     setup["torque_controller"]["idle_service"] = ""  # an idled arm hangs, and nobody lifts it
     file = folder / "parameters.yaml"
-    file.write_text(setups.text(setup))
+    file.write_text(overlay.text(setup))
     command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
     given = ["--ros-args", "--params-file", str(file)]
     return {name: processes.start(name, [*command, name, *given]) for name in NODES}
@@ -271,7 +273,7 @@ def soak(seconds: float, every: float, folder: Path) -> dict[str, object]:
         finally:
             director.destroy_node()
             rclpy.shutdown(context=context)
-    stamps_ns, _ = bags.read_demonstration(path, NAMES)
+    stamps_ns, _ = reader.read_demonstration(path, NAMES)
     lost, total = missing(stamps_ns, director.published)
     said = director.said
     return {

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from wam_power_ros import real_time
 from wam_power_ros.nodes.torque_controller import TorqueController
+from wam_power_ros.ros import scheduling
 
 STAGES = ("reading the message", "control step", "filling the message", "publishing")
 now = time.monotonic_ns
@@ -94,8 +94,8 @@ def table(controller: np.ndarray, answers: np.ndarray) -> str:
 
 if __name__ == "__main__":
     sys.exit(
-        real_time.run(
+        scheduling.run(
             lambda: TimedController(Path(sys.argv[1])),
-            spin=lambda node, ended: real_time.spin(node, ended, node.watch, node.patience),
+            spin=lambda node, ended: scheduling.spin(node, ended, node.watch, node.patience),
         )
     )

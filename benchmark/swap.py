@@ -22,9 +22,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from wam_power_ros import session
-from wam_power_ros.live import outcome
-from wam_power_ros.records import Record
+from wam_power_ros.practice import session
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.reporting.terminal import outcome
 
 ROOT = Path(__file__).resolve().parents[1]
 SET_UPS = (

@@ -16,9 +16,10 @@ from pydantic import Field
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from hardware_sim.sensing import MocapFrame, MocapSettings
-from wam_power_ros import interface, rotations
-from wam_power_ros.params import Params
+from hardware_sim.sensors import MocapFrame, MocapSettings
+from wam_power_ros import rotations
+from wam_power_ros.params.node_params import Params
+from wam_power_ros.ros import interface
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # to y up: (x, z, -y)
 PAIR_NS = 100_000  # between the receipts of frames that are delivered together

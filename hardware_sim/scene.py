@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from wam_power_ros.arm import WAM_GUARDED, Guarded
+from wam_power_ros.control.arm import WAM_GUARDED, Guarded
 
 PAN_RADIUS = 0.139  # [m]
 PANCAKE_RADIUS = 0.09  # [m]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -24,16 +23,16 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from hardware_sim.driver import FOLDED, Driver
-from hardware_sim.hand import SKILLS, Hand
+from hardware_sim.barrett_services import FOLDED, Driver
+from hardware_sim.demonstrator import SKILLS, Hand
 from hardware_sim.scene import SceneSettings
-from hardware_sim.sensing import MocapFrame, MocapSettings
+from hardware_sim.sensors import MocapFrame, MocapSettings
 from hardware_sim.world import PERIOD, ArmSettings, World, WorldSettings
-from wam_power_ros import interface
-from wam_power_ros import policy as policies
-from wam_power_ros.arm import Arm, Guarded
-from wam_power_ros.late_service import LateTrigger
-from wam_power_ros.params import Params
+from wam_power_ros.control.arm import Arm, Guarded
+from wam_power_ros.learning import policy as policies
+from wam_power_ros.params.node_params import Params
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.deferred_service import LateTrigger
 
 STILL_TICKS = 50
 START_TOLERANCE = 0.05  # [rad] of the arm from q_start for a reset
@@ -376,14 +375,3 @@ class WamSim(Node):
         self._diagnostics.publish(
             interface.diagnostics(now, "wam_sim: loop", "stand-in", "ok", doing, values)
         )
-
-
-def main() -> int:
-    """Entry point `wam_sim`: both stand-ins, in one process."""
-    from hardware_sim import standins
-
-    return standins.main()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -20,11 +20,11 @@ import numpy as np
 from hardware_sim import scene
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scene import SceneSettings
-from hardware_sim.sensing import Encoders, Mocap, MocapFrame, MocapSettings, joint_counts
+from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, joint_counts
 from wam_power_ros import rotations
-from wam_power_ros.arm import WAM_GUARDED, Arm, Guarded
-from wam_power_ros.markers import LAYOUT
-from wam_power_ros.resources import share
+from wam_power_ros.control.arm import WAM_GUARDED, Arm, Guarded
+from wam_power_ros.params.resources import share
+from wam_power_ros.tracking.marker_fit import LAYOUT
 
 N = 7  # joints
 JOINTS = tuple(f"wam_j{number}" for number in range(1, N + 1))

@@ -17,7 +17,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from wam_power_ros import setups
+from wam_power_ros.params import overlay
 
 SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
 
@@ -28,14 +28,14 @@ def nodes(context: LaunchContext) -> list[Node]:
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
-    setup = setups.setup(given("config").split())
+    setup = overlay.setup(given("config").split())
     setup["torque_controller"]["autostart"] = False
     setup["learner"] |= {
         "session": given("session"),
         "demonstrations": given("demonstrations").split() or [""],
     }
     file = Path(tempfile.mkdtemp(prefix="wam_power_ros_")) / "parameters.yaml"
-    file.write_text(setups.text(setup))
+    file.write_text(overlay.text(setup))
     names = ["torque_controller", "pancake_tracker", "demonstration_recorder"]
     if given("session"):
         names.append("learner")

@@ -17,7 +17,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from wam_power_ros import setups
+from wam_power_ros.params import overlay
 
 SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
 
@@ -29,14 +29,14 @@ def nodes(context: LaunchContext) -> list[Node]:
         return LaunchConfiguration(name).perform(context)
 
     names = given("config").split()
-    setup = setups.setup(names, rehearse=bool(names) or given("pace") == "real_time")
+    setup = overlay.setup(names, rehearse=bool(names) or given("pace") == "real_time")
     setup["wam_sim"]["seed"] = int(given("seed"))
     setup["learner"] |= {
         "session": given("session"),
         "demonstrations": given("demonstrations").split() or [""],
     }
     file = Path(tempfile.mkdtemp(prefix="wam_power_ros_")) / "parameters.yaml"
-    file.write_text(setups.text(setup))
+    file.write_text(overlay.text(setup))
     executables = ["wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder"]
     if given("session"):
         executables.append("learner")

@@ -10,10 +10,11 @@ import numpy as np
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from hardware_sim import optitrack_node, standins, wam_node
-from hardware_sim.sensing import MocapFrame
-from wam_power_ros import interface, rotations
-from wam_power_ros.tracker import Y_UP
+from hardware_sim import main, optitrack_node, wam_node
+from hardware_sim.sensors import MocapFrame
+from wam_power_ros import rotations
+from wam_power_ros.ros import interface
+from wam_power_ros.tracking.tracker import Y_UP
 
 FAULTS = ("none", "wrong order", "no velocity", "100 Hz", "frozen", "Y-up", "no watchdog")
 Z_UP = Y_UP.T  # of a motion capture with y up, what is z up for us
@@ -77,5 +78,5 @@ class BrokenOptitrack(optitrack_node.OptitrackSim):
 
 
 if __name__ == "__main__":
-    standins.WamSim, standins.OptitrackSim = BrokenWam, BrokenOptitrack
-    sys.exit(standins.main())
+    main.WamSim, main.OptitrackSim = BrokenWam, BrokenOptitrack
+    sys.exit(main.main())

@@ -25,8 +25,8 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 
 from wam_power_ros import rotations
-from wam_power_ros.arm import Arm
-from wam_power_ros.policy import Basis, Policy
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.policy import Basis, Policy
 
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 settings.register_profile("any machine", deadline=None)  # however busy it is

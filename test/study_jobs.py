@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from wam_power_ros import study_figures
-from wam_power_ros.experiments.chapters import Chapter, Claim, Figure, Table
-from wam_power_ros.experiments.studies import Job
+from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.reporting import study_figures
+from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
 
 def draw(seed: int, seconds: float = 0.0) -> dict[str, Any]:

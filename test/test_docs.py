@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from wam_power_ros import interface
-from wam_power_ros.cli import NODES
-from wam_power_ros.presets import preset
+from wam_power_ros.cli.main import NODES
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros import interface
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -46,11 +46,11 @@ def test_every_node_has_a_row_in_the_readme(node: str) -> None:
 
 @pytest.mark.parametrize("row", rows(PAPER.group(1)) if PAPER else [], ids=lambda row: row[0])
 def test_code_and_test_of_every_equation_are_there(row: list[str]) -> None:
-    code = re.findall(r"`(\w+)\.(\w+)`", row[1])
+    code = re.findall(r"`([\w.]+)\.(\w+)`", row[1])
     assert code
     for module, name in code:
         assert hasattr(importlib.import_module(f"wam_power_ros.{module}"), name)
-    tests = "\n".join(path.read_text() for path in (ROOT / "test").glob("test_*.py"))
+    tests = "\n".join(path.read_text() for path in (ROOT / "test").rglob("test_*.py"))
     for name in re.findall(r"`(\w+)`", row[2]):
         assert f"def {name}(" in tests
 
@@ -68,7 +68,7 @@ def test_every_link_leads_somewhere(page: str, link: str) -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_every_test_that_holds_a_promise_is_there(page: str) -> None:
-    tests = "\n".join(path.read_text() for path in (ROOT / "test").glob("test_*.py"))
+    tests = "\n".join(path.read_text() for path in (ROOT / "test").rglob("test_*.py"))
     named = re.findall(r"`(test_\w+)`", (ROOT / page).read_text())
     assert [name for name in named if f"def {name}(" not in tests] == []
 

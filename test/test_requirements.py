@@ -40,7 +40,7 @@ def broken(page: Trace, tests: Trace) -> list[str]:
 
 
 def test_every_requirement_has_its_tests_and_every_test_its_requirement() -> None:
-    tests = marked(*(path.read_text() for path in sorted((ROOT / "test").glob("test_*.py"))))
+    tests = marked(*(path.read_text() for path in sorted((ROOT / "test").rglob("test_*.py"))))
     assert len(promised(SAFETY)) > 30
     assert broken(promised(SAFETY), tests) == []
 

@@ -6,11 +6,11 @@ import zlib
 
 import numpy as np
 
-from wam_power_ros.assessment import Assessment
-from wam_power_ros.parameters import TURN_OF_FLICK
-from wam_power_ros.policy import Basis, Policy
-from wam_power_ros.presets import PracticeSettings
-from wam_power_ros.trial import Trial
+from wam_power_ros.learning.parametrization import TURN_OF_FLICK
+from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.practice.trial import Trial
+from wam_power_ros.tasks.flip.assessment import Assessment
 
 
 def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> Policy:

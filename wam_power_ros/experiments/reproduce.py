@@ -13,7 +13,7 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from html import escape
 from itertools import groupby
 from pathlib import Path
@@ -23,12 +23,18 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from wam_power_ros import page
-from wam_power_ros.experiments import chapters, studies
-from wam_power_ros.experiments.chapters import Chapter, Claim
-from wam_power_ros.experiments.studies import Job
+from wam_power_ros.experiments import jobs as job_cache
+from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.reporting import chapter as chapters
+from wam_power_ros.reporting import html_page
+from wam_power_ros.reporting.chapter import Chapter, Claim
 
-STUDIES = ("reaching", "comparison", "pancake", "wishes")  # in the order of the paper
+STUDIES = {  # name -> module of experiments/studies, in the order of the paper
+    "reaching": "reaching",
+    "comparison": "comparison",
+    "pancake": "flip_sessions",
+    "wishes": "extensions",
+}
 PAPER = (
     "P. Kormushev, S. Calinon, D. G. Caldwell: Robot Motor Skill Coordination with EM-based "
     "Reinforcement Learning. IROS 2010."
@@ -43,7 +49,7 @@ def run(
     scale: Scale,
     workers: int,
     scheduler: str | None = None,
-    only: Sequence[str] = STUDIES,
+    only: Collection[str] = STUDIES,
 ) -> Path:
     """Compute what is not there yet, then write the report.
 
@@ -67,22 +73,22 @@ def run(
         raise ValueError(f"{', '.join(unknown)}: no such study; there are {', '.join(STUDIES)}")
     began = time.monotonic()
     modules = {
-        name: importlib.import_module(f"wam_power_ros.experiments.{name}")
+        name: importlib.import_module(f"wam_power_ros.experiments.studies.{STUDIES[name]}")
         for name in STUDIES
         if name in only
     }
     wanted = {name: module.jobs(scale) for name, module in modules.items()}
     jobs = [job for some in wanted.values() for job in some]
     kept = folder / "results"
-    there = len(studies.found(jobs, kept))
-    results = studies.run(jobs, kept, workers, scheduler)
+    there = len(job_cache.found(jobs, kept))
+    results = job_cache.run(jobs, kept, workers, scheduler)
     told = [
         module.chapter({job.study: results[job.study] for job in wanted[name]})
         for name, module in modules.items()
     ]
     took = time.monotonic() - began
     here = f"{workers} processes" if scheduler is None else f"the Dask cluster at {scheduler}"
-    wall, cpu = studies.spent(jobs, kept)
+    wall, cpu = job_cache.spent(jobs, kept)
     time_it_took = (
         f"The {len(jobs)} runs took {duration(cpu)} of processor time, {duration(wall)} one after "
         f"another. This time {there} of them had been computed before; the rest and the report "
@@ -129,7 +135,7 @@ def render(
     claims = [claim for chapter in told for claim in chapter.all_claims()]
     judged = [claim for claim in claims if claim.met is not None]
     met = sum(bool(claim.met) for claim in judged)
-    _, cpu = studies.spent(jobs, kept)
+    _, cpu = job_cache.spent(jobs, kept)
     introduction = [
         PAPER,
         f"{len(jobs)} runs of {len({job.study for job in jobs})} studies, all in simulation; every "
@@ -144,19 +150,21 @@ def render(
             "works: its numbers say nothing about the paper."
         )
     sections = [chapter.title for chapter in told] + [MACHINE]
-    links = "".join(f'<a href="#{page.anchor(title)}">{escape(title)}</a>' for title in sections)
+    links = "".join(
+        f'<a href="#{html_page.anchor(title)}">{escape(title)}</a>' for title in sections
+    )
     values = [
         ("claims with a yardstick met", f"{met} of {len(judged)}"),
         ("runs", str(len(jobs))),
         ("processor time", duration(cpu)),
     ]
-    return page.page(
+    return html_page.page(
         "Flipping pancakes: the paper reproduced",
         [
-            page.paragraphs(introduction),
-            page.cards(values),
+            html_page.paragraphs(introduction),
+            html_page.cards(values),
             f"<nav>{links}</nav>",
-            page.section("Overview", _verdicts(judged), chapters.overview(told)),
+            html_page.section("Overview", _verdicts(judged), chapters.overview(told)),
             *(chapters.html(chapter) for chapter in told),
             _machine(jobs, time_it_took, kept),
         ],
@@ -189,11 +197,11 @@ def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
     rows = []
     for study, some in groupby(jobs, key=lambda job: job.study):
         own = list(some)
-        wall, cpu = studies.spent(own, kept)
+        wall, cpu = job_cache.spent(own, kept)
         seeds = ranges({seed for job in own for seed in _seeds(job.arguments)})
         rows.append([study, str(len(own)), seeds or "–", duration(cpu), duration(wall)])
     head = ["study", "runs", "seeds", "processor time", "wall time, one after another"]
-    return page.section(MACHINE, text, page.table(head, rows))
+    return html_page.section(MACHINE, text, html_page.table(head, rows))
 
 
 def _processor() -> str:

@@ -33,23 +33,18 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from wam_power_ros import (
-    arm_conformance,
-    conformance,
-    interface,
-    mocap_conformance,
-    real_time,
-    setups,
-)
-from wam_power_ros.arm import Arm
-from wam_power_ros.arm_conformance import ArmRecord, StateSample
-from wam_power_ros.command_check import CommandCheck
-from wam_power_ros.conformance import Endpoint, Row, Verdict
-from wam_power_ros.dds_ports import number_by_process
-from wam_power_ros.mocap_conformance import CloudSample, FrameSample
+from wam_power_ros.conformance import arm_checks, mocap_checks, topic_checks
+from wam_power_ros.conformance.arm_checks import ArmRecord, StateSample
+from wam_power_ros.conformance.mocap_checks import CloudSample, FrameSample
+from wam_power_ros.conformance.topic_checks import Endpoint, Row, Verdict
+from wam_power_ros.conformance.watchdog_check import CommandCheck
+from wam_power_ros.control.arm import Arm
 from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
-from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
-from wam_power_ros.resources import share
+from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros.node_runner import number_by_process
 
 HEAR_ALL = QoSProfile(
     depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
@@ -117,8 +112,8 @@ class CheckDriver(Node):
             subscribe(String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED)
         self._listener = subscribe(self._command_type, arm.command_topic, self._on_torque, HEAR_ALL)
         self._drop = self.create_client(Trigger, interface.PANCAKE_DROP)
-        real_time.request(arm.realtime_priority)  # to hear what the controller will hear
-        self._executor = real_time.executor_for(self)
+        scheduling.request(arm.realtime_priority)  # to hear what the controller will hear
+        self._executor = scheduling.executor_for(self)
 
     # What comes
 
@@ -206,26 +201,26 @@ class CheckDriver(Node):
     def _arm_rows(self, arm: Arm, seconds: float) -> tuple[list[Row], ArmRecord]:
         params = self._arm_params
         ends = self._sent_by(params.state_topic)
-        record, names = arm_conformance.collect(self.states, params.joint_names)
-        alive = conformance.heard("states", params.state_topic, len(self.states), seconds, ends)
+        record, names = arm_checks.collect(self.states, params.joint_names)
+        alive = topic_checks.heard("states", params.state_topic, len(self.states), seconds, ends)
         if not len(record.q):
             return [alive, names] if self.states else [alive], record
         if params.velocity_topic:
             received = np.array([received_ns for received_ns, _ in self.velocities])
             qd = np.array([qd for _, qd in self.velocities])
-            record = arm_conformance.with_velocity(record, received, qd)
+            record = arm_checks.with_velocity(record, received, qd)
         return [
             alive,
             names,
-            conformance.publishers("state QoS", "sensor_msgs/msg/JointState", ends),
-            conformance.rate("state rate", record.stamp_ns, 1.0 / params.period),
-            conformance.jitter("state jitter", record.received_ns, params.period),
-            conformance.stamps("state stamps", record.stamp_ns),
-            conformance.clock("state clock", record.received_ns, record.stamp_ns),
-            arm_conformance.positions(record, arm),
-            arm_conformance.velocity(record, params.velocity_topic),
-            arm_conformance.effort(record),
-            arm_conformance.gravity(record, arm),
+            topic_checks.publishers("state QoS", "sensor_msgs/msg/JointState", ends),
+            topic_checks.rate("state rate", record.stamp_ns, 1.0 / params.period),
+            topic_checks.jitter("state jitter", record.received_ns, params.period),
+            topic_checks.stamps("state stamps", record.stamp_ns),
+            topic_checks.clock("state clock", record.received_ns, record.stamp_ns),
+            arm_checks.positions(record, arm),
+            arm_checks.velocity(record, params.velocity_topic),
+            arm_checks.effort(record),
+            arm_checks.gravity(record, arm),
         ], record
 
     def _command_path(self) -> Row:
@@ -233,7 +228,7 @@ class CheckDriver(Node):
         drivers = _ends(self.get_subscriptions_info_by_topic(topic))
         commanders = _ends(self.get_publishers_info_by_topic(topic))
         package, message = self._command_type.__module__.split(".")[0], self._command_type.__name__
-        return conformance.command_path(
+        return topic_checks.command_path(
             topic, f"{package}/msg/{message}", drivers, commanders, self._torques
         )
 
@@ -241,7 +236,7 @@ class CheckDriver(Node):
         known = dict(self.get_service_names_and_types())
         services = {name: types[0] for name, types in known.items()}
         wanted = self._arm_params.idle_service
-        return conformance.offered("idle service", "std_srvs/srv/Trigger", services, wanted)
+        return topic_checks.offered("idle service", "std_srvs/srv/Trigger", services, wanted)
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
         params, settings = self._mocap, self._mocap.settings()
@@ -249,7 +244,7 @@ class CheckDriver(Node):
         ends = self._sent_by(topic)
         type_ = "sensor_msgs/msg/PointCloud2" if params.markers_topic else ""
         samples = self.clouds or self.frames
-        alive = conformance.heard("mocap", topic, len(samples), seconds, ends)
+        alive = topic_checks.heard("mocap", topic, len(samples), seconds, ends)
         if not samples:
             return [alive]
         received = np.array([sample.received_ns for sample in samples])
@@ -258,20 +253,20 @@ class CheckDriver(Node):
         pan = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
         found = [
             alive,
-            conformance.publishers("mocap QoS", type_ or "geometry_msgs/msg/PoseStamped", ends),
-            conformance.rate("mocap rate", stamp_ns, params.rate),
-            conformance.jitter("mocap jitter", received, 1.0 / params.rate),
-            conformance.stamps("mocap stamps", stamp_ns),
-            mocap_conformance.latency(
+            topic_checks.publishers("mocap QoS", type_ or "geometry_msgs/msg/PoseStamped", ends),
+            topic_checks.rate("mocap rate", stamp_ns, params.rate),
+            topic_checks.jitter("mocap jitter", received, 1.0 / params.rate),
+            topic_checks.stamps("mocap stamps", stamp_ns),
+            mocap_checks.latency(
                 received, stamp_ns, 1e-9 * age, params.latency_offset, params.clock_offset_max
             ),
         ]
         frames = self.frames
         if params.markers_topic:
-            frames, layout = mocap_conformance.poses(self.clouds)
+            frames, layout = mocap_checks.poses(self.clouds)
             found.append(layout)
-        found += mocap_conformance.usable(frames, settings, self._unread)
-        return [*found, mocap_conformance.place(frames, settings, pan)]
+        found += mocap_checks.usable(frames, settings, self._unread)
+        return [*found, mocap_checks.place(frames, settings, pan)]
 
     # What is asked
 
@@ -303,7 +298,7 @@ class CheckDriver(Node):
         self.spin(PATIENCE, lambda: publisher.get_subscription_count() > 0)
 
         def answer(sample: StateSample) -> None:
-            state, _ = arm_conformance.collect([sample], names)
+            state, _ = arm_checks.collect([sample], names)
             if len(state.q) and state.tau is not None:
                 torque = check.step(sample.stamp_ns, state.q[0], state.tau[0])
                 if torque is not None:
@@ -341,8 +336,8 @@ class CheckDriver(Node):
     def _fallen(self) -> Row:
         frames = self.frames
         if self._mocap.markers_topic:
-            frames, _ = mocap_conformance.poses(self.clouds)
-        return mocap_conformance.fall(frames, self._mocap.settings())
+            frames, _ = mocap_checks.poses(self.clouds)
+        return mocap_checks.fall(frames, self._mocap.settings())
 
     def _by_hand(self, arm: Arm, record: ArmRecord) -> list[Row]:
         """Let a person move each joint."""
@@ -352,12 +347,12 @@ class CheckDriver(Node):
             return [Row("joints by hand", what, "not asked", Verdict.UNCHECKED, advice)]
         rows: list[Row] = []
         for joint, name in enumerate(record.joint_names):
-            way = arm_conformance.heading(arm, record.q[-1], joint)
+            way = arm_checks.heading(arm, record.q[-1], joint)
             self.states.clear()
             if self.ask(f"{name}: lead it alone until {way}, then Enter (s: skip) ") == "s":
                 continue
-            record, _ = arm_conformance.collect(self.states, record.joint_names)
-            rows.append(arm_conformance.led(record, joint))
+            record, _ = arm_checks.collect(self.states, record.joint_names)
+            rows.append(arm_checks.led(record, joint))
         return rows
 
     def _sent_by(self, topic: str) -> list[Endpoint]:
@@ -418,12 +413,12 @@ def main() -> int:
     node = None
     rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
-        setup = setups.setup(options.config)
+        setup = overlay.setup(options.config)
         arm = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
         mocap = PancakeTrackerParams.of_values("pancake_tracker", setup["pancake_tracker"])
         with number_by_process():
             node = CheckDriver(arm, mocap, console)
-        rows = conformance.accepted(node.check(options.seconds, options.active), options.accept)
+        rows = topic_checks.accepted(node.check(options.seconds, options.active), options.accept)
     except (ValueError, OSError) as error:
         errors.print(f"cannot check: {error}", markup=False)
         return 2
@@ -433,7 +428,7 @@ def main() -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    result, sentence = conformance.verdict(rows)
+    result, sentence = topic_checks.verdict(rows)
     console.print(_table(rows))
     console.print(sentence, style=COLOURS[result])
     if options.json is not None:

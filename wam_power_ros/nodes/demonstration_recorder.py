@@ -21,10 +21,13 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from wam_power_ros import __version__, bags, interface, policy, real_time
-from wam_power_ros.nodes.raw_topics import RawTopics
-from wam_power_ros.params import Params
-from wam_power_ros.recording import Recording
+from wam_power_ros import __version__
+from wam_power_ros.bags import reader
+from wam_power_ros.bags.background_writer import Recording
+from wam_power_ros.learning import policy
+from wam_power_ros.params.node_params import Params
+from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
 LOOK_PERIOD = 0.1  # [s] at how the writing goes, and at the disk
@@ -77,9 +80,9 @@ class DemonstrationRecorder(Node):
         self.create_timer(1.0, self._report, clock=steady)
         # A driver keeps ten states for a reader that is late, no more; in lockstep all are kept.
         lockstep = self.get_parameter("use_sim_time").value
-        self._granted = real_time.request(0 if lockstep else params.realtime_priority)
-        for left in sorted(self._directory.glob(f"*{bags.UNFINISHED}")):
-            name = left.name.removesuffix(bags.UNFINISHED)
+        self._granted = scheduling.request(0 if lockstep else params.realtime_priority)
+        for left in sorted(self._directory.glob(f"*{reader.UNFINISHED}")):
+            name = left.name.removesuffix(reader.UNFINISHED)
             self.get_logger().warning(
                 f"{left} was never closed; to recover it: wam-power recover {left.with_name(name)}"
             )
@@ -116,7 +119,7 @@ class DemonstrationRecorder(Node):
         self._topics.look()
         kind = "rollout" if self._policy_id else self._params.stem
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
-        path = bags.free_path(self._directory, f"{kind}_{stem}")
+        path = reader.free_path(self._directory, f"{kind}_{stem}")
         self._recording = Recording(path, kind, self._notes)
         self._policy_id = self._trouble = self._note = ""
         self._topics.lost.clear()
@@ -213,7 +216,7 @@ class DemonstrationRecorder(Node):
 
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros demonstration_recorder`."""
-    return real_time.run(DemonstrationRecorder)
+    return scheduling.run(DemonstrationRecorder)
 
 
 if __name__ == "__main__":

@@ -27,26 +27,26 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros import interface, messages
-from wam_power_ros import policy as policies
-from wam_power_ros.arm import Arm
-from wam_power_ros.bags import read_demonstration
-from wam_power_ros.dds_ports import number_by_process
-from wam_power_ros.demonstration import from_joint_samples
-from wam_power_ros.modes import Mode
-from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
-from wam_power_ros.params import Params
-from wam_power_ros.practice import RATING_MAX, Practice, reproduced
-from wam_power_ros.presets import PracticeSettings, preset
-from wam_power_ros.primitive import PANCAKE, fit
-from wam_power_ros.real_time import executor_for
-from wam_power_ros.records import Event, Record
-from wam_power_ros.rehearsal import rehearse
-from wam_power_ros.resources import share
-from wam_power_ros.rollout import EndEffectorPath, PancakePath
-from wam_power_ros.service_calls import DISCOVERY
-from wam_power_ros.session import Session
-from wam_power_ros.trial import Trial
+from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.feasibility import rehearse
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.learning import policy as policies
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.resources import share
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.practice.practice import RATING_MAX, Practice, reproduced
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.session_log import Event, Record
+from wam_power_ros.practice.settings import PracticeSettings, preset
+from wam_power_ros.practice.trial import Trial
+from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.scheduling import executor_for
+from wam_power_ros.ros.service_client import DISCOVERY
 
 T = TypeVar("T")
 STARTS = 5  # of a trial, when faults come before its rollout
@@ -109,7 +109,7 @@ class Learner(Node):
         self._verdicts: dict[str, str] = {}  # movement -> the fault its rehearsal ended in
         self._policy_pub = self.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._pan: tuple[int, EndEffectorPath] | None = None
-        self._pancake: tuple[int, PancakePath] | None = None
+        self._pancake: tuple[int, BodyPath] | None = None
         self._truth: dict[str, Any] | None = None
         self._fault = ""
         self._mode = ""  # of the controller, as told once a second
@@ -153,13 +153,13 @@ class Learner(Node):
     # Messages in
 
     def _on_end_effector(self, message: Path) -> None:
-        self._pan = self._read(lambda: messages.path(message, EndEffectorPath))
+        self._pan = self._read(lambda: pose_messages.path(message, EndEffectorPath))
 
     def _on_pancake(self, message: Path) -> None:
-        self._pancake = self._read(lambda: messages.path(message, PancakePath))
+        self._pancake = self._read(lambda: pose_messages.path(message, BodyPath))
 
     def _on_state(self, message: Odometry) -> None:
-        state = self._read(lambda: messages.odometry(message))
+        state = self._read(lambda: pose_messages.odometry(message))
         if state is None:
             return
         position, rotation = self._pan_at_start
@@ -429,7 +429,7 @@ class Learner(Node):
         self._insist(interface.EXECUTE, trial)
         return rested_ns
 
-    def _paths_of(self, trial: Trial, rested_ns: int) -> tuple[EndEffectorPath, PancakePath]:
+    def _paths_of(self, trial: Trial, rested_ns: int) -> tuple[EndEffectorPath, BodyPath]:
         """The two paths of the rollout that began after the pancake rested.
 
         A rollout of the same trial whose learner was killed has left its paths on the latched

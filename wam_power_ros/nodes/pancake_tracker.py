@@ -19,10 +19,10 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from wam_power_ros import interface, real_time
-from wam_power_ros.params import Params
-from wam_power_ros.rollout import EndEffectorPath, PancakePath
-from wam_power_ros.tracker import (
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.params.node_params import Params
+from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.tracking.tracker import (
     ClockOffset,
     TrackedState,
     Tracker,
@@ -169,7 +169,7 @@ class PancakeTracker(Node):
         if abs(self._offset.seconds) > self._params.clock_offset_max:
             self._complain(f"{rollout.id} not scored: stamps {self._offset.seconds:.3f} s off")
             nothing = np.zeros(0)
-            path = PancakePath(rollout.id, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
+            path = BodyPath(rollout.id, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
         message = interface.path_message(path, rollout.start_ns, interface.BASE_FRAME)
         self._paths.publish(message)
 
@@ -205,7 +205,7 @@ class PancakeTracker(Node):
 
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros pancake_tracker`."""
-    return real_time.run(PancakeTracker)
+    return scheduling.run(PancakeTracker)
 
 
 if __name__ == "__main__":

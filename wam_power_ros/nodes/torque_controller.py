@@ -24,15 +24,15 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from wam_power_ros import access, interface, real_time, wire
-from wam_power_ros import policy as policies
-from wam_power_ros.controller import Controller, ControllerError
-from wam_power_ros.late_service import LateTrigger
-from wam_power_ros.loop_statistics import LoopStatistics
-from wam_power_ros.modes import Mode
-from wam_power_ros.nodes.sole_commander import SoleCommander
-from wam_power_ros.nodes.torque_controller_params import TorqueControllerParams
-from wam_power_ros.resources import share
+from wam_power_ros.control.controller import Controller, ControllerError
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.learning import policy as policies
+from wam_power_ros.params.resources import share
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.ros import cdr, interface, scheduling, security
+from wam_power_ros.ros.command_guard import SoleCommander
+from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 MOVING = (Mode.MOVE_TO_START, Mode.REPLAY)
@@ -49,7 +49,7 @@ class TorqueController(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("torque_controller", automatically_declare_parameters_from_overrides=True)
         self._params = params = TorqueControllerParams.of(self)
-        if (exposed := access.exposed(os.environ)) is not None:
+        if (exposed := security.exposed(os.environ)) is not None:
             self.get_logger().warning(exposed)
         self._autostart = params.autostart
         self._urdf = share(params.urdf).read_text() if params.urdf else ""
@@ -68,12 +68,12 @@ class TorqueController(LifecycleNode):
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may stay away
         self._state_timeout = 0.0 if sim_time else params.state_timeout  # [s]
         self._statistics = LoopStatistics(round(params.period * 1e9))
-        self._granted = real_time.Granted()
+        self._granted = scheduling.Granted()
 
         self._reader = interface.JointStateReader(params.joint_names)
-        self._read = wire.StateReader(self._reader)
+        self._read = cdr.StateReader(self._reader)
         writer = interface.TorqueWriter(params.joint_names, params.command_type)
-        self._write = wire.TorqueSender(writer)
+        self._write = cdr.TorqueSender(writer)
         self._commands = self.create_publisher(
             writer.message_type, params.command_topic, interface.COMMAND
         )
@@ -118,7 +118,7 @@ class TorqueController(LifecycleNode):
         except ValueError as error:
             self._refuse("configuration", error)
             return FAILURE
-        self._granted = real_time.request(self._params.realtime_priority)
+        self._granted = scheduling.request(self._params.realtime_priority)
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -406,9 +406,9 @@ class TorqueController(LifecycleNode):
 
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros torque_controller`."""
-    return real_time.run(
+    return scheduling.run(
         TorqueController,
-        spin=lambda node, ended: real_time.spin(
+        spin=lambda node, ended: scheduling.spin(
             node, ended, node.watch, node.patience, node.failed
         ),
     )

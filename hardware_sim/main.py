@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process of both stand-ins: one world, two nodes, and the pace.
+
+Lockstep: a state is published, and again every 50 ms, until the torque labelled with its stamp has
+come; then the world steps. Real time: 500 steps a second on absolute deadlines, with links that
+delay and lose as life does.
+"""
+
+from __future__ import annotations
+
+import copy
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import Executor
+
+from hardware_sim.network_link import Link
+from hardware_sim.optitrack_node import OptitrackSim
+from hardware_sim.wam_node import WamSim
+from hardware_sim.world import PERIOD_NS, World
+from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros.loop_statistics import LoopStatistics
+
+PATIENCE_NS = 50_000_000  # without the torque for longer, the state is published again
+LATE_NS = 100_000_000  # behind by more, real time gives up on catching up
+
+
+class StandIns:
+    """The two nodes on one world.
+
+    Raises:
+        ValueError: A parameter that is not acceptable.
+    """
+
+    def __init__(self) -> None:
+        self.wam, self.optitrack = WamSim(), OptitrackSim()
+        params = self.wam.params
+        world = World(params.world(self.optitrack.params.mocap()), params.seed)
+        self.wam.attach(world, self.optitrack.publish)
+        rngs = [np.random.default_rng((params.seed, link)) for link in range(2)]
+        self._out = Link(params.state_latency, params.state_jitter, params.state_loss, rngs[0])
+        self._in = Link(params.command_latency, params.command_jitter, params.command_loss, rngs[1])
+        self._statistics = LoopStatistics(PERIOD_NS)
+        self._published_ns = 0  # steady clock
+        self._granted = scheduling.request(params.realtime_priority)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.wam.create_timer(1.0, self._report, clock=steady)
+
+    def spin(self, ended: Callable[[], bool]) -> None:
+        """Keep the pace until `ended()`."""
+        executor = scheduling.executor_for(self.wam)
+        executor.add_node(self.optitrack)
+        if self.wam.lockstep:
+            self._lockstep(executor, ended)
+        else:
+            self._real_time(executor, ended)
+
+    def _lockstep(self, executor: Executor, ended: Callable[[], bool]) -> None:
+        self.wam.on_torque = self._answer
+        while not ended():
+            if time.monotonic_ns() - self._published_ns > PATIENCE_NS:
+                self._publish(self.wam.state())
+            executor.spin_once(timeout_sec=0.02)
+
+    def _answer(self, reading: interface.TorqueReading) -> None:
+        """One step, if this is the torque for the state that was published last."""
+        if reading.stamp_ns != self.wam.stamp_ns:
+            self.wam.counters["torques out of step"] += 1
+            return
+        begun_ns = time.monotonic_ns()
+        self._publish(self.wam.tick(reading))
+        self._statistics.add(begun_ns, self._published_ns)
+
+    def _publish(self, message: object) -> None:
+        self.wam.publish(message)
+        self._published_ns = time.monotonic_ns()
+
+    def _real_time(self, executor: Executor, ended: Callable[[], bool]) -> None:
+        self.wam.on_torque = lambda reading: self._in.put(time.monotonic_ns(), reading)
+        deadline_ns = time.monotonic_ns() + PERIOD_NS
+        self.wam.stamp_offset_ns = time.time_ns() - self.wam.world.time_ns  # the clock starts now
+        while not ended():
+            now = time.monotonic_ns()
+            if now < deadline_ns:
+                executor.spin_once(timeout_sec=(deadline_ns - now) * 1e-9)
+                continue
+            arrived = self._in.take(now)
+            state = self.wam.tick(arrived[-1] if arrived else None)
+            self._out.put(now, copy.deepcopy(state) if self._delays else state)
+            for message in self._out.take(now):
+                self.wam.publish(message)
+            self._statistics.add(now, time.monotonic_ns())
+            deadline_ns += PERIOD_NS  # absolute: being late once does not shift the rest
+            if now - deadline_ns > LATE_NS:
+                self.wam.counters["clock held"] += 1
+                self.wam.stamp_offset_ns += now - deadline_ns
+                deadline_ns = now
+
+    @property
+    def _delays(self) -> bool:
+        return self.wam.params.state_latency > 0.0 or self.wam.params.state_jitter > 0.0
+
+    def _report(self) -> None:
+        granted = {"real-time scheduling": self._granted.scheduling}
+        self.wam.report({**self._statistics.report(), **granted})
+
+
+def main() -> int:
+    """Run both stand-ins until a signal."""
+    return scheduling.run(StandIns, spin=lambda bench, ended: bench.spin(ended))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

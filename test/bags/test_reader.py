@@ -1,0 +1,308 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags: what goes in comes out, another reader agrees, and damage is called by its name."""
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import StoragePlugin, Writer
+from scipy.interpolate import CubicSpline
+
+from wam_power_ros.bags import reader
+from wam_power_ros.bags.reader import TYPES, BagWriter, read_demonstration, unfinished
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.dmp import REACHING, fit, reproduce, tabulate
+from wam_power_ros.params.resources import share
+
+NAMES = ("wam_j1", "wam_j2", "wam_j3")
+START = 1_700_000_000_123_456_789
+QOS = [reader.qos(reliable=True, latched=False)]
+LATCHED = [reader.qos(reliable=True, latched=True, depth=1)]
+make = TYPES.types
+
+
+def joint_state(stamp_ns: int, names: tuple[str, ...], q: np.ndarray) -> bytes:
+    time_type = make["builtin_interfaces/msg/Time"]
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    header = make["std_msgs/msg/Header"](stamp=time_type(sec=sec, nanosec=nanosec), frame_id="")
+    empty = np.zeros(0)
+    message = make[reader.JOINT_STATE](
+        header=header, name=list(names), position=np.array(q), velocity=empty, effort=empty
+    )
+    return bytes(TYPES.serialize_cdr(message, reader.JOINT_STATE))
+
+
+def string(text: str) -> bytes:
+    return bytes(TYPES.serialize_cdr(make[reader.STRING](data=text), reader.STRING))
+
+
+def demonstration(path: Path, q: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
+    """A bag of joint states 2 ms apart, with a robot description and a foreign device's states."""
+    writer = BagWriter(path)
+    writer.add("/robot_description", reader.STRING, LATCHED)
+    writer.add("/joint_states", reader.JOINT_STATE, QOS)
+    writer.write("/robot_description", START, string("<robot/>"))
+    for index, row in enumerate(q):
+        stamp_ns = START + 2_000_000 * index
+        writer.write("/joint_states", stamp_ns + 500_000, joint_state(stamp_ns, names, row))
+        writer.write("/joint_states", stamp_ns + 600_000, joint_state(stamp_ns, ("hand",), [0.0]))
+    return writer.close({"joint_names": json.dumps(names), "state_topic": "/joint_states"})
+
+
+def random_q(count: int = 500, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).normal(size=(count, len(NAMES)))
+
+
+def test_a_demonstration_comes_back_bit_for_bit_in_the_order_asked_for(tmp_path: Path) -> None:
+    q = random_q()
+    path = demonstration(tmp_path / "demo", q)
+    stamps, back = read_demonstration(path, NAMES)
+    np.testing.assert_array_equal(back, q)
+    np.testing.assert_array_equal(stamps, START + 2_000_000 * np.arange(len(q)))
+    _, swapped = read_demonstration(path, ("wam_j3", "wam_j1"))
+    np.testing.assert_array_equal(swapped, q[:, [2, 0]])
+
+
+def test_a_bag_taught_under_another_driver_is_read_by_the_order_it_notes(tmp_path: Path) -> None:
+    q = random_q(50)
+    path = demonstration(tmp_path / "demo", q)
+    _, back = read_demonstration(path, ("right_j1", "right_j2", "right_j3"))
+    np.testing.assert_array_equal(back, q)
+    with pytest.raises(ValueError, match="right_j1"):  # another arm: it has not as many joints
+        read_demonstration(path, ("right_j1", "right_j2"))
+    with pytest.raises(ValueError, match="right_j1"):  # some of ours: not another driver
+        read_demonstration(path, ("right_j1", "wam_j2", "wam_j3"))
+
+
+def test_an_independent_reader_decodes_the_bag(tmp_path: Path) -> None:
+    mcap_reader = pytest.importorskip("mcap.reader")
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    q = random_q(50)
+    path = demonstration(tmp_path / "demo", q)
+    with (path / "demo.mcap").open("rb") as file:
+        mcap = mcap_reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        found = list(mcap.iter_decoded_messages(topics=["/joint_states"]))
+        summary = mcap.get_summary()
+    ours = [message for *_, message in found if message.name == list(NAMES)]
+    np.testing.assert_array_equal([message.position for message in ours], q)
+    assert ours[1].header.stamp.nanosec == 125_456_789
+    schemas = {schema.name: schema for schema in summary.schemas.values()}
+    assert schemas[reader.JOINT_STATE].encoding == "ros2msg"
+    assert b"MSG: builtin_interfaces/Time" in schemas[reader.JOINT_STATE].data
+
+
+def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", random_q(5))
+    info = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (info["version"], info["storage_identifier"]) == (9, "mcap")
+    assert info["relative_file_paths"] == ["demo.mcap"]
+    assert json.loads(info["custom_data"]["joint_names"]) == list(NAMES)
+    topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
+    assert topics["/joint_states"]["message_count"] == 10
+    latched = topics["/robot_description"]["topic_metadata"]
+    assert latched["offered_qos_profiles"][0]["durability"] == "transient_local"
+    assert latched["offered_qos_profiles"][0]["reliability"] == "reliable"
+    assert latched["offered_qos_profiles"][0]["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
+    for item in topics.values():
+        assert item["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
+
+
+def test_a_sqlite_bag_of_another_recorder_reads_the_same(tmp_path: Path) -> None:
+    q = random_q(20)
+    with Writer(tmp_path / "old", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        topic = writer.add_connection("/wam/joint_states", reader.JOINT_STATE, typestore=TYPES)
+        for index, row in enumerate(q):
+            stamp_ns = START + 2_000_000 * index
+            writer.write(topic, stamp_ns, joint_state(stamp_ns, NAMES, row))
+    _, back = read_demonstration(tmp_path / "old", NAMES, "/wam/joint_states")
+    np.testing.assert_array_equal(back, q)
+
+
+def test_a_bag_under_way_is_recognisable_and_appears_whole(tmp_path: Path) -> None:
+    path = tmp_path / "demo"
+    writer = BagWriter(path)
+    assert not path.exists()
+    assert unfinished(path).is_dir()
+    with pytest.raises(FileExistsError):
+        BagWriter(path)
+    with pytest.raises(ValueError, match="never closed"):
+        read_demonstration(path, NAMES)
+    writer.add("/joint_states", reader.JOINT_STATE, QOS)
+    writer.write("/joint_states", START, joint_state(START, NAMES, [1.0, 2.0, 3.0]))
+    writer.close({})
+    assert not unfinished(path).exists()
+    assert read_demonstration(path, NAMES)[1].tolist() == [[1.0, 2.0, 3.0]]
+    with pytest.raises(FileExistsError):
+        BagWriter(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda states: states.append((START, NAMES, [1.0, np.nan, 0.0])), "not finite"),
+        (lambda states: states.append((START, NAMES[:2], [1.0, 2.0])), "missing among"),
+        (lambda states: states.append((START, NAMES, [1.0, 2.0])), "2 positions for names"),
+        (lambda states: states.append((START, ("wam_j1",) * 3, [1.0] * 3)), "3 positions for"),
+        (
+            lambda states: states.extend(
+                [(START, NAMES, [1.0] * 3), (START - 1, NAMES, [1.0] * 3)]
+            ),
+            "follows",
+        ),
+        (
+            lambda states: states.extend([(START, NAMES, [1.0] * 3), (START, NAMES, [2.0] * 3)]),
+            "follows",
+        ),
+        (lambda states: states.append((START, ("hand",), [1.0])), "no message on"),
+        (lambda states: None, "no message on"),
+    ],
+)
+def test_states_that_cannot_be_a_demonstration_are_refused_by_name(
+    tmp_path: Path, change: object, why: str
+) -> None:
+    states: list = []
+    change(states)
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", reader.JOINT_STATE, QOS)
+    for index, (stamp_ns, names, q) in enumerate(states):
+        writer.write("/joint_states", START + index, joint_state(stamp_ns, names, q))
+    path = writer.close({})
+    with pytest.raises(ValueError, match=why):
+        read_demonstration(path, NAMES)
+
+
+def test_a_state_that_was_sent_again_counts_once(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", reader.JOINT_STATE, QOS)
+    for stamp_ns in (START, START, START + 2_000_000):
+        writer.write("/joint_states", stamp_ns, joint_state(stamp_ns, NAMES, [1.0, 2.0, 3.0]))
+    assert len(read_demonstration(writer.close({}), NAMES)[0]) == 2
+
+
+def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", random_q(3))
+    with pytest.raises(ValueError, match=r"no topic /joints; it has \['/joint_states'"):
+        read_demonstration(path, NAMES, "/joints")
+    with pytest.raises(ValueError, match="is of type"):
+        read_demonstration(path, NAMES, "/robot_description")
+    with pytest.raises(ValueError, match="not a bag"):
+        read_demonstration(tmp_path, NAMES)
+    with pytest.raises(ValueError, match="not a bag"):
+        read_demonstration(tmp_path / "nowhere", NAMES)
+    with pytest.raises(ValueError, match="not of the common interfaces"):
+        BagWriter(tmp_path / "x").add("/custom", "wam_msgs/msg/RTJointPosition", QOS)
+
+
+@pytest.mark.requirement("S-17")
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("!!python/object/apply:os.system ['touch {mark}']", "not plain YAML"),
+        ("rosbag2_bagfile_information: !!python/name:os.system", "not plain YAML"),
+        ("a: &a [x]\nb: *a", "alias"),
+        ("[" * 100_000, "nested deeper"),
+        ("x" * 1_000_001, "1000001 bytes"),
+        ("a: b: c: :", "not plain YAML"),
+        ("{}", "cannot be read"),
+        ("- 1", "cannot be read"),
+        (
+            "rosbag2_bagfile_information: {version: 9, storage_identifier: mcap, "
+            "relative_file_paths: [../../secret.mcap]}",
+            "cannot be read",
+        ),
+    ],
+)
+def test_a_hostile_metadata_file_is_refused_at_once_and_runs_nothing(
+    tmp_path: Path, text: str, why: str
+) -> None:
+    path = demonstration(tmp_path / "demo", random_q(3))
+    mark = tmp_path / "ran"
+    (path / "metadata.yaml").write_text(text.replace("{mark}", str(mark)))
+    begun = time.monotonic()
+    with pytest.raises(ValueError, match=why):
+        read_demonstration(path, NAMES)
+    assert time.monotonic() - begun < 2.0
+    assert not mark.exists()
+
+
+@pytest.mark.requirement("S-17")
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_a_damaged_file_is_refused_or_read_and_nothing_else(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.mktemp("bags") / "demo"
+    demonstration(path, random_q(3))
+    file = path / "demo.mcap"
+    damaged = bytearray(file.read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
+    file.write_bytes(damaged[: data.draw(st.integers(0, len(damaged)))])
+    try:
+        _, q = read_demonstration(path, NAMES)
+    except ValueError as error:
+        assert str(path) in str(error)
+    else:
+        assert np.isfinite(q).all()
+
+
+def test_gaps_are_counted_in_periods() -> None:
+    stamps = START + 2_000_000 * np.array([0, 1, 2, 2, 3, 6, 7, 8, 20])
+    found = reader.gaps(stamps)
+    assert found.period == pytest.approx(0.002)
+    assert found.missing == 2 + 11
+    assert found.longest == pytest.approx(0.024)
+    assert reader.gaps([START]).missing == 0
+
+
+def test_the_stamp_of_a_serialized_header_is_read_without_decoding() -> None:
+    assert reader.header_stamp(joint_state(START, NAMES, [0.0] * 3)) == START
+    with pytest.raises(ValueError, match="cannot hold a header"):
+        reader.header_stamp(b"\0\1\0\0")
+    assert reader.has_header(reader.JOINT_STATE)
+    assert not reader.has_header(reader.STRING)
+
+
+WAM_JOINTS = [f"wam_j{number}" for number in range(1, 8)]
+
+
+@pytest.mark.parametrize("bag", sorted(share("bags").glob("demo_*")), ids=lambda bag: bag.name)
+def test_the_bags_that_are_shipped_hold_a_toss(bag: Path) -> None:
+    arm = Arm(share("urdf/wam7.urdf").read_text(), WAM_JOINTS)
+    stamps_ns, q = read_demonstration(bag, WAM_JOINTS)
+    demonstration = from_joint_samples(arm, stamps_ns, q)
+    assert 0.5 < demonstration.duration < 1.5
+    assert demonstration.velocity[:, 2].max() > 1.5  # [m/s] upward
+
+
+def test_there_are_bags_to_begin_with() -> None:
+    assert len(sorted(share("bags").glob("demo_*"))) >= 3
+
+
+def test_the_shipped_reaches_are_half_a_metre_in_an_arc_and_two_primitives_follow_them() -> None:
+    arm = Arm(share("urdf/wam7.urdf").read_text(), WAM_JOINTS)
+    taken = [read_demonstration(bag, WAM_JOINTS) for bag in sorted(share("bags").glob("reach_*"))]
+    taught = [from_joint_samples(arm, stamps_ns, q) for stamps_ns, q in taken]
+    assert len(taught) == 4
+    ends = np.array([d.position[[0, -1]] for d in taught])  # (4, 2, 3)
+    assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) == pytest.approx(0.49, abs=0.03)
+    assert (ends.std(axis=0) > 0.001).any(axis=1).all()  # a person's scatter
+    assert (ends.std(axis=0) < 0.02).all()
+    s = np.linspace(0.0, 1.0, 500)
+    paths = [CubicSpline(d.t / d.duration, d.position)(s) for d in taught]
+    mean = np.mean(paths, axis=0)
+    straight = mean[0] + np.linspace(0.0, 1.0, 500)[:, None] * (mean[-1] - mean[0])
+    assert (mean[:, 2] - straight[:, 2]).max() == pytest.approx(0.06, abs=0.015)
+    assert all(np.linalg.norm(d.rotation_vector, axis=1).max() < np.deg2rad(10.0) for d in taught)
+
+    policy = fit(taught, REACHING, "reach")
+    followed, _ = reproduce(tabulate(policy), mean[0], np.zeros(3))
+    beside = np.linalg.norm(mean[None] - followed[:, None], axis=2).min(axis=1)
+    assert np.sqrt(np.mean(beside**2)) < 0.015  # where it goes; when, two primitives cannot tell
+    assert np.linalg.norm(followed[-1] - mean[-1]) < 0.04

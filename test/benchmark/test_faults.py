@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark of faults in short: what it repeats thousands of times, a few times here."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmark import faults
+from benchmark.fuzz import bombard
+from wam_power_ros.params.resources import share
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.requirement("S-01")
+@pytest.mark.parametrize("seed", [0, 1])
+def test_fuzzed_messages_give_no_torque_over_a_limit(seed: int) -> None:
+    controller = faults.core().controller(share("urdf/wam7.urdf").read_text())
+    found = bombard(controller, faults.fuzz_policy(), 2000, seed)
+    assert found["torques"] > 1500 and found["refused"] > 50
+    assert found["not finite"] == found["over"] == found["jumps"] == 0
+    assert controller.counters["faults"] > 5  # there was something to get wrong
+
+
+@pytest.mark.requirement("S-53")
+def test_a_cut_network_is_a_fault_that_stays_when_it_is_back(tmp_path: Path) -> None:
+    if subprocess.run(
+        ["unshare", "-n", "ip", "link", "show", "lo"], capture_output=True
+    ).returncode:
+        pytest.skip("no network namespace for us here")
+    report = tmp_path / "row.json"
+    command = [sys.executable, "-m", "benchmark.faults", "--rows", "network", "--repeats", "1"]
+    done = subprocess.run(
+        [*command, "--json", str(report)], cwd=ROOT, capture_output=True, text=True, timeout=180
+    )
+    assert done.returncode == 0, (done.stdout, done.stderr)
+    assert [row["requirement"] for row in json.loads(report.read_text())] == ["S-53"]

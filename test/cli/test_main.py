@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: same entry points as ros2 run, refusals that say what to do instead."""
+
+import io
+import re
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+import yaml
+from rich.console import Console
+from toss_task import demonstrated_policy, toss
+
+from wam_power_ros.cli import main
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.reporting import terminal
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def some_records(count: int) -> list[Record]:
+    practice = Practice([demonstrated_policy()], preset("flip", budget=count, confirm=0), seed=0)
+    records = []
+    while len(records) < count and (trial := practice.next_trial()) is not None:
+        records.append(practice.note(trial, toss(trial, practice.settings)))
+    return records
+
+
+def begun_session(folder: Path, seed: int = 5) -> Path:
+    Session.begin(folder, preset("flip"), seed, [demonstrated_policy()]).close()
+    return folder
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main.main(arguments) == 2
+    return capsys.readouterr().err
+
+
+def test_wam_power_run_starts_what_ros2_run_starts() -> None:
+    setup = (ROOT / "setup.py").read_text().replace("{NAME}", "wam_power_ros")
+    entry_points = dict(re.findall(r'"([\w-]+) = ([\w.]+):main"', setup))
+    assert entry_points.pop("wam-power") == "wam_power_ros.cli.main"
+    assert entry_points == main.NODES
+
+
+@pytest.mark.parametrize("node", main.NODES)
+def test_every_node_is_a_module_that_is_there(node: str) -> None:
+    assert find_spec(main.NODES[node]) is not None
+
+
+def test_a_node_gets_its_arguments_from_the_command_line() -> None:
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run", "learner"]
+    ended = subprocess.run(
+        [*command, "--ros-args", "-p", "seed:=-1"], cwd=ROOT, capture_output=True, timeout=60
+    )
+    assert ended.returncode != 0
+    assert b"seed: Input should be greater than or equal to 0" in ended.stdout + ended.stderr
+    assert b"preset: Field required" in ended.stdout + ended.stderr
+
+
+def test_an_unknown_node_is_refused_with_the_known_ones(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        main.main(["run", "torque_controler"])
+    message = capsys.readouterr().err
+    assert all(node in message for node in main.NODES)
+
+
+def test_what_a_session_was_begun_with_cannot_be_changed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = str(begun_session(tmp_path / "s"))
+    assert "begun with seed 5" in refusal(capsys, "learn", "--session", folder, "--seed", "6")
+    assert "leave --preset" in refusal(capsys, "learn", "--session", folder, "--trials", "9")
+
+
+def test_resuming_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    message = refusal(capsys, "learn", "--resume", "--session", str(tmp_path / "none"))
+    assert "holds no session to go on with" in message
+
+
+def test_an_arm_is_not_taken_hold_of_with_nobody_there(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
+    arguments = ["teach", "--folder", str(tmp_path / "taught"), "--config", "geodude"]
+    message = refusal(capsys, *arguments)
+    assert "Hand on the pendant" in message
+    assert "nobody is at the keyboard" in message
+
+
+def test_a_set_up_that_is_none_starts_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "s"
+    message = refusal(capsys, "learn", "--session", str(folder), "--config", "geodud")
+    assert "no set-up 'geodud'" in message
+    assert not folder.exists()
+
+
+def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["config", "geodude", "--rehearse"]) == 0
+    nodes = yaml.safe_load(capsys.readouterr().out)
+    assert nodes["wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
+
+
+def test_a_report_of_no_session_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "no session.yaml" in refusal(capsys, "report", str(tmp_path))
+
+
+def test_the_report_command_writes_the_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = begun_session(tmp_path / "s")
+    assert main.main(["report", str(folder)]) == 0
+    assert str(folder / "report.html") in capsys.readouterr().out
+    assert (folder / "report.html").stat().st_size > 1000
+
+
+def test_a_log_shows_every_rollout_once_on_a_line_of_its_own() -> None:
+    records = some_records(9)
+    text = io.StringIO()
+    with terminal.Display(Console(file=text, width=80)) as display:
+        for count in (0, 2, 2, 9):
+            display.show(records[:count], 9)
+    lines = text.getvalue().splitlines()
+    assert [int(line.split()[0]) for line in lines] == list(range(1, 10))
+    assert all(f"return {record.ret:.3f}" in line for record, line in zip(records, lines, strict=1))
+
+
+def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far() -> None:
+    records = some_records(40)
+    table = terminal.rollout_table(records, shown=5)
+    numbers, bests = (list(table.columns[place].cells) for place in (0, -2))
+    assert numbers == ["36", "37", "38", "39", "40"]
+    assert bests[-1] == f"{max(record.ret or 0.0 for record in records):.3f}"
+    text = io.StringIO()
+    with terminal.Display(Console(file=text, width=120, force_terminal=True)) as display:
+        display.show(records, 60)
+    assert "40 of at most 60 rollouts" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text.getvalue())
+
+
+def test_the_summary_counts_the_retests_by_tracker_and_by_truth() -> None:
+    record = some_records(3)[-1]
+    good = {**(record.flight or {}), "resting": True, "flipped": True, "tossed": True}
+    truth = {"caught": True, "flipped": False}
+    tests = [
+        record.model_copy(update={"kind": "retest", "flight": good, "truth": truth}),
+        record.model_copy(update={"kind": "retest", "flight": {**good, "resting": False}}),
+    ]
+    text = terminal.summary(tests)
+    assert "1 of 2 flipped and caught" in text
+    assert "the simulator's own verdict: 0 of 1" in text

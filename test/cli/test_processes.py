@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes of a session: one that dies is named, none is left behind."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from wam_power_ros.cli.processes import ProcessError, Processes, private_domain
+
+SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
+STUBBORN = [
+    sys.executable,
+    "-c",
+    "import signal, time\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+    "print('ready', flush=True)\ntime.sleep(60)",
+]
+
+
+def soon(condition: Callable[[], object], seconds: float = 20.0) -> bool:
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.02)
+    return True
+
+
+def alive(pid: int) -> bool:
+    status = Path(f"/proc/{pid}/stat")
+    return status.exists() and status.read_text().rpartition(")")[2].split()[0] != "Z"
+
+
+def test_a_process_that_dies_is_named_with_the_end_of_its_log(tmp_path: Path) -> None:
+    with Processes(tmp_path, {"WORD": "boom"}) as processes:
+        processes.start("quiet", SLEEP)
+        code = "import os, sys; print(os.environ['WORD']); sys.exit(3)"
+        died = processes.start("loud", [sys.executable, "-c", code])
+        died.process.wait(20.0)
+        with pytest.raises(ProcessError, match=r"(?s)loud ended with status 3.*boom"):
+            processes.check()
+
+
+def test_one_may_end_well_but_not_badly(tmp_path: Path) -> None:
+    with Processes(tmp_path, {}) as processes:
+        well = processes.start("well", [sys.executable, "-c", "pass"])
+        processes.finish(well)
+        processes.check()
+        badly = processes.start("badly", [sys.executable, "-c", "raise SystemExit(1)"])
+        with pytest.raises(ProcessError, match="badly ended with status 1"):
+            processes.finish(badly)
+
+
+def test_waiting_for_one_notices_that_another_died(tmp_path: Path) -> None:
+    with Processes(tmp_path, {}) as processes:
+        processes.start("victim", [sys.executable, "-c", "raise SystemExit(4)"])
+        with pytest.raises(ProcessError, match="victim ended with status 4"):
+            processes.finish(processes.start("long", SLEEP))
+
+
+def test_leaving_ends_every_process_even_one_that_ignores_the_interrupt(tmp_path: Path) -> None:
+    processes = Processes(tmp_path, {})
+    running = [processes.start("polite", SLEEP), processes.start("stubborn", STUBBORN)]
+    assert soon(lambda: "ready" in running[1].log.read_text())
+    processes.stop(patience=0.5)
+    assert [one.process.poll() for one in running] == [-signal.SIGINT, -signal.SIGTERM]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's promise is Linux's")
+def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    code = (
+        "from pathlib import Path; from wam_power_ros.cli.processes import Processes\n"
+        "import sys, time\n"
+        f"one = Processes(Path({str(tmp_path)!r}), {{}}).start('child', {SLEEP!r})\n"
+        "print(one.process.pid, flush=True); time.sleep(60)"
+    )
+    root = str(Path(__file__).resolve().parents[2])
+    parent = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}
+    )
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    assert alive(child)
+    parent.kill()
+    parent.wait(10.0)
+    assert soon(lambda: not alive(child))
+
+
+def test_two_sessions_on_one_machine_get_different_domains(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    with private_domain() as one, private_domain() as other:
+        assert one != other
+        assert 1 <= one <= 101
+
+
+def test_a_domain_that_was_asked_for_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    with private_domain() as domain:
+        assert domain == 42

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a driver has wrong shows in what a still arm, or a led one, reports."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from wam_power_ros.conformance import arm_checks
+from wam_power_ros.conformance.arm_checks import ArmRecord, StateSample
+from wam_power_ros.conformance.topic_checks import Verdict
+from wam_power_ros.control.arm import Arm
+
+NAMES = tuple(f"wam_j{i}" for i in range(1, 8))
+POSTURE = np.array([0.3, 0.4, -0.2, 1.9, 0.25, -0.5, 0.4])
+UNLOADED = {0, 4, 6}  # joints that gravity does not pull at there, more than a driver may be wrong
+HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])
+TICK = 2_000_000  # [ns]
+
+
+@cache
+def model() -> Arm:
+    return Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES)
+
+
+def at_rest(q: np.ndarray = POSTURE, names: tuple[str, ...] = NAMES) -> list[StateSample]:
+    """What an honest driver tells of an arm that it carries."""
+    noise = np.random.default_rng(21).normal(scale=1e-5, size=(50, 7))
+    tau = model().gravity(q)
+    return [
+        StateSample(i * TICK, (i + 1) * TICK, names, q + noise[i], np.zeros(7), tau)
+        for i in range(50)
+    ]
+
+
+def led(joint: int, by: float = 0.4, scale: float = 1.0) -> list[StateSample]:
+    """One joint led by a person; velocities times `scale`."""
+    phase = np.linspace(0.0, 1.0, 500)
+    moves = 0.5 * by * (1.0 - np.cos(np.pi * phase))
+    speeds = 0.5 * by * np.pi * np.sin(np.pi * phase)  # in a second
+    axis = np.eye(7)[joint]
+    return [
+        StateSample(i * TICK, (i + 1) * TICK, NAMES, POSTURE + axis * q, axis * v * scale, axis * 0)
+        for i, (q, v) in enumerate(zip(moves, speeds, strict=True))
+    ]
+
+
+def record(samples: list[StateSample]) -> ArmRecord:
+    return arm_checks.collect(samples, NAMES)[0]
+
+
+def test_joints_are_found_by_name_beside_other_devices() -> None:
+    order = np.array([3, 6, 0, 2, 5, 1, 4])
+    samples = [
+        s._replace(names=(*(NAMES[i] for i in order), "finger"), q=np.append(s.q[order], 9.0))
+        for s in at_rest()
+    ]
+    samples.insert(3, samples[0]._replace(names=("lift",), q=np.zeros(1)))
+    found, row = arm_checks.collect(samples, NAMES)
+    np.testing.assert_allclose(found.q.mean(axis=0), POSTURE, atol=1e-5)
+    assert len(found.q) == 50
+    assert row.verdict is Verdict.OK
+    assert row.found == "in another order, matched by name; also heard: finger lift"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"names": tuple(f"q{i}" for i in range(1, 8))}, "q1 q2"),
+        ({"names": NAMES[:6], "q": np.zeros(6)}, "without wam_j7"),
+        ({"names": (*NAMES, "wam_j1"), "q": np.zeros(8)}, "a name twice"),
+        ({"q": np.zeros(6)}, "6 positions for 7 names"),
+        ({"q": np.full(7, np.nan)}, "not finite"),
+    ],
+)
+def test_states_without_every_joint_once_do_not_conform(
+    change: dict[str, object], said: str
+) -> None:
+    found, row = arm_checks.collect([s._replace(**change) for s in at_rest()], NAMES)
+    assert row.verdict is Verdict.FAIL
+    assert said in row.found
+    assert len(found.q) == 0
+    assert arm_checks.positions(found, model()).verdict is Verdict.UNCHECKED
+
+
+def test_positions_are_radians_within_the_limits() -> None:
+    assert arm_checks.positions(record(at_rest()), model()).verdict is Verdict.OK
+    degrees = [s._replace(q=np.rad2deg(s.q)) for s in at_rest()]
+    assert "degrees" in arm_checks.positions(record(degrees), model()).advice
+    far = [s._replace(q=s.q + 2.0) for s in at_rest()]
+    row = arm_checks.positions(record(far), model())
+    assert row.verdict is Verdict.FAIL
+    assert "wam_j2, wam_j4" in row.advice
+
+
+def test_an_honest_driver_passes_and_what_rest_cannot_tell_is_said() -> None:
+    for q, alike in ((POSTURE, {0, 4, 6}), (HOME, {0, 2, 4, 6})):
+        row = arm_checks.gravity(record(at_rest(q)), model())
+        assert row.verdict is Verdict.OK
+        names = ", ".join(NAMES[joint] for joint in sorted(alike))
+        assert f"cannot tell {names} from each other" in row.advice
+
+
+@given(st.integers(0, 2**31))
+def test_an_honest_driver_passes_in_every_posture(seed: int) -> None:
+    q = np.random.default_rng(seed).uniform(model().q_min, model().q_max)
+    row = arm_checks.gravity(record(at_rest(q)), model())
+    assert row.verdict in (Verdict.OK, Verdict.UNCHECKED)
+
+
+@settings(max_examples=25)
+@given(st.permutations(range(7)))
+def test_joints_in_any_other_order_are_named_as_such(order: list[int]) -> None:
+    assume({i for place, i in enumerate(order) if i != place} - UNLOADED)
+    wrong = [s._replace(names=tuple(NAMES[i] for i in order)) for s in at_rest()]
+    row = arm_checks.gravity(record(wrong), model())
+    assert (row.verdict, "wrong order of joints" in row.advice) == (Verdict.FAIL, True)
+
+
+@pytest.mark.parametrize("pair", [(1, 3), (1, 5), (3, 5), (2, 3)])
+def test_two_joints_exchanged_are_named(pair: tuple[int, int]) -> None:
+    order = list(range(7))
+    order[pair[0]], order[pair[1]] = pair[1], pair[0]
+    wrong = [s._replace(names=tuple(NAMES[i] for i in order)) for s in at_rest()]
+    row = arm_checks.gravity(record(wrong), model())
+    assert row.verdict is Verdict.FAIL
+    first, second = (NAMES[i] for i in pair)
+    expected = f"wrong order of joints: {first}, {second} fit what comes as {second}, {first}"
+    assert row.advice == expected
+
+
+@pytest.mark.parametrize("joint", [1, 3, 5])
+def test_a_reversed_joint_is_named(joint: int) -> None:
+    signs = np.ones(7)
+    signs[joint] = -1.0
+    wrong = [s._replace(q=s.q * signs, tau=s.tau * signs) for s in at_rest()]
+    row = arm_checks.gravity(record(wrong), model())
+    assert (row.verdict, row.advice) == (Verdict.FAIL, f"sign reversed: {NAMES[joint]}")
+
+
+def test_torques_reversed_or_of_another_payload_are_a_failure() -> None:
+    reversed_ = [s._replace(tau=-s.tau) for s in at_rest()]
+    assert "sign reversed" in arm_checks.gravity(record(reversed_), model()).advice
+    heavy = [s._replace(tau=1.5 * s.tau) for s in at_rest()]
+    assert "payload" in arm_checks.gravity(record(heavy), model()).advice
+
+
+def test_nothing_is_said_of_gravity_where_nothing_can_be() -> None:
+    gravity = arm_checks.gravity
+    upright = at_rest(np.zeros(7))
+    idle = [s._replace(tau=np.zeros(7)) for s in at_rest()]
+    without = [s._replace(tau=np.empty(0)) for s in at_rest()]
+    for samples in (upright, idle, without, led(1)):
+        assert gravity(record(samples), model()).verdict is Verdict.UNCHECKED
+
+
+@pytest.mark.parametrize(
+    ("samples", "expected", "said"),
+    [
+        (at_rest(), Verdict.OK, ""),
+        (led(3), Verdict.OK, ""),
+        (led(3, scale=180.0 / np.pi), Verdict.FAIL, "degrees a second"),
+        (led(3, scale=-1.0), Verdict.FAIL, "sign is reversed"),
+        (led(3, scale=0.0), Verdict.FAIL, "not the derivative"),
+        ([s._replace(qd=np.full(7, 3.0)) for s in at_rest()], Verdict.FAIL, "other units"),
+        ([s._replace(qd=np.empty(0)) for s in at_rest()], Verdict.FAIL, "velocity_topic"),
+        ([s._replace(qd=np.full(7, np.nan)) for s in at_rest()], Verdict.FAIL, "velocity_topic"),
+        ([s._replace(qd=np.full(7, np.inf)) for s in at_rest()], Verdict.FAIL, "must not"),
+    ],
+)
+def test_velocities_are_those_of_the_positions(
+    samples: list[StateSample], expected: Verdict, said: str
+) -> None:
+    row = arm_checks.velocity(record(samples))
+    assert row.verdict is expected
+    assert said in row.advice
+
+
+def test_velocities_of_a_topic_of_their_own_count() -> None:
+    samples = led(2)
+    bare = record([s._replace(qd=np.empty(0)) for s in samples])
+    received = np.array([s.received_ns for s in samples])
+    whole = arm_checks.with_velocity(bare, received, np.array([s.qd for s in samples]))
+    assert arm_checks.velocity(whole, "/velocities").verdict is Verdict.OK
+    silent = arm_checks.with_velocity(bare, received[:0], np.empty((0, 7)))
+    assert arm_checks.velocity(silent, "/velocities").found == "no velocity"
+
+
+def test_the_joint_that_is_led_must_be_the_one_that_moves_and_the_way_asked() -> None:
+    assert arm_checks.led(record(led(2)), 2).verdict is Verdict.OK
+    other = arm_checks.led(record(led(4)), 2)
+    assert (other.verdict, "comes as wam_j5 is this one" in other.advice) == (Verdict.FAIL, True)
+    assert "reversed" in arm_checks.led(record(led(2, by=-0.4)), 2).advice
+    assert arm_checks.led(record(at_rest()), 2).verdict is Verdict.UNCHECKED
+
+
+@pytest.mark.parametrize(
+    ("joint", "said"), [(0, "to its left"), (1, "down"), (6, "turns clockwise")]
+)
+def test_a_person_is_told_which_way_to_lead_a_joint(joint: int, said: str) -> None:
+    q = np.array([0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0])
+    assert said in arm_checks.heading(model(), q, joint)

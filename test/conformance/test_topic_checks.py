@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of a topic by what was heard on it."""
+
+import numpy as np
+import pytest
+
+from wam_power_ros.conformance import topic_checks
+from wam_power_ros.conformance.topic_checks import Endpoint, Row, Verdict
+
+MS = 1_000_000  # [ns]
+STATE = "sensor_msgs/msg/JointState"
+START = 1_700_000_000_000 * MS
+
+
+def grid(count: int, period_ms: int) -> np.ndarray:
+    return START + np.arange(count) * period_ms * MS
+
+
+@pytest.mark.parametrize(
+    ("period_ms", "expected"), [(2, Verdict.OK), (10, Verdict.FAIL), (1, Verdict.FAIL)]
+)
+def test_the_rate_is_that_of_the_stamps(period_ms: int, expected: Verdict) -> None:
+    row = topic_checks.rate("rate", grid(500, period_ms), 500.0)
+    assert row.verdict is expected
+    assert f"{1000 / period_ms:.1f} Hz" in row.found
+
+
+def test_lost_messages_are_told_and_do_not_change_the_rate() -> None:
+    stamps = np.delete(grid(500, 2), np.arange(0, 500, 5))
+    row = topic_checks.rate("rate", stamps, 500.0)
+    assert (row.verdict, row.found) == (Verdict.WARN, "500.0 Hz, 19.8% missing")
+
+
+def test_a_grid_of_another_clock_does_not_change_the_rate() -> None:
+    stamps = START + (np.arange(60) * 1000 // 30 // 2) * 2 * MS  # 30 Hz in steps of 2 ms
+    assert topic_checks.rate("rate", stamps, 30.0).verdict is Verdict.OK
+
+
+@pytest.mark.parametrize(
+    ("stamps", "expected", "said"),
+    [
+        (grid(100, 2), Verdict.OK, "in order"),
+        (np.zeros(100, dtype=np.int64), Verdict.FAIL, "not set"),
+        (np.repeat(grid(50, 2), 2), Verdict.FAIL, "repeated"),
+        (grid(100, 2)[::-1], Verdict.FAIL, "go back"),
+        (np.sort(np.append(grid(50, 20), grid(50, 20) + 100_000)), Verdict.WARN, "1 ms"),
+        (grid(0, 2), Verdict.UNCHECKED, "none"),
+    ],
+)
+def test_stamps_must_be_set_and_increase(stamps: np.ndarray, expected: Verdict, said: str) -> None:
+    row = topic_checks.stamps("stamps", stamps)
+    assert row.verdict is expected
+    assert said in row.found
+
+
+def test_stamps_of_another_clock_are_told() -> None:
+    stamps = grid(10, 2)
+    assert topic_checks.clock("clock", stamps + 5 * MS, stamps).verdict is Verdict.OK
+    assert topic_checks.clock("clock", stamps + 500 * MS, stamps).verdict is Verdict.WARN
+    assert "began at its start" in topic_checks.clock("clock", stamps, stamps - START).found
+
+
+def test_late_messages_are_a_warning_and_never_a_failure() -> None:
+    assert topic_checks.jitter("jitter", grid(100, 2), 0.002).verdict is Verdict.OK
+    late = topic_checks.jitter("jitter", grid(100, 9), 0.002)
+    assert (late.verdict, late.found) == (Verdict.WARN, "median 9.00, 99 % 9.00, worst 9.00 ms")
+
+
+@pytest.mark.parametrize(
+    ("ends", "latched", "expected"),
+    [
+        ([Endpoint("driver", STATE, True, False)], False, Verdict.OK),
+        ([Endpoint("driver", STATE, False, False)], False, Verdict.OK),
+        ([Endpoint("driver", "std_msgs/msg/String", True, False)], False, Verdict.FAIL),
+        ([Endpoint("driver", STATE, True, False)], True, Verdict.FAIL),
+        ([Endpoint("driver", STATE, True, True)], True, Verdict.OK),
+        ([Endpoint("left", STATE, True, False), Endpoint("right", STATE, True, False)], False, "w"),
+        ([], False, Verdict.UNCHECKED),
+    ],
+)
+def test_what_our_subscriptions_cannot_hear_is_a_failure(
+    ends: list[Endpoint], latched: bool, expected: Verdict | str
+) -> None:
+    row = topic_checks.publishers("QoS", STATE, ends, latched)
+    assert row.verdict is (Verdict.WARN if expected == "w" else expected)
+
+
+DRIVER = Endpoint("driver", STATE, True, False)
+OTHER = Endpoint("teleop", STATE, True, False)
+
+
+@pytest.mark.parametrize(
+    ("drivers", "commanders", "count", "expected", "said"),
+    [
+        ([DRIVER], [], 0, Verdict.OK, "driver"),
+        ([], [], 0, Verdict.FAIL, "nobody"),
+        ([DRIVER], [OTHER], 0, Verdict.FAIL, "teleop may command"),
+        ([DRIVER], [], 7, Verdict.FAIL, "7 torques"),
+        ([DRIVER._replace(type="std_msgs/msg/String")], [], 0, Verdict.FAIL, "wants std_msgs"),
+        ([DRIVER._replace(latched=True)], [], 0, Verdict.FAIL, "latched"),
+        ([DRIVER, OTHER], [], 0, Verdict.WARN, "driver, teleop"),
+    ],
+)
+def test_a_command_path_has_one_driver_and_no_commander(
+    drivers: list[Endpoint],
+    commanders: list[Endpoint],
+    count: int,
+    expected: Verdict,
+    said: str,
+) -> None:
+    row = topic_checks.command_path("/commands", STATE, drivers, commanders, count)
+    assert row.verdict is expected
+    assert said in row.found
+
+
+def test_a_service_that_is_configured_must_be_offered_in_its_type() -> None:
+    services = {"/wam/idle": "std_srvs/srv/Trigger", "/other": "std_srvs/srv/SetBool"}
+    found = [
+        topic_checks.offered("idle", "std_srvs/srv/Trigger", services, name).verdict
+        for name in ("/wam/idle", "/other", "/none", "")
+    ]
+    assert found == [Verdict.OK, Verdict.FAIL, Verdict.FAIL, Verdict.WARN]
+
+
+def rows(*verdicts: Verdict) -> list[Row]:
+    return [Row(f"row {i}", "", "", verdict, "do") for i, verdict in enumerate(verdicts)]
+
+
+def test_one_failure_decides_and_every_doubt_is_named() -> None:
+    result, said = topic_checks.verdict(rows(Verdict.OK, Verdict.FAIL, Verdict.WARN))
+    assert (result, said) == (Verdict.FAIL, "DOES NOT CONFORM, let nothing move: row 1.")
+    result, said = topic_checks.verdict(rows(Verdict.OK, Verdict.WARN, Verdict.UNCHECKED))
+    assert result is Verdict.WARN
+    assert "row 1" in said and "Not checked: row 2" in said
+    assert topic_checks.verdict(rows(Verdict.OK)) == (Verdict.OK, "CONFORMS.")
+
+
+def test_only_failures_that_are_there_can_be_accepted() -> None:
+    table = topic_checks.accepted(rows(Verdict.OK, Verdict.FAIL), ["row 1", "row 0"])
+    assert [row.verdict for row in table] == [Verdict.OK, Verdict.WARN]
+    assert table[1].advice == "accepted. do"
+    with pytest.raises(ValueError, match=r"no row \['row 9'\].*row 1"):
+        topic_checks.accepted(rows(Verdict.OK, Verdict.FAIL), ["row 9"])

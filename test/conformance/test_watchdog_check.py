@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The test of a command path: it finds the watchdog out and cannot move the arm."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from wam_power_ros.conformance.topic_checks import Row, Verdict
+from wam_power_ros.conformance.watchdog_check import GIVE, MARK_SHARE, CommandCheck
+from wam_power_ros.control.arm import Arm
+
+NAMES = tuple(f"wam_j{i}" for i in range(1, 8))
+Q = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+TICK = 2_000_000  # [ns]
+
+
+@cache
+def model() -> Arm:
+    return Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES)
+
+
+def played(
+    adds: bool = False,
+    configured: bool | None = None,
+    watchdog: int | None = 5,
+    delay: int = 3,
+    slip: float = 0.0,
+    deaf: bool = False,
+) -> tuple[Row, list[np.ndarray]]:
+    """The row of a test on an arm that is played, and the torques it was sent.
+
+    Its driver adds gravity or not, shows commands after `delay` ticks unless it is deaf, and goes
+    back to its own torque `watchdog` ticks after the last command, or never.
+    """
+    gravity = model().gravity(Q)
+    check = CommandCheck(model(), NAMES, adds if configured is None else configured, Q, gravity)
+    sent: list[np.ndarray] = []
+    under_way: list[np.ndarray | None] = [None] * delay
+    command, silent, q = None, 10**6, Q.copy()
+    for tick in range(1, 2000):
+        arrived = under_way.pop(0)
+        silent = 0 if arrived is not None else silent + 1
+        command = command if arrived is None else arrived
+        own = command is None or deaf or (watchdog is not None and silent > watchdog)
+        tau = gravity if own else command + (gravity if adds else 0.0)
+        q = q + (0.0 if own else slip)
+        torque = check.step(tick * TICK, q, tau)
+        under_way.append(torque)
+        if torque is not None:
+            sent.append(torque.copy())
+        if check.over:
+            break
+    assert check.over
+    return check.row(), sent
+
+
+@pytest.mark.parametrize("adds", [False, True])
+def test_a_driver_with_a_watchdog_passes_and_is_sent_no_more_than_friction_holds(
+    adds: bool,
+) -> None:
+    row, sent = played(adds)
+    assert row.verdict is Verdict.OK
+    carrier = np.zeros(7) if adds else model().gravity(Q)
+    extra = np.abs(np.array(sent) - carrier)
+    assert (extra <= MARK_SHARE * model().friction + 1e-9).all()
+    assert extra.max() > 0.1
+    np.testing.assert_array_equal(sent[-1], carrier)  # what a driver may hold from now on
+
+
+@pytest.mark.parametrize("adds", [False, True])
+def test_a_driver_that_holds_the_last_torque_fails_and_is_left_with_what_carries_the_arm(
+    adds: bool,
+) -> None:
+    row, sent = played(adds, watchdog=None)
+    assert (row.verdict, "no watchdog" in row.found) == (Verdict.FAIL, True)
+    np.testing.assert_array_equal(sent[-1], np.zeros(7) if adds else model().gravity(Q))
+
+
+def test_a_slow_watchdog_is_a_warning() -> None:
+    row, _ = played(watchdog=100)
+    assert (row.verdict, "206 ms" in row.found) == (Verdict.WARN, True)
+
+
+def test_gravity_sent_to_a_driver_that_adds_it_ends_the_test_at_once() -> None:
+    row, sent = played(adds=True, configured=False)
+    assert (row.verdict, "driver_compensates_gravity: true" in row.advice) == (Verdict.FAIL, True)
+    assert len(sent) <= 5
+    np.testing.assert_array_equal(sent[-1], np.zeros(7))
+
+
+def test_zero_sent_to_a_driver_that_adds_nothing_ends_the_test_at_once() -> None:
+    row, sent = played(adds=False, configured=True)
+    assert (row.verdict, "driver_compensates_gravity: false" in row.advice) == (Verdict.FAIL, True)
+    assert len(sent) <= 5
+    np.testing.assert_array_equal(sent[-1], model().gravity(Q))
+
+
+def test_an_arm_that_moves_ends_the_test() -> None:
+    row, sent = played(slip=0.2 * GIVE)
+    assert (row.verdict, "moved by" in row.found) == (Verdict.FAIL, True)
+    assert len(sent) < 15
+
+
+def test_a_driver_that_does_not_show_commands_cannot_be_checked() -> None:
+    row, _ = played(deaf=True)
+    assert row.verdict is Verdict.UNCHECKED
+
+
+def test_without_friction_in_the_urdf_nothing_is_sent() -> None:
+    text = (ROOT / "urdf/wam7.urdf").read_text().replace('friction="', 'friction="0" was="')
+    with pytest.raises(ValueError, match="no friction"):
+        CommandCheck(Arm(text, NAMES), NAMES, False, Q, np.zeros(7))

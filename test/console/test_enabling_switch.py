@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A held key as the enabling switch."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import pytest
+from std_msgs.msg import Bool
+
+from wam_power_ros.console.enabling_switch import FIRST, NEXT, HeldKey
+from wam_power_ros.ros import interface
+
+if TYPE_CHECKING:
+    from conftest import Probe
+
+
+@pytest.mark.requirement("S-30")
+def test_a_key_is_held_while_it_repeats_and_released_soon_after() -> None:
+    key = HeldKey()
+    assert not key.held(0.0)
+    key.came(10.0)
+    assert key.held(10.0 + 0.99 * FIRST)  # before a terminal repeats it for the first time
+    assert not key.held(10.0 + FIRST)
+    now = 20.0
+    key.came(now)
+    for _ in range(30):
+        now += 0.9 * NEXT
+        assert key.held(now)
+        key.came(now)
+    assert key.held(now + 0.9 * NEXT)
+    assert not key.held(now + NEXT)
+
+
+@pytest.mark.requirement("S-30")
+def test_the_terminals_key_is_published_and_its_release_too(probe: Probe, domain_id: int) -> None:
+    switch = probe.listen(Bool, interface.ENABLE, interface.ENABLE_IN)
+    ours, terminal = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "wam_power_ros.cli", "enable"],
+        stdin=terminal,
+        stdout=subprocess.DEVNULL,
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain_id)},
+    )
+    try:
+        probe.until(lambda: switch and not switch[-1].data, "released at first")
+        os.write(ours, b" ")
+        probe.until(lambda: switch[-1].data, "held")
+        probe.until(lambda: not switch[-1].data, "released")
+    finally:
+        process.terminate()
+        process.wait(20.0)
+        os.close(ours)
+        os.close(terminal)

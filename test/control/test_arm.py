@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rigid-body model against finite differences and Barrett's own figures."""
+
+import copy
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from wam_power_ros.control.arm import WAM_GUARDED, Arm, Guarded
+from wam_power_ros.params.resources import share
+
+URDF = share("urdf/wam7.urdf").read_text()
+NAMES = [f"wam_j{i}" for i in range(1, 8)]
+HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+ARMATURE = (0.20517, 0.18884, 0.06691, 0.03462, 0.003227, 0.003227, 0.0003165)
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm(URDF, NAMES)
+
+
+def states(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    rng = np.random.default_rng(3)
+    return [(rng.uniform(-1.5, 1.5, 7), rng.uniform(-2.0, 2.0, 7)) for _ in range(count)]
+
+
+@pytest.mark.parametrize(
+    ("joint", "expected"),
+    [
+        (None, (0.0, 0.0, 1.2569)),
+        (1, (0.43670872, 0.0, 1.14538996)),
+        (3, (0.17853346, 0.0, 1.2342937)),
+        (5, (0.02919702, 0.0, 1.24944478)),
+    ],
+)
+def test_the_tool_plate_is_where_barretts_own_kinematics_put_it(
+    joint: int | None, expected: tuple[float, float, float]
+) -> None:
+    plate = Arm(URDF, NAMES, tool_frame="wam_tool_plate")
+    q = np.zeros(7)
+    if joint is not None:
+        q[joint] = 0.5
+    assert np.allclose(plate.tool_pose(q)[0], expected, atol=1e-7)
+
+
+def test_the_pan_is_level_at_home(arm: Arm) -> None:
+    assert np.allclose(arm.tool_pose(HOME)[1], np.eye(3), atol=1e-6)
+
+
+def test_the_jacobian_is_the_derivative_of_the_pose(arm: Arm) -> None:
+    for q, qd in states(5):
+        step = 1e-6
+        (p_a, r_a), (p_b, r_b) = arm.tool_pose(q - step * qd), arm.tool_pose(q + step * qd)
+        twist = arm.jacobian(q) @ qd
+        assert np.allclose((p_b - p_a) / (2 * step), twist[:3], atol=1e-6)
+        assert np.allclose(pin.log3(r_b @ r_a.T) / (2 * step), twist[3:], atol=1e-6)
+        motion = arm.motion(q, qd)
+        assert np.allclose(motion.twist, twist, atol=1e-12)
+        assert motion.tool_speed == pytest.approx(np.linalg.norm(twist[:3]))
+
+
+def test_the_drift_is_the_change_of_the_twist_without_joint_acceleration(arm: Arm) -> None:
+    for q, qd in states(5):
+        step = 1e-6
+        change = arm.jacobian(q + step * qd) @ qd - arm.jacobian(q - step * qd) @ qd
+        assert np.allclose(arm.motion(q, qd).drift, change / (2 * step), atol=1e-5)
+
+
+def test_the_rotors_are_in_every_dynamics_function(arm: Arm) -> None:
+    assert np.allclose(arm.armature, ARMATURE)
+    bare = Arm(URDF, NAMES, armature=[0.0] * 7)
+    for q, qd in states(5):
+        mass, qdd = arm.mass_matrix(q), np.arange(7.0)
+        assert np.allclose(mass - bare.mass_matrix(q), np.diag(ARMATURE), atol=1e-12)
+        assert np.array_equal(mass, mass.T)
+        dynamics = arm.dynamics(q, qd)
+        assert np.allclose(dynamics.inverse_mass @ mass, np.eye(7), atol=1e-9)
+        tau = arm.inverse_dynamics(q, qd, qdd)
+        assert np.allclose(tau, mass @ qdd + arm.bias(q, qd), atol=1e-10)
+        assert np.allclose(arm.forward_dynamics(q, qd, tau), qdd, atol=1e-7)
+
+
+def test_gravity_is_the_bias_at_rest_and_friction_is_in_neither(arm: Arm) -> None:
+    for q, qd in states(5):
+        assert np.allclose(arm.gravity(q), arm.bias(q, np.zeros(7)), atol=1e-12)
+        mirrored = arm.bias(q, -qd)  # velocity products are even in the velocity, friction is odd
+        assert np.allclose(arm.bias(q, qd), mirrored, atol=1e-10)
+    assert arm.friction[0] == 2.7
+    assert arm.damping[0] == 1.4
+
+
+def test_guarded_points_move_as_their_positions_do(arm: Arm) -> None:
+    elbow, step = Arm(URDF, NAMES, tool_frame="wam_link4"), 1e-6
+
+    def speed(q: np.ndarray, qd: np.ndarray, point: np.ndarray) -> float:
+        ends = [elbow.tool_pose(q + sign * step * qd) for sign in (-1.0, 1.0)]
+        before, after = (position + rotation @ point for position, rotation in ends)
+        return float(np.linalg.norm(after - before) / (2 * step))
+
+    for q, qd in states(5):
+        at_elbow, beyond, tool = arm.reference_point_speeds(q, qd)
+        assert at_elbow == pytest.approx(speed(q, qd, np.zeros(3)), abs=1e-6)
+        assert beyond == pytest.approx(speed(q, qd, np.array([-0.045, -0.35, 0.0])), abs=1e-6)
+        assert tool == pytest.approx(arm.motion(q, qd).tool_speed)
+
+
+def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm) -> None:
+    wrist = Guarded("wrist", "wam_link6", (0.0, 0.0, 0.1))
+    other = Arm(URDF, NAMES, guarded=(*WAM_GUARDED, wrist, WAM_GUARDED[0]))
+    assert other.guarded == ("elbow", "forearm", "wrist", "elbow")
+    speeds = other.reference_point_speeds(HOME, np.ones(7))
+    assert (*speeds[:2], speeds[4]) == arm.reference_point_speeds(HOME, np.ones(7))
+    assert speeds[3] == speeds[0]
+    end = Arm(URDF, NAMES, tool_frame="wam_link6").tool_pose(HOME)
+    np.testing.assert_allclose(
+        other.motion(HOME, np.ones(7)).guarded_positions[2], end[0] + end[1] @ [0, 0, 0.1]
+    )
+    assert Arm(URDF, NAMES, guarded=()).motion(HOME, np.ones(7)).guarded_speeds == []
+    with pytest.raises(ValueError, match="another_robots_link"):
+        Arm(URDF, NAMES, guarded=[wrist._replace(link="another_robots_link")])
+
+
+def test_an_arm_is_not_copied_with_arrays_over_another_ones_buffers(arm: Arm) -> None:
+    with pytest.raises(TypeError, match="make another"):
+        copy.deepcopy(arm)
+
+
+def test_results_are_not_changed_by_later_calls(arm: Arm) -> None:
+    (q, qd), (q_other, qd_other) = states(2)
+    results = [*arm.motion(q, qd)[:4], *arm.dynamics(q, qd), *arm.tool_pose(q), arm.gravity(q)]
+    copies = [result.copy() for result in results]
+    arm.motion(q_other, qd_other)
+    arm.dynamics(q_other, qd_other)
+    arm.tool_pose(q_other)
+    arm.gravity(q_other)
+    assert all(np.array_equal(a, b) for a, b in zip(results, copies, strict=True))
+
+
+def test_joints_that_are_not_named_are_locked(arm: Arm) -> None:
+    finger = (
+        '<joint name="finger" type="revolute"><parent link="wam_tool_plate"/><child link="tip"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        '<link name="tip"/></robot>'
+    )
+    more = Arm(URDF.replace("</robot>", finger), NAMES)
+    assert more.n == 7
+    assert np.allclose(more.mass_matrix(HOME), arm.mass_matrix(HOME))
+    fewer = Arm(URDF, NAMES[:4], tool_frame="pan")
+    assert fewer.n == 4
+    assert np.array_equal(fewer.armature, arm.armature[:4])
+
+
+def test_what_does_not_fit_is_named() -> None:
+    with pytest.raises(ValueError, match=r"'arm_j9'.*wam_j1"):
+        Arm(URDF, ["arm_j9"])
+    with pytest.raises(ValueError, match="base to tip"):
+        Arm(URDF, NAMES[::-1])
+    with pytest.raises(ValueError, match=r"'spoon'.*pan"):
+        Arm(URDF, NAMES, tool_frame="spoon")
+    with pytest.raises(ValueError, match="no URDF"):
+        Arm("<robot", NAMES)
+    with pytest.raises(ValueError, match="continuous"):
+        Arm(URDF.replace('name="wam_j7" type="revolute"', 'name="wam_j7" type="continuous"'), NAMES)
+    with pytest.raises(ValueError, match="armature"):
+        Arm(URDF, NAMES, armature=[0.1, 0.1])
+    with pytest.raises(ValueError, match="armature"):
+        Arm(URDF.replace('armature="0.20517"', 'armature="heavy"'), NAMES)

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rehearsal finds what would end a rollout, without an arm that moves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.feasibility import rehearse
+from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.params.resources import share
+from wam_power_ros.rotations import quat_xyzw
+
+JOINTS = [f"wam_j{i}" for i in range(1, 8)]
+START = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    """The WAM with its pan."""
+    return Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
+
+
+def lift(arm: Arm, height: float) -> Policy:
+    """A policy that lifts the pan by `height` [m] in half a second."""
+    position, rotation = arm.tool_pose(START)
+    return Policy(
+        id="lift",
+        basis=Basis(count=4, duration=0.5, variance=0.004),
+        stiffness=np.tile(300.0 * np.eye(3), (4, 1, 1)),
+        attractors=position + np.outer([0.0, 0.5, 1.0, 1.0], [0.0, 0.0, height]),
+        damping=32.0,
+        orientation_reference=quat_xyzw(rotation),
+        rotation_attractors=np.zeros((4, 3)),
+        rotation_stiffness=400.0,
+        rotation_damping=36.0,
+        q_start=START,
+    )
+
+
+def _late(arm: Arm) -> np.ndarray:
+    """Attractors of which the last, over only at the very end, is 15 cm higher. (4, 3)."""
+    return arm.tool_pose(START)[0] + np.outer([0, 0, 0, 1], [0.0, 0.0, 0.15])
+
+
+def test_a_gentle_movement_is_rehearsed_without_a_fault(arm: Arm) -> None:
+    rehearsal = rehearse(arm, ControllerSettings(), lift(arm, 0.1))
+    assert rehearsal.fault == ""
+    assert 0.1 < rehearsal.tool_peak < 1.0
+    assert (rehearsal.qd_peak < arm.qd_max).all()
+    assert f"elbow at most {rehearsal.elbow_peak:.2f} m/s" in str(rehearsal)
+
+
+@pytest.mark.requirement("S-31")
+def test_a_movement_that_is_too_fast_ends_in_the_fault_it_would_cause(arm: Arm) -> None:
+    rehearsal = rehearse(arm, ControllerSettings(), lift(arm, 0.9))
+    assert "limit" in rehearsal.fault
+
+
+def test_the_margin_decides_what_is_too_fast(arm: Arm) -> None:
+    policy = lift(arm, 0.25)
+    free = rehearse(arm, ControllerSettings(), policy, margin=1.0)
+    share_used = float((free.qd_peak / arm.qd_max).max())
+    assert free.fault == "" and share_used > 0.1
+    assert rehearse(arm, ControllerSettings(), policy, margin=0.8 * share_used).fault
+
+
+def test_what_the_arm_does_while_it_settles_is_rehearsed_too(arm: Arm) -> None:
+    late = replace(
+        lift(arm, 0.0), basis=Basis(count=4, duration=0.1, variance=1e-5), attractors=_late(arm)
+    )
+    whole = rehearse(arm, ControllerSettings(), late)
+    movement = rehearse(arm, ControllerSettings(settle_time=0.002), late)
+    assert movement.fault == "" and whole.fault == ""
+    assert whole.tool_peak > 1.5 * movement.tool_peak
+
+
+def test_a_policy_the_controller_refuses_is_not_rehearsed(arm: Arm) -> None:
+    stiff = replace(lift(arm, 0.1), stiffness=np.tile(9e4 * np.eye(3), (4, 1, 1)))
+    assert "stiffness" in rehearse(arm, ControllerSettings(), stiff).fault
+
+
+def test_an_arm_whose_driver_compensates_gravity_is_rehearsed_alike(arm: Arm) -> None:
+    policy = lift(arm, 0.2)
+    own = rehearse(arm, ControllerSettings(), policy)
+    driver = rehearse(arm, ControllerSettings(driver_compensates_gravity=True), policy)
+    assert np.array_equal(own.qd_peak, driver.qd_peak)

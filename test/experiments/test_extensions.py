@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the wish list buys, in little; and that the chapter says what the results say."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wam_power_ros.experiments import jobs
+from wam_power_ros.experiments.chapters.extensions_chapter import (
+    AUTO,
+    DEMONSTRATION,
+    PERSON,
+    REACHING,
+    REACHING_NOISY,
+    SIGMA,
+    chapter,
+)
+from wam_power_ros.experiments.studies import extensions
+from wam_power_ros.reporting.chapter import html
+
+
+def test_the_wishes_in_little_have_every_claim(tmp_path: Path) -> None:
+    results = jobs.run(extensions.jobs("quick"), tmp_path)
+    told = chapter(results)
+    assert len(told.all_claims()) == 7 and "automatic" in html(told)
+    (person,) = results[PERSON].values()
+    assert 0 <= person["rated"] <= 2 and person["used"] == 4
+    (given,) = results[f"{DEMONSTRATION}with"].values()
+    assert given["used"] == 6
+
+
+def test_the_full_study_holds_seeds_that_nothing_was_tuned_on() -> None:
+    jobs = extensions.jobs("full")
+    assert len({job.name for job in jobs}) == len(jobs) == 2 * 5 + 8 * (3 + 1 + 2)
+    seeds = {seed for job in jobs for seed in job.arguments.get("seeds", [])}
+    seeds |= {job.arguments["seed"] for job in jobs if "seed" in job.arguments}
+    assert min(seeds) == 501 and max(seeds) <= 599
+
+
+def run(landed: float, used: int = 50, **other: object) -> dict[str, object]:
+    flags = [k < round(10 * landed) for k in range(10)]
+    told = {"landed": flags, "true_flip": flags, "angle_deg": [100.0 + 80.0 * f for f in flags]}
+    told |= {"retests": [0.5 + 0.5 * landed] * 10, "used": used, "rated": 3, "refused": ""}
+    return {**told, "choice": "", "sigma": 6.0, **other}
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_a_claim_is_met_only_if_the_results_say_so(better: bool) -> None:
+    rng = np.random.default_rng(0)
+    few = {f"seed-{k}": run(0.2 + 0.1 * (k % 3)) for k in range(12)}
+    many = {f"seed-{k}": run(0.7 + 0.1 * (k % 3)) for k in range(12)}
+    alone, helped = (few, many) if better else (many, few)
+    sizes = {
+        f"sigma-{s}": {"final": (level + 0.01 * rng.random(30)).tolist(), "sigma": [4.0] * 30}
+        for s, level in ((AUTO, 0.7 if better else 0.3), (6, 0.5))
+    }
+    results = {
+        REACHING: sizes,
+        REACHING_NOISY: sizes,
+        f"{SIGMA}{AUTO}": helped,
+        f"{SIGMA}6": alone,
+        PERSON: helped,
+        f"{DEMONSTRATION}without": alone,
+        f"{DEMONSTRATION}with": helped,
+    }
+    assert {claim.met for claim in chapter(results).all_claims()} == {better}

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Studies lose nothing, repeat nothing, and give the same numbers however they were computed."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import study_jobs
+from rich.console import Console
+
+from wam_power_ros.experiments import jobs as job_cache
+from wam_power_ros.experiments.jobs import Job, JobError, run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def draws(count: int = 6, seconds: float = 0.0) -> list[Job]:
+    return [
+        Job(f"study-{k % 2}", f"seed-{k}", study_jobs.draw, {"seed": k, "seconds": seconds})
+        for k in range(count)
+    ]
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.json")}
+
+
+def told() -> Console:
+    return Console(file=io.StringIO(), width=200)
+
+
+def test_results_are_the_same_whatever_the_order_and_the_number_of_workers(tmp_path: Path) -> None:
+    one = run(draws(), tmp_path / "one")
+    assert run(draws()[::-1], tmp_path / "two", workers=2) == one
+    assert files(tmp_path / "one") == files(tmp_path / "two")
+    assert one["study-0"]["seed-2"] == study_jobs.draw(2)  # every bit
+
+
+def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
+    job = Job("study", "key", study_jobs.count, {"log": str(tmp_path / "log")})
+    assert run([job], tmp_path) == run([job], tmp_path) == {"study": {"key": {"done": True}}}
+    assert (tmp_path / "log").read_text() == "x"
+
+
+@pytest.mark.parametrize("spoilt", ["", "[]", '{"result": {}}', '{"digest": "0", "result": {}}'])
+def test_a_result_of_other_sources_or_a_broken_one_is_computed_again_and_said_so(
+    tmp_path: Path, spoilt: str
+) -> None:
+    job = Job("study", "key", study_jobs.count, {"log": str(tmp_path / "log")})
+    run([job], tmp_path)
+    (tmp_path / "study/key.json").write_text(spoilt)
+    console = told()
+    assert run([job], tmp_path, console=console) == {"study": {"key": {"done": True}}}
+    assert "1 results of other sources" in console.file.getvalue()
+    assert (tmp_path / "log").read_text() == "xx"
+
+
+def test_other_arguments_make_a_result_stale(tmp_path: Path) -> None:
+    run([Job("study", "key", study_jobs.draw, {"seed": 1})], tmp_path)
+    again = run([Job("study", "key", study_jobs.draw, {"seed": 2})], tmp_path)
+    assert again["study"]["key"] == study_jobs.draw(2)
+
+
+def test_a_job_that_fails_is_named_and_takes_no_other_with_it(tmp_path: Path) -> None:
+    jobs = [Job("bad", "apple", study_jobs.fail, {"why": "a worm"}), *draws()]
+    for workers in (1, 2):
+        with pytest.raises(JobError, match=r"(?s)1 of 7.*bad/apple: .*a worm"):
+            run(jobs, tmp_path / str(workers), workers)
+        assert len(files(tmp_path / str(workers))) == 6
+
+
+@pytest.mark.parametrize("what", ["nan", "array"])
+def test_a_result_that_is_no_plain_number_is_refused(tmp_path: Path, what: str) -> None:
+    with pytest.raises(JobError, match="study/key"):
+        run([Job("study", "key", study_jobs.give, {"what": what})], tmp_path)
+    assert files(tmp_path) == {}
+
+
+def test_names_that_are_no_files_and_arguments_that_are_no_data_are_refused() -> None:
+    for name in ("", "../up", "a/b", ".hidden"):
+        with pytest.raises(ValueError, match="no name of a file"):
+            Job("study", name, study_jobs.draw)
+    with pytest.raises(ValueError, match="arguments of study/key"):
+        Job("study", "key", study_jobs.draw, {"seed": float("inf")})
+    with pytest.raises(ValueError, match="two jobs of one name: study-0/seed-0"):
+        run([draws()[0], draws()[0]], Path("nowhere"))
+
+
+def test_a_digest_knows_the_sources_a_job_depends_on_and_only_those(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(job_cache, "OURS", (*job_cache.OURS, "made_up"))
+    (tmp_path / "made_up").mkdir()
+    helper, told, job = (tmp_path / "made_up" / f"{n}.py" for n in ("helper", "report", "job"))
+    (tmp_path / "made_up/__init__.py").touch()
+    job.write_text("from made_up import helper, report\n\ndef f():\n    'Words.'\n    return 1\n")
+    told.write_text("")
+    seen = []
+    for text in ("A = 1\n", "# why\nA =  1\n", "A = 2\n"):
+        helper.write_text(text)
+        job_cache.sources.cache_clear()
+        seen.append(job_cache.sources("made_up.job"))
+    assert seen[0] == seen[1] != seen[2]  # a comment is no change
+    told.write_text("B = 1\n")
+    job.write_text(job.read_text().replace("Words.", "Others."))
+    job_cache.sources.cache_clear()
+    assert job_cache.sources("made_up.job") == seen[2]
+    job_cache.sources.cache_clear()
+
+
+def test_the_sources_of_a_session_are_found_down_to_the_motors() -> None:
+    files = job_cache.sources.__wrapped__
+    assert files("wam_power_ros.experiments.studies.flip_sessions") != files(
+        "wam_power_ros.experiments.environment"
+    )
+    reached, waiting = set(), ["wam_power_ros.experiments.studies.flip_sessions"]
+    while waiting:
+        name = waiting.pop()
+        if name not in reached and (path := job_cache._file(name)):
+            reached.add(name)
+            waiting += [other for other in job_cache._imports(path) if job_cache._counts(other)]
+    assert {
+        "hardware_sim.motors",
+        "wam_power_ros.learning.power",
+        "wam_power_ros.params.resources",
+    } <= reached
+    assert not {name.rpartition(".")[2] for name in reached} & job_cache.TELLING
+
+
+def test_interrupted_and_begun_again_it_ends_with_the_same_files(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from test_jobs import draws; "
+        "from wam_power_ros.experiments.jobs import run; "
+        "run(draws(10, 0.1), Path(sys.argv[1]), 2)"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "stopped")]
+    path = os.pathsep.join(
+        [
+            str(ROOT),
+            str(ROOT / "test"),
+            str(ROOT / "test/experiments"),
+            os.environ.get("PYTHONPATH", ""),
+        ]
+    )
+    environment = os.environ | {"PYTHONPATH": path}
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE) as process:
+        end = time.monotonic() + 600.0
+        while len(files(tmp_path / "stopped")) < 2 and time.monotonic() < end:
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+    assert 2 <= len(files(tmp_path / "stopped")) < 10
+    run(draws(10, 0.1), tmp_path / "stopped")
+    run(draws(10, 0.1), tmp_path / "whole")
+    assert files(tmp_path / "stopped") == files(tmp_path / "whole")
+
+
+def test_the_time_it_took_is_kept_whenever_that_was(tmp_path: Path) -> None:
+    jobs = draws(4, 0.05)
+    run(jobs[:2], tmp_path)
+    run(jobs, tmp_path)
+    wall, _ = job_cache.spent(jobs, tmp_path)
+    assert wall >= 4 * 0.05
+    lines = (tmp_path / "times.jsonl").read_text().splitlines()
+    assert [json.loads(line)["job"] for line in lines] == [job.name for job in jobs]

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reproduction: one command, one report, the same numbers wherever it ran."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import study_jobs
+from test_jobs import draws, files
+
+from benchmark.cluster import local_cluster
+from wam_power_ros.cli import main
+from wam_power_ros.experiments import jobs as job_cache
+from wam_power_ros.experiments import reproduce
+
+ROOT = Path(__file__).resolve().parents[2]
+PYTHONPATH = os.pathsep.join([str(ROOT), str(ROOT / "test"), os.environ.get("PYTHONPATH", "")])
+
+
+@pytest.fixture
+def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One study, "draws", in place of those of the paper."""
+    monkeypatch.setattr(reproduce, "STUDIES", ("draws",))
+    monkeypatch.setitem(sys.modules, "wam_power_ros.experiments.draws", study_jobs)
+
+
+@pytest.mark.usefixtures("made_up")
+def test_a_reproduction_writes_a_page_that_needs_no_other_file_and_its_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["reproduce", "--folder", str(tmp_path), "--quick", "--jobs", "1"]
+    assert main.main(arguments) == 0
+    html = (tmp_path / "report.html").read_text()
+    assert not re.search(r'(src|href)="(?!data:|#)', html)
+    for link in re.findall(r'href="#([^"]+)"', html):
+        assert f'id="{link}"' in html
+    for words in ("1 of 1", "The mean &lt;of&gt; draws is zero", "1–3", "There is no OpenGL"):
+        assert words in html
+    assert (tmp_path / "figures/draws.png").read_bytes().startswith(b"\x89PNG")
+    assert len(files(tmp_path / "results")) == 3
+    out = capsys.readouterr().out
+    assert "The mean <of> draws is zero" in out and "met" in out
+    assert "3 of them" not in out
+    assert main.main(arguments) == 0
+    assert "3 of them had been computed before" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("made_up")
+def test_a_run_that_fails_is_told_and_ends_the_reproduction_with_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = job_cache.Job("bad", "apple", study_jobs.fail, {"why": "a worm"})
+    monkeypatch.setattr(study_jobs, "jobs", lambda scale: [bad, *draws(2)])
+    assert main.main(["reproduce", "--folder", str(tmp_path), "--jobs", "1"]) == 1
+    assert "bad/apple" in capsys.readouterr().err
+    assert len(files(tmp_path / "results")) == 2
+
+
+def test_a_study_that_is_not_there_is_refused_with_those_that_are(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main.main(["reproduce", "--only", "cooking"]) == 2
+    assert "cooking: no such study; there are reaching" in capsys.readouterr().err
+
+
+def test_two_figures_of_one_name_are_refused(tmp_path: Path) -> None:
+    told = study_jobs.chapter(job_cache.run(study_jobs.jobs("quick"), tmp_path))
+    with pytest.raises(ValueError, match="two figures of one name: draws"):
+        reproduce.write(tmp_path, "quick", [told, told], [], "")
+
+
+def test_seeds_and_times_are_told_in_short() -> None:
+    assert reproduce.ranges({301, 302, 303, 7}) == "7, 301–303"
+    times = [0.123, 9.7, 45.2, 99.6, 3600.0, 7500.0]
+    told = ["0.12 s", "9.7 s", "45 s", "2 min", "60 min", "2 h 5 min"]
+    assert [reproduce.duration(seconds) for seconds in times] == told
+
+
+def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_numbers(
+    tmp_path: Path,
+) -> None:
+    def begin(folder: Path, workers: int) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "wam_power_ros.cli", "reproduce", "--quick"]
+        command += ["--only", "reaching", "--folder", str(folder), "--jobs", str(workers)]
+        environment = os.environ | {"PYTHONPATH": PYTHONPATH}
+        return subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+
+    stopped, whole = tmp_path / "stopped", tmp_path / "whole"
+    with begin(stopped, 1) as process:
+        while not files(stopped):
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    assert process.returncode == 130, err
+    assert f"What is finished is in {stopped}" in out and "wam-power reproduce --quick" in out
+    assert not (stopped / "report.html").exists()
+    for folder, workers in ((stopped, 2), (whole, 1)):
+        with begin(folder, workers) as process:
+            _, err = process.communicate()
+        assert process.returncode == 0, err
+    assert files(stopped) == files(whole) != {}
+    assert (stopped / "report.html").exists()
+    shown = {path.name: path.read_bytes() for path in (stopped / "figures").iterdir()}
+    assert shown == {path.name: path.read_bytes() for path in (whole / "figures").iterdir()} != {}
+
+
+# On a cluster
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[str]:
+    """Address of a Dask scheduler with two workers, each an operating system process."""
+    pytest.importorskip("distributed")
+    with local_cluster(tmp_path, PYTHONPATH) as address:
+        yield address
+
+
+def test_a_cluster_of_two_worker_processes_gives_the_same_files(
+    tmp_path: Path, cluster: str
+) -> None:
+    jobs = draws(8, 0.05)
+    assert job_cache.run(jobs, tmp_path / "cluster", scheduler=cluster) == job_cache.run(
+        jobs, tmp_path / "here"
+    )
+    assert files(tmp_path / "cluster") == files(tmp_path / "here")
+    bad = job_cache.Job("bad", "apple", study_jobs.fail, {"why": "a worm"})
+    with pytest.raises(job_cache.JobError, match="bad/apple"):
+        job_cache.run([bad], tmp_path / "cluster", scheduler=cluster)
+
+
+def test_without_dask_a_scheduler_is_refused_with_the_extra_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ValueError, match=r"wam_power_ros\[cluster\]"):
+        job_cache.run(draws(1), tmp_path, scheduler="tcp://127.0.0.1:1")

@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint samples of the WAM -> a smooth movement of its pan."""
+
+import math
+
+import numpy as np
+import pytest
+
+from wam_power_ros import rotations
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples, from_positions
+from wam_power_ros.params.resources import share
+
+HOME = np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+PERIOD_NS = 2_000_000
+LENGTH = 0.9  # [s] of the movement
+COUNT = 2.0 * math.pi / 4096 / 20  # [rad] of an encoder, at the joint
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    names = [f"wam_j{i}" for i in range(1, 8)]
+    return Arm(share("urdf/wam7.urdf").read_text(encoding="utf-8"), names)
+
+
+def joints(t: np.ndarray) -> np.ndarray:
+    """Dip and flick of joints 4 and 6, at rest outside [0, LENGTH]. Shape (T, 7)."""
+    u = np.clip(t / LENGTH, 0.0, 1.0)
+    bump = 64.0 * (u * (1.0 - u)) ** 3
+    swing = bump * np.sin(2.0 * math.pi * u)
+    return HOME + np.outer(swing, [0.0, 0.1, 0.0, 0.25, 0.0, -0.4, 0.0])
+
+
+def recording(
+    before: float = 0.5, after: float = 0.5, seed: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps and encoder counts of one demonstration; with a seed, encoders flicker."""
+    ticks = np.arange(round(-before * 500), round((LENGTH + after) * 500) + 1)
+    stamps = 1_700_000_000_000_000_000 + ticks.astype(np.int64) * PERIOD_NS
+    q = joints(ticks * 0.002)
+    if seed is not None:
+        # A function of the stamp, so that a longer recording holds the same samples.
+        rng = np.random.default_rng(seed)
+        flicker = rng.uniform(-0.5, 0.5, (10_000, 7)) * COUNT
+        q = np.round((q + flicker[ticks + 5000]) / COUNT) * COUNT
+    return stamps, q
+
+
+def same(a: Demonstration, b: Demonstration) -> bool:
+    return all(np.array_equal(value, getattr(b, name)) for name, value in vars(a).items())
+
+
+def test_position_velocity_and_acceleration_are_those_of_the_arm(arm: Arm) -> None:
+    demonstration = from_joint_samples(arm, *recording(seed=1), trim=False)
+    t = np.arange(-0.5, LENGTH + 0.5 + 1e-9, 0.002)
+    fine = 1e-4
+    now, later, earlier = (
+        np.array([arm.tool_pose(q)[0] for q in joints(t + shift)]) for shift in (0.0, fine, -fine)
+    )
+    inner = slice(40, -40)
+    speed = (later - earlier) / (2.0 * fine)
+    force = (later - 2.0 * now + earlier) / fine**2
+    assert np.abs(demonstration.position - now)[inner].max() < 0.0005
+    assert np.abs(demonstration.velocity - speed)[inner].max() < 0.02 * np.abs(speed).max()
+    assert np.abs(demonstration.acceleration - force)[inner].max() < 0.06 * np.abs(force).max()
+    assert np.abs(demonstration.q - joints(t))[inner].max() < 0.002
+
+
+def test_orientation_is_that_of_the_arm_and_its_vector_starts_at_zero(arm: Arm) -> None:
+    demonstration = from_joint_samples(arm, *recording(seed=1))
+    reference = rotations.matrix(demonstration.quat_xyzw[0])
+    assert demonstration.rotation_vector[0] == pytest.approx(np.zeros(3), abs=1e-15)
+    for k in range(0, len(demonstration.t), 50):
+        _, matrix = arm.tool_pose(demonstration.q[k])
+        assert rotations.matrix(demonstration.quat_xyzw[k]) == pytest.approx(matrix, abs=0.002)
+        built = rotations.exp(demonstration.rotation_vector[k]) @ reference
+        assert rotations.matrix(demonstration.quat_xyzw[k]) == pytest.approx(built, abs=1e-9)
+
+
+def test_smoothing_does_not_delay(arm: Arm) -> None:
+    stamps, q = recording()
+    forward = from_joint_samples(arm, stamps, q, trim=False)
+    backward = from_joint_samples(arm, stamps, q[::-1], trim=False)
+    assert backward.position[::-1] == pytest.approx(forward.position, abs=1e-12)
+    assert backward.velocity[::-1] == pytest.approx(-forward.velocity, abs=1e-9)
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.2, 0.2), (1.234, 0.2), (0.2, 3.0), (4.0, 2.5)])
+def test_trimming_forgets_how_long_the_arm_rested(arm: Arm, before: float, after: float) -> None:
+    base = from_joint_samples(arm, *recording(seed=3))
+    assert same(from_joint_samples(arm, *recording(before, after, seed=3)), base)
+    assert 0.5 * LENGTH < base.duration < LENGTH
+
+
+def test_the_trimmed_movement_is_a_stretch_of_the_whole(arm: Arm) -> None:
+    whole = from_joint_samples(arm, *recording(seed=3), trim=False)
+    part = from_joint_samples(arm, *recording(seed=3))
+    first = int(np.argmin(np.linalg.norm(whole.q - part.q[0], axis=1)))
+    stretch = slice(first, first + len(part.t))
+    for name in ("q", "position", "velocity", "acceleration"):
+        assert getattr(whole, name)[stretch] == pytest.approx(getattr(part, name), abs=1e-9)
+
+
+def test_an_earlier_smaller_movement_is_left_out(arm: Arm) -> None:
+    base = from_joint_samples(arm, *recording(3.0))
+    stamps, q = recording(3.0)
+    q = q + 0.3 * (joints(np.arange(len(q)) * 0.002 - 0.5) - HOME)
+    assert same(from_joint_samples(arm, stamps, q), base)
+
+
+def test_late_and_lost_samples_change_little(arm: Arm) -> None:
+    rng = np.random.default_rng(0)
+    stamps, q = recording()
+    base = from_joint_samples(arm, stamps, q, trim=False)
+    # Sampled when stamped, but not on the grid; a tenth is lost.
+    jitter = rng.integers(-400_000, 400_000, len(stamps))
+    late = stamps + jitter
+    q_late = joints((late - stamps[0]) * 1e-9 - 0.5)
+    kept = rng.uniform(size=len(stamps)) > 0.1
+    kept[[0, -1]] = True
+    late[[0, -1]] = stamps[[0, -1]]
+    other = from_joint_samples(arm, late[kept], q_late[kept], trim=False)
+    assert len(other.t) == len(base.t)
+    assert np.abs(other.position - base.position).max() < 0.0005
+    assert np.abs(other.velocity - base.velocity).max() < 0.03
+
+
+def wrong(name: str) -> tuple[np.ndarray, np.ndarray]:
+    stamps, q = recording()
+    if name == "twice":
+        stamps[7] = stamps[6]
+    elif name == "back":
+        stamps[7] = stamps[5]
+    elif name == "gap":
+        stamps[100:] += 60_000_000
+    elif name == "nan":
+        q[9, 2] = math.nan
+    elif name == "inf":
+        q[9, 2] = math.inf
+    elif name == "columns":
+        q = q[:, :6]
+    elif name == "rows":
+        q = q[:-1]
+    elif name == "float":
+        stamps = stamps * 1e-9
+    elif name == "one":
+        stamps, q = stamps[:1], q[:1]
+    elif name == "short":
+        stamps, q = stamps[:20], q[:20]
+    elif name == "still":
+        q = np.tile(HOME, (len(stamps), 1))
+    return stamps, q
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("twice", "stamps must increase"),
+        ("back", "stamps must increase"),
+        ("gap", "gap of 0.062"),
+        ("nan", r"q\[9, 2\] = nan"),
+        ("inf", r"q\[9, 2\] = inf"),
+        ("columns", "q has shape"),
+        ("rows", "q has shape"),
+        ("float", "float64"),
+        ("one", "at least two"),
+        ("short", "recording of 20 samples"),
+        ("still", "peak speed"),
+    ],
+)
+def test_a_wrong_recording_is_refused_and_the_fault_named(arm: Arm, name: str, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        from_joint_samples(arm, *wrong(name))
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ({"cutoff": 0.0}, "cutoff"),
+        ({"period": 0.0}, "period"),
+        ({"trim_start": 1.0}, "trim_start"),
+        ({"trim_end": 0.0}, "trim_end"),
+    ],
+)
+def test_a_senseless_setting_is_refused(arm: Arm, setting: dict[str, float], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        from_joint_samples(arm, *recording(), **setting)
+
+
+def test_nothing_given_is_modified(arm: Arm) -> None:
+    stamps, q = recording(seed=5)
+    kept = stamps.copy(), q.copy()
+    from_joint_samples(arm, stamps, q)
+    assert np.array_equal(stamps, kept[0])
+    assert np.array_equal(q, kept[1])
+
+
+def test_positions_alone_make_a_demonstration() -> None:
+    t = np.arange(100) * 0.01
+    made = from_positions(np.stack([t**2, t, 0.0 * t], axis=1), 0.01)
+    assert made.velocity == pytest.approx(np.stack([2.0 * t, t**0, 0.0 * t], axis=1), abs=1e-9)
+    assert made.acceleration == pytest.approx(np.tile([2.0, 0.0, 0.0], (100, 1)), abs=1e-6)
+    with pytest.raises(ValueError, match="at least 3"):
+        from_positions(np.zeros((2, 3)), 0.01)

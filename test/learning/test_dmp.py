@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Eq. 1: its tables, its reproduction and its fit."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from wam_power_ros import rotations
+from wam_power_ros.learning import dmp
+from wam_power_ros.learning.demonstration import Demonstration, from_positions
+from wam_power_ros.learning.dmp import (
+    PANCAKE,
+    REACHING,
+    FitSettings,
+    activations,
+    fit,
+    phase,
+    positive_definite,
+    reproduce,
+    reproduce_many,
+    tabulate,
+    time_of_phase,
+)
+from wam_power_ros.learning.policy import Basis, Policy, from_json, to_json
+
+DT = 0.002
+
+
+def toss(n: int = 426, seed: int | None = None) -> Demonstration:
+    """A dip, a lift and a swing of the pan, of the size of a toss."""
+    t = np.arange(n) * DT
+    u = t / t[-1]
+    position = np.stack(
+        [0.7 + 0.1 * u**2, 0.02 * np.sin(2.0 * u), 0.9 - 0.12 * np.sin(2 * math.pi * u) * u], axis=1
+    )
+    if seed is not None:
+        shape = np.random.default_rng(seed).normal(0.0, 0.01, 3)
+        position = position + np.sin(math.pi * u)[:, None] * shape
+    vectors = np.outer(0.4 * np.sin(2.0 * math.pi * u) * u, [0.1, -1.0, 0.0])
+    quat = rotations.multiply(
+        rotations.quat_of_vector(vectors),
+        np.broadcast_to([0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5)], (n, 4)),
+    )
+    flat = from_positions(position, DT)
+    q = np.tile(np.linspace(0.1, 0.7, 7), (n, 1))
+    return replace(flat, q=q, quat_xyzw=quat, rotation_vector=vectors)
+
+
+def reach(seed: int) -> Demonstration:
+    """A reaching movement of half a metre on an arc, with minimum jerk."""
+    rng = np.random.default_rng(seed)
+    u = np.linspace(0.0, 1.0, rng.integers(180, 221))
+    s = 10 * u**3 - 15 * u**4 + 6 * u**5
+    arc = 0.06 * np.sin(math.pi * s)[:, None] * np.array([0.0, 0.3, 1.0]) * rng.uniform(0.8, 1.2)
+    return from_positions(s[:, None] * np.array([0.5, 0.1, 0.0]) + arc, 0.01)
+
+
+def rmse(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
+
+
+@pytest.mark.parametrize("variance", [1e-8, 1e-4, 0.003, 100.0])
+def test_activations_sum_to_one_however_narrow_the_basis(variance: float) -> None:
+    h = activations(Basis(8, 0.85, variance), np.linspace(-0.1, 2.0, 500))
+    assert np.isfinite(h).all()
+    assert h.min() >= 0.0
+    assert h.sum(axis=1) == pytest.approx(np.ones(500))
+
+
+def test_activations_are_the_normalised_gaussians_of_the_paper() -> None:
+    basis = Basis(3, 1.0, 0.02)
+    raw = np.exp(-((0.3 - np.array([0.0, 0.5, 1.0])) ** 2) / 0.04)
+    assert activations(basis, np.array([0.3]))[0] == pytest.approx(raw / raw.sum())
+
+
+def test_time_is_clamped_to_the_movement() -> None:
+    h = activations(Basis(4, 0.5, 0.01), np.array([-1.0, 0.0, 0.5, 9.0]))
+    assert np.array_equal(h[0], h[1])
+    assert np.array_equal(h[2], h[3])
+
+
+def test_the_canonical_system_gives_back_the_time() -> None:
+    t = np.linspace(0.0, 2.0, 50)
+    s = phase(t, 4.0 / 2.0)
+    assert s[0] == 1.0
+    assert np.all(np.diff(s) < 0.0)
+    assert time_of_phase(s, 2.0) == pytest.approx(t, abs=1e-12)
+    assert np.gradient(s, t, edge_order=2) == pytest.approx(-2.0 * s, abs=5e-3)
+    with pytest.raises(ValueError, match="positive"):
+        time_of_phase(np.array([0.5, 0.0]), 2.0)
+
+
+def linear_acceleration(tables: dmp.Tables, k: int, x: np.ndarray, xd: np.ndarray) -> np.ndarray:
+    return dmp.acceleration(tables, k, x, np.zeros(3), [*xd, 0.0, 0.0, 0.0])[:3]
+
+
+def test_tabulated_acceleration_is_equation_1() -> None:
+    policy = fit([toss()], PANCAKE, "p")
+    tables = tabulate(policy)
+    rng = np.random.default_rng(0)
+    for k in (0, 17, tables.rows - 1, tables.rows + 50):
+        x, xd = rng.normal(size=(2, 3))
+        h = activations(policy.basis, np.array([k * DT]))[0]
+        expected = sum(
+            h[i] * (policy.stiffness[i] @ (policy.attractors[i] - x) - policy.damping * xd)
+            for i in range(8)
+        )
+        both = dmp.acceleration(tables, k, x, x, np.tile(xd, 2))
+        assert both[:3] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        turn = sum(
+            h[i] * (400.0 * (policy.rotation_attractors[i] - x) - 36.0 * xd) for i in range(8)
+        )
+        assert both[3:] == pytest.approx(turn, rel=1e-9, abs=1e-9)
+
+
+def test_the_last_row_holds_for_ever() -> None:
+    tables = tabulate(fit([toss()], PANCAKE, "p"))
+    assert tables.rows == 426
+    state = np.ones(3), np.ones(3), np.zeros(6)
+    end = dmp.acceleration(tables, tables.rows - 1, *state)
+    assert np.array_equal(dmp.acceleration(tables, tables.rows, *state), end)
+    assert np.array_equal(dmp.acceleration(tables, 10**6, *state), end)
+
+
+def test_tables_cannot_be_written() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        tabulate(fit([toss()], PANCAKE, "p")).a[0, 0, 0] = 1.0
+
+
+def test_reproduction_is_the_acceleration_integrated_velocity_first() -> None:
+    tables = tabulate(fit([toss()], PANCAKE, "p"))
+    x, xd = np.array([0.7, 0.0, 0.9]), np.array([0.1, 0.0, -0.2])
+    path, speed = reproduce(tables, x, xd, steps=500)
+    assert path.shape == speed.shape == (500, 3)
+    for k in range(500):
+        assert path[k] == pytest.approx(x, abs=1e-10)
+        assert speed[k] == pytest.approx(xd, abs=1e-9)
+        xd = xd + DT * linear_acceleration(tables, k, x, xd)
+        x = x + DT * xd
+
+
+def test_many_reproductions_at_once_are_the_single_ones() -> None:
+    policies = [fit([toss(seed=seed)], PANCAKE, "p") for seed in range(5)]
+    policies = [replace(policy, basis=policies[0].basis) for policy in policies]
+    x0, xd0 = np.array([0.7, 0.0, 0.9]), np.array([0.1, 0.0, -0.2])
+    x, xd = reproduce_many(
+        policies[0].basis,
+        np.stack([policy.stiffness for policy in policies]),
+        np.stack([policy.attractors for policy in policies]),
+        policies[0].damping,
+        x0,
+        xd0,
+        steps=600,
+        dt=DT,
+    )
+    for i, policy in enumerate(policies):
+        one, speed = reproduce(tabulate(policy), x0, xd0, steps=600)
+        assert x[i] == pytest.approx(one, abs=1e-9)
+        assert xd[i] == pytest.approx(speed, abs=1e-8)
+
+
+def test_a_movement_made_by_equation_1_gives_back_its_attractors() -> None:
+    truth = fit([toss()], PANCAKE, "p")
+    tables = tabulate(truth)
+    x, xd = reproduce(tables, np.array([0.7, 0.0, 0.9]), np.zeros(3))
+    states = enumerate(zip(x, xd, strict=True))
+    xdd = np.array([linear_acceleration(tables, k, *state) for k, state in states])
+    h = activations(truth.basis, np.arange(len(x)) * DT)
+    found = dmp._attractors(h, truth.stiffness, xdd + truth.damping * xd, x)
+    assert found == pytest.approx(truth.attractors, abs=1e-6)
+
+
+def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
+    demonstration = toss()
+    tables = tabulate(fit([demonstration], PANCAKE, "p"))
+    x, _ = reproduce(tables, demonstration.position[0], demonstration.velocity[0])
+    assert rmse(x, demonstration.position) < 0.005
+    r, omega, path = demonstration.rotation_vector[0], np.zeros(3), []
+    for k in range(tables.rows):
+        path.append(r)
+        omega = omega + DT * dmp.acceleration(tables, k, np.zeros(3), r, [0, 0, 0, *omega])[3:]
+        r = r + DT * omega
+    assert rmse(np.array(path), demonstration.rotation_vector) < math.radians(1.5)
+
+
+def test_solving_the_attractors_again_beats_the_plain_method() -> None:
+    demonstrations = [reach(seed) for seed in range(4)]
+    mean = 0.25 * sum(
+        np.array(
+            [
+                np.interp(np.linspace(0, 1, 200), np.linspace(0, 1, len(d.t)), c)
+                for c in d.position.T
+            ]
+        ).T
+        for d in demonstrations
+    )
+    found = {}
+    for refit in (True, False):
+        policy = fit(demonstrations, replace(REACHING, count=6, width=0.5, refit=refit), "p")
+        tables = tabulate(policy, policy.basis.duration / 199)
+        found[refit] = rmse(reproduce(tables, mean[0], np.zeros(3))[0], mean)
+    assert found[True] < 0.5 * found[False]
+    assert found[True] < 0.02
+
+
+@pytest.mark.parametrize("refit", [True, False])
+def test_coordination_matrices_are_symmetric_with_eigenvalues_in_the_range(refit: bool) -> None:
+    policy = fit([toss()], replace(PANCAKE, refit=refit), "p")
+    assert np.array_equal(policy.stiffness, np.swapaxes(policy.stiffness, 1, 2))
+    values = np.linalg.eigvalsh(policy.stiffness)
+    assert values.min() == pytest.approx(150.0)
+    assert values.max() == pytest.approx(500.0)
+
+
+def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> None:
+    demonstration = toss()
+    policy = fit([demonstration], replace(PANCAKE, refit=False), "p")
+    h = activations(policy.basis, demonstration.t)
+    d = demonstration
+    y = d.acceleration / 325.0 + d.velocity * 32.0 / 325.0 + d.position
+    inverses = []
+    for i in range(8):
+        covariance = np.cov((h[:, i : i + 1] * (y - policy.attractors[i])).T)
+        covariance += 1e-3 * np.trace(covariance) / 3.0 * np.eye(3)
+        inverses.append(np.linalg.inv(covariance))
+    values = np.linalg.eigvalsh(inverses)
+    scale = (500.0 - 150.0) / (values.max() - values.min())
+    expected = (np.array(inverses) - values.min() * np.eye(3)) * scale + 150.0 * np.eye(3)
+    assert policy.stiffness == pytest.approx(expected, abs=0.02)
+
+
+def test_the_same_movement_at_two_speeds_is_fitted_as_one_of_the_mean_speed() -> None:
+    demonstration = toss()
+
+    def slower(factor: float) -> Demonstration:
+        return replace(
+            demonstration,
+            t=demonstration.t * factor,
+            velocity=demonstration.velocity / factor,
+            acceleration=demonstration.acceleration / factor**2,
+            period=demonstration.period * factor,
+        )
+
+    both = fit([demonstration, slower(1.4)], PANCAKE, "p")
+    mean = fit([slower(1.2)], PANCAKE, "p")
+    assert both.basis.duration == pytest.approx(mean.basis.duration)
+    assert both.attractors == pytest.approx(mean.attractors, abs=1e-6)
+    assert both.rotation_attractors == pytest.approx(mean.rotation_attractors, abs=1e-6)
+
+
+def test_angular_velocity_is_that_of_the_turning_matrix() -> None:
+    rng = np.random.default_rng(0)
+    r, rd = rng.normal(size=(2, 20, 3))
+    r[0] = 1e-6 * r[0]
+    step = 1e-6
+    turn = rotations.exp(r + step * rd) @ np.swapaxes(rotations.exp(r - step * rd), 1, 2)
+    omega = rotations.log(turn) / (2.0 * step)
+    assert dmp._angular_velocity(r, rd) == pytest.approx(omega, abs=1e-6)
+
+
+def test_the_plain_attractors_are_those_of_the_mean_stiffness() -> None:
+    demonstration = toss()
+    policy = fit([demonstration], replace(PANCAKE, refit=False), "p")
+    h = activations(policy.basis, demonstration.t)
+    y = (
+        demonstration.acceleration / 325.0
+        + demonstration.velocity * 32.0 / 325.0
+        + demonstration.position
+    )
+    assert policy.attractors == pytest.approx(np.linalg.pinv(h) @ y, abs=1e-9)
+
+
+def test_the_directions_of_the_stiffness_follow_a_turned_demonstration() -> None:
+    demonstration = toss()
+    matrix = rotations.exp([0.2, -0.4, 1.0])
+    turned = replace(
+        demonstration,
+        position=demonstration.position @ matrix.T,
+        velocity=demonstration.velocity @ matrix.T,
+        acceleration=demonstration.acceleration @ matrix.T,
+    )
+    one, two = fit([demonstration], PANCAKE, "p"), fit([turned], PANCAKE, "p")
+    assert two.stiffness == pytest.approx(matrix @ one.stiffness @ matrix.T, abs=1e-6)
+    assert two.attractors == pytest.approx(one.attractors @ matrix.T, abs=1e-9)
+
+
+def test_demonstrations_of_different_length_share_one_duration() -> None:
+    demonstrations = [toss(n) for n in (400, 426, 452)]
+    policy = fit(demonstrations, PANCAKE, "p")
+    assert policy.basis.duration == pytest.approx(425 * DT)
+    x, _ = reproduce(tabulate(policy), demonstrations[1].position[0], np.zeros(3))
+    assert rmse(x, demonstrations[1].position) < 0.01
+
+
+def test_a_demonstration_that_never_moves_still_gives_a_valid_policy() -> None:
+    policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], PANCAKE, "p")
+    assert policy.attractors == pytest.approx(np.tile([0.7, 0.0, 0.9], (8, 1)), abs=1e-9)
+
+
+def test_a_fitted_policy_survives_its_text_and_starts_where_the_demonstration_did() -> None:
+    demonstration = toss()
+    policy = fit([demonstration], PANCAKE, "trial-0000")
+    assert to_json(from_json(to_json(policy))) == to_json(policy)
+    assert np.array_equal(policy.q_start, demonstration.q[0])
+    assert np.array_equal(policy.orientation_reference, demonstration.quat_xyzw[0])
+    assert isinstance(policy, Policy)
+
+
+def test_clipping_leaves_good_matrices_alone_and_makes_bad_ones_good() -> None:
+    rng = np.random.default_rng(0)
+    stiffness = rng.normal(0.0, 200.0, (200, 3, 3)) + 200.0 * np.eye(3)
+    clipped = positive_definite(stiffness, 20.0)
+    before = np.linalg.eigvalsh(0.5 * (stiffness + np.swapaxes(stiffness, 1, 2)))[:, 0]
+    after = np.linalg.eigvalsh(0.5 * (clipped + np.swapaxes(clipped, 1, 2)))[:, 0]
+    good = before >= 20.0
+    assert 10 < good.sum() < 190
+    assert np.array_equal(clipped[good], stiffness[good])
+    assert after[~good] == pytest.approx(np.full((~good).sum(), 20.0))
+
+    def skew(k: np.ndarray) -> np.ndarray:
+        return k - np.swapaxes(k, 1, 2)
+
+    assert skew(clipped) == pytest.approx(skew(stiffness), abs=1e-9)
+    assert positive_definite(clipped, 20.0) == pytest.approx(clipped, abs=1e-6)
+
+
+def test_clipping_moves_a_symmetric_matrix_no_farther_than_it_must() -> None:
+    k = np.diag([-50.0, 100.0, 300.0])
+    assert positive_definite(k[None], 10.0)[0] == pytest.approx(np.diag([10.0, 100.0, 300.0]))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"k_min": 0.0}, "k_min"),
+        ({"k_max": 100.0}, "k_min"),
+        ({"k_max": math.inf}, "k_max"),
+        ({"width": 0.0}, "width"),
+        ({"damping": math.nan}, "damping"),
+    ],
+)
+def test_senseless_settings_are_refused(change: dict[str, float], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        replace(PANCAKE, **change)
+
+
+def test_no_demonstration_or_too_short_a_one_is_refused() -> None:
+    with pytest.raises(ValueError, match="no demonstration"):
+        fit([], PANCAKE, "p")
+    with pytest.raises(ValueError, match="samples"):
+        fit([from_positions(np.zeros((10, 3)), DT)], FitSettings(8, 0.5, 150, 500, 32), "p")
+    with pytest.raises(ValueError, match="k_min"):
+        positive_definite(np.eye(3)[None], 0.0)
+    with pytest.raises(ValueError, match="dt"):
+        tabulate(fit([toss()], PANCAKE, "p"), 0.0)

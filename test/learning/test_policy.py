@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A policy cannot be wrong, and its text is the policy to the last bit."""
+
+import json
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wam_power_ros.learning.policy import SIZE_MAX, Basis, Policy, from_json, to_json, with_id
+
+
+def make(seed: int = 0, count: int = 8) -> Policy:
+    rng = np.random.default_rng(seed)
+    return Policy(
+        id="trial-0007",
+        basis=Basis(count, 0.85, 0.0028),
+        stiffness=300.0 * np.eye(3) + rng.normal(0.0, 30.0, (count, 3, 3)),
+        attractors=rng.normal(size=(count, 3)),
+        damping=32.0,
+        orientation_reference=np.array([0.0, 0.6, 0.0, 0.8]),
+        rotation_attractors=rng.normal(size=(count, 3)),
+        rotation_stiffness=400.0,
+        rotation_damping=36.0,
+        q_start=rng.normal(size=7),
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32), st.integers(1, 20))
+def test_text_and_back_is_the_same_to_the_last_bit(seed: int, count: int) -> None:
+    policy = make(seed, count)
+    again = from_json(to_json(policy))
+    assert to_json(again) == to_json(policy)
+    assert again.basis == policy.basis
+    for name in ("stiffness", "attractors", "rotation_attractors", "q_start"):
+        assert np.array_equal(getattr(again, name), getattr(policy, name))
+
+
+def test_awkward_floats_survive() -> None:
+    attractors = np.array([[0.1 + 0.2, -0.0, 5e-324], [1e-17, math.pi, math.nextafter(1.0, 2.0)]])
+    policy = replace(make(count=2), attractors=attractors)
+    assert from_json(to_json(policy)).attractors.tobytes() == attractors.tobytes()
+
+
+def test_another_id_changes_nothing_else() -> None:
+    policy = make()
+    assert to_json(with_id(policy, "trial-0007")) == to_json(policy)
+    assert with_id(policy, "mean").id == "mean"
+
+
+def test_the_arrays_are_copies_and_cannot_be_written() -> None:
+    q = np.zeros(7)
+    policy = replace(make(), q_start=q)
+    q[0] = 1.0
+    assert policy.q_start[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        policy.stiffness[0, 0, 0] = 1.0
+
+
+def spoilt(name: str, index: tuple[int, ...], value: float) -> np.ndarray:
+    array = np.array(getattr(make(), name))
+    array[index] = value
+    return array
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"id": "a/b"}, "id 'a/b'"),
+        ({"id": ""}, "id ''"),
+        ({"id": "a\n"}, "id"),
+        ({"id": "x" * 65}, "id"),
+        ({"stiffness": spoilt("stiffness", (3, 1, 2), math.nan)}, r"stiffness\[3, 1, 2\] = nan"),
+        ({"stiffness": spoilt("stiffness", (0, 0, 0), -500.0)}, r"stiffness\[0\] has eigenvalue"),
+        ({"stiffness": 300.0 * np.eye(3)}, r"stiffness has shape \(3, 3\)"),
+        ({"stiffness": spoilt("stiffness", (0, 0, 0), 1e9)}, "at most"),
+        ({"attractors": spoilt("attractors", (2, 2), math.inf)}, r"attractors\[2, 2\] = inf"),
+        ({"attractors": spoilt("attractors", (2, 2), 11.0)}, r"attractors\[2, 2\] = 11.0"),
+        ({"attractors": [["a"] * 3] * 8}, "attractors is not an array of numbers"),
+        ({"rotation_attractors": np.zeros((7, 3))}, "rotation_attractors has shape"),
+        ({"orientation_reference": [0.0, 0.0, 0.0, 0.9]}, "orientation_reference has length 0.9"),
+        ({"damping": 0.0}, "damping = 0.0"),
+        ({"damping": math.nan}, "damping"),
+        ({"rotation_stiffness": -1.0}, "rotation_stiffness = -1.0"),
+        ({"rotation_damping": 1e9}, "rotation_damping"),
+        ({"q_start": np.zeros(0)}, "q_start has 0 joints"),
+        ({"q_start": np.zeros((7, 1))}, "q_start has shape"),
+    ],
+)
+def test_a_wrong_policy_cannot_exist(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        replace(make(), **change)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((0, 1.0, 0.1), "count = 0"),
+        ((2.0, 1.0, 0.1), "count = 2.0"),
+        ((True, 1.0, 0.1), "count = True"),
+        ((201, 1.0, 0.1), "count = 201"),
+        ((8, 0.0, 0.1), "duration = 0.0"),
+        ((8, 61.0, 0.1), "duration"),
+        ((8, math.nan, 0.1), "duration"),
+        ((8, 1.0, 0.0), "variance = 0.0"),
+        ((8, 1.0, 1e-12), "variance"),
+    ],
+)
+def test_a_wrong_basis_cannot_exist(arguments: tuple[Any, ...], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        Basis(*arguments)
+
+
+def changed(**keys: object) -> str:
+    data = json.loads(to_json(make()))
+    data.update(keys)
+    return json.dumps({key: value for key, value in data.items() if value is not ...})
+
+
+@pytest.mark.requirement("S-15")
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "not JSON"),
+        ("[]", "policy text"),
+        ("null", "policy text"),
+        ("[" * 100_000, "not JSON"),
+        ('{"id": 1, "id": 2}', "key 'id' appears twice"),
+        (to_json(make()).replace("32.0", "NaN"), "NaN is not a finite number"),
+        (to_json(make()).replace("32.0", "-Infinity"), "not a finite number"),
+        (to_json(make()).replace("32.0", "1e999"), "damping"),
+        (to_json(make()).replace("32.0", "1" + "0" * 400), "damping"),
+        (changed(schema="wam_power_ros/policy/2"), "schema"),
+        (changed(schema=...), "schema"),
+        (changed(damping=...), "damping"),
+        (changed(damping="32"), "damping"),
+        (changed(damping=True), "damping"),
+        (changed(damping=None), "damping"),
+        (changed(count=8.5), "count"),
+        (changed(count=3), "shape"),
+        (changed(extra=1), "extra"),
+        (changed(attractors=[[1.0, 2.0]] * 8), "attractors.0"),
+        (changed(q_start=[0.0] * 17), "q_start"),
+        (changed(q_start=[]), "q_start"),
+        (changed(id="../x"), "id"),
+        (" " * SIZE_MAX + to_json(make()), "bytes"),
+    ],
+)
+def test_a_wrong_text_is_refused_and_the_fault_named(text: str, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        from_json(text)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_a_damaged_text_raises_value_error_or_is_a_valid_policy(data: st.DataObject) -> None:
+    text = to_json(make(count=2))
+    start = data.draw(st.integers(0, len(text)))
+    stop = data.draw(st.integers(start, min(start + 40, len(text))))
+    try:
+        policy = from_json(text[:start] + data.draw(st.text(max_size=10)) + text[stop:])
+    except ValueError:
+        return
+    assert np.isfinite(policy.stiffness).all()
+
+
+def test_bytes_are_not_text() -> None:
+    with pytest.raises(ValueError, match="bytes"):
+        from_json(to_json(make()).encode())  # type: ignore[arg-type]

@@ -1,0 +1,253 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PoWER [Kormushev2010, Eqs. 2-3] and its ask and tell."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from wam_power_ros.learning.power import (
+    SIZES,
+    Power,
+    PowerSettings,
+    choose_sigma,
+    generator_state,
+    power_update,
+    restore_generator,
+)
+
+
+def rng(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def history(seed: int, count: int = 20, size: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    source = rng(seed)
+    return source.standard_normal((count, size)), source.uniform(0.1, 1.0, count)
+
+
+@given(seed=st.integers(0, 10_000), sigma=st.integers(1, 30))
+@settings(deadline=None)
+def test_the_current_parameters_cancel_and_leave_the_weighted_mean_of_the_elite(
+    seed: int, sigma: int
+) -> None:
+    rollouts, returns = history(seed)
+    theta = 10.0 * rng(seed + 1).standard_normal(5)
+    best = np.argsort(returns)[-sigma:]
+    expected = np.average(rollouts[best], axis=0, weights=returns[best])
+    updated = power_update(theta, rollouts, returns, sigma)
+    np.testing.assert_allclose(updated, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("weights", ["return", "sharpened"])
+@given(seed=st.integers(0, 10_000))
+@settings(deadline=None)
+def test_the_order_of_past_rollouts_does_not_matter(weights: str, seed: int) -> None:
+    rollouts, returns = history(seed)
+    order = rng(seed + 1).permutation(len(returns))
+    theta = np.zeros(5)
+    np.testing.assert_array_equal(
+        power_update(theta, rollouts, returns, 6, weights),
+        power_update(theta, rollouts[order], returns[order], 6, weights),
+    )
+
+
+@pytest.mark.parametrize("weights", ["return", "sharpened"])
+@pytest.mark.parametrize("factor", [1e-300, 1e-12, 3.0, 1.7e308])
+def test_scaling_all_returns_leaves_the_update(weights: str, factor: float) -> None:
+    rollouts, returns = history(3)
+    np.testing.assert_allclose(
+        power_update(np.zeros(5), rollouts, factor * returns, 6, weights),
+        power_update(np.zeros(5), rollouts, returns, 6, weights),
+        rtol=1e-9,
+    )
+
+
+def test_sharpened_weights_are_those_of_the_formula() -> None:
+    rollouts, returns = history(4)
+    best = np.argsort(returns)[-6:]
+    r = returns[best]
+    weight = np.exp((r - r.max()) / (0.3 * (r.max() - r.min())))
+    np.testing.assert_allclose(
+        power_update(np.zeros(5), rollouts, returns, 6, "sharpened", 0.3),
+        np.average(rollouts[best], axis=0, weights=weight),
+    )
+
+
+def test_of_equal_returns_the_later_rollouts_make_the_elite() -> None:
+    rollouts = np.arange(5.0)[:, np.newaxis]
+    updated = power_update(np.zeros(1), rollouts, np.ones(5), 2)
+    assert updated == pytest.approx(3.5)
+    updated = power_update(np.zeros(1), rollouts, np.ones(5), 2, "sharpened")
+    assert updated == pytest.approx(3.5)
+
+
+def test_the_arguments_of_an_update_are_not_modified() -> None:
+    rollouts, returns = history(5)
+    theta = np.ones(5)
+    for array in (rollouts, returns, theta):
+        array.setflags(write=False)
+    power_update(theta, rollouts, returns, 6)
+
+
+@pytest.mark.parametrize(
+    ("returns", "sigma", "reason"),
+    [
+        ([0.0, 0.0], 2, "none of 2 returns is positive"),
+        ([1.0, -0.1], 2, r"finite and >= 0, got \[-0.1\]"),
+        ([1.0, np.nan], 2, r"finite and >= 0, got \[nan\]"),
+        ([1.0, np.inf], 2, r"finite and >= 0, got \[inf\]"),
+        ([1.0], 2, "must be"),
+        ([], 2, "must be"),
+        ([1.0, 1.0], 0, "sigma is 0"),
+    ],
+)
+def test_an_update_refuses_what_it_cannot_weight(
+    returns: list[float], sigma: int, reason: str
+) -> None:
+    with pytest.raises(ValueError, match=reason):
+        power_update(np.zeros(3), np.zeros((2, 3)), np.array(returns), sigma)
+
+
+@pytest.mark.parametrize("weights", ["return", "sharpened"])
+def test_power_climbs_a_hill_from_every_seed(weights: str) -> None:
+    size, top = 10, 2.0 * np.ones(10) / np.sqrt(10.0)  # two standard deviations away
+    final = []
+    for seed in range(20):
+        learner = Power(size, PowerSettings(weights=weights, sigma=5, decay=0.98), rng(seed))
+        for _ in range(150):
+            z = learner.ask()
+            learner.tell(z, float(np.exp(-np.sum((z - top) ** 2))))
+        final.append(np.linalg.norm(learner.mean - top))
+    assert max(final) < 1.2
+    assert np.mean(final) < 0.8
+
+
+def test_a_learner_told_nothing_good_stays_where_it_started() -> None:
+    learner = Power(3, PowerSettings(), rng(0))
+    learner.tell(np.ones(3), 0.0)
+    assert not learner.mean.any()
+    learner.tell(2.0 * np.ones(3), 1e-300)
+    np.testing.assert_array_equal(learner.mean, 2.0 * np.ones(3))
+
+
+def test_noise_shrinks_with_every_rollout_told() -> None:
+    learner = Power(2, PowerSettings(decay=0.9), rng(0))
+    for _ in range(3):
+        learner.tell(learner.ask(), 1.0)
+    assert learner.noise == pytest.approx(0.9**3)
+    assert learner.count == 3
+
+
+@given(seed=st.integers(0, 2**32), told=st.integers(0, 12), asked=st.integers(0, 3))
+@settings(deadline=None, max_examples=40)
+def test_a_learner_goes_on_bit_for_bit_from_its_state_as_json(
+    seed: int, told: int, asked: int
+) -> None:
+    learner = Power(4, PowerSettings(weights="sharpened", decay=0.97), rng(seed))
+    for _ in range(told):
+        z = learner.ask()
+        learner.tell(z, float(np.exp(-z @ z)))
+    for _ in range(asked):
+        learner.ask()
+    text = json.dumps(learner.state(), allow_nan=False)
+    other = Power.from_state(json.loads(text))
+    assert json.dumps(other.state()) == text
+    for _ in range(3):
+        z = learner.ask()
+        np.testing.assert_array_equal(other.ask(), z)
+        learner.tell(z, 0.5)
+        other.tell(z, 0.5)
+    np.testing.assert_array_equal(other.mean, learner.mean)
+
+
+def test_telling_copies_and_refuses_without_a_trace() -> None:
+    learner = Power(2, PowerSettings(), rng(0))
+    z = np.ones(2)
+    learner.tell(z, 1.0)
+    z[:] = 99.0
+    learner.mean[:] = 99.0
+    learner.tell(np.ones(2), 1.0)
+    np.testing.assert_array_equal(learner.mean, np.ones(2))
+    before = json.dumps(learner.state())
+    for bad, ret in [(np.ones(3), 1.0), (np.full(2, np.nan), 1.0), (z, -1.0), (z, np.nan)]:
+        with pytest.raises(ValueError):
+            learner.tell(bad, ret)
+    assert json.dumps(learner.state()) == before
+
+
+def test_states_of_other_things_are_refused() -> None:
+    with pytest.raises(ValueError, match="PCG64"):
+        generator_state(np.random.Generator(np.random.MT19937(0)))
+    state = generator_state(rng(0))
+    for bad in ({}, {**state, "bit_generator": "MT19937"}, {"bit_generator": "PCG64"}):
+        with pytest.raises(ValueError, match="PCG64"):
+            restore_generator(bad)
+    with pytest.raises(ValueError, match="expected 'power'"):
+        Power.from_state({"learner": "cma"})
+
+
+def searched(seed: int, noise: float, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Rollouts about zero on a slope in 12 dimensions, and returns with some noise."""
+    generator = rng(seed)
+    z = generator.standard_normal((count, 12))
+    ret = np.exp(0.3 * z[:, 0]) + noise * generator.standard_normal(count)
+    return z, np.maximum(ret, 0.0)
+
+
+def test_the_elite_is_larger_where_returns_are_noisy() -> None:
+    def mean_size(noise: float) -> float:
+        return float(np.mean([choose_sigma(*searched(seed, noise)) for seed in range(30)]))
+
+    assert 1.3 * mean_size(0.0) < mean_size(1.0)
+
+
+def test_the_gain_of_an_elite_is_that_of_the_formula() -> None:
+    z, ret = searched(1, 0.2, 20)
+    gains = {}
+    for size in (s for s in SIZES if s < 19):
+        lengths, along = [], []
+        for k in range(20):
+            others = np.delete(np.arange(20), k)
+            mean = power_update(np.zeros(12), z[others], ret[others], size)
+            lead = mean - z[others].mean(axis=0)
+            lengths.append(np.linalg.norm(lead))
+            along.append((z[k] - z[others].mean(axis=0)) @ lead / lengths[-1])
+        slope = np.cov(along, ret)[0, 1] / np.var(along, ddof=1)
+        gains[size] = np.mean(lengths) * slope
+    assert max(gains.values()) > 0.0
+    assert choose_sigma(z, ret) == max(gains, key=gains.get)
+
+
+def test_where_nothing_can_be_told_the_elite_is_the_papers() -> None:
+    z, ret = searched(0, 0.1)
+    assert choose_sigma(z[:7], ret[:7]) == 6
+    assert choose_sigma(z, np.zeros(60)) == 6
+    assert choose_sigma(z, np.ones(60)) == 6
+    assert choose_sigma(np.zeros((60, 12)), ret) == 6
+
+
+@given(seed=st.integers(0, 10_000))
+def test_a_chosen_elite_is_a_function_of_what_was_told(seed: int) -> None:
+    learner = Power(4, PowerSettings(sigma="auto"), rng(seed))
+    for _ in range(12):
+        z = learner.ask()
+        learner.tell(z, float(np.exp(-z @ z)))
+    again = Power.from_state(json.loads(json.dumps(learner.state())))
+    assert (again.sigma, again.ask().tolist()) == (learner.sigma, learner.ask().tolist())
+    assert again.mean.tolist() == learner.mean.tolist()
+    expected = power_update(
+        np.zeros(4),
+        np.array(learner.state()["z"]),
+        np.array(learner.state()["returns"]),
+        learner.sigma,
+    )
+    np.testing.assert_array_equal(learner.mean, expected)
+
+
+def test_a_fixed_elite_is_checked_and_no_other_word_than_auto_is_taken() -> None:
+    for sigma in (0, "large", 2.5):
+        with pytest.raises(ValueError, match="sigma"):
+            PowerSettings(sigma=sigma)

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""check_driver over real DDS, against the stand-in and six that are broken."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from broken_standins import FAULTS
+from conftest import ROOT, Probe, Processes
+from std_msgs.msg import String
+
+from wam_power_ros.cli import processes
+from wam_power_ros.ros import interface
+
+BROKEN = {  # fault -> the one row that fails, and what it says of it
+    "wrong order": ("gravity", "wrong order of joints: wam_j2, wam_j6"),
+    "no velocity": ("velocity", "no velocity"),
+    "100 Hz": ("state rate", "100.0 Hz"),
+    "frozen": ("mocap frozen", "frozen"),
+    "Y-up": ("mocap axes", "Y-up: set up_axis: y"),
+    "no watchdog": ("watchdog", "no watchdog"),
+}
+
+
+class Bench:
+    """The stand-ins in real time, with a fault that can be chosen."""
+
+    def __init__(self, domain_id: int, folder: Path) -> None:
+        self._folder = folder
+        self.processes = Processes(domain_id, folder)
+        self.probe = Probe(domain_id)
+        command = [sys.executable, str(ROOT / "test/broken_standins.py"), "--ros-args"]
+        for name in ("wam_sim", "optitrack_sim"):
+            command += ["--params-file", str(ROOT / f"config/{name}.yaml")]
+        command += ["-p", "wam_sim:pace:=real_time", "-p", "wam_sim:realtime_priority:=70"]
+        self.process = self.processes.start(command)
+        self._faults = self.probe.publisher(String, "/fault", interface.LATCHED)
+
+    def check(self, *arguments: str, fault: str = "none", typed: str = "") -> dict[str, Any]:
+        """What check_driver writes under a fault, with its exit status and output."""
+        self._faults.publish(String(data=fault))
+        self.probe.spin(0.2)
+        file = self._folder / "rows.json"
+        file.unlink(missing_ok=True)
+        command = [sys.executable, "-m", "wam_power_ros.cli", "run", "check_driver"]
+        command += ["--seconds", "2", "--json", str(file), *arguments]
+        ended = subprocess.run(
+            command,
+            cwd=ROOT,
+            env=self.processes.environment,
+            input=typed,
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+        sys.stdout.write(ended.stdout + ended.stderr)
+        table = json.loads(file.read_text()) if file.exists() else {"rows": []}
+        rows = {row["name"]: row for row in table["rows"]}
+        return table | {"rows": rows, "status": ended.returncode, "output": ended.stdout}
+
+    def close(self) -> None:
+        """End it."""
+        self.probe.close()
+        self.processes.end(self.process, signal.SIGINT)
+        self.processes.close()
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    with processes.private_domain() as domain_id:
+        bench = Bench(domain_id, tmp_path_factory.mktemp("check"))
+        yield bench
+        bench.close()
+
+
+def failing(table: dict[str, Any]) -> list[str]:
+    return [name for name, row in table["rows"].items() if row["verdict"] == "fail"]
+
+
+def test_the_stand_in_conforms(bench: Bench) -> None:
+    table = bench.check("--active", typed="y\n" + 7 * "\n")  # asked to lead joints, nobody does
+    assert (table["status"], failing(table)) == (0, [])
+    assert table["rows"]["wam_j7 by hand"]["found"] == "no joint moved"
+    assert "CONFORMS" in table["output"]
+    for name in ("joint names", "gravity", "command path", "mocap axes"):
+        assert table["rows"][name]["verdict"] == "ok", name
+    assert "own torque after" in table["rows"]["watchdog"]["found"]
+
+
+@pytest.mark.parametrize("fault", FAULTS[1:])
+def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
+    bench: Bench, fault: str
+) -> None:
+    table = bench.check(*(["--active"] if fault == "no watchdog" else []), fault=fault)
+    name, said = BROKEN[fault]
+    assert (table["status"], failing(table)) == (1, [name])
+    assert said in table["rows"][name]["found"] + table["rows"][name]["advice"]
+    assert f"DOES NOT CONFORM, let nothing move: {name}" in " ".join(table["output"].split())
+
+
+def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
+    torques = bench.probe.listen(
+        interface.COMMAND_TYPES["multiarray"], interface.EFFORT_COMMANDS, interface.COMMAND
+    )
+    table = bench.check(typed="no\n")
+    bench.probe.spin(0.5)
+    assert (table["rows"]["watchdog"]["verdict"], torques) == ("not checked", [])
+    assert table["rows"]["command path"]["found"] == "heard by probe, wam_sim"
+
+
+def test_where_nothing_is_heard_nothing_can_be_checked(processes: Processes) -> None:
+    process = processes.start(
+        [sys.executable, "-m", "wam_power_ros.cli", "run", "check_driver", "--seconds", "0.1"]
+    )
+    assert process.wait(120) == 2
+    assert "nothing is heard on /joint_states" in " ".join(processes.output(process).split())

@@ -1,0 +1,379 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder over real DDS: every message of a recording, whatever ends it."""
+
+import json
+import re
+import resource
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import Probe, Processes
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rosbags.rosbag2 import Reader
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import SetBool
+
+from wam_power_ros.bags import reader
+from wam_power_ros.bags.recovery import recover
+from wam_power_ros.learning.policy import Basis, Policy, to_json
+from wam_power_ros.ros import interface
+
+NODE = "wam_power_ros.nodes.demonstration_recorder"
+CONFIG = "demonstration_recorder.yaml"
+NAMES = [f"wam_j{i}" for i in range(1, 8)]
+START = 1_700_000_000_000_000_000
+BEST_EFFORT = interface.STATE_IN
+
+
+class Bench:
+    """A recorder, and what it listens to."""
+
+    def __init__(
+        self, probe: Probe, processes: Processes, folder: Path, **parameters: object
+    ) -> None:
+        self.probe = probe
+        self.processes = processes
+        self.node = processes.node(NODE, CONFIG, directory=folder, **parameters)
+        self.diagnostics = probe.listen(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self.states = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+        self.write = interface.JointStateWriter(NAMES)
+        self.sent = 0
+
+    def record(self, on: bool) -> tuple[bool, str]:
+        """Ask for the start or the end of a recording."""
+        response = self.probe.call(SetBool, interface.RECORD, SetBool.Request(data=on))
+        return response.success, response.message
+
+    def start(self) -> Path:
+        """Begin a recording that must begin."""
+        done, message = self.record(True)
+        assert done, message
+        return Path(message)
+
+    def stop(self) -> Path:
+        """End a recording that must end well."""
+        done, message = self.record(False)
+        assert done, message
+        return Path(message)
+
+    def send(self, count: int, step: int = 1) -> None:
+        """Joint states 2 ms apart by their stamps and by the wall clock."""
+        due = time.monotonic()
+        for _ in range(count):
+            q = np.arange(7.0) + 0.001 * self.sent
+            stamp_ns = START + 2_000_000 * self.sent
+            self.states.publish(self.write(stamp_ns, q, np.zeros(7), np.ones(7)))
+            self.sent += step
+            due += 0.002
+            self.probe.spin(max(0.0, due - time.monotonic()))
+
+    def status(self, text: str) -> DiagnosticArray:
+        """Wait for diagnostics that say `text`."""
+        return self.probe.until(
+            lambda: next((msg for msg in self.diagnostics if text in str(msg)), None), text
+        )
+
+
+def latched(probe: Probe, topic: str, text: str) -> Publisher:
+    publisher = probe.publisher(String, topic, interface.LATCHED)
+    publisher.publish(String(data=text))
+    return publisher
+
+
+def information(path: Path) -> dict:
+    return yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+
+def policy(id: str) -> str:
+    return to_json(
+        Policy(
+            id=id,
+            basis=Basis(count=2, duration=1.0, variance=0.1),
+            stiffness=np.repeat(300.0 * np.eye(3)[None], 2, axis=0),
+            attractors=np.zeros((2, 3)),
+            damping=32.0,
+            orientation_reference=np.array([0.0, 0.0, 0.0, 1.0]),
+            rotation_attractors=np.zeros((2, 3)),
+            rotation_stiffness=400.0,
+            rotation_damping=36.0,
+            q_start=np.zeros(7),
+        )
+    )
+
+
+def test_a_demonstration_holds_every_state_and_another_reader_agrees(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path / "bags")
+    latched(probe, interface.ROBOT_DESCRIPTION, "<robot name='wam'/>")
+    torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    poses = probe.publisher(PoseStamped, interface.PANCAKE_POSE, BEST_EFFORT)
+    bench.send(50)  # before the recording
+    path = bench.start()
+    assert re.fullmatch(r"demo_\d{8}_\d{6}", path.name)
+    assert not path.exists()
+    torques.publish(Float64MultiArray(data=[0.5] * 7))
+    poses.publish(interface.pose_message(START, "world", np.ones(3), np.array([0, 0, 0, 1.0])))
+    first = bench.sent
+    bench.send(1500)
+    probe.spin(0.3)
+    assert bench.record(False) == (True, str(path))
+
+    stamps, q = reader.read_demonstration(path, NAMES)
+    index = np.arange(first, bench.sent)
+    np.testing.assert_array_equal(stamps, START + 2_000_000 * index)
+    np.testing.assert_array_equal(q, np.arange(7.0) + 0.001 * index[:, None])
+
+    info = information(path)
+    custom = info["custom_data"]
+    assert json.loads(custom["joint_names"]) == NAMES
+    assert (custom["source"], custom["rate"]) == ("sim", "500.0")
+    assert json.loads(custom["missing"])["/joint_states"] == 0
+    topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
+    offered = {
+        name: (profile["reliability"], profile["durability"])
+        for name, item in topics.items()
+        for profile in item["topic_metadata"]["offered_qos_profiles"]
+    }
+    assert offered == {
+        "/joint_states": ("reliable", "volatile"),
+        "/effort_controller/commands": ("reliable", "volatile"),
+        "/pancake/pose": ("best_effort", "volatile"),
+        "/robot_description": ("reliable", "transient_local"),
+        reader.EVENT: ("reliable", "transient_local"),
+    }
+    assert topics["/robot_description"]["message_count"] == 1
+
+    mcap_reader = pytest.importorskip("mcap.reader")
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    with (path / f"{path.name}.mcap").open("rb") as file:
+        mcap = mcap_reader.make_reader(file, decoder_factories=[decoder.DecoderFactory()])
+        found = {}
+        for _, channel, _, message in mcap.iter_decoded_messages():
+            found.setdefault(channel.topic, []).append(message)
+    assert [message.position for message in found["/joint_states"]] == q.tolist()
+    assert found["/joint_states"][0].name == NAMES
+    assert found["/effort_controller/commands"][0].data == [0.5] * 7
+    assert found["/robot_description"][0].data == "<robot name='wam'/>"
+    events = [json.loads(message.data)["event"] for message in found[reader.EVENT]]
+    assert events == ["start", "stop"]
+
+
+def test_a_rollout_is_named_after_the_policy_that_came_for_it(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    publisher = latched(probe, interface.POLICY, policy("trial-0007"))
+    probe.spin(0.5)
+    names = []
+    for text in (None, policy("trial-0007"), "{}"):
+        if text is not None:
+            publisher.publish(String(data=text))
+            probe.spin(0.5)
+        bench.start()
+        bench.send(20)
+        probe.spin(0.1)
+        names.append(bench.stop().name)
+    assert names[:2] == ["rollout_trial-0007", "rollout_trial-0007_2"]
+    assert names[2].startswith("demo_")
+    with Reader(tmp_path / names[0]) as bag:
+        assert bag.topics["/policy"].msgcount == 1  # as it was at the start
+
+
+def test_a_best_effort_driver_that_comes_later_is_heard_too(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    bench.start()
+    bench.send(50)
+    driver = probe.publisher(JointState, interface.JOINT_STATES, BEST_EFFORT, readers=0)
+    write = interface.JointStateWriter(["hand"])
+    probe.until(lambda: driver.get_subscription_count() >= 1, "the recorder fits")
+    driver.publish(write(START, np.zeros(1), np.zeros(1), np.zeros(1)))
+    bench.send(50)
+    probe.spin(0.2)
+    path = bench.stop()
+    _, q = reader.read_demonstration(path, ["hand"])
+    assert len(q) == 1
+    assert len(reader.read_demonstration(path, NAMES)[1]) == 100
+
+
+def test_what_is_missing_is_said_in_the_bag_the_log_and_the_diagnostics(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    bench.start()
+    bench.status("nothing yet on /joint_states")
+    bench.send(30)
+    bench.send(1, step=5)
+    bench.send(30)
+    probe.spin(0.2)
+    path = bench.stop()
+    assert json.loads(information(path)["custom_data"]["missing"])["/joint_states"] == 4
+    note = "4 messages missing on /joint_states, longest gap 0.010 s"
+    bench.status(note)
+    assert note in processes.output(bench.node)
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_recorder_that_is_stopped_closes_its_bag(
+    probe: Probe, processes: Processes, tmp_path: Path, how: int
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    path = bench.start()
+    bench.send(300)
+    probe.spin(0.2)
+    begun = time.monotonic()
+    assert processes.end(bench.node, how) == 0
+    assert time.monotonic() - begun < 4.0
+    assert len(reader.read_demonstration(path, NAMES)[0]) == 300
+    assert not list(tmp_path.glob("*.unfinished"))
+
+
+@pytest.mark.requirement("S-65")
+def test_a_killed_recorder_loses_a_second_at_most(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    path = bench.start()
+    bench.send(1750)
+    processes.end(bench.node, signal.SIGKILL)
+    with pytest.raises(ValueError, match="recover it first"):
+        reader.read_demonstration(path, NAMES)
+    made = recover(path).path
+    stamps, _ = reader.read_demonstration(made, NAMES)
+    assert len(stamps) >= 1250
+    assert information(made)["custom_data"]["joint_names"] == json.dumps(NAMES)
+    again = processes.node(NODE, CONFIG, directory=tmp_path)
+    said = f"wam-power recover {path}"
+    probe.until(lambda: said in processes.output(again), "a word on what is left")
+
+
+def test_a_recording_that_cannot_be_is_refused_with_its_reason(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    assert bench.record(False) == (False, "not recording")
+    path = bench.start()
+    assert bench.record(True) == (False, f"already recording {path}")
+    bench.stop()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "why"),
+    [
+        ({"free_to_start": 1e9}, "1000000000 MB needed"),
+        ({"directory": "/proc/bags"}, "/proc/bags"),
+        ({"directory": "/dev/null"}, "/dev/null"),
+    ],
+)
+def test_no_recording_begins_without_a_place_for_it(
+    probe: Probe, processes: Processes, tmp_path: Path, parameters: dict, why: str
+) -> None:
+    folder = parameters.pop("directory", tmp_path)
+    bench = Bench(probe, processes, folder, **parameters)
+    done, message = bench.record(True)
+    assert not done
+    assert why in message
+    assert bench.node.poll() is None
+
+
+@pytest.mark.requirement("S-65", "S-66")
+@pytest.mark.parametrize("size", [0, 1_500_000])  # met by the flush, or by a message itself
+def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(
+    probe: Probe, processes: Processes, tmp_path: Path, size: int
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    robot = latched(probe, interface.ROBOT_DESCRIPTION, "")
+    path = bench.start()
+    allowed = (200_000, resource.getrlimit(resource.RLIMIT_FSIZE)[1])
+    resource.prlimit(bench.node.pid, resource.RLIMIT_FSIZE, allowed)
+    if size:
+        bench.send(300)
+        robot.publish(String(data="x" * size))
+    for _ in range(300):
+        if "left unfinished" not in str(bench.diagnostics):
+            bench.send(10)
+    bench.status("left unfinished")
+    robot.publish(String(data=""))
+    kept = len(reader.read_demonstration(recover(path).path, NAMES)[0])
+    assert kept >= 100
+    assert bench.sent - kept <= 500  # a second of states
+    resource.prlimit(bench.node.pid, resource.RLIMIT_FSIZE, (allowed[1], allowed[1]))
+    again = bench.start()  # and the next one is as any other
+    bench.send(100)
+    probe.spin(0.2)
+    assert bench.stop() == again
+    assert len(reader.read_demonstration(again, NAMES)[0]) == 100
+
+
+def test_a_disk_that_is_nearly_full_closes_the_bag_in_time(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path, free_to_start=0.0, free_to_continue=1e9)
+    path = bench.start()
+    bench.send(200)
+    bench.status("stopped below 1000000000 MB free")
+    assert json.loads(information(path)["custom_data"]["joint_names"]) == NAMES  # it is closed
+    assert bench.record(False) == (False, "not recording")
+
+
+@pytest.mark.parametrize(
+    ("qos", "lost"), [(interface.STATE_OUT_DEEP, False), (interface.STATE_OUT, True)]
+)
+def test_what_came_while_the_recorder_stood_still_is_sent_again_or_told_as_lost(
+    probe: Probe, processes: Processes, tmp_path: Path, qos: QoSProfile, lost: bool
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    bench.states = probe.publisher(JointState, interface.JOINT_STATES, qos)
+    bench.start()
+    bench.send(50)
+    probe.spin(1.0)
+    bench.node.send_signal(signal.SIGSTOP)
+    try:
+        for _ in range(3000):  # more than shared memory holds for a reader
+            zero, stamp_ns = np.zeros(7), START + 2_000_000 * bench.sent
+            bench.states.publish(bench.write(stamp_ns, zero, zero, zero))
+            bench.sent += 1
+            time.sleep(1e-4)
+    finally:
+        bench.node.send_signal(signal.SIGCONT)
+    if lost:  # a reader learns of a loss by what comes after it, once it is awake
+        told = "lost before they came: {'/joint_states': "
+        probe.until(lambda: bench.send(1) or told in str(bench.diagnostics[-1:]), told)
+    else:
+        bench.send(50)
+        bench.status(f"/joint_states', value='{bench.sent}'")
+    path = bench.stop()
+    stamps, _ = reader.read_demonstration(path, NAMES)
+    assert (len(stamps) < bench.sent) == lost
+
+
+def test_a_recorder_that_stands_still_holds_nobody_up(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    bench.start()
+    bench.send(100)
+    bench.node.send_signal(signal.SIGSTOP)
+    try:
+        held_up = 0
+        for _ in range(500):
+            begun = time.monotonic()
+            bench.states.publish(bench.write(START, np.zeros(7), np.zeros(7), np.zeros(7)))
+            held_up += time.monotonic() - begun > 0.1  # a writer that waits waits for so long
+            time.sleep(0.001)
+    finally:
+        bench.node.send_signal(signal.SIGCONT)
+    assert held_up <= 5  # of 500: a busy machine takes its time now and then
+    bench.stop()

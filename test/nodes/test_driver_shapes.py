@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each driver of an arm we are set up for: a stand-in of its shape, driven by our controller."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Probe, Processes, diagnosis, lift
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path as PathMessage
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros import rotations
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.dmp import REACHING, fit, reproduce, tabulate
+from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros import interface
+
+IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # the machine may take its time
+
+
+class Rehearsal:
+    """The stand-ins under set-ups."""
+
+    def __init__(self, probe: Probe, processes: Processes, folder: Path, *names: str) -> None:
+        over = folder / "over.yaml"
+        over.write_text(IN_STEP)
+        self.probe, self.processes = probe, processes
+        self.setup = overlay.setup([*names, str(over)], rehearse=True)
+        self.file = folder / "parameters.yaml"
+        self.file.write_text(overlay.text(self.setup))
+        arm = self.setup["torque_controller"]
+        self.states = probe.listen(JointState, arm["state_topic"], interface.STATE_OUT)
+        self.diagnostics = probe.listen(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        processes.node("hardware_sim.main", self.file)
+        probe.until(lambda: self.states, "a state")
+
+    def insist(self, name: str, policy: Policy, policies: Publisher) -> None:
+        """Call a service until it has done it for this policy."""
+
+        def done() -> bool:
+            policies.publish(String(data=to_json(policy)))
+            answer = self.probe.call(Trigger, name)
+            self.probe.spin(0.0 if answer.success else 0.1)
+            return answer.success and answer.message == policy.id
+
+        self.probe.until(done, name)
+
+    def execute(self, policy: Policy) -> EndEffectorPath:
+        """The path of a rollout of this policy, by a controller that is started for it."""
+        paths = self.probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
+        self.processes.node("wam_power_ros.nodes.torque_controller", self.file)
+        policies = self.probe.publisher(String, interface.POLICY, interface.LATCHED)
+        for service in (interface.MOVE_TO_START, interface.PANCAKE_RESET, interface.EXECUTE):
+            self.insist(service, policy, policies)
+        message = self.probe.until(lambda: paths and paths[-1], "the path")
+        return interface.path(message, EndEffectorPath)[1]
+
+
+@pytest.mark.parametrize("name", ["geodude", "libbarrett", "franka"])
+def test_a_rollout_is_the_same_through_every_driver(
+    name: str, probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Rehearsal(probe, processes, tmp_path, name, "full_speed")
+    arm = bench.setup["torque_controller"]
+    speeds = probe.listen(JointState, "/wam/jointVelocity", interface.STATE_OUT)
+    path = bench.execute(lift("trial-0001"))
+    assert path.t[-1] == pytest.approx(1.4)
+    height = path.position[:, 2] - path.position[0, 2]
+    assert 0.02 < height.max() < 0.08
+    assert abs(height[-1]) < 0.01
+    # and it looked as that driver does
+    seen = {tuple(state.name) for state in bench.states}
+    others = tuple(bench.setup["wam_sim"]["other_joints"])
+    assert seen - {others} == {tuple(arm["joint_names"])}
+    assert (others in seen) == (name == "geodude")
+    assert all(len(state.velocity) == 0 for state in bench.states) == (name == "libbarrett")
+    assert bool(speeds) == (name == "libbarrett")
+    assert all(not list(speed.name) and len(speed.velocity) == 7 for speed in speeds)
+
+
+def test_a_ros2_control_driver_ends_with_a_command_of_a_wrong_size(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Rehearsal(probe, processes, tmp_path, "geodude")
+    torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+
+    def doing() -> str:
+        return diagnosis(bench.diagnostics, "wam_sim").get("message", "")
+
+    probe.until(lambda: doing() == "commanded", "the driver at work")
+    torques.publish(Float64MultiArray(data=np.full(7, np.nan)))  # this it only drops
+    probe.until(
+        lambda: diagnosis(bench.diagnostics, "wam_sim").get("torques refused") == "1", "a refusal"
+    )
+    assert doing() == "commanded"
+    torques.publish(Float64MultiArray(data=np.zeros(6)))
+    probe.until(lambda: doing() == "deactivated", "the driver deactivated")
+    on = SetBool.Request(data=True)
+    assert probe.call(SetBool, interface.WAM_GRAVITY_COMPENSATE, on).success
+    probe.until(lambda: doing() == "commanded", "the driver at work again")
+
+
+def test_an_arm_that_was_idled_is_active_again_once_the_fault_is_reset(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Rehearsal(probe, processes, tmp_path, "libbarrett")
+    torques = probe.publisher(JointState, "/joint_torque_commands", interface.COMMAND)
+    write = interface.TorqueWriter(bench.setup["wam_sim"]["joint_names"], "joint_state")
+
+    def doing() -> str:
+        return diagnosis(bench.diagnostics, "wam_sim").get("message", "")
+
+    def step(label: str) -> None:
+        stamp_ns = interface.sensor_stamp(bench.states[-1])
+        torques.publish(write(stamp_ns, label, np.zeros(7)))
+        probe.until(lambda: interface.sensor_stamp(bench.states[-1]) > stamp_ns, "a step")
+
+    step("fault")
+    assert probe.call(Trigger, interface.WAM_IDLE).success
+    step("fault")
+    probe.until(lambda: doing() == "idle", "the arm idle")
+    step("hold")
+    probe.until(lambda: doing() == "commanded", "the arm active")
+
+
+# A second arm, by URDF and YAML alone
+
+
+def led_to(arm: Arm, home: np.ndarray, way: np.ndarray, arc: np.ndarray) -> np.ndarray:
+    """Joints (N, 7) at 500 Hz as a hand leads the tool in 2 s from `home` along a way, level."""
+    start, level = arm.tool_pose(home)
+    q, rows = home.copy(), [home.copy()] * 250
+    for u in np.linspace(0.0, 1.0, 1000):
+        s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        goal = start + s * way + np.sin(np.pi * s) * arc
+        for _ in range(3):
+            position, rotation = arm.tool_pose(q)
+            turn = rotations.log(level @ rotation.T)
+            q = q + np.linalg.pinv(arm.jacobian(q), rcond=1e-3) @ [*(goal - position), *turn]
+        rows.append(q.copy())
+    return np.array(rows + [q] * 250)
+
+
+@pytest.mark.parametrize("driver", [(), ("franka",)], ids=["by itself", "as a franka"])
+def test_another_arm_reaches_by_urdf_and_yaml_alone(
+    driver: tuple[str, ...], probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Rehearsal(probe, processes, tmp_path, "cobot", *driver)
+    set_up = bench.setup["torque_controller"]
+    urdf = share(set_up["urdf"]).read_text()
+    arm = Arm(urdf, set_up["model_joint_names"], set_up["tool_frame"], guarded=())
+    home = np.array(bench.setup["wam_sim"]["home"])
+    way, arc = np.array([-0.1, 0.4, 0.05]), np.array([0.0, 0.0, 0.08])
+    q = led_to(arm, home, way, arc)
+    stamps_ns = 1_000_000_000 + 2_000_000 * np.arange(len(q))
+    taught = from_joint_samples(arm, stamps_ns, q)
+    policy = fit([taught], REACHING, "reach")
+    path = bench.execute(policy)
+    assert {tuple(state.name) for state in bench.states} == {tuple(set_up["joint_names"])}
+    planned, _ = reproduce(tabulate(policy), taught.position[0], np.zeros(3))
+    t = 0.002 * np.arange(len(planned))
+    within = path.t <= t[-1]
+    wanted = np.stack([np.interp(path.t[within], t, axis) for axis in planned.T], axis=1)
+    error = np.linalg.norm(path.position[within] - wanted, axis=1)
+    sys.stdout.write(f"tracking error {1e3 * error.mean():.1f} mm, worst {1e3 * error.max():.1f}\n")
+    assert error.max() < 0.03
+    assert np.linalg.norm(path.position[-1] - path.position[0]) > 0.3

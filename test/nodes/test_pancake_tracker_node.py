@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pancake tracker over real DDS: frames in, states and paths of rollouts out."""
+
+import time
+
+import numpy as np
+import pytest
+from conftest import Probe, Processes
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry, Path
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.ros import interface
+from wam_power_ros.tracking import marker_fit
+
+NODE = "wam_power_ros.nodes.pancake_tracker"
+CONFIG = "pancake_tracker.yaml"
+PERIOD = 33_333_333
+PAN = np.array([0.8, 0.0, 0.6])
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+RELIABLE = interface.STATE_OUT
+
+
+def toss(rng: np.random.Generator, count: int = 70) -> list[tuple[np.ndarray, np.ndarray]]:
+    """At rest, thrown and turning from frame 20 on, caught at frame 38, at rest again."""
+    poses = []
+    for index in range(count):
+        free = np.clip((index - 20) / 30.0, 0.0, 0.6)
+        place = PAN + np.array([0.2 * free, 0.0, 2.9 * free - 4.905 * free**2])
+        turned = rotations.quat_of_vector(np.array([0.0, 5.0 * free, 0.0]))
+        poses.append((place + rng.normal(0.0, 5e-4, 3), turned))
+    return poses
+
+
+def pan_path(id: str, duration: float) -> EndEffectorPath:
+    t = np.arange(0.0, duration + 1e-9, 0.01)
+    position = np.repeat(PAN[None], len(t), axis=0)
+    return EndEffectorPath(id, t, position, np.repeat(LEVEL[None], len(t), axis=0))
+
+
+class Bench:
+    """A tracker, and the ends of all its topics."""
+
+    def __init__(self, probe: Probe, processes: Processes, **parameters: object) -> None:
+        self.probe = probe
+        self.node = processes.node(NODE, CONFIG, **parameters)
+        self.states = probe.listen(Odometry, interface.PANCAKE_STATE, RELIABLE)
+        self.paths = probe.listen(Path, interface.ROLLOUT_PANCAKE, interface.LATCHED)
+        self.diagnostics = probe.listen(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self.ends = probe.publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
+        probe.until(lambda: self.diagnostics, "the tracker's diagnostics")
+
+    def path(self) -> BodyPath:
+        """The next path of the pancake."""
+        message = self.probe.until(lambda: self.paths and self.paths.pop(0), "a path")
+        return interface.path(message, BodyPath)[1]
+
+    def status(self, text: str) -> dict[str, str]:
+        """The next status that says `text`."""
+        found = self.probe.until(
+            lambda: next(
+                (item for msg in self.diagnostics for item in msg.status if text in str(item)), None
+            ),
+            f"diagnostics with {text}",
+        )
+        return {"level": found.level[0], "text": found.message} | {
+            item.key: item.value for item in found.values
+        }
+
+
+def test_a_path_holds_every_valid_frame_of_the_rollout_however_they_come(
+    probe: Probe, processes: Processes
+) -> None:
+    bench = Bench(probe, processes, clock_offset_max=100.0, silence=1000.0)
+    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    paths = []
+    poses = toss(np.random.default_rng(1))
+    now_ns = time.time_ns()
+    for id, pause, start_ns in (("trial-1", 0.0, now_ns), ("trial-2", 0.01, now_ns + 10**10 + 7)):
+        first_ns = start_ns - 5 * PERIOD
+        stamps = [first_ns + index * PERIOD for index in range(len(poses))]
+        for index, (stamp_ns, pose) in enumerate(zip(stamps, poses, strict=True)):
+            if index == 40:  # the path of the pan comes while frames are still on their way
+                bench.ends.publish(interface.path_message(pan_path(id, 2.0), start_ns, "wam_base"))
+            if index not in (30, 31):  # a gap
+                frames.publish(interface.pose_message(stamp_ns, "world", *pose))
+            probe.spin(pause)
+        paths.append(bench.path())
+        assert paths[-1].id == id
+        end = start_ns + 2_000_000_000
+        inside = [
+            index
+            for index, stamp_ns in enumerate(stamps)
+            if start_ns <= stamp_ns <= end and index not in (30, 31)
+        ]
+        assert len(paths[-1].t) == len(inside)
+        np.testing.assert_allclose(paths[-1].position, [poses[i][0] for i in inside], atol=1e-12)
+        probe.spin(0.3)
+    np.testing.assert_array_equal(paths[0].t, paths[1].t)  # whenever it was, however fast
+    np.testing.assert_array_equal(paths[0].position, paths[1].position)
+    assert len(bench.states) > 100
+    state = interface.odometry(bench.states[-1])
+    assert state.frame == "wam_base"
+    assert np.linalg.norm(state.velocity) < 0.1
+
+
+def test_a_path_without_an_end_in_view_goes_out_after_silence(
+    probe: Probe, processes: Processes
+) -> None:
+    bench = Bench(probe, processes, silence=0.3)
+    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    start_ns = time.time_ns()
+    for index, pose in enumerate(toss(np.random.default_rng(1), 10)):
+        frames.publish(interface.pose_message(start_ns + index * PERIOD, "world", *pose))
+    bench.ends.publish(interface.path_message(pan_path("short", 2.0), start_ns, "wam_base"))
+    begun = time.monotonic()
+    assert len(bench.path().t) == 10
+    assert time.monotonic() - begun > 0.2
+    bench.ends.publish(interface.path_message(pan_path("unseen", 2.0), 10**18, "wam_base"))
+    path = bench.path()
+    assert (path.id, len(path.t)) == ("unseen", 0)
+
+
+def test_hidden_markers_coast_and_every_fault_is_in_the_diagnostics(
+    probe: Probe, processes: Processes
+) -> None:
+    bench = Bench(probe, processes, rate=10.0)
+    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    now_ns = time.time_ns()
+    bad = [
+        (PAN + np.array([0.0, 2.0, 0.0]), LEVEL),
+        (np.zeros(3), LEVEL),
+        (np.array([np.nan, 0.0, 0.6]), LEVEL),
+        (PAN, 2.0 * LEVEL),
+        (PAN + np.array([0.0, 0.0, 9.0]), LEVEL),
+    ]
+    rng = np.random.default_rng(0)
+    good = [(PAN + rng.normal(0.0, 5e-4, 3), LEVEL) for _ in range(5)]
+    for index, pose in enumerate([*good, *bad, *good[:2], good[1]]):
+        frames.publish(interface.pose_message(now_ns + index * 100_000_000, "world", *pose))
+        probe.spin(0.01)
+    coasted = probe.until(
+        lambda: [item for item in bench.states if item.pose.covariance[0] > 1e-6], "coasting"
+    )
+    assert interface.odometry(coasted[0]).stamp_ns > now_ns + 12 * 100_000_000
+    status = bench.status("lost")
+    assert status["level"] == 2
+    counts = {key: status[key] for key in ("zero pose", "jump", "out of workspace")}
+    assert counts == {"zero pose": "1", "jump": "1", "out of workspace": "1"}
+    assert status["message not valid"] == "2"
+    assert status["pose repeated"] == "1"
+    assert status["accepted"] == "7"
+
+
+@pytest.mark.requirement("S-47")
+def test_stamps_of_another_clock_are_reported_and_no_path_is_made_of_them(
+    probe: Probe, processes: Processes
+) -> None:
+    bench = Bench(probe, processes)
+    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    start_ns = time.time_ns() - 3600 * 1_000_000_000
+    for index, pose in enumerate(toss(np.random.default_rng(1), 10)):
+        frames.publish(interface.pose_message(start_ns + index * PERIOD, "world", *pose))
+    bench.ends.publish(interface.path_message(pan_path("old", 0.2), start_ns, "wam_base"))
+    assert len(bench.path().t) == 0
+    status = bench.status("synchronise the clocks")
+    assert status["level"] == 2
+    assert "old not scored" in status["last trouble"]
+
+
+def test_a_cloud_of_markers_in_a_y_up_world_gives_the_state_in_the_base(
+    probe: Probe, processes: Processes
+) -> None:
+    bench = Bench(probe, processes, pose_topic='""', markers_topic=interface.MARKERS, up_axis='"y"')
+    frames = probe.publisher(PointCloud2, interface.MARKERS, RELIABLE)
+    rng = np.random.default_rng(0)
+    other = np.array([[0.0, 0.0, 0.1]])
+    for _ in range(5):
+        place = PAN + rng.normal(0.0, 5e-4, 3)
+        x, y, z = rng.permutation(np.vstack([marker_fit.LAYOUT + place, other])).T
+        cloud = np.stack([x, z, -y], axis=1)
+        frames.publish(interface.markers_message(time.time_ns(), "world", cloud))
+        probe.spin(0.04)
+    state = interface.odometry(probe.until(lambda: bench.states, "a state")[-1])
+    np.testing.assert_allclose(state.position, PAN, atol=3e-3)
+    np.testing.assert_allclose(rotations.matrix(state.quat_xyzw), np.eye(3), atol=1e-4)
+
+
+def test_in_lockstep_a_standing_clock_is_no_silence(probe: Probe, processes: Processes) -> None:
+    bench = Bench(probe, processes, use_sim_time=True, silence=0.5)
+    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
+    poses = toss(np.random.default_rng(1), 40)
+    second = 1_000_000_000
+
+    def send(first: int, last: int) -> None:
+        for index in range(first, last):
+            stamp_ns = second + index * PERIOD
+            clock.publish(Clock(clock=interface.stamp(stamp_ns)))
+            frames.publish(interface.pose_message(stamp_ns, "world", *poses[index]))
+            probe.spin(0.005)
+
+    send(0, 20)
+    bench.ends.publish(interface.path_message(pan_path("held", 1.0), second, "wam_base"))
+    probe.spin(1.2)  # the arm's stand-in waits for a torque
+    assert not bench.paths
+    send(20, 40)
+    assert len(bench.path().t) == 31
+
+
+@pytest.mark.parametrize(
+    ("parameters", "why"),
+    [
+        ({"pose_topic": '""'}, "pose_topic or markers_topic"),
+        ({"up_axis": "x"}, "up_axis"),
+        ({"rate": -1.0}, "rate"),
+        ({"colour": "red"}, "colour"),
+    ],
+)
+def test_a_configuration_that_cannot_be_stops_the_node_with_its_name(
+    processes: Processes, parameters: dict, why: str
+) -> None:
+    node = processes.node(NODE, CONFIG, **parameters)
+    assert node.wait(20.0) == 2
+    assert why in processes.output(node)

@@ -1,0 +1,651 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The torque controller over real DDS: its arm is played by the test, state by state."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from conftest import ROOT, Probe, Processes, diagnosis, lift
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray, String
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.policy import to_json, with_id
+from wam_power_ros.ros import interface
+
+MODULE = "wam_power_ros.nodes.torque_controller"
+NAMES = [f"wam_j{i}" for i in range(1, 8)]
+HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+TICK = 2_000_000  # [ns]
+
+
+class PlayedArm:
+    """An arm that never moves: publishes states and collects torques."""
+
+    def __init__(
+        self,
+        probe: Probe,
+        processes: Processes,
+        command: list[str] | None = None,
+        **parameters: object,
+    ) -> None:
+        self.probe = probe
+        quick = {"realtime_priority": 0, "state_timeout": 0.0}
+        self.process = (
+            processes.start(command)
+            if command
+            else processes.node(MODULE, "torque_controller.yaml", **(quick | parameters))
+        )
+        self.torques: list[interface.TorqueReading] = []
+        self.messages = probe.listen(
+            Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
+        )
+        self.diagnostics = probe.listen(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self.stamp_ns = TICK
+        self._publisher = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+
+    def send(
+        self, names: list[str] = NAMES, q: np.ndarray = HOME, qd: np.ndarray | None = None
+    ) -> None:
+        """One state, a tick after the last."""
+        self.stamp_ns += TICK
+        self.again(names, q, np.zeros(len(names)) if qd is None else qd)
+
+    def again(self, names: list[str], q: np.ndarray, qd: np.ndarray) -> None:
+        """A state with the stamp of the last."""
+        message = JointState(name=names, position=list(q), velocity=list(qd))
+        message.header.stamp = interface.stamp(self.stamp_ns)
+        self._publisher.publish(message)
+
+    def answer(self) -> interface.TorqueReading:
+        """The torque that answers the newest state."""
+        return self.probe.until(
+            lambda: next((t for t in self.read() if t.stamp_ns == self.stamp_ns), None),
+            f"torque for stamp {self.stamp_ns}",
+        )
+
+    def read(self) -> list[interface.TorqueReading]:
+        """All torques so far."""
+        while len(self.torques) < len(self.messages):
+            self.torques.append(interface.torque(self.messages[len(self.torques)], NAMES))
+        return self.torques
+
+    def activate(self) -> None:
+        """Repeat states until the controller, which starts itself, holds."""
+
+        def held() -> bool:
+            self.send()
+            self.probe.spin(0.02)
+            return any(torque.label == "hold" for torque in self.read())
+
+        self.probe.until(held, "the controller holds")
+        for _ in range(40):
+            self.send()
+            self.answer()
+
+    def diagnosis(self, condition: Callable[[dict[str, str]], bool], what: str) -> dict[str, str]:
+        """The diagnostics once `condition` is met."""
+        newest = lambda: diagnosis(self.diagnostics, "torque_controller")  # noqa: E731
+        self.probe.until(lambda: newest() and condition(newest()), what)
+        return newest()
+
+
+@pytest.mark.requirement("S-03")
+def test_each_state_gets_one_torque_labelled_with_its_stamp(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    seen = len(arm.read())
+    stamps = []
+    for _ in range(50):
+        arm.send()
+        stamps.append(arm.stamp_ns)
+        arm.answer()
+    probe.spin(0.1)
+    assert [torque.stamp_ns for torque in arm.read()[seen:]] == stamps
+    tau = arm.torques[-1].tau
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
+    np.testing.assert_allclose(tau, gravity, atol=1e-9)
+
+
+@pytest.mark.requirement("S-12")
+def test_names_in_any_order_beside_others_give_the_same_torque(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    arm.send()
+    expected = arm.answer().tau
+    order = [3, 6, 0, 2, 5, 1, 4]
+    arm.send([*(NAMES[i] for i in order), "finger"], np.append(HOME[order], 9.0))
+    assert arm.answer().tau.tolist() == expected.tolist()
+
+
+@pytest.mark.requirement("S-03")
+def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    arm.send()
+    first = arm.answer()
+    arm.again(NAMES, HOME + 0.01, np.zeros(7))
+    probe.until(lambda: [t.stamp_ns for t in arm.read()].count(arm.stamp_ns) == 2, "the repetition")
+    assert arm.torques[-1].tau.tolist() == first.tau.tolist()
+    count = len(arm.torques)
+    arm.stamp_ns -= 3 * TICK
+    arm.again(NAMES, HOME, np.zeros(7))
+    probe.spin(0.3)
+    assert len(arm.read()) == count
+
+
+@pytest.mark.requirement("S-11")
+@pytest.mark.parametrize(
+    ("names", "q", "qd", "named"),
+    [
+        (NAMES[:6], HOME[:6], np.zeros(6), "wam_j7"),
+        (NAMES, np.append(HOME[:6], math.nan), np.zeros(7), "position"),
+        (NAMES, HOME, np.full(7, math.inf), "velocity"),
+    ],
+)
+def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(
+    probe: Probe, processes: Processes, names: list[str], q: np.ndarray, qd: np.ndarray, named: str
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    count = len(arm.read())
+    arm.send(names, q, qd)
+    report = arm.diagnosis(lambda d: d.get("refused: joint state") == "1", "the refusal is told")
+    assert named in report["last refusal"]
+    assert len(arm.read()) == count
+    arm.send()
+    assert np.isfinite(arm.answer().tau).all()
+
+
+@pytest.mark.requirement("S-14")
+def test_states_without_velocity_get_torques_too(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    arm.send()
+    expected = arm.answer().tau
+    for qd in (np.empty(0), np.full(7, math.nan)):
+        arm.send(qd=qd)
+        assert arm.answer().tau.tolist() == expected.tolist()
+
+
+@pytest.mark.requirement("S-15")
+def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
+    policies.publish(String(data=to_json(lift("good"))))
+    arm.diagnosis(lambda d: d["policy"] == "good", "the policy is loaded")
+    bad = to_json(with_id(lift("good"), "bad")).replace("300.0", "NaN", 1)
+    stiff = to_json(with_id(lift("good"), "stiff")).replace("300.0", "9e9")
+    for count, text in enumerate((bad, "{", stiff), start=1):  # each is taken before the next
+        policies.publish(String(data=text))
+        report = arm.diagnosis(lambda d, n=str(count): d.get("refused: policy") == n, "a refusal")
+    assert report["policy"] == "good"
+    arm.send()
+    arm.answer()
+    response = probe.call(Trigger, interface.EXECUTE)
+    assert (response.success, response.message) == (True, "good")
+
+
+def test_the_life_cycle_decides_whether_torques_are_sent(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes, autostart=False)
+
+    def change(transition: int) -> bool:
+        arm.send()
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return probe.call(ChangeState, "/torque_controller/change_state", request).success
+
+    assert not probe.call(Trigger, interface.EXECUTE).success
+    assert change(Transition.TRANSITION_CONFIGURE)
+    probe.spin(1.2)
+    assert not arm.read()
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+    refused = probe.call(ChangeState, "/torque_controller/change_state", request)
+    assert not refused.success  # the last state is too old
+    assert change(Transition.TRANSITION_ACTIVATE)
+    arm.send()
+    assert arm.answer().label == "hold"
+    assert change(Transition.TRANSITION_DEACTIVATE)
+    probe.until(lambda: arm.read()[-1].label == "inactive", "a last torque")
+    count = len(arm.torques)
+    for _ in range(20):
+        arm.send()
+    probe.spin(0.2)
+    assert len(arm.read()) == count
+    assert change(Transition.TRANSITION_CLEANUP)
+
+
+def idle_service(probe: Probe) -> list[float]:
+    """The driver's service; when it was called [s, steady clock]."""
+    called: list[float] = []
+
+    def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        called.append(time.monotonic())
+        return response
+
+    probe.node.create_service(Trigger, interface.WAM_IDLE, idle)
+    return called
+
+
+@pytest.mark.requirement("S-42", "S-43")
+def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
+    probe: Probe, processes: Processes
+) -> None:
+    idled = idle_service(probe)
+    arm = PlayedArm(probe, processes, state_timeout=0.006)
+
+    def held() -> bool:
+        end = time.monotonic() + 0.05
+        while time.monotonic() < end:
+            arm.send(qd=np.full(7, 0.01))
+            probe.spin(0.0015)
+        label = arm.read()[-1].label if arm.read() else ""
+        if label == "fault":  # a busy machine has kept us from sending for 20 ms
+            probe.call(Trigger, interface.RESET)
+        return label == "hold"
+
+    probe.until(held, "the arm is held")
+    idled.clear()
+    lost = time.monotonic()
+    probe.until(lambda: arm.read()[-1].label == "fault", "the fault", deadline=5.0)
+    probe.until(lambda: idled, "the driver is asked to idle", deadline=5.0)
+    assert idled[0] - lost > 0.08
+    probe.spin(0.2)
+    stale = arm.read()[-1]
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
+    np.testing.assert_allclose(stale.tau, gravity, atol=1e-9)  # no velocity term
+    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
+    assert report["level"] == "2"
+    arm.send()
+    probe.until(lambda: probe.call(Trigger, interface.RESET).success, "a person resets")
+    probe.until(held, "the arm is held again")
+    idled.clear()
+    probe.until(lambda: idled, "the driver is asked to idle once more")
+
+
+@pytest.mark.requirement("S-41")
+def test_without_lockstep_a_short_silence_is_bridged_and_forgiven(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes, state_timeout=0.006, idle_service='""')
+    for _ in range(600):
+        arm.send()
+        probe.spin(0.002)
+    probe.until(lambda: arm.read() and arm.torques[-1].stamp_ns == arm.stamp_ns, "the answer")
+    before = len(arm.read())
+    probe.spin(0.012)
+    arm.send()
+    probe.spin(0.004)
+    assert len(arm.read()) > before + 1  # torques for a state that had been answered already
+
+
+@pytest.mark.requirement("S-45")
+def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    report = arm.diagnosis(lambda d: d["mode"] == "fault", "a fault")
+    assert "publisher" in report["message"]
+    processes.end(arm.process)
+
+    second = PlayedArm(probe, processes)
+
+    def refused() -> dict[str, str]:
+        second.send()
+        other.publish(Float64MultiArray(data=[0.0] * 7))
+        probe.spin(0.05)
+        report = diagnosis(second.diagnostics, "torque_controller")
+        return report if "refused: activation" in report else {}
+
+    assert probe.until(refused, "the refusal is told")["mode"] == "inactive"
+
+
+@pytest.mark.requirement("S-05")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
+    probe: Probe, processes: Processes, number: int
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    assert processes.end(arm.process, number) == 0
+    probe.spin(0.3)
+    last = arm.read()[-1]
+    assert last.label == "inactive"
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
+    np.testing.assert_allclose(last.tau, gravity, atol=1e-9)
+    assert "Traceback" not in processes.output(arm.process)
+
+
+@pytest.mark.requirement("S-04")
+def test_a_driver_that_adds_gravity_is_sent_none(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes, driver_compensates_gravity=True)
+    arm.activate()
+    arm.send()
+    np.testing.assert_allclose(arm.answer().tau, 0.0, atol=1e-9)
+
+
+def test_another_command_type_carries_the_same_torque(probe: Probe, processes: Processes) -> None:
+    topic = "/joint_torque_commands"
+    commands = probe.listen(JointState, topic, interface.COMMAND)
+    arm = PlayedArm(probe, processes, command_type="joint_state", command_topic=topic)
+
+    def commanded() -> bool:
+        arm.send()
+        probe.spin(0.05)
+        return bool(commands) and commands[-1].header.frame_id == "hold"
+
+    probe.until(commanded, "a command as a joint state")
+    reading = interface.torque(commands[-1], NAMES)
+    assert reading.stamp_ns is not None
+    assert np.isfinite(reading.tau).all()
+
+
+def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    on = SetBool.Request(data=True)
+    assert probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
+    arm.send()
+    assert arm.answer().label == "gravity_compensation"
+    assert not probe.call(Trigger, interface.EXECUTE).success
+    assert probe.call(Trigger, interface.STOP).success
+    arm.send()
+    assert arm.answer().label == "hold"
+    refusal = probe.call(Trigger, interface.MOVE_TO_START)
+    assert not refusal.success
+    assert "policy" in refusal.message
+
+
+def test_a_move_is_answered_for_the_policy_it_was_made_for(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
+    policies.publish(String(data=to_json(lift("first"))))
+    arm.diagnosis(lambda values: values["policy"] == "first", "the first policy")
+    moved = probe.begin(Trigger, interface.MOVE_TO_START)
+    arm.diagnosis(lambda values: values["mode"] == "move_to_start", "the move")
+    policies.publish(String(data=to_json(lift("second"))))
+    arm.diagnosis(lambda values: values["policy"] == "second", "the second policy")
+
+    def answered() -> bool:
+        arm.send()
+        probe.spin(0.02)
+        return moved.done()
+
+    probe.until(answered, "the end of the move")
+    assert (moved.result().success, moved.result().message) == (True, "first")
+
+
+def test_a_driver_may_name_its_joints_otherwise_than_the_model(
+    probe: Probe, processes: Processes
+) -> None:
+    names = [f"q{i}" for i in range(1, 8)]
+    arm = PlayedArm(probe, processes, joint_names=f"[{', '.join(names)}]")
+
+    def answered() -> bool:
+        arm.send(names)
+        probe.spin(0.02)
+        return bool(arm.read()) and arm.read()[-1].label == "hold"
+
+    probe.until(answered, "the controller holds")
+
+
+def test_in_simulated_time_states_may_stay_away(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes, state_timeout=0.006, use_sim_time=True)
+    arm.activate()
+    count = len(arm.read())
+    probe.spin(0.5)
+    assert len(arm.read()) == count
+    arm.send()
+    assert arm.answer().label == "hold"
+
+
+def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
+    assert "refused" in probe.call(Trigger, interface.REPLAY).message
+    t = np.linspace(0.0, 0.1, 6)
+    still = interface.JointMovement(t, np.tile(HOME, (6, 1)))
+    movements.publish(interface.joint_movement_message(NAMES[:6], still._replace(q=still.q[:, :6])))
+    arm.diagnosis(lambda d: d.get("refused: replay trajectory") == "1", "the refusal is told")
+    movements.publish(interface.joint_movement_message(NAMES, still))
+    probe.spin(0.2)
+    replay = probe.begin(Trigger, interface.REPLAY)
+    labels = set()
+
+    def done() -> bool:
+        arm.send()
+        labels.add(arm.answer().label)
+        return replay.done()
+
+    probe.until(done, "the replay has ended")
+    assert replay.result().success
+    assert "rms" in replay.result().message
+    assert "replay" in labels
+
+
+@pytest.mark.requirement("S-18")
+def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -> None:
+    process: subprocess.Popen[bytes] = processes.node(MODULE, autostart=True)
+    assert process.wait(60.0) == 2
+    assert "joint_names" in processes.output(process)
+
+
+@pytest.mark.requirement("S-30")
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_released_or_silent_switch_ends_teaching(
+    probe: Probe, processes: Processes, silent: bool
+) -> None:
+    arm = PlayedArm(probe, processes, hold_to_run=True)
+    arm.activate()
+    switch = probe.publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
+    on = SetBool.Request(data=True)
+    refusal = probe.call(SetBool, interface.GRAVITY_COMPENSATION, on)
+    assert not refusal.success and "enabling switch" in refusal.message
+
+    def teaching() -> bool:
+        switch.publish(Bool(data=True))
+        probe.spin(0.005)
+        arm.send()
+        arm.answer()
+        return probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
+
+    probe.until(teaching, "teaching begins")
+    switch.publish(Bool(data=True))
+    probe.spin(0.2 if silent else 0.005)
+    if not silent:
+        switch.publish(Bool(data=False))
+
+    def ended() -> bool:
+        arm.send()
+        return arm.answer().label == "fault"
+
+    probe.until(ended, "the fault")
+    arm.diagnosis(lambda d: "enabling switch" in d["message"], "it is told")
+
+
+@pytest.mark.requirement("S-52")
+def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled(
+    probe: Probe, processes: Processes
+) -> None:
+    idled = idle_service(probe)
+    arm = PlayedArm(probe, processes, state_timeout=0.05)
+
+    pauses: list[float] = []
+
+    def flow(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (begin := time.monotonic()) < end:
+            arm.send()
+            probe.spin(0.0015)
+            pauses.append(time.monotonic() - begin)
+
+    def held() -> bool:
+        flow(0.05)
+        label = arm.read()[-1].label if arm.read() else ""
+        if label == "fault":  # a busy machine has kept us from sending
+            probe.call(Trigger, interface.RESET)
+        return label == "hold"
+
+    probe.until(held, "the arm is held")
+    idled.clear()
+    pauses.clear()
+    arm.process.send_signal(signal.SIGSTOP)
+    flow(0.5)
+    arm.process.send_signal(signal.SIGCONT)
+
+    def faulted() -> bool:
+        flow(0.02)
+        return arm.read()[-1].label == "fault"
+
+    probe.until(faulted, "the fault")
+    assert not idled or max(pauses) > 0.05  # a busy machine has kept us from sending
+
+
+BROKEN = """
+import sys
+from wam_power_ros import real_time
+from wam_power_ros.nodes import torque_controller
+
+class Broken(torque_controller.TorqueController):
+    def _on_policy(self, message):
+        raise KeyError("a mistake in the code")
+
+    def _on_execute(self, request, response):
+        self._read = None  # every state from now on
+
+torque_controller.TorqueController = Broken
+sys.exit(torque_controller.main())
+"""
+
+
+@pytest.mark.requirement("S-49")
+def test_without_real_time_rights_an_arm_is_not_activated_unless_allowed(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes, realtime_priority=0, allow_no_realtime=False)
+
+    def refused() -> bool:
+        arm.send()
+        probe.spin(0.02)
+        return "SCHED_FIFO" in diagnosis(arm.diagnostics, "torque_controller").get(
+            "last refusal", ""
+        )
+
+    probe.until(refused, "the refusal is told")
+    assert not arm.read()
+
+
+@pytest.mark.requirement("S-50")
+@pytest.mark.parametrize("allowed", [True, False])
+def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
+    probe: Probe, processes: Processes, allowed: bool
+) -> None:
+    arm = PlayedArm(
+        probe,
+        processes,
+        realtime_priority=60,
+        state_timeout=10.0,  # whatever the machine does, states are only late
+        allow_no_realtime=allowed,
+        idle_service='""',
+    )
+    told = lambda: diagnosis(arm.diagnostics, "torque_controller")  # noqa: E731
+
+    def begun() -> bool:
+        arm.send()
+        probe.spin(0.002)
+        return bool(arm.read())
+
+    if not allowed and os.geteuid():
+        pytest.skip("real-time scheduling is not permitted here")
+    probe.until(begun, "the controller is active")
+
+    def late() -> bool:  # every state 6 to 10 ms after the last: two of three periods are missed
+        arm.send()
+        probe.spin(0.006)
+        return "of the periods of a second missed" in told().get("message", "")
+
+    probe.until(late, "the overload is told")
+    assert told()["mode"] == ("hold" if allowed else "fault")
+
+
+@pytest.mark.requirement("S-51")
+@pytest.mark.parametrize("hours", [-1, 1])
+def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(
+    probe: Probe, processes: Processes, hours: int
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.stamp_ns = 10**13
+    arm.activate()
+    arm.send()
+    before = arm.answer()
+    arm.stamp_ns += hours * 3_600_000_000_000
+    for _ in range(8):  # five are refused first when they are older
+        arm.send()
+        probe.spin(0.02)
+    arm.send()
+    after = arm.answer()
+    assert after.label == "fault"
+    np.testing.assert_allclose(after.tau, before.tau, atol=1e-9)
+    assert probe.call(Trigger, interface.RESET).success
+    arm.send()
+    assert arm.answer().label == "hold"
+
+
+@pytest.mark.requirement("S-02")
+@pytest.mark.parametrize("during", ["policy", "state"])
+def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
+    probe: Probe, processes: Processes, during: str
+) -> None:
+    config = ["--ros-args", "--params-file", str(ROOT / "config/torque_controller.yaml")]
+    quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
+    arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
+    arm.activate()
+    if during == "policy":
+        probe.publisher(String, interface.POLICY, interface.LATCHED).publish(String())
+    else:
+        probe.begin(Trigger, interface.EXECUTE)
+
+    def told() -> dict[str, str]:
+        arm.send()
+        probe.spin(0.01)
+        report = diagnosis(arm.diagnostics, "torque_controller")
+        return report if report.get("mode") == "fault" else {}
+
+    assert "a callback failed" in probe.until(told, "the fault is told")["message"]
+    probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
+    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
+    np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)
+    assert arm.process.poll() is None

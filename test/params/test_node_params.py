@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of a node: complete, known, in range, and fixed once read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Annotated
+
+import pytest
+import rclpy
+import yaml
+from conftest import ROOT
+from pydantic import Field
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from hardware_sim.optitrack_node import OptitrackSimParams
+from hardware_sim.wam_node import WamSimParams
+from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
+from wam_power_ros.nodes.learner import LearnerParams
+from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
+from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+
+
+class Oven(Params):
+    """An example of a node's parameters."""
+
+    name: str
+    rings: Annotated[int, Field(ge=1)]
+    heat: Annotated[float, Field(gt=0.0)]
+    limits: tuple[float, ...]
+    shelves: tuple[str, ...]
+
+
+GOOD = {"name": "aga", "rings": 4, "heat": 200.0, "limits": [1.0, 2.0], "shelves": ["a", "b"]}
+
+
+@pytest.fixture
+def node_with(domain_id: int) -> Iterator[Callable[..., Node]]:
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain_id)
+
+    def make(**values: object) -> Node:
+        overrides = [Parameter(name, value=value) for name, value in values.items()]
+        return rclpy.create_node(
+            "oven",
+            context=context,
+            parameter_overrides=overrides,
+            automatically_declare_parameters_from_overrides=True,
+        )
+
+    yield make
+    rclpy.shutdown(context=context)
+
+
+def test_parameters_come_as_one_frozen_object(node_with: Callable[..., Node]) -> None:
+    oven = Oven.of(node_with(**GOOD))
+    assert oven == Oven(**(GOOD | {"limits": (1.0, 2.0), "shelves": ("a", "b")}))
+    with pytest.raises(ValueError, match="frozen"):
+        oven.rings = 5
+
+
+@pytest.mark.parametrize("missing", GOOD)
+def test_a_missing_key_is_named(node_with: Callable[..., Node], missing: str) -> None:
+    with pytest.raises(ValueError, match=f"oven.*{missing}"):
+        Oven.of(node_with(**{name: value for name, value in GOOD.items() if name != missing}))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("unheard_of", 1),
+        ("rings", 0),
+        ("rings", 2.5),
+        ("heat", -1.0),
+        ("heat", float("nan")),
+        ("name", 7),
+        ("limits", ["a"]),
+    ],
+)
+def test_an_unknown_key_or_a_bad_value_is_named(
+    node_with: Callable[..., Node], name: str, value: object
+) -> None:
+    with pytest.raises(ValueError, match=name):
+        Oven.of(node_with(**(GOOD | {name: value})))
+
+
+def test_all_faults_are_named_at_once(node_with: Callable[..., Node]) -> None:
+    with pytest.raises(ValueError, match=r"(?s)rings.*heat") as refused:
+        Oven.of(node_with(**(GOOD | {"rings": 0, "heat": 0.0})))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.requirement("S-18")
+def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., Node]) -> None:
+    node = node_with(**GOOD)
+    Oven.of(node)
+    (result,) = node.set_parameters([Parameter("heat", value=10.0)])
+    assert not result.successful
+    assert "heat" in result.reason
+    assert node.get_parameter("heat").value == GOOD["heat"]
+    (result,) = node.set_parameters([Parameter("use_sim_time", value=True)])
+    assert result.successful
+
+
+@pytest.mark.parametrize(
+    ("file", "node", "params"),
+    [
+        ("torque_controller.yaml", "torque_controller", TorqueControllerParams),
+        ("wam_sim.yaml", "wam_sim", WamSimParams),
+        ("optitrack_sim.yaml", "optitrack_sim", OptitrackSimParams),
+        ("learner.yaml", "learner", LearnerParams),
+        ("pancake_tracker.yaml", "pancake_tracker", PancakeTrackerParams),
+        (
+            "demonstration_recorder.yaml",
+            "demonstration_recorder",
+            DemonstrationRecorderParams,
+        ),
+    ],
+)
+def test_a_yaml_holds_exactly_what_its_node_reads(
+    file: str, node: str, params: type[Params]
+) -> None:
+    values = yaml.safe_load((ROOT / "config" / file).read_text())[node]["ros__parameters"]
+    assert set(values) == set(params.model_fields)
+    lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
+    params(**(values | lists))

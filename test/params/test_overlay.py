@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Set-ups: said once, laid over each other, known to every node that must know of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import pytest
+import yaml
+from conftest import ROOT
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hardware_sim.optitrack_node import OptitrackSimParams
+from hardware_sim.wam_node import WamSimParams
+from wam_power_ros.cli import main
+from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
+from wam_power_ros.nodes.learner import LearnerParams
+from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
+from wam_power_ros.params import overlay
+from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+
+READS: dict[str, type[Params]] = {
+    "torque_controller": TorqueControllerParams,
+    "demonstration_recorder": DemonstrationRecorderParams,
+    "pancake_tracker": PancakeTrackerParams,
+    "learner": LearnerParams,
+    "wam_sim": WamSimParams,
+    "optitrack_sim": OptitrackSimParams,
+}
+
+
+def read(setup: overlay.Setup, node: str, folder: Path) -> Params:
+    """The parameters of a node as it reads them itself."""
+    file = folder / "parameters.yaml"
+    file.write_text(overlay.text(setup))
+    return READS[node].of_file(file, node)
+
+
+def write(folder: Path, name: str, text: str) -> str:
+    path = folder / f"{name}.yaml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_set_ups_are_for_the_nodes_there_are() -> None:
+    without = {"check_driver"}  # has no parameters, it reads a set-up
+    assert set(overlay.NODES) == set(main.NODES) - without == set(READS)
+
+
+@pytest.mark.parametrize("name", overlay.known())
+@pytest.mark.parametrize("rehearse", [False, True])
+def test_every_set_up_is_accepted_by_every_node(name: str, rehearse: bool, tmp_path: Path) -> None:
+    setup = overlay.setup([name], rehearse)
+    params = {node: read(setup, node, tmp_path) for node in overlay.NODES}
+    arm, learner = params["torque_controller"], params["learner"]
+    # what several nodes must know is the same everywhere
+    assert arm.joint_names == learner.joint_names == params["demonstration_recorder"].joint_names
+    assert arm.joint_names == params["wam_sim"].joint_names
+    assert (arm.urdf, arm.tool_frame) == (learner.urdf, learner.tool_frame)
+    assert arm.command_topic in params["demonstration_recorder"].driver_topics
+    # and the learner rehearses with the limits that the controller has
+    own, *over = (ROOT / file for file in learner.controller)
+    limits = TorqueControllerParams.of_file(own, "torque_controller", *over)
+    of_the_lab = {name: getattr(arm, name) for name in ("hold_to_run", "allow_no_realtime")}
+    assert limits.model_copy(update=of_the_lab) == arm
+    assert learner.pancake_reset == learner.reset_faults == rehearse
+    assert arm.hold_to_run == (not arm.allow_no_realtime) == (not rehearse)
+    assert params["demonstration_recorder"].source == ("sim" if rehearse else "hardware")
+
+
+def test_without_a_set_up_every_node_gets_its_own_file() -> None:
+    setup = overlay.setup()
+    for node in overlay.NODES:
+        own = yaml.safe_load((ROOT / f"config/{node}.yaml").read_text())[node]["ros__parameters"]
+        assert {name: setup[node][name] for name in own} == own
+        assert setup[node].get("use_sim_time", False) == (node not in overlay.STAND_INS)
+
+
+def test_what_follows_from_a_driver_reaches_recorder_and_stand_in(tmp_path: Path) -> None:
+    setup = overlay.setup(["libbarrett"], rehearse=True)
+    recorder = read(setup, "demonstration_recorder", tmp_path)
+    assert recorder.driver_topics == ("/joint_torque_commands", "/wam/jointVelocity")
+    assert recorder.joint_names[0] == setup["wam_sim"]["joint_names"][0] == "q1"
+    assert setup["wam_sim"]["pace"] == "real_time"
+    assert setup["wam_sim"]["driver_compensates_gravity"]
+
+
+def test_the_last_file_counts_most_and_may_deny_what_follows(tmp_path: Path) -> None:
+    one = write(tmp_path, "one", "torque_controller: {ros__parameters: {torque_share: 0.3}}")
+    two = write(
+        tmp_path,
+        "two",
+        "torque_controller: {ros__parameters: {torque_share: 0.2}}\n"
+        "demonstration_recorder: {ros__parameters: {source: sim}}",
+    )
+    assert overlay.setup([one, two])["torque_controller"]["torque_share"] == 0.2
+    assert overlay.setup([two, one])["torque_controller"]["torque_share"] == 0.3
+    assert overlay.setup([one])["demonstration_recorder"]["source"] == "hardware"
+    assert overlay.setup([two])["demonstration_recorder"]["source"] == "sim"
+    assert overlay.setup(["geodude", "full_speed"])["torque_controller"]["torque_share"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("torque_controler: {ros__parameters: {}}", "torque_controler"),
+        ("torque_controller: {ros__parameters: {joint_name: [a]}}", "is it joint_names"),
+        ("torque_controller: {parameters: {}}", "no file of ROS parameters"),
+        ("- a\n- b", "no file of ROS parameters"),
+        ("torque_controller: !!python/object:os.system {}", "no file of ROS parameters"),
+        ("a: {", "no file of ROS parameters"),
+    ],
+)
+def test_a_bad_file_is_refused_by_name(text: str, says: str, tmp_path: Path) -> None:
+    path = write(tmp_path, "bad", text)
+    with pytest.raises(ValueError, match=says) as refused:
+        overlay.setup([path])
+    assert path in str(refused.value)
+
+
+def test_an_unknown_set_up_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ValueError, match=r"'geodud'.*geodude.*libbarrett"):
+        overlay.setup(["geodud"])
+
+
+def test_a_urdf_beside_the_file_that_names_it_is_found(tmp_path: Path) -> None:
+    (tmp_path / "my.urdf").write_text("<robot/>")
+    path = write(tmp_path, "arm", "torque_controller: {ros__parameters: {urdf: my.urdf}}")
+    setup = overlay.setup([path])
+    assert setup["torque_controller"]["urdf"] == str(tmp_path / "my.urdf")
+    assert setup["learner"]["urdf"] == str(tmp_path / "my.urdf")
+
+
+PLAIN = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=8)
+VALUES = st.one_of(
+    st.booleans(), st.integers(-5, 5), st.floats(allow_nan=False, allow_infinity=False), PLAIN
+)
+
+
+@given(st.dictionaries(st.text("abc_", min_size=1), VALUES | st.lists(PLAIN, min_size=1)))
+def test_what_is_written_is_what_is_read(values: dict[str, Any]) -> None:
+    text = overlay.text({"node": values})
+    assert yaml.safe_load(text) == {"node": {"ros__parameters": values}}
+
+
+# Launch files: there is no launch on a plain machine, so its classes are only notes here
+
+
+class Note(SimpleNamespace):
+    """What a launch file made, and with what."""
+
+    def __init__(self, *args: object, **fields: object) -> None:
+        super().__init__(args=args, **fields)
+
+
+@pytest.fixture
+def launch(monkeypatch: pytest.MonkeyPatch) -> None:
+    class LaunchConfiguration(Note):
+        def perform(self, context: dict[str, str]) -> str:
+            return context[self.args[0]]
+
+    for module, names in {
+        "launch": ("LaunchContext", "LaunchDescription"),
+        "launch.actions": (
+            "DeclareLaunchArgument",
+            "OpaqueFunction",
+            "SetEnvironmentVariable",
+            "Shutdown",
+        ),
+        "launch.substitutions": (),
+        "launch_ros": (),
+        "launch_ros.actions": ("Node",),
+    }.items():
+        fake = ModuleType(module)
+        for name in names:
+            setattr(fake, name, type(name, (Note,), {}))
+        monkeypatch.setitem(sys.modules, module, fake)
+    sys.modules["launch.substitutions"].LaunchConfiguration = LaunchConfiguration
+
+
+def launched(file: str, **given: str) -> tuple[dict[str, overlay.Setup], list[Note]]:
+    """Executables a launch file starts, each with its parameters; and its other actions."""
+    path = ROOT / "launch" / file
+    spec = importlib.util.spec_from_file_location(path.stem.replace(".", "_"), path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    (actions,) = module.generate_launch_description().args
+    declared = {
+        action.args[0]: getattr(action, "default_value", None)
+        for action in actions
+        if type(action).__name__ == "DeclareLaunchArgument"
+    }
+    assert set(given) <= set(declared)
+    nodes = module.nodes({**declared, **given})
+    return {node.executable: _parameters(*node.parameters) for node in nodes}, actions
+
+
+def _parameters(file: str) -> overlay.Setup:
+    nodes = yaml.safe_load(Path(file).read_text())
+    return {node: section["ros__parameters"] for node, section in nodes.items()}
+
+
+@pytest.mark.usefixtures("launch")
+def test_the_hardware_launch_starts_no_stand_in_and_no_torque_by_itself() -> None:
+    started, _ = launched("hardware.launch.py", config="geodude full_speed")
+    assert set(started) == {"torque_controller", "pancake_tracker", "demonstration_recorder"}
+    controller = started["torque_controller"]["torque_controller"]
+    assert not controller["autostart"]
+    assert controller["joint_names"][0] == "right_j1"
+    started, _ = launched("hardware.launch.py", config="geodude", session="s", demonstrations="a b")
+    learner = started["learner"]["learner"]
+    assert (learner["session"], learner["demonstrations"]) == ("s", ["a", "b"])
+    assert not learner["reset_faults"]
+
+
+@pytest.mark.usefixtures("launch")
+def test_the_bench_launch_starts_stand_ins_at_the_pace_asked_for() -> None:
+    for asked, pace in (
+        ({}, "lockstep"),
+        ({"pace": "real_time"}, "real_time"),
+        ({"config": "libbarrett"}, "real_time"),
+    ):
+        started, _ = launched("sim.launch.py", session="s", **asked)
+        assert set(started) == set(overlay.NODES) - {"optitrack_sim"}
+        assert started["wam_sim"]["wam_sim"]["pace"] == pace
+        assert started["learner"]["learner"].get("use_sim_time", False) == (pace == "lockstep")
+    assert started["wam_sim"]["wam_sim"]["joint_names"][0] == "q1"
+
+
+@pytest.mark.usefixtures("launch")
+@pytest.mark.parametrize("file", ["hardware.launch.py", "sim.launch.py"])
+@pytest.mark.parametrize("asked", [None, "SUBNET"])
+def test_a_launch_keeps_ros_on_this_machine_unless_asked_otherwise(
+    file: str, asked: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+    monkeypatch.delenv(name, raising=False)
+    if asked:
+        monkeypatch.setenv(name, asked)
+    _, actions = launched(file, config="geodude")
+    given = [a.args for a in actions if type(a).__name__ == "SetEnvironmentVariable"]
+    assert [args for args in given if args[0] == name] == [(name, asked or "LOCALHOST")]

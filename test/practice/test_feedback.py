@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person's part in a session: rewards, punishments and further demonstrations."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toss_task import demonstrated_policy, toss
+
+from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.learning.power import Power
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session import Session, SessionError, read, read_log, read_practice
+from wam_power_ros.practice.session_log import (
+    Event,
+    Given,
+    Line,
+    Rating,
+    Record,
+    line_of,
+    with_ratings,
+)
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.practice.trial import Trial
+from wam_power_ros.reporting.session_report import render
+from wam_power_ros.reporting.terminal import line, returned
+from wam_power_ros.tasks.flip.assessment import Assessment
+
+CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
+LATER = demonstrated_policy("flick-9", seed=9)
+SETTINGS = preset("flip", budget=40, retests=2, confirm=0, power={"decay": 0.98})
+presets = pytest.mark.parametrize("name", ["paper", "flip"])
+
+
+def started(name: str = "flip", **changes: object) -> Practice:
+    return Practice(CANDIDATES, preset(name, **{"confirm": 0, **changes}), 0)
+
+
+def run(practice: Practice, rollouts: int, judge: Callable[[Trial], Assessment]) -> None:
+    for _ in range(rollouts):
+        if (trial := practice.next_trial()) is not None:
+            practice.note(trial, judge(trial))
+
+
+def worth(ret: float | None, success: bool = False) -> Callable[[Trial], Assessment]:
+    flight = {"tossed": True, "seen": False, "angle": 3.0}
+    return lambda trial: Assessment(ret, flight=flight, success=success, why="so it was")
+
+
+def next_trial(practice: Practice) -> str:
+    trial = practice.next_trial()
+    if trial is None:
+        return practice.stopped
+    return f"{trial.kind} {trial.attempt} {trial.z.tolist()} {to_json(trial.policy)}"
+
+
+def with_a_person(
+    practice: Practice, rollouts: int, keep: Callable[[Line], object] = lambda line: None
+) -> None:
+    """Go on, with a person who comes in between trials and while they are under way."""
+    rng = np.random.default_rng(0)
+
+    def perhaps() -> None:
+        count = len(practice.records)
+        if count and not practice.stopped and rng.random() < 0.4:
+            number = int(rng.integers(1, count + 1))
+            keep(practice.rate(float(rng.choice([-0.3, 0.3])), number))
+
+    for number in range(rollouts):
+        perhaps()
+        if (trial := practice.next_trial()) is None:
+            return
+        perhaps()
+        if number in (1, 12):
+            name = f"flick-{90 + number}"
+            keep(practice.give(demonstrated_policy(name, seed=number), f"bags/{name}"))
+        keep(practice.note(trial, toss(trial, practice.settings)))
+
+
+@presets
+def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str) -> None:
+    practice = started(name, budget=40, power={"decay": 0.98})
+    with_a_person(practice, 26)
+    log = [line_of(line.to_json()) for line in practice.log]
+    assert {type(line) for line in log} == {Record, Rating, Given}
+    for cut in range(len(log) + 1):
+        again = Practice.from_records(CANDIDATES, practice.settings, 0, log[:cut])
+        assert list(again.log) == log[:cut]
+        record = next((line for line in log[cut:] if isinstance(line, Record)), None)
+        between = log[cut : log.index(record)] if record else []
+        if record and all(line.after == record.number for line in between):
+            # What comes before the next rollout did not change it: it was drawn already.
+            trial = again.next_trial()
+            assert (trial.kind, trial.z.tolist()) == (record.kind, record.z)
+        for entry in log[cut:]:
+            again.replay(entry)
+        assert next_trial(again) == next_trial(practice)
+        assert again.records == practice.records == with_ratings(log)
+        assert again.learner.state() == practice.learner.state()
+
+
+def test_a_rating_changes_the_elite_from_the_next_trial_on_and_not_the_one_under_way() -> None:
+    practice, other = started(), started()
+    for each in (practice, other):
+        run(each, 8, lambda trial: toss(trial, SETTINGS))
+    under_way = practice.next_trial()
+    worst = min((r for r in practice.records if r.kind == "explore"), key=lambda record: record.ret)
+    rating = practice.rate(1.0, worst.number)
+    assert rating.after == under_way.number == 9
+    assert rating.note == (f"{worst.id} rewarded: return {worst.ret:.3f} -> {worst.ret + 1.0:.3f}")
+    assert practice.next_trial() is under_way
+    assert other.next_trial().z.tolist() == under_way.z.tolist()
+    for each in (practice, other):
+        each.note(under_way, toss(under_way, each.settings))
+    assert not np.allclose(practice.learner.mean, other.learner.mean)
+    told = Power(practice.learner.size, practice.settings.power, np.random.default_rng())
+    for record in practice.records:
+        if record.demonstration == practice.parameters.policy0.id:
+            told.tell(np.array(record.learnt_as), record.ret + (record.number == worst.number))
+    np.testing.assert_array_equal(practice.learner.mean, told.mean)
+
+
+def test_ratings_add_up_and_no_return_falls_below_zero() -> None:
+    practice = started()
+    run(practice, 5, worth(0.5))
+    practice.rate(0.3, 5)
+    assert practice.rate(0.3).note == "trial-0005 rewarded: return 0.800 -> 1.100"
+    assert practice.records[4].adjustment == pytest.approx(0.6)
+    for _ in range(4):
+        note = practice.rate(-0.3, 4).note
+    assert note == "trial-0004 punished: return 0.000 -> 0.000"
+    assert practice.records[3].worth == 0.0 and practice.records[3].ret == 0.5
+
+
+def test_a_person_has_a_say_in_which_demonstration_is_learnt_from() -> None:
+    for liked, expected in ((1, "flick-1"), (2, "flick-2")):
+        practice = started()
+        run(practice, 1, worth(0.5))
+        if liked == 1:
+            practice.rate(0.3)
+        run(practice, 1, worth(0.6))
+        assert practice.choice.startswith(f"learns from {expected}: ")
+
+
+def test_a_punished_rollout_confirms_nothing_and_is_no_evidence_of_success() -> None:
+    practice = started(confirm=4, success_angle=0.1, confirm_margin=0.0)
+    run(practice, 6, worth(0.5))
+    run(practice, 2, worth(0.9, success=True))
+    assert [record.kind for record in practice.records[-2:]] == ["mean", "mean"]
+    assert practice.next_trial().why == "confirms a mean, 3 of 4"
+    practice.rate(-0.1)
+    run(practice, 1, worth(0.9, success=True))
+    assert practice.next_trial().kind == "explore"
+    assert practice.best.successes == 2 and practice.best.returns == (0.9, 0.8, 0.9)
+
+
+def test_what_cannot_be_rated_is_refused_with_a_reason() -> None:
+    practice = started(budget=4, retests=1)
+
+    def refused(reason: str, amount: float = 0.3, number: int | None = None) -> None:
+        before = practice.log
+        with pytest.raises(ValueError, match=reason):
+            practice.rate(amount, number)
+        assert practice.log == before
+
+    refused("no finished rollout to rate yet")
+    run(practice, 2, worth(0.5))
+    for amount in (math.nan, math.inf, 0.0, 1.5):
+        refused("must be within ±1.0 and not 0", amount)
+    refused("rollout 3 is not one of the 2 on record", 0.3, 3)
+    run(practice, 1, worth(None))
+    refused("trial-0003 has no return and is not learnt from: so it was")
+    run(practice, 4, worth(0.5))
+    refused("nothing is learnt any more: budget of 4 rollouts used")
+    with pytest.raises(ValueError, match="nothing is learnt any more"):
+        practice.give(LATER)
+
+
+def test_a_better_demonstration_is_learnt_from_anew_with_what_is_left_of_the_budget() -> None:
+    practice = started(budget=12, retests=1)
+    run(practice, 6, worth(0.5))
+    drawn = practice.next_trial()
+    given = practice.give(LATER, "bags/9")
+    assert given.note == "flick-9 is reproduced after rollout 7: bags/9"
+    assert practice.next_trial() is drawn and practice.candidates[-1].id == "flick-9"
+    run(practice, 1, worth(0.5))
+    trial = practice.next_trial()
+    assert (trial.kind, trial.demonstration, trial.z.any()) == ("reproduction", "flick-9", False)
+    run(practice, 1, worth(0.6))
+    why = "return 0.600 against 0.500 of the last 5, from flick-1"
+    assert practice.choice == practice.records[-1].note == f"learns from flick-9: {why}"
+    assert practice.learner.count == 1 and practice.parameters.policy0.id == "flick-9"
+    assert practice.best.policy.id == "trial-0008"
+    run(practice, 9, worth(0.7))
+    assert {record.demonstration for record in practice.records[8:]} == {"flick-9"}
+    assert practice.used == 12 and practice.finished
+
+
+def test_a_demonstration_that_is_no_better_changes_nothing_but_the_budget() -> None:
+    practice, other = started(budget=12), started(budget=12)
+    for each in (practice, other):
+        run(each, 6, worth(0.5))
+    practice.give(LATER)
+    run(practice, 1, worth(0.5))
+    assert (
+        practice.records[-1].note
+        == "goes on with flick-1: return 0.500 against 0.500 of the last 5"
+    )
+    assert practice.next_trial().z.tolist() == other.next_trial().z.tolist()
+    assert practice.used == other.used + 1
+
+
+def test_a_demonstration_given_before_the_choice_is_one_of_the_series() -> None:
+    practice = started()
+    run(practice, 1, worth(0.5))
+    practice.give(LATER)
+    assert practice.next_trial().demonstration == "flick-2"
+    run(practice, 1, worth(0.5))
+    assert practice.choice == "" and practice.next_trial().demonstration == "flick-9"
+    run(practice, 1, worth(0.6))
+    assert practice.choice == "learns from flick-9: highest return of 3 reproductions, 0.600"
+
+
+def test_a_demonstration_given_while_a_mean_is_confirmed_does_not_end_that() -> None:
+    practice = started(confirm=4, success_angle=0.1, confirm_margin=0.0)
+    run(practice, 6, worth(0.5))
+    run(practice, 2, worth(0.9, success=True))
+    practice.give(LATER)
+    run(practice, 1, worth(0.2))
+    assert practice.next_trial().why == "confirms a mean, 3 of 4"
+    practice.give(demonstrated_policy("flick-10", seed=10))
+    run(practice, 2, worth(0.95, success=True))
+    assert practice.choice.startswith("learns from flick-10")
+    assert practice.next_trial().kind != "mean" or practice.next_trial().z.tolist() == [0.0] * 50
+
+
+def test_demonstrations_that_do_not_fit_are_refused_with_a_reason() -> None:
+    def forbidden(policy: Policy) -> str:
+        return "joint 4 at 9.00 rad/s" if policy.id == "fast" else ""
+
+    practice = Practice(CANDIDATES, SETTINGS, 0, forbidden)
+    for policy, reason in (
+        (demonstrated_policy("flick-2"), "there is a demonstration 'flick-2' already"),
+        (demonstrated_policy("fast"), "the arm must not try fast: joint 4 at 9.00 rad/s"),
+        (demonstrated_policy("short", count=2), "shifts the last 3 primitives, .* has 2"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            practice.give(policy)
+    assert practice.log == () and len(practice.candidates) == 2
+    practice.give(LATER)
+    with pytest.raises(ValueError, match="'flick-9' already"):
+        practice.give(LATER)
+
+
+def test_events_out_of_place_are_refused() -> None:
+    practice = started()
+    run(practice, 3, worth(0.5))
+    rating = practice.rate(0.3)
+    fresh = started()
+    with pytest.raises(ValueError, match="after record 0 cannot take effect after record 3"):
+        fresh.replay(rating)
+    with pytest.raises(ValueError, match="rollout 3 was rated before it was on record"):
+        fresh.replay(rating.model_copy(update={"after": 1}))
+
+
+def session(folder: Path, rollouts: int) -> Path:
+    with Session.begin(folder, SETTINGS, 0, CANDIDATES) as session:
+        with_a_person(session.practice(), rollouts, session.append)
+    return folder
+
+
+def test_a_session_killed_after_any_line_and_resumed_is_the_same_session(tmp_path: Path) -> None:
+    folder = session(tmp_path / "s", 20)
+    whole = (folder / "rollouts.jsonl").read_bytes()
+    expected = next_trial(read_practice(folder))
+    lines = whole.splitlines(keepends=True)
+    log = read_log(folder)
+    assert len(log) == len(lines) > 24
+    cut = next(place for place, line in enumerate(log) if isinstance(line, Given)) + 1
+    for kept in (cut - 1, cut, cut + 1):
+        (folder / "rollouts.jsonl").write_bytes(b"".join(lines[:kept]) + lines[kept][:30])
+        with Session.open(folder) as resumed:
+            practice = resumed.practice()
+            for line in log[kept:]:
+                practice.replay(line)
+                resumed.append(line)
+        assert (folder / "rollouts.jsonl").read_bytes() == whole
+        assert next_trial(read_practice(folder)) == expected
+    _, candidates, records = read(folder)
+    assert [policy.id for policy in candidates] == ["flick-1", "flick-2", "flick-91", "flick-102"]
+    assert records == with_ratings(log) and any(record.adjustment for record in records)
+
+
+def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
+    folder = session(tmp_path / "s", 20)
+    lines = (folder / "rollouts.jsonl").read_bytes().splitlines(keepends=True)
+    kinds = [json.loads(text)["schema"].split("/")[1] for text in lines]
+    for kind, change, reason in (
+        ("rating", {"amount": "much"}, "amount: "),
+        ("rating", {"after": 99}, "what takes effect after rollout 99 cannot follow"),
+        ("rating", {"rollout": 99}, "rollout 99 is rated before it is on record"),
+        ("demonstration", {"id": "other"}, "holds policy 'flick-91', expected 'other'"),
+        ("demonstration", {"policy": {}}, "policy"),
+    ):
+        place = kinds.index(kind)
+        damaged = json.dumps({**json.loads(lines[place]), **change}).encode() + b"\n"
+        text = b"".join([*lines[:place], damaged, *lines[place + 1 :]])
+        (folder / "rollouts.jsonl").write_bytes(text)
+        with pytest.raises(SessionError, match=reason):
+            read_practice(folder)
+
+
+def test_table_log_and_report_show_what_a_person_did(tmp_path: Path) -> None:
+    folder = session(tmp_path / "s", 20)
+    header, candidates, records = read(folder)
+    rated = next(record for record in records if record.adjustment is not None)
+    assert returned(rated) == f"{rated.ret:.3f} {rated.adjustment:+.3g}"
+    event: Event = next(entry for entry in read_log(folder) if isinstance(entry, Given))
+    assert line(event).strip() == f"a person: {event.note}"
+    page = render(header, candidates[0], None, records)
+    assert returned(rated) in page and "A person rewarded" in page
+    assert "Given in the middle of learning: flick-91, flick-102." in page

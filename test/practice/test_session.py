@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session on disk outlives everything that can happen to the process that writes it."""
+
+import json
+import logging
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from toss_task import demonstrated_policy, toss
+
+from wam_power_ros.learning.policy import Policy, from_json, to_json
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session import Session, SessionError, SessionHeader, read, read_practice
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.assessment import Assessment
+
+CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
+SETTINGS = preset("flip", budget=24, retests=3)
+HERE = Path(__file__).resolve().parents[1]
+
+
+def begun(folder: Path, rollouts: int = 0, seed: int = 5) -> Path:
+    """A session of some rollouts, closed again."""
+    with Session.begin(folder, SETTINGS, seed, CANDIDATES, task={"home": [0.0, 20.0]}) as session:
+        go_on(session, session.practice(), rollouts)
+    return folder
+
+
+def go_on(session: Session, practice: Practice, rollouts: int) -> None:
+    for _ in range(rollouts):
+        trial = practice.next_trial()
+        if trial is None:
+            return
+        session.append(practice.note(trial, toss(trial, practice.settings), clock={"pid": 1}))
+
+
+def next_trial(practice: Practice) -> str:
+    trial = practice.next_trial()
+    if trial is None:
+        return practice.stopped
+    return f"{trial.kind} {trial.attempt} {trial.z.tolist()} {to_json(trial.policy)}"
+
+
+def expected_next_trials() -> list[str]:
+    """What an undisturbed session would try after each number of rollouts."""
+    practice = Practice(CANDIDATES, SETTINGS, 5)
+    expected = [next_trial(practice)]
+    while (trial := practice.next_trial()) is not None:
+        practice.note(trial, toss(trial, SETTINGS))
+        expected.append(next_trial(practice))
+    return expected
+
+
+def test_a_session_opens_as_it_was_closed(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "deep" / "s", 7)
+    with Session.open(folder) as session:
+        assert session.settings == SETTINGS and session.seed == 5
+        assert session.header.task == {"home": [0.0, 20.0]}
+        assert session.header.versions["python"] == sys.version.split()[0]
+        assert [to_json(policy) for policy in session.candidates] == list(map(to_json, CANDIDATES))
+        assert [record.number for record in session.records] == list(range(1, 8))
+        assert session.bags.is_dir()
+        header, candidates, records = read(folder)
+        assert header == session.header and records == session.records
+        assert list(map(to_json, candidates)) == list(map(to_json, CANDIDATES))
+        assert next_trial(read_practice(folder)) == next_trial(session.practice())
+
+
+@pytest.mark.requirement("S-62")
+def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected = expected_next_trials()
+    folder = begun(tmp_path / "s", 99)
+    log = folder / "rollouts.jsonl"
+    lines = log.read_bytes().splitlines(keepends=True)
+    assert len(lines) == len(expected) - 1 >= 24
+    rng = random.Random(0)
+    for cut in range(len(lines) + 1):
+        whole = b"".join(lines[:cut])
+        torn = lines[cut] if cut < len(lines) else b'{"schema"\n'
+        for length in (0, 1, rng.randrange(1, len(torn)), len(torn) - 1):
+            caplog.clear()
+            log.write_bytes(whole + torn[:length])
+            assert len(read(folder)[2]) == cut  # looking does not touch
+            assert log.read_bytes() == whole + torn[:length]
+            with Session.open(folder) as session:
+                assert len(session.records) == cut
+                assert next_trial(session.practice()) == expected[cut]
+            assert log.read_bytes() == whole
+            warned = [r for r in caplog.records if r.levelno == logging.WARNING]
+            assert len(warned) == (length > 0)
+            assert all(f"cut off {length} bytes after line {cut}" in r.message for r in warned)
+
+
+def test_a_resumed_session_writes_what_an_uninterrupted_one_writes(tmp_path: Path) -> None:
+    whole = begun(tmp_path / "whole", 99) / "rollouts.jsonl"
+    pieces = begun(tmp_path / "pieces", 2)
+    while not read_practice(pieces).finished:
+        with Session.open(pieces) as session:
+            go_on(session, session.practice(), 5)
+    assert (pieces / "rollouts.jsonl").read_bytes() == whole.read_bytes()
+
+
+WRITER = """
+import sys
+from wam_power_ros.practice.session import Session
+from toss_task import toss
+
+with Session.open(sys.argv[1]) as session:
+    practice = session.practice()
+    while (trial := practice.next_trial()) is not None:
+        session.append(practice.note(trial, toss(trial, practice.settings)))
+        print(trial.number, flush=True)  # acknowledged
+        session.save_policy(practice.best.policy)
+"""
+
+
+@pytest.mark.requirement("S-61")
+def test_kill_9_loses_no_acknowledged_rollout(tmp_path: Path) -> None:
+    settings = preset("flip", budget=3000, confirm=0)
+    folder = tmp_path / "s"
+    Session.begin(folder, settings, 0, CANDIDATES).close()
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HERE.parent), str(HERE)])}
+    rng = random.Random(1)
+    acknowledged = 0
+    for _ in range(4):
+        writer = subprocess.Popen(
+            [sys.executable, "-c", WRITER, str(folder)],
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        first = writer.stdout.readline()
+        time.sleep(rng.uniform(0.0, 0.15))
+        writer.send_signal(signal.SIGKILL)
+        # not by communicate(): it would pass over what readline() has read ahead
+        rest, errors = writer.stdout.read(), writer.stderr.read()
+        writer.wait(10.0)
+        writer.stdout.close()
+        writer.stderr.close()
+        numbers = [int(line) for line in [first, *rest.split("\n")] if line.strip()]
+        assert numbers == list(range(numbers[0], numbers[-1] + 1)), errors
+        # At most the one that was on disk but not yet printed lies between two lives.
+        assert acknowledged + 1 <= numbers[0] <= acknowledged + 2
+        acknowledged = numbers[-1]
+        records = read(folder)[2]
+        assert acknowledged <= len(records) <= acknowledged + 1
+        if (folder / "policy.json").exists():
+            from_json((folder / "policy.json").read_text())  # whole, whenever it was
+    practice = Practice(CANDIDATES, settings, 0)
+    for record in read(folder)[2]:
+        trial = practice.next_trial()
+        assert practice.note(trial, toss(trial, settings)) == record
+
+
+@pytest.mark.requirement("S-63")
+def test_only_one_learner_writes_a_session(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s", 1)
+    with Session.open(folder) as session:
+        with pytest.raises(SessionError, match="being written by another learner"):
+            Session.open(folder)
+        with pytest.raises(SessionError, match="being written by another learner"):
+            Session.begin(folder, SETTINGS, 0, CANDIDATES)
+        go_on(session, session.practice(), 1)
+    Session.open(folder).close()
+
+
+def test_a_session_is_not_begun_over_another(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s", 1)
+    before = (folder / "rollouts.jsonl").read_bytes()
+    with pytest.raises(SessionError, match="holds a session already"):
+        Session.begin(folder, SETTINGS, 0, CANDIDATES)
+    assert (folder / "rollouts.jsonl").read_bytes() == before
+    with pytest.raises(SessionError, match=r"no session\.yaml"):
+        Session.open(tmp_path / "elsewhere")
+    with pytest.raises(SessionError, match=r"no session\.yaml"):
+        read(tmp_path)
+    assert not Session.exists(tmp_path) and Session.exists(folder)
+
+
+def test_a_beginning_that_was_interrupted_is_begun_again(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s")
+    for name in ("session.yaml", "rollouts.jsonl", "candidates/flick-2.json"):
+        (folder / name).unlink()  # session.yaml is the last to be written
+    assert not Session.exists(folder)
+    begun(folder, 1)
+    assert len(read(folder)[2]) == 1
+
+
+def test_a_log_that_may_not_grow_is_left_as_it_was(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s", 3)
+    log = folder / "rollouts.jsonl"
+    before = log.read_bytes()
+    with Session.open(folder) as session:
+        practice = session.practice()
+        trial = practice.next_trial()
+        record = practice.note(trial, toss(trial, SETTINGS))
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 100, limits[1]))
+        try:
+            with pytest.raises(OSError, match="File too large"):
+                session.append(record)  # 100 bytes of it are written, then no more
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        assert log.read_bytes() == before
+        session.append(record)
+        with pytest.raises(SessionError, match="rollout 4 cannot follow 4"):
+            session.append(record)
+    assert len(read(folder)[2]) == 4
+    with pytest.raises(SessionError, match="closed"):
+        session.append(record)
+
+
+def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s", 4)
+    log = folder / "rollouts.jsonl"
+    lines = log.read_bytes().splitlines(keepends=True)
+    record = json.loads(lines[1])
+    for damaged, reason in [
+        (b"{broken\n", "line 2: not JSON"),
+        (b"\n", "line 2: not JSON"),
+        (b"\xff\xfe\n", "line 2: 'utf-8' codec"),
+        (b"[]\n", "line 2: file: Input should be"),
+        (b"NaN\n", "line 2: file"),
+        (json.dumps({**record, "ret": -1.0}).encode() + b"\n", "line 2: ret: .* got -1.0"),
+        (json.dumps({**record, "ret": "high"}).encode() + b"\n", "line 2: ret: .* got high"),
+        (json.dumps({**record, "extra": 1}).encode() + b"\n", "line 2: extra: "),
+        (json.dumps({**record, "schema": "x/2"}).encode() + b"\n", "line 2: schema: "),
+        (lines[0], "line 2: rollout 1 cannot follow 1"),
+    ]:
+        text = b"".join([lines[0], damaged, *lines[2:]])
+        log.write_bytes(text)
+        for look in (Session.open, read):
+            with pytest.raises(SessionError, match=rf"rollouts\.jsonl, {reason}"):
+                look(folder)
+        assert log.read_bytes() == text
+    changed = json.dumps({**record, "z": [1.0] * len(record["z"])}).encode() + b"\n"
+    log.write_bytes(b"".join([lines[0], changed, *lines[2:]]))
+    with Session.open(folder) as session, pytest.raises(SessionError, match="record 2: z is not"):
+        session.practice()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"seed": -1}, "seed: Input should be greater"),
+        ({"seed": None}, "seed: "),
+        ({"schema": "wam_power_ros/session/9"}, "schema: "),
+        ({"candidates": []}, "candidates: "),
+        ({"surprise": 1}, "surprise: Extra inputs"),
+        ({"settings": {"variant": "planar"}}, "settings.noise: Field required"),
+    ],
+)
+def test_a_malformed_header_is_named(tmp_path: Path, change: dict, reason: str) -> None:
+    folder = begun(tmp_path / "s", 1)
+    path = folder / "session.yaml"
+    path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **change}))
+    with pytest.raises(SessionError, match=rf"session\.yaml: {reason}"):
+        Session.open(folder)
+    Session.begin(tmp_path / "other", SETTINGS, 0, CANDIDATES).close()  # no lock is left behind
+
+
+@pytest.mark.requirement("S-17")
+def test_headers_that_would_run_code_and_candidates_that_differ_are_refused(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s", 1)
+    path = folder / "session.yaml"
+    text = path.read_text()
+    for damage in ("!!python/object/apply:os.getcwd []", "a: [", "5"):
+        path.write_text(damage)
+        with pytest.raises(SessionError, match=r"session\.yaml: "):
+            Session.open(folder)
+    path.write_text(text.replace("flick-2", "../../x"))
+    with pytest.raises(SessionError, match=r"session\.yaml: candidates: .* must match"):
+        Session.open(folder)
+    path.write_text(text)
+    candidate = folder / "candidates" / "flick-2.json"
+    candidate.write_text(to_json(CANDIDATES[0]))
+    with pytest.raises(SessionError, match=r"flick-2\.json: holds policy 'flick-1'"):
+        Session.open(folder)
+    candidate.unlink()
+    with pytest.raises(SessionError, match=r"flick-2\.json: .*No such file"):
+        Session.open(folder)
+
+
+@pytest.mark.requirement("S-64")
+def test_a_reader_sees_the_old_policy_or_the_new_one(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s")
+    with Session.open(folder) as session:
+        for policy in CANDIDATES:
+            session.save_policy(policy)
+            saved: Policy = from_json((folder / "policy.json").read_text())
+            assert to_json(saved) == to_json(policy)
+    assert sorted(path.name for path in folder.iterdir()) == [
+        ".lock", "bags", "candidates", "policy.json", "rollouts.jsonl", "session.yaml",
+    ]  # fmt: skip
+
+
+def test_a_session_that_practice_would_refuse_is_not_begun(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="different ids"):
+        Session.begin(tmp_path / "s", SETTINGS, 0, [CANDIDATES[0]] * 2)
+    assert not (tmp_path / "s").exists()
+
+
+def test_every_setting_is_in_the_header(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s")
+    written = yaml.safe_load((folder / "session.yaml").read_text())
+    assert set(written["settings"]) == set(type(SETTINGS).model_fields)
+    assert SessionHeader.model_validate(written).settings == SETTINGS
+
+
+def test_an_aborted_rollout_is_logged_with_its_reason(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s")
+    with Session.open(folder) as session:
+        practice = session.practice()
+        trial = practice.next_trial()
+        session.append(practice.note(trial, Assessment(None, why="the pancake was never seen")))
+    (record,) = read(folder)[2]
+    assert not record.learnt and record.ret is None and record.why == "the pancake was never seen"

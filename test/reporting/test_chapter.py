@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Chapters say what they were given, escaped, and a table is as wide as its head."""
+
+import pytest
+
+from wam_power_ros.reporting import chapter, figures
+from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
+
+CLAIM = Claim("return <after> 100", "0.73", "0.754", "sd 0.08", "40 seeds", True, "the obstacle")
+
+
+def test_a_chapter_shows_text_tables_figures_and_parts_in_this_order() -> None:
+    drawn = Figure.of("a", "A figure.", figures.learning_curve([[0.5, 0.7]]))
+    missing = Figure("b", "No picture: there is no OpenGL.", b"")
+    part = Chapter("A part", ["Words & more."], [CLAIM], figures=[missing])
+    table = Table("A table.", ["who", "return"], [["PoWER", "0.7"], ["none", "0.5"]], {(0, 1)})
+    html = chapter.html(Chapter("Reaching", ["Begun."], [CLAIM], [table], [drawn], [part]))
+    order = ["<h2>Reaching", "Begun.", "A table.", "A figure.", "<h3>A part", "Words &amp; more."]
+    assert [html.index(words) for words in order] == sorted(html.index(words) for words in order)
+    assert html.count("<img") == 1 and "there is no OpenGL" in html
+    assert '<td class="best">0.7</td>' in html
+
+
+def test_claims_and_figures_of_the_parts_are_found_in_order() -> None:
+    part = Chapter("part", claims=[CLAIM], figures=[Figure("second", "", b"x")])
+    whole = Chapter("whole", figures=[Figure("first", "", b"x")], parts=[part])
+    assert whole.all_claims() == [CLAIM]
+    assert [drawn.name for drawn in whole.all_figures()] == ["first", "second"]
+
+
+def test_the_overview_says_of_every_claim_whether_it_is_met() -> None:
+    claims = [CLAIM, Claim("b", "", "1", "", "", False), Claim("c", "", "2", "", "", None)]
+    html = chapter.overview([Chapter("Reaching", claims=claims), Chapter("Nothing claimed")])
+    assert html.count("<td>") == len(claims) and "Nothing claimed" not in html
+    for words in (
+        ">Reaching<",
+        "return &lt;after&gt; 100",
+        "left open: the obstacle",
+        ">not met<",
+        ">reported<",
+    ):
+        assert words in html
+
+
+def test_a_row_of_another_width_than_the_head_is_refused() -> None:
+    with pytest.raises(ValueError, match="a row of 1 cells under a head of 2"):
+        chapter.html(Chapter("t", tables=[Table("", ["a", "b"], [["1"]])]))
+
+
+def test_the_same_figure_gives_the_same_bytes() -> None:
+    one, two = (figures.png(figures.learning_curve([[0.5, 0.7]])) for _ in range(2))
+    assert one == two

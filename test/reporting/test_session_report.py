@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of a session says what its records say, and needs no other file."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from toss_task import demonstrated_policy
+
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session import Session, SessionError
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.reporting import session_report
+
+TURNS = [math.radians(degrees) for degrees in (60, 100, 150, 170, 175, 180)]
+
+
+def a_rollout(id: str, angle: float) -> tuple[EndEffectorPath, BodyPath]:
+    """A still pan; the pancake rests, rises by .45 m, turns by `angle` and lies in the pan."""
+    t = np.arange(0.0, 1.86, 0.01)
+    place = np.array([0.7, 0.0, 0.4])
+    pan = EndEffectorPath(id, t, np.tile(place, (len(t), 1)), np.tile([0.0, 0, 0, 1], (len(t), 1)))
+    frames = np.arange(0.0, 1.86, 1 / 30)
+    flight = 2.0 * math.sqrt(2.0 * 0.45 / 9.81)
+    part = np.clip((frames - 0.3) / flight, 0.0, 1.0)
+    position = np.tile(place, (len(frames), 1))
+    position[:, 2] += 4.0 * 0.45 * part * (1.0 - part)
+    half = 0.5 * angle * part
+    half[part == 1.0] = 0.5 * math.pi * round(angle / math.pi)  # comes to lie flat
+    quat = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=1)
+    return pan, BodyPath(id, frames, position, quat)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A session of six rollouts that turn the pancake further and further."""
+    settings = preset("flip", budget=len(TURNS), confirm=0, retests=0)
+    candidates = [demonstrated_policy("demonstration-1")]
+    truth = {"caught": True, "flipped": True, "peak_elbow_speed": 0.4, "peak_forearm_speed": 1.37}
+    with Session.begin(tmp_path / "session", settings, 5, candidates) as session:
+        practice: Practice = session.practice()
+        for angle in TURNS:
+            trial = practice.next_trial()
+            assert trial is not None
+            session.append(practice.learn(trial, *a_rollout(trial.id, angle), truth=truth))
+            if practice.best is not None:
+                session.save_policy(practice.best.policy)
+    return tmp_path / "session"
+
+
+def test_a_report_needs_no_other_file_and_no_network(folder: Path) -> None:
+    html = session_report.write(folder).read_text()
+    assert not re.search(r'(src|href)="(?!data:)', html)
+    assert "<script" not in html
+    assert html.count("data:image/svg+xml;base64,") == 4  # Eq. 5, own return, terms, stiffness
+
+
+def test_a_report_lists_every_rollout_with_its_angle(folder: Path) -> None:
+    html = session_report.write(folder).read_text()
+    rows = re.findall(r"<tr(?: class=\"good\")?><td.*?</tr>", html)
+    assert len(rows) == len(TURNS)
+    angles = [int(re.search(r"<td>(\d+)°</td>", row).group(1)) for row in rows]
+    # at t_f = .12 m over the pan the turning is not over yet
+    assert angles == sorted(angles)
+    assert angles[-1] == pytest.approx(180.0 * 0.93, abs=6.0)
+
+
+def test_a_report_says_when_the_first_flip_was_and_which_speeds_were_needed(folder: Path) -> None:
+    html = session_report.write(folder).read_text()
+    assert "first flipped and caught in rollout 2" in html  # 100 degrees topple over
+    assert "1.37 m/s" in html and "over the factory fault speed" in html
+
+
+def test_the_same_session_gives_the_same_report(folder: Path) -> None:
+    assert session_report.write(folder).read_bytes() == session_report.write(folder).read_bytes()
+
+
+def test_an_exhibit_without_a_film_says_why(folder: Path) -> None:
+    pan, pancake = a_rollout("trial-0006", TURNS[5])
+    shown = session_report.Exhibit("caught.", pan, pancake, t_f=0.8)
+    html = session_report.write(folder, shown, "no <OpenGL> here").read_text()
+    assert "The answer, trial-0006" in html
+    assert "no &lt;OpenGL&gt; here" in html
+
+
+def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:
+    candidates = [demonstrated_policy("demonstration-1")]
+    Session.begin(tmp_path, preset("paper"), 0, candidates).close()
+    assert "session.yaml" in session_report.write(tmp_path).read_text()
+
+
+def test_a_folder_without_a_session_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SessionError, match=r"no session\.yaml"):
+        session_report.write(tmp_path)

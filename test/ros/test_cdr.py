@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the 500 Hz loop reads and writes as bytes, against rclpy's own way."""
+
+import math
+from array import array
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from wam_power_ros.ros import cdr, interface
+
+NAMES = ["base", "j2", "elbow"]
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+STAMPS = st.integers(1, (2**31 - 1) * 10**9)
+
+
+def state(
+    stamp_ns: int, names: list[str], q: list[float], qd: list[float], **more: object
+) -> bytes:
+    message = JointState(name=names, position=array("d", q), velocity=array("d", qd))
+    message.effort = array("d", more.get("effort", []))
+    message.header.frame_id = more.get("frame", "")
+    message.header.stamp = interface.stamp(stamp_ns)
+    return serialize_message(message)
+
+
+def reader() -> cdr.StateReader:
+    return cdr.StateReader(interface.JointStateReader(NAMES))
+
+
+@st.composite
+def states(draw: st.DrawFn) -> bytes:
+    """Our joints in some order, beside others or not, with or without speeds and efforts."""
+    names = draw(
+        st.permutations(NAMES + draw(st.lists(st.sampled_from(["f1", "finger"]), max_size=1)))
+    )
+    numbers = st.lists(NUMBERS, min_size=len(names), max_size=len(names))
+    maybe = numbers | st.just([])
+    return state(
+        draw(STAMPS), names, draw(numbers), draw(maybe),
+        effort=draw(maybe), frame=draw(st.sampled_from(["", "arm", "wam_base"])),
+    )  # fmt: skip
+
+
+@given(st.lists(states(), min_size=1, max_size=3), st.data())
+def test_states_read_the_same_as_through_rclpy(shapes: list[bytes], data: st.DataObject) -> None:
+    read = reader()
+    for message in data.draw(st.lists(st.sampled_from(shapes), max_size=8)):
+        ours = read(message)
+        theirs = interface.JointStateReader(NAMES)(deserialize_message(message, JointState))
+        assert ours.stamp_ns == theirs.stamp_ns
+        assert ours.q.tolist() == theirs.q.tolist()
+        assert (ours.qd is None) == (theirs.qd is None)
+        assert ours.qd is None or ours.qd.tolist() == theirs.qd.tolist()
+
+
+def test_a_state_of_the_same_shape_is_read_without_rclpy(monkeypatch: pytest.MonkeyPatch) -> None:
+    read = reader()
+    read(state(1, NAMES, [1.0, 2.0, 3.0], [0.0] * 3, frame="arm"))
+    monkeypatch.delattr(cdr, "deserialize_message")
+    padded = bytearray(state(2_000_000_003, NAMES, [4.0, 5.0, 6.0], [7.0] * 3, frame="arm"))
+    at = padded.index(b"elbow\0") + len(b"elbow\0")
+    padded[at : at + 2] = b"\xaa\xbb"  # nobody clears the gaps
+    reading = read(bytes(padded))
+    assert reading.stamp_ns == 2_000_000_003
+    assert reading.q.tolist() == [4.0, 5.0, 6.0]
+    assert reading.qd.tolist() == [7.0] * 3
+
+
+def test_a_refused_state_with_other_names_does_not_change_how_the_next_is_read() -> None:
+    read = reader()
+    good = state(1, NAMES, [1.0, 2.0, 3.0], [])
+    assert read(good).q.tolist() == [1.0, 2.0, 3.0]
+    with pytest.raises(ValueError, match="finite"):
+        read(state(1, NAMES[::-1], [math.nan] * 3, []))
+    assert read(good).q.tolist() == [1.0, 2.0, 3.0]
+    assert read(state(1, ["finger"], [0.0], [])) is None
+    assert read(good).q.tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_bad_numbers_and_stamps_are_refused_whether_the_shape_is_known_or_not(known: bool) -> None:
+    read = reader()
+    if known:
+        read(state(1, NAMES, [1.0] * 3, [0.0] * 3))
+    for stamp_ns, q, qd, named in (
+        (0, [0.0] * 3, [0.0] * 3, "stamp"),
+        (1, [0.0, math.nan, 0.0], [0.0] * 3, "position"),
+        (1, [0.0] * 3, [math.inf, 0.0, 0.0], "velocity"),
+    ):
+        with pytest.raises(ValueError, match=named):
+            read(state(stamp_ns, NAMES, q, qd))
+    assert read(state(1, NAMES, [0.0] * 3, [math.nan] * 3)).qd is None
+
+
+@given(states(), st.data())
+def test_bytes_cut_or_spoilt_are_refused_or_finite(message: bytes, data: st.DataObject) -> None:
+    read = reader()
+    read(message)
+    spoilt = bytearray(message)
+    for _ in range(data.draw(st.integers(0, 4))):
+        spoilt[data.draw(st.integers(0, len(spoilt) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        reading = read(bytes(spoilt[: data.draw(st.integers(0, len(spoilt)))]))
+    except ValueError:
+        return
+    assert reading is None or np.isfinite(reading.q).all()
+
+
+@pytest.mark.parametrize("kind", ["multiarray", "joint_state"])
+@given(
+    torques=st.lists(
+        st.tuples(
+            STAMPS,
+            st.sampled_from(["hold", "fault", "rollout trial-0007"]),
+            st.lists(NUMBERS, min_size=3, max_size=3),
+        ),
+        max_size=8,
+    )
+)
+@example(torques=[(8, "hold", [0.0] * 3), (9, "hold", [1.0] * 3), (10, "hold", [2.0] * 3)])
+def test_torques_are_written_as_rclpy_writes_them(
+    kind: str, torques: list[tuple[int, str, list[float]]]
+) -> None:
+    writer = interface.TorqueWriter(NAMES, kind)
+    send = cdr.TorqueSender(writer)
+    for stamp_ns, label, tau in torques:
+        message = deserialize_message(send(stamp_ns, label, np.array(tau)), writer.message_type)
+        reading = interface.torque(message, NAMES)
+        assert (reading.stamp_ns, reading.label) == (stamp_ns, label)
+        assert reading.tau.tolist() == tau

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may do what on the network: the table is what the nodes do, and the policy is the table."""
+
+from __future__ import annotations
+
+import re
+import sys
+import time
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import rclpy
+from conftest import ROOT, Processes
+from rclpy.node import Node
+
+from hardware_sim.optitrack_node import OptitrackSim
+from hardware_sim.wam_node import WamSim
+from wam_power_ros.cli import main
+from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
+from wam_power_ros.nodes.learner import Learner
+from wam_power_ros.nodes.pancake_tracker import PancakeTracker
+from wam_power_ros.nodes.torque_controller import TorqueController
+from wam_power_ros.params import overlay
+from wam_power_ros.ros import interface, security
+
+RIGHTS = security.table(overlay.setup())
+NAMES = {
+    value
+    for name, value in vars(interface).items()
+    if name.isupper() and isinstance(value, str) and value.startswith("/")
+}
+NODES = {
+    "torque_controller": TorqueController,
+    "demonstration_recorder": DemonstrationRecorder,
+    "pancake_tracker": PancakeTracker,
+    "learner": Learner,
+    "wam_sim": WamSim,
+    "optitrack_sim": OptitrackSim,
+}
+EVERYONES = {"/rosout", "/parameter_events", interface.CLOCK}
+
+
+def test_the_shipped_policy_is_that_of_the_table() -> None:
+    assert (ROOT / "security/policy.xml").read_text() == security.policy(RIGHTS), (
+        "wam-power policy > security/policy.xml"
+    )
+
+
+def test_every_topic_and_service_is_somebodys_and_no_other_is() -> None:
+    used = {
+        name
+        for right in RIGHTS.values()
+        for names in (right.publishes, right.subscribes, right.serves, right.calls)
+        for name in names
+    }
+    assert NAMES - used == set()
+    own = {name for name in used if name.startswith("/torque_controller/")}
+    assert used - NAMES == own
+
+
+@pytest.mark.parametrize("name", [None, *overlay.known()])
+def test_only_the_controller_publishes_torques(name: str | None) -> None:
+    setup = overlay.setup([name] if name else [])
+    root = ElementTree.fromstring(security.policy(security.table(setup)))
+    torques = setup["torque_controller"]["command_topic"]
+    senders = [
+        profile.get("node")
+        for profile in root.iter("profile")
+        for topics in profile.iter("topics")
+        if topics.get("publish") == "ALLOW" and torques in [topic.text for topic in topics]
+    ]
+    assert senders == ["torque_controller"]
+
+
+def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
+    recorder, learner = RIGHTS["demonstration_recorder"], RIGHTS["learner"]
+    assert (recorder.publishes, recorder.calls) == ((interface.DIAGNOSTICS,), ())
+    assert learner.publishes == (interface.POLICY,)
+    assert {name.split("/")[1] for name in learner.serves} == {"learner"}
+
+
+@pytest.mark.parametrize("kind", NODES.values(), ids=NODES)
+def test_a_node_does_what_it_may_and_may_what_it_does(
+    kind: type[Node], domain_id: int, tmp_path: Path
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text(overlay.text(overlay.setup()))
+    rclpy.init(args=["--ros-args", "--params-file", str(file)], domain_id=domain_id)
+    try:
+        node = kind()
+        name, right = node.get_name(), RIGHTS[node.get_name()]
+        whose = (name, node.get_namespace())
+        own = {f"/{name}/{service}" for service in (*security.ABOUT_ITSELF, *security.LIFECYCLE)}
+        published = {topic for topic, _ in node.get_publisher_names_and_types_by_node(*whose)}
+        heard = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(*whose)}
+        served = {topic for topic, _ in node.get_service_names_and_types_by_node(*whose)} - own
+        called = {topic for topic, _ in node.get_client_names_and_types_by_node(*whose)}
+        events = {f"/{name}/transition_event"} if right.managed else set()
+        assert published - EVERYONES - events == set(right.publishes) - EVERYONES
+        assert heard - EVERYONES <= set(right.subscribes)
+        assert called <= set(right.calls)
+        if name != "wam_sim":  # it serves once it has its world
+            assert served == set(right.serves)
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
+def test_the_command_line_prints_the_policy_of_a_set_up(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main.main(["policy", "libbarrett"]) == 0
+    text = capsys.readouterr().out
+    assert "<topic>/joint_torque_commands</topic>" in text
+    assert interface.EFFORT_COMMANDS not in text
+
+
+@pytest.mark.parametrize(
+    ("environment", "open_"),
+    [
+        ({}, True),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, True),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT"}, True),
+        ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, False),
+        ({"ROS_SECURITY_ENABLE": "true"}, True),
+        ({"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}, False),
+    ],
+)
+def test_an_arm_that_anybody_can_command_is_told(environment: dict[str, str], open_: bool) -> None:
+    assert (security.exposed(environment) is not None) == open_
+
+
+def test_the_controller_says_so_and_with_security_enforced_never_starts_in_the_open(
+    processes: Processes, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "wam_power_ros.nodes.torque_controller", "--ros-args"]
+    command += ["--params-file", str(ROOT / "config/torque_controller.yaml")]
+    (tmp_path / "enclaves/torque_controller").mkdir(parents=True)  # an enclave without keys
+    refused = processes.start(
+        [*command, "--enclave", "/torque_controller"],
+        ROS_SECURITY_ENABLE="true",
+        ROS_SECURITY_STRATEGY="Enforce",
+        ROS_SECURITY_KEYSTORE=str(tmp_path),
+    )
+    assert refused.wait(120) != 0
+    assert re.search("security", processes.output(refused), re.IGNORECASE)
+    telling = processes.start(command, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
+    end = time.monotonic() + 60.0
+    while "anybody on the network" not in processes.output(telling) and time.monotonic() < end:
+        time.sleep(0.1)
+    assert "anybody on the network" in processes.output(telling)

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command of docs/hardware.md is run, in order, against stand-ins shaped like the drivers.
+
+What needs a ROS installation is translated: `ros2 run` to the same entry point, a launch file to
+the nodes it starts, calls to calls of the same type. A command not known here fails the test.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT, Probe, Processes
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from wam_power_ros.params import overlay
+from wam_power_ros.ros import interface
+
+GUIDE = (ROOT / "docs/hardware.md").read_text()
+CLI = [sys.executable, "-m", "wam_power_ros.cli"]
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+}
+PATIENCE = 240.0  # [s] for a command, on a busy machine
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^ *```{language}\n(.*?)^ *```", GUIDE, re.DOTALL | re.MULTILINE)
+
+
+def commands() -> list[list[str]]:
+    """Words of every command, in order; comments left out."""
+    lines = "\n".join(blocks("bash")).replace("\\\n", " ").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+class Lab:
+    """A lab whose devices are stand-ins, and a person who types what the guide says."""
+
+    def __init__(self, folder: Path, probe: Probe, processes: Processes) -> None:
+        self._folder, self._probe, self._processes = folder, probe, processes
+        (folder / "bags").symlink_to(ROOT / "bags")
+        for text in blocks("yaml"):
+            name = text.partition("\n")[0].removeprefix("# ")
+            (folder / name).write_text(text)
+        mine = yaml.safe_load((folder / "my_lab.yaml").read_text())
+        for node in ("wam_sim", "torque_controller"):  # tests share their machine
+            mine.setdefault(node, {"ros__parameters": {}})
+            mine[node]["ros__parameters"]["realtime_priority"] = 0
+        (folder / "my_lab.yaml").write_text(yaml.safe_dump(mine))
+        steps = {"wam_sim": {"ros__parameters": {"pace": "lockstep"}}}  # however busy the machine
+        (folder / "lockstep.yaml").write_text(yaml.safe_dump(steps))
+        self._running: list[subprocess.Popen[bytes]] = []
+        names = ["geodude", "natnet_ros2", str(folder / "my_lab.yaml")]
+        self._setup = overlay.setup(names, rehearse=True)
+        self._start("hardware_sim.main", self._setup)
+
+    def _start(self, module: str, setup: overlay.Setup) -> None:
+        file = self._folder / f"{module}.yaml"
+        file.write_text(overlay.text(setup))
+        command = [sys.executable, "-m", module, "--ros-args", "--params-file", str(file)]
+        self._running.append(self._processes.start(command))
+
+    def type(self, words: list[str]) -> None:
+        """Do what a command does."""
+        verb = words[:2] if words[0] == "ros2" else words[:1]
+        if verb == ["wam-power"]:
+            self._wam_power(words[1:])
+        elif words[:3] == ["ros2", "run", "wam_power_ros"]:
+            self._run([*CLI, "run", *words[3:]], ROS_DOMAIN_ID=True)
+        elif words[:3] == ["ros2", "launch", "wam_power_ros"]:
+            self._launch(*words[3:])
+        elif words[:3] == ["ros2", "topic", "hz"]:
+            self._hear(words[3])
+        elif words[:3] == ["ros2", "lifecycle", "set"]:
+            self._change(*words[3:])
+        elif words[:3] == ["ros2", "service", "call"]:
+            self._call(*words[3:])
+        else:
+            pytest.fail(f"this test does not know how to run {shlex.join(words)}")
+
+    def _wam_power(self, words: list[str]) -> None:
+        words = [str(path) for word in words for path in self._expanded(word)]
+        if words[0] in ("replay", "teach", "learn"):
+            self.leave()  # as the guide says: end the launch file first
+            words += ["--config", str(self._folder / "lockstep.yaml"), "--rehearse"]
+        if words[0] == "learn":
+            self._learn(words)
+        else:
+            self._run([*CLI, *words])
+
+    def _expanded(self, word: str) -> list[str]:
+        found = sorted(self._folder.glob(word)) if "*" in word else []
+        return [str(path) for path in found] or [word]
+
+    def _environment(self, domain: bool) -> dict[str, str]:
+        environment = dict(self._processes.environment)
+        if not domain:  # wam-power takes a free one for its rehearsal
+            del environment["ROS_DOMAIN_ID"]
+        return environment
+
+    def _run(self, command: list[str], ROS_DOMAIN_ID: bool = False) -> None:
+        ended = subprocess.run(
+            command,
+            cwd=self._folder,
+            env=self._environment(ROS_DOMAIN_ID),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+        )
+        sys.stdout.write(ended.stdout + ended.stderr)
+        assert ended.returncode == 0, ended.stderr
+
+    def _learn(self, words: list[str]) -> None:
+        """Let it learn until one more rollout is on record, then Ctrl-C."""
+        log = self._folder / words[words.index("--session") + 1] / "rollouts.jsonl"
+        lines = lambda: log.read_text().count("\n") if log.exists() else 0  # noqa: E731
+        before, output = lines(), self._folder / "learn.log"
+        with output.open("wb") as file:
+            process = subprocess.Popen(
+                [*CLI, *words],
+                cwd=self._folder,
+                env=self._environment(False),
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+            )
+        end = time.monotonic() + PATIENCE
+        try:
+            while lines() == before and process.poll() is None and time.monotonic() < end:
+                time.sleep(0.1)
+            assert lines() > before, output.read_text()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE) == 130, output.read_text()
+        finally:
+            process.kill()
+
+    def _launch(self, file: str, *arguments: str) -> None:
+        """What launch/hardware.launch.py starts; `launch` itself is not among the wheels."""
+        assert (ROOT / "launch" / file).is_file()
+        given = dict(argument.split(":=") for argument in arguments)
+        names = [
+            str(self._folder / name) if name.endswith(".yaml") else name
+            for name in given.pop("config").split()
+        ]
+        assert given == {}
+        setup = overlay.setup(names, rehearse=True)
+        setup["torque_controller"]["autostart"] = False
+        for node in ("torque_controller", "pancake_tracker", "demonstration_recorder"):
+            self._start(f"wam_power_ros.nodes.{node}", setup)
+
+    def _hear(self, topic: str) -> None:
+        assert topic == self._setup["torque_controller"]["state_topic"]
+        heard = self._probe.listen(JointState, topic, interface.STATE_RECORD)
+        self._probe.until(lambda: len(heard) > 100, f"states on {topic}")
+
+    def _change(self, node: str, transition: str) -> None:
+        request = ChangeState.Request()
+        request.transition.id = TRANSITIONS[transition]
+        name = f"{node}/change_state"
+        there = lambda: name in dict(self._probe.node.get_service_names_and_types())  # noqa: E731
+        self._probe.until(there, name, PATIENCE)
+        changed = lambda: self._probe.call(ChangeState, name, request, PATIENCE).success  # noqa: E731
+        self._probe.until(changed, transition, PATIENCE)
+
+    def _call(self, name: str, kind: str, request: str = "{}") -> None:
+        package, _, type_ = kind.partition("/srv/")
+        service = getattr(importlib.import_module(f"{package}.srv"), type_)
+        filled = service.Request(**yaml.safe_load(request))
+
+        def agreed() -> bool:
+            answer = self._probe.call(service, name, filled, PATIENCE)
+            if not answer.success and "no fault" not in answer.message:  # as the guide says
+                self._probe.call(Trigger, interface.RESET, deadline=PATIENCE)
+                return False
+            return True
+
+        self._probe.until(agreed, name, PATIENCE)
+
+    def leave(self) -> None:
+        """End the launch file, and the devices: a rehearsal brings its own."""
+        while self._running:
+            self._processes.end(self._running.pop())
+
+
+@pytest.fixture
+def lab(tmp_path: Path, probe: Probe, processes: Processes) -> Iterator[Lab]:
+    lab = Lab(tmp_path, probe, processes)
+    yield lab
+    lab.leave()
+
+
+def test_every_command_of_the_guide_runs(lab: Lab) -> None:
+    assert len(commands()) > 10
+    for words in commands():
+        began = time.monotonic()
+        sys.stdout.write(f"$ {shlex.join(words)}\n")
+        lab.type(words)
+        sys.stdout.write(f"  {time.monotonic() - began:.1f} s\n")
+
+
+def test_a_command_that_is_not_known_fails() -> None:
+    lab = Lab.__new__(Lab)
+    with pytest.raises(pytest.fail.Exception, match="does not know how to run"):
+        lab.type(["ros2", "bag", "play", "everything"])

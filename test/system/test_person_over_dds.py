@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person's part in a session over DDS: its services on a running learner, killed and resumed."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from conftest import ROOT, Probe, Processes
+from std_srvs.srv import SetBool, Trigger
+from test_session_over_dds import JOINTS, SEED, learnt, lines
+
+from hardware_sim.world import World, WorldSettings
+from wam_power_ros.bags import reader
+from wam_power_ros.cli.launcher import DOMAIN
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session import Session, read_log
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros import interface
+
+TAUGHT, LATER = sorted((ROOT / "bags").glob("demo_*"))[:2]
+SETTINGS = preset("flip", budget=5, retests=0)
+
+
+def fitted(bag: Path) -> Policy:
+    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), JOINTS)
+    stamps_ns, q = reader.read_demonstration(bag, JOINTS)
+    return fit([from_joint_samples(arm, stamps_ns, q, trim=True)], PANCAKE, "demonstration-1")
+
+
+def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing(
+    probe: Probe,
+    processes: Processes,
+    tmp_path: Path,
+) -> None:
+    folder, candidate = tmp_path / "session", fitted(TAUGHT)
+    Session.begin(folder, SETTINGS, SEED, [candidate]).close()
+    sim = {"use_sim_time": True}
+    processes.node(
+        "hardware_sim.main", "wam_sim.yaml", "optitrack_sim.yaml", **{"wam_sim:seed": SEED}
+    )
+    processes.node("wam_power_ros.nodes.torque_controller", "torque_controller.yaml", **sim)
+    processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **sim)
+
+    def learner() -> subprocess.Popen[bytes]:
+        node, given = "wam_power_ros.nodes.learner", {"session": folder, "record_rollouts": False}
+        return processes.node(node, "learner.yaml", **sim, **given)
+
+    def rollouts() -> list[Record]:
+        return [line for line in read_log(folder) if isinstance(line, Record)]
+
+    def say(service: str) -> str:
+        answer = probe.call(Trigger, service, deadline=300.0)
+        assert answer.success, answer.message
+        assert read_log(folder)[-1].note == answer.message  # on disk before it is answered
+        return answer.message
+
+    (folder / "logs").mkdir()
+    (folder / "logs" / DOMAIN).write_text(processes.environment["ROS_DOMAIN_ID"])
+
+    def tell(*words: object) -> tuple[int, str]:
+        """Exit status of `wam-power tell`, which finds the learner by its session, and its word."""
+        command = [sys.executable, "-m", "wam_power_ros.cli", "tell", *map(str, words)]
+        told = processes.start([*command, "--session", str(folder)], ROS_DOMAIN_ID="")
+        probe.until(lambda: told.poll() is not None, "an answer", 300.0)
+        return told.returncode, processes.output(told)
+
+    first = learner()
+    offered = probe.node.get_service_names_and_types
+    probe.until(lambda: interface.LEARNER_REWARD in dict(offered()), "the learner", 300.0)
+    refused = probe.call(Trigger, interface.LEARNER_REWARD, deadline=300.0)
+    assert not refused.success  # nothing to rate: no rollout yet, or not even a session read
+    probe.until(rollouts, "a first rollout", 300.0)
+    assert say(interface.LEARNER_REWARD).startswith("trial-0001 rewarded: return ")
+    assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
+    refused = probe.call(Trigger, interface.LEARNER_DEMONSTRATION, deadline=300.0)
+    assert (refused.success, refused.message) == (False, interface.NO_BAG)
+    status, answer = tell("demonstration", LATER.parent)  # no bag, but a folder of them
+    assert status == 2 and answer.startswith("refused: ") and str(LATER.parent) in answer, answer
+    status, answer = tell("demonstration", LATER)
+    assert status == 0 and str(LATER) in answer, answer
+    notes = [line.note for line in read_log(folder) if not isinstance(line, Record)]
+    assert notes[-1] == answer.strip()
+    assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
+    kept = lines(folder)
+
+    second = learner()
+    probe.until(lambda: rollouts()[-1].demonstration == "demonstration-2", "the new one", 400.0)
+    assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
+    count = len(rollouts())
+    if count < 5:
+        probe.until(lambda: len(rollouts()) > count, "the trial under way", 300.0)
+    if len(rollouts()) < 5:
+        assert say(interface.LEARNER_PUNISH).startswith(f"{rollouts()[-1].id} punished: ")
+        assert read_log(folder)[-1].after == len(rollouts())  # nothing was under way
+        assert tell("continue")[0] == 0
+    probe.until(lambda: second.poll() is not None, "the end of the session", 400.0)
+    assert second.returncode == 0, processes.output(second)
+    assert lines(folder)[: len(kept)] == kept
+
+    # The same in one process, undisturbed: what a person did, at the places the log has it.
+    bench = Bench(World(WorldSettings(), SEED))
+    practice = Practice([candidate], SETTINGS, SEED, bench.forbids)
+    events = [line for line in read_log(folder) if not isinstance(line, Record)]
+    assert len(events) == 3
+    while (trial := practice.next_trial()) is not None:
+        pan, pancake, truth, fault = bench.run(trial.policy)
+        practice.learn(trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth))
+        for event in events:
+            if event.after == trial.number:
+                practice.replay(event)
+    undisturbed = [line.to_json() for line in practice.log if isinstance(line, Record)]
+    assert learnt(undisturbed) == learnt([record.to_json() for record in rollouts()])

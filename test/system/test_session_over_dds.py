@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sessions over DDS, every node a process: to the end, interrupted, and killed.
+
+What they must have learnt is what the bench learns in one process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from conftest import ROOT, Probe, Processes
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from nav_msgs.msg import Path as PathMessage
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+
+from hardware_sim.world import World, WorldSettings
+from wam_power_ros.bags import reader
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.studies.flip_sessions import practise
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import PracticeSettings, preset
+from wam_power_ros.ros import interface
+
+SEED = 43
+JOINTS = [f"wam_j{i}" for i in range(1, 8)]
+SETTINGS = preset("flip", budget=2, retests=1)
+ROLLOUTS = ["trial-0001", "trial-0002", "trial-0003"]  # a reproduction, an exploration, a re-test
+
+
+def wam_power(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    """Start the command line in a folder, in a terminal of its own and without a film."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "wam_power_ros.cli", *arguments],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "disable"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def ended(process: subprocess.Popen[str], deadline: float = 180.0) -> tuple[int, str]:
+    """Exit status and output."""
+    try:
+        output, _ = process.communicate(timeout=deadline)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGINT)
+        pytest.fail(f"not ended within {deadline} s: {process.communicate(timeout=60.0)[0]}")
+    return process.returncode, output
+
+
+def wait_for(condition: Callable[[], Any], what: str, deadline: float = 120.0) -> None:
+    end = time.monotonic() + deadline
+    while not condition():
+        assert time.monotonic() < end, f"not within {deadline} s: {what}"
+        time.sleep(0.02)
+
+
+def lines(folder: Path) -> list[bytes]:
+    log = folder / "rollouts.jsonl"
+    return log.read_bytes().splitlines(keepends=True) if log.exists() else []
+
+
+def learnt(rows: list[bytes] | list[str]) -> list[dict[str, Any]]:
+    """Records without the wall clock, and without the bag, whose name may have been taken."""
+    records = [json.loads(row) for row in rows]
+    return [{key: row[key] for key in row if key not in ("clock", "bag")} for row in records]
+
+
+def children(process: subprocess.Popen[str]) -> list[int]:
+    listed = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text()
+    return [int(pid) for pid in listed.split()]
+
+
+def decoded(bag: Path, topic: str) -> list[Any]:
+    with next(bag.glob("*.mcap")).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [message for *_, message in reader.iter_decoded_messages(topics=[topic])]
+
+
+def summary(bag: Path) -> dict[str, tuple[str, str, str, dict[str, Any]]]:
+    """Of every topic: message type, encodings of schema and message, and quality of service."""
+    with next(bag.glob("*.mcap")).open("rb") as file:
+        found = make_reader(file).get_summary()
+    topics = {}
+    for channel in found.channels.values():
+        schema = found.schemas[channel.schema_id]
+        (qos, *_) = yaml.safe_load(channel.metadata["offered_qos_profiles"])
+        encodings = (schema.encoding, channel.message_encoding)
+        topics[channel.topic] = (schema.name, *encodings, qos)
+    return topics
+
+
+@pytest.fixture(scope="module")
+def demonstration(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The bag of one demonstration, recorded by `wam-power teach`; the recorder falls behind."""
+    folder = tmp_path_factory.mktemp("teach")
+    arguments = ("--seed", str(SEED), "--demonstrations", "1", "--folder", "taught")
+    teaching = wam_power(folder, "teach", *arguments)
+    begun = (folder / "taught" / "bags").glob
+    wait_for(lambda: any(begun("*")) or teaching.poll() is not None, "a recording")
+    for pid in children(teaching):
+        if "demonstration_recorder" in Path(f"/proc/{pid}/cmdline").read_text():
+            os.kill(pid, signal.SIGSTOP)
+            time.sleep(0.3)
+            os.kill(pid, signal.SIGCONT)
+    status, output = ended(teaching)
+    assert status == 0, output
+    (bag,) = (folder / "taught" / "bags").iterdir()
+    assert str(bag.relative_to(folder)) in output.splitlines()[-1]
+    return bag
+
+
+@pytest.fixture(scope="module")
+def candidate(demonstration: Path) -> Policy:
+    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), JOINTS)
+    stamps_ns, q = reader.read_demonstration(demonstration, JOINTS)
+    return fit([from_joint_samples(arm, stamps_ns, q)], PANCAKE, "demonstration-1")
+
+
+@pytest.fixture(scope="module")
+def expected(candidate: Policy) -> list[dict[str, Any]]:
+    """What the same session learns in one process."""
+    rows: list[str] = []
+    bench = Bench(World(WorldSettings(), SEED))
+    practise(bench, [candidate], SETTINGS, SEED, lambda record: rows.append(record.to_json()))
+    return learnt(rows)
+
+
+def begin(folder: Path, candidate: Policy, settings: PracticeSettings = SETTINGS) -> Path:
+    Session.begin(folder, settings, SEED, [candidate]).close()
+    return folder
+
+
+@dataclass
+class Interrupted:
+    """A session stopped by Ctrl-C after its first rollout, then resumed as it said."""
+
+    folder: Path
+    nodes: list[int]  # process ids while it ran
+    nodes_left: list[int]
+    status: int
+    output: str
+    lines: list[bytes]  # on disk when it had stopped
+    resumed_status: int
+    resumed_output: str
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory: pytest.TempPathFactory, candidate: Policy) -> Interrupted:
+    at = tmp_path_factory.mktemp("interrupted")
+    folder = begin(at / "session", candidate)
+    learning = wam_power(at, "learn", "--session", "session")
+    wait_for(lambda: lines(folder) or learning.poll() is not None, "a first rollout")
+    nodes = children(learning) if learning.poll() is None else []
+    learning.send_signal(signal.SIGINT)
+    status, output = ended(learning, 60.0)
+    left = [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+    kept = lines(folder)
+    _, *arguments = shlex.split(output.splitlines()[-1])
+    resumed = ended(wam_power(at, *arguments))
+    return Interrupted(folder, nodes, left, status, output, kept, *resumed)
+
+
+def test_ctrl_c_ends_every_process_and_says_how_to_go_on(interrupted: Interrupted) -> None:
+    assert interrupted.status == 130, interrupted.output
+    assert len(interrupted.nodes) == 5  # stand-ins, controller, recorder, tracker, learner
+    assert interrupted.nodes_left == []
+    assert (
+        interrupted.output.splitlines()[-1].split() == "wam-power learn --session session".split()
+    )
+    assert 1 <= len(interrupted.lines) < len(ROLLOUTS)
+
+
+def test_the_command_it_prints_goes_on_to_the_end(
+    interrupted: Interrupted, expected: list[dict[str, Any]]
+) -> None:
+    assert interrupted.resumed_status == 0, interrupted.resumed_output
+    rows = lines(interrupted.folder)
+    assert rows[: len(interrupted.lines)] == interrupted.lines
+    assert [json.loads(row)["id"] for row in rows] == ROLLOUTS
+    assert learnt(rows) == expected
+    assert (interrupted.folder / "policy.json").exists()
+    assert (interrupted.folder / "report.html").exists()
+
+
+def with_low_limits(folder: Path) -> Path:
+    """A set-up under which no toss is possible."""
+    file = folder / "low.yaml"
+    file.write_text("torque_controller: {ros__parameters: {tool_speed_max: 0.5}}")
+    return file
+
+
+@pytest.mark.requirement("S-31")
+def test_a_demonstration_whose_reproduction_would_end_in_a_fault_is_not_reproduced(
+    demonstration: Path, tmp_path: Path
+) -> None:
+    low = with_low_limits(tmp_path)
+    arguments = (
+        "--bags",
+        str(demonstration),
+        "--config",
+        str(low),
+        "--rehearse",
+        "--session",
+        "session",
+    )
+    status, output = ended(wam_power(tmp_path, "learn", *arguments))
+    assert status != 0
+    assert f"{demonstration}: would end in a fault: tool" in output
+    assert not Session.exists(tmp_path / "session")
+
+
+@pytest.mark.requirement("S-31")
+def test_a_session_taken_up_under_lower_limits_sends_nothing_that_breaks_them(
+    candidate: Policy, tmp_path: Path
+) -> None:
+    folder, low = begin(tmp_path / "session", candidate), with_low_limits(tmp_path)
+    arguments = ("--session", "session", "--config", str(low), "--rehearse")
+    status, output = ended(wam_power(tmp_path, "learn", *arguments))
+    assert status != 0
+    assert "trial-0001 (reproduces demonstration-1) was not sent: by these limits" in output
+    assert lines(folder) == []
+
+
+SIM = {"use_sim_time": True}
+
+
+def all_but_the_learner(processes: Processes, folder: Path) -> subprocess.Popen[bytes]:
+    """Start the nodes of a session; returns the controller."""
+    processes.node(
+        "hardware_sim.main", "wam_sim.yaml", "optitrack_sim.yaml", **{"wam_sim:seed": SEED}
+    )
+    processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **SIM)
+    recorder = "demonstration_recorder"
+    directory = {"directory": folder / "bags"}
+    processes.node(f"wam_power_ros.nodes.{recorder}", f"{recorder}.yaml", **SIM, **directory)
+    controller = "torque_controller"
+    return processes.node(f"wam_power_ros.nodes.{controller}", f"{controller}.yaml", **SIM)
+
+
+def learner(processes: Processes, folder: Path) -> subprocess.Popen[bytes]:
+    node = "wam_power_ros.nodes.learner"
+    return processes.node(node, "learner.yaml", **SIM, session=folder)
+
+
+def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
+    probe: Probe,
+    processes: Processes,
+    candidate: Policy,
+    expected: list[dict[str, Any]],
+    tmp_path: Path,
+) -> None:
+    folder = begin(tmp_path / "session", candidate)
+    all_but_the_learner(processes, folder)
+
+    # What a killed learner may leave: a recording, and a path and truth of the trial under way.
+    left = PathMessage
+    left_path = probe.publisher(left, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
+    left_truth = probe.node.create_publisher(String, interface.PANCAKE_TRUTH, interface.LATCHED)
+    path = EndEffectorPath(
+        ROLLOUTS[0], np.array([0.0, 0.01]), np.zeros((2, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+    )
+    left_path.publish(interface.path_message(path, 2_000_000, interface.BASE_FRAME))
+    left_truth.publish(String(data=json.dumps({"id": ROLLOUTS[0], "caught": "long ago"})))
+    assert probe.call(SetBool, interface.RECORD, SetBool.Request(data=True)).success
+
+    kept: list[bytes] = []
+    for rollout in ROLLOUTS[:2]:
+        killed = learner(processes, folder)
+        recording = reader.unfinished(folder / "bags" / f"rollout_{rollout}")
+        probe.until(recording.exists, f"recording of {rollout}", 120.0)
+        probe.spin(float(np.random.default_rng(SEED).uniform(0.1, 0.6)))
+        assert processes.end(killed, signal.SIGKILL) == -signal.SIGKILL
+        assert lines(folder)[: len(kept)] == kept
+        kept = lines(folder)
+    last = learner(processes, folder)
+    probe.until(lambda: last.poll() is not None, "the end of the session", 120.0)
+    assert last.returncode == 0, processes.output(last)
+    assert lines(folder)[: len(kept)] == kept
+    assert learnt(lines(folder)) == expected
+    recorded = [json.loads(row)["bag"] for row in lines(folder)]
+    assert recorded == [
+        f"rollout_{id}{again}" for id, again in zip(ROLLOUTS, ("_2", "_2", ""), strict=True)
+    ]
+    for bag in recorded:
+        commands = decoded(folder / "bags" / bag, interface.EFFORT_COMMANDS)
+        labels = {message.layout.dim[0].label.partition(" ")[2] for message in commands}
+        assert f"rollout {bag[8:18]}" in labels
+        assert not labels - {"hold", f"rollout {bag[8:18]}"}  # one rollout a bag, and only that
+
+
+@pytest.mark.requirement("S-67")
+def test_answers_that_do_not_come_cost_a_session_time_and_nothing_else(
+    probe: Probe,
+    processes: Processes,
+    candidate: Policy,
+    expected: list[dict[str, Any]],
+    tmp_path: Path,
+) -> None:
+    folder = begin(tmp_path / "session", candidate)
+    controller = all_but_the_learner(processes, folder)
+    learning = learner(processes, folder)
+    recording = reader.unfinished(folder / "bags" / f"rollout_{ROLLOUTS[0]}")
+    probe.until(recording.exists, f"recording of {ROLLOUTS[0]}", 120.0)
+    controller.send_signal(signal.SIGSTOP)  # before it has answered that the rollout begins
+    try:
+        probe.until(lambda: "from its start again" in processes.output(learning), "a new start")
+    finally:
+        controller.send_signal(signal.SIGCONT)
+    probe.until(lambda: learning.poll() is not None, "the end of the session", 120.0)
+    assert learning.returncode == 0, processes.output(learning)
+    assert learnt(lines(folder)) == expected
+
+
+def test_another_reader_opens_the_demonstration(demonstration: Path) -> None:
+    states = decoded(demonstration, interface.JOINT_STATES)
+    assert len(states) > 300  # at 500 Hz
+    assert all(message.name == JOINTS and len(message.position) == 7 for message in states)
+    stamps_ns = [
+        message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in states
+    ]
+    # None is missing; in lockstep a state whose answer is late is sent again.
+    assert set(np.diff(stamps_ns)) - {0} == {2_000_000}
+    name, schema, encoding, qos = summary(demonstration)[interface.JOINT_STATES]
+    assert (name, schema, encoding) == ("sensor_msgs/msg/JointState", "ros2msg", "cdr")
+    assert (qos["reliability"], qos["durability"]) == ("reliable", "volatile")
+    (description,) = decoded(demonstration, interface.ROBOT_DESCRIPTION)
+    assert "wam_link7" in description.data
+
+
+def test_another_reader_opens_a_rollout_with_everything_that_made_it(
+    interrupted: Interrupted,
+) -> None:
+    bag = interrupted.folder / "bags" / json.loads(lines(interrupted.folder)[-1])["bag"]
+    topics = summary(bag)
+    assert {name: kind for name, (kind, *_) in topics.items()}.items() >= {
+        interface.JOINT_STATES: "sensor_msgs/msg/JointState",
+        interface.EFFORT_COMMANDS: "std_msgs/msg/Float64MultiArray",
+        interface.PANCAKE_POSE: "geometry_msgs/msg/PoseStamped",
+        interface.POLICY: "std_msgs/msg/String",
+    }.items()
+    assert topics[interface.POLICY][3]["durability"] == "transient_local"
+    (policy, *_) = decoded(bag, interface.POLICY)
+    assert json.loads(policy.data)["id"] == ROLLOUTS[-1]
+    commands = decoded(bag, interface.EFFORT_COMMANDS)
+    states = decoded(bag, interface.JOINT_STATES)
+    stamps = {s.header.stamp.sec * 10**9 + s.header.stamp.nanosec for s in states}
+    rollout = [c for c in commands if c.layout.dim[0].label.endswith(f"rollout {ROLLOUTS[-1]}")]
+    answered = {int(command.layout.dim[0].label.split()[0]) for command in rollout}
+    assert len(answered) > 500 and answered <= stamps  # each torque names a state that is there
+    assert np.isfinite([command.data for command in rollout]).all()
+    frames = decoded(bag, interface.PANCAKE_POSE)
+    assert len(frames) > 30 and all(frame.header.frame_id for frame in frames)

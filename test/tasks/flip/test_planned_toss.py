@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The toss as planned, against the tosses of the stand-in."""
+
+import numpy as np
+import pytest
+from toss_task import demonstrated_policy
+
+from hardware_sim.world import World
+from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.studies.flip_sessions import teach
+from wam_power_ros.learning.parametrization import NoiseScales, Parameters
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.assessment import assess
+from wam_power_ros.tasks.flip.planned_toss import TossModel, plan_tosses, planned_terms
+from wam_power_ros.tasks.flip.returns import PancakeWeights
+
+NOISE = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
+
+
+def some(count: int, size: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((count, size))
+
+
+def test_a_pan_that_rests_tosses_nothing() -> None:
+    policy = demonstrated_policy()
+    p = Parameters(policy, "attractors", NOISE)
+    z = p.coordinates(policy)
+    still = np.tile(policy.attractors[0], policy.basis.count)
+    z = z + (still - p.theta0) / p.scale
+    tosses = plan_tosses(p, z[np.newaxis], policy.attractors[0])
+    assert not tosses.tossed[0]
+    assert tosses.angle[0] == 0.0 and not tosses.landing_error.any()
+    assert tosses.apex[0] == pytest.approx(0.0, abs=0.02)
+
+
+def test_policies_are_planned_as_if_alone() -> None:
+    p = Parameters(demonstrated_policy(), "planar", NOISE)
+    start, z = np.array([0.6, 0.0, 0.5]), some(6, p.size)
+    many = plan_tosses(p, z, start)
+    for k in range(len(z)):
+        one = plan_tosses(p, z[k : k + 1], start)
+        assert one.tossed[0] == many.tossed[k]
+        np.testing.assert_allclose(one.angle[0], many.angle[k], rtol=1e-9)
+        np.testing.assert_allclose(one.landing_error[0], many.landing_error[k], atol=1e-9)
+
+
+def test_what_rises_more_than_delta_h_is_tossed_and_every_number_is_finite() -> None:
+    p = Parameters(demonstrated_policy(), "full", NOISE)
+    tosses = plan_tosses(p, 5.0 * some(200, p.size), np.array([0.6, 0.0, 0.5]))
+    assert (tosses.angle[~tosses.tossed] == 0.0).all() and (tosses.angle >= 0.0).all()
+    for values in vars(tosses).values():
+        assert np.isfinite(values).all()
+    terms = planned_terms(tosses, PancakeWeights())
+    assert (terms >= 0.0).all() and (terms[:, :2] <= 0.5).all()
+
+
+def test_a_model_learns_what_the_plan_misses() -> None:
+    p = Parameters(demonstrated_policy(), "full", NOISE)
+    start, z = np.array([0.6, 0.0, 0.5]), some(40, p.size)
+    terms = planned_terms(plan_tosses(p, z, start), PancakeWeights())
+    returns = terms @ np.array([0.6, 1.2, 0.9]) + 0.05
+    model = TossModel(p, start)
+    before = np.abs(model.predict(z) - returns).mean()
+    for one, ret in zip(z, returns, strict=True):
+        model.learn(one, float(ret))
+    assert np.abs(model.predict(z) - returns).mean() < 0.2 * before
+
+
+def test_the_plan_tells_good_tosses_from_bad_ones() -> None:
+    """Before any rollout: that is what makes it worth screening with."""
+    bench, settings = Bench(World(seed=21)), preset("paper")
+    (policy,) = teach(bench, 21, 1)
+    p = Parameters(policy, "full", NOISE)
+    start, _ = bench.arm.tool_pose(policy.q_start)
+    z = some(12, p.size)
+    planned = TossModel(p, start).predict(z)
+    returns = []
+    for k in range(len(z)):
+        tried, _ = p.policy(z[k], f"trial-{k}")
+        pan, pancake, _, fault = bench.run(tried)
+        returns.append(assess(tried, pan, pancake, settings, fault).ret)
+    assert np.corrcoef(planned, returns)[0, 1] > 0.5

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Returns: the paper's figures, the corners it leaves open, and never below zero."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wam_power_ros.tasks.flip.flight import Flight
+from wam_power_ros.tasks.flip.returns import (
+    LandingWeights,
+    PancakeWeights,
+    landing_return,
+    pancake_return,
+    reaching_return,
+)
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def flight(angle: float = math.pi, miss: float = 0.0, **changes: object) -> Flight:
+    pan = np.array([0.7, 0.0, 0.9])
+    error = np.array([miss, 0.0, 0.12])
+    values = {
+        "tossed": True,
+        "seen": True,
+        "t_f": 0.9,
+        "t_f_std": 0.0,
+        "position": pan + error,
+        "position_std": np.zeros(3),
+        "pan_position": pan,
+        "normal_start": UP,
+        "normal": np.array([math.sin(angle), 0.0, math.cos(angle)]),
+        "normal_std": 0.0,
+        "angle": angle,
+        "angle_std": 0.0,
+        "spin_axis": np.array([0.0, 1.0, 0.0]),
+        "spin_rate": 8.0,
+        "apex": 0.35,
+        "landing_error": error,
+        "resting": True,
+        "flipped": angle > math.pi / 2.0,
+        "frames": 10,
+    }
+    return Flight(**{**values, **changes})
+
+
+def test_equation_5_gives_the_papers_returns() -> None:
+    # 90 degrees and caught is 0.7, a whole flip and caught 0.9 and more: with 12 cm of level above
+    # the pan the position term is 0.44, which leaves the paper's altitudes below 0.2 m.
+    quarter = pancake_return(flight(math.pi / 2.0, apex=0.02))
+    half = pancake_return(flight(math.pi, apex=0.0))
+    assert quarter.total == pytest.approx(0.7, abs=0.01)
+    assert half.total == pytest.approx(0.94, abs=0.01)
+    assert half.terms["orientation"] == pytest.approx(0.5)
+    assert half.terms["position"] == pytest.approx(0.5 * math.exp(-0.12))
+
+
+def test_the_terms_of_equation_5_stand_apart_and_add_up() -> None:
+    weights = PancakeWeights(orientation=1.0, position=2.0, altitude=3.0)
+    ret = pancake_return(flight(math.pi / 3.0, miss=0.05), weights)
+    assert ret.terms == pytest.approx(
+        {"orientation": 1.0 / 3.0, "position": 2.0 * math.exp(-0.13), "altitude": 3.0 * 0.35}
+    )
+    assert ret.total == pytest.approx(sum(ret.terms.values()))
+
+
+def test_a_dot_product_beyond_one_is_no_error() -> None:
+    long = flight(math.pi, normal=np.array([0.0, 0.0, -1.0 - 1e-9]))
+    assert pancake_return(long).terms["orientation"] == pytest.approx(0.5)
+    assert pancake_return(replace(long, normal=UP * (1 + 1e-9))).terms["orientation"] == 0.0
+
+
+def test_never_tossed_earns_nothing_for_turning() -> None:
+    low = flight(1.0, tossed=False)
+    assert pancake_return(low).terms["orientation"] == 0.0
+    assert landing_return(low).terms["rotation"] == 0.0
+    assert landing_return(low).terms["landing"] == 0.0
+    assert landing_return(low).terms["caught"] == 0.0
+
+
+def test_lost_from_view_earns_nothing_for_its_place() -> None:
+    lost = flight(seen=False)
+    assert pancake_return(lost).terms["position"] == 0.0
+    assert landing_return(lost).terms["landing"] == 0.0
+    assert pancake_return(lost).terms["altitude"] > 0.0
+
+
+def test_a_pancake_below_its_start_has_no_altitude() -> None:
+    assert pancake_return(flight(apex=-0.1)).terms["altitude"] == 0.0
+    assert landing_return(flight(apex=-0.1)).terms["altitude"] == 0.0
+
+
+def test_a_perfect_flip_earns_one_and_throwing_higher_earns_no_more() -> None:
+    best = flight(math.pi, apex=0.4, landing_error=np.array([0.0, 0.0, 0.12]))
+    assert landing_return(best).total == pytest.approx(1.0)
+    assert landing_return(replace(best, apex=2.0)).total == pytest.approx(1.0)
+    assert pancake_return(replace(best, apex=2.0)).total > pancake_return(best).total + 0.7
+
+
+@given(st.floats(0.0, math.pi), st.floats(0.0, 0.5))
+def test_landing_return_rises_with_the_turn_and_falls_with_the_miss(
+    angle: float, miss: float
+) -> None:
+    here = landing_return(flight(angle, miss)).total
+    assert landing_return(flight(angle * 0.9, miss)).total <= here
+    assert landing_return(flight(angle, miss + 0.1)).total <= here
+    assert landing_return(flight(2.0 * math.pi - angle, miss)).total == pytest.approx(here)
+
+
+def test_landing_and_catching_count_by_the_rotation_squared() -> None:
+    quarter = landing_return(flight(math.pi / 2.0, miss=0.3)).terms
+    assert quarter["rotation"] == pytest.approx(0.4 * 0.5)
+    assert quarter["landing"] == pytest.approx(0.3 * 0.25 * math.exp(-1.0))
+    assert quarter["caught"] == pytest.approx(0.2 * 0.25)
+
+
+def test_catching_an_unturned_pancake_is_worth_little() -> None:
+    assert landing_return(flight(0.3)).terms["caught"] < 0.01
+    assert landing_return(flight(math.pi)).terms["caught"] == pytest.approx(0.2)
+
+
+@given(
+    st.floats(-10.0, 10.0),
+    st.floats(-1.0, 3.0),
+    st.floats(-5.0, 5.0),
+    st.booleans(),
+    st.booleans(),
+    st.booleans(),
+)
+def test_no_return_or_term_is_ever_negative(
+    angle: float, apex: float, miss: float, tossed: bool, seen: bool, resting: bool
+) -> None:
+    toss = flight(angle, miss, apex=apex, tossed=tossed, seen=seen, resting=resting)
+    for ret in (pancake_return(toss), landing_return(toss)):
+        assert all(0.0 <= term < math.inf for term in ret.terms.values())
+        assert ret.total == pytest.approx(math.fsum(ret.terms.values()))
+
+
+@pytest.mark.parametrize("weights", [LandingWeights, PancakeWeights])
+@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
+def test_a_senseless_weight_is_refused(weights: type, value: float) -> None:
+    with pytest.raises(ValueError, match="altitude"):
+        weights(altitude=value)
+
+
+def test_a_scale_of_zero_is_refused() -> None:
+    with pytest.raises(ValueError, match="landing_scale"):
+        LandingWeights(landing_scale=0.0)
+
+
+def test_equation_4_of_a_perfect_path_is_almost_one() -> None:
+    path = np.linspace([0.0, 0.0, 0.0], [0.5, 0.0, 0.0], 200)
+    # 199 of the 200 steps earn w1/T, the last earns w2.
+    assert reaching_return(path, path, path[-1]) == pytest.approx(0.5 * 199 / 200 + 0.5)
+
+
+def test_equation_4_counts_each_step_by_its_distance() -> None:
+    demonstrated = np.zeros((4, 3))
+    path = np.array([[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3], [0.4, 0, 0]])
+    expected = 0.5 / 4 * sum(math.exp(-d) for d in (1, 2, 3)) + 0.5 * math.exp(-4)
+    assert reaching_return(path, demonstrated, np.zeros(3)) == pytest.approx(expected)
+    metres = 0.2 / 4 * sum(math.exp(-d / 10) for d in (1, 2, 3)) + 0.8 * math.exp(-0.4)
+    assert reaching_return(
+        path, demonstrated, np.zeros(3), w1=0.2, w2=0.8, unit=1.0
+    ) == pytest.approx(metres)
+
+
+def test_many_paths_at_once_give_what_one_at_a_time_gives() -> None:
+    rng = np.random.default_rng(0)
+    paths, demonstrated, goal = rng.normal(size=(6, 20, 3)), rng.normal(size=(20, 3)), np.ones(3)
+    many = reaching_return(paths, demonstrated, goal)
+    assert many == pytest.approx([reaching_return(path, demonstrated, goal) for path in paths])
+
+
+def test_a_path_that_does_not_fit_is_refused() -> None:
+    with pytest.raises(ValueError, match="must be"):
+        reaching_return(np.zeros((5, 3)), np.zeros((6, 3)), np.zeros(3))
+    with pytest.raises(ValueError, match="finite"):
+        reaching_return(np.full((5, 3), math.nan), np.zeros((5, 3)), np.zeros(3))
+    with pytest.raises(ValueError, match="unit"):
+        reaching_return(np.zeros((5, 3)), np.zeros((5, 3)), np.zeros(3), unit=0.0)

@@ -1,0 +1,364 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every fault of a motion capture is refused, and called by its name."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.rollout import BodyPath
+from wam_power_ros.tracking import marker_fit
+from wam_power_ros.tracking.tracker import ClockOffset, Tracker, TrackerSettings, Validity, falling
+
+SETTINGS = TrackerSettings(
+    rate=30.0,
+    up_axis="z",
+    world_to_base=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
+    latency_offset=0.0,
+    workspace_low=(-2.0, -2.0, -1.0),
+    workspace_high=(2.0, 2.0, 3.0),
+    speed_max=8.0,
+    noise=0.0005,
+)
+PERIOD = 33_333_333
+START = 1_700_000_000_000_000_000
+PAN = np.array([0.8, 0.0, 0.6])
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def stamp(index: float) -> int:
+    return START + round(index * PERIOD)
+
+
+def resting(
+    tracker: Tracker, first: int, count: int, rng: np.random.Generator, at: np.ndarray = PAN
+) -> list:
+    """Frames of a pancake that lies still, with the noise of a real system."""
+    return [
+        tracker.add(stamp(index), at + rng.normal(0.0, 0.0005, 3), LEVEL)
+        for index in range(first, first + count)
+    ]
+
+
+def seen(tracker: Tracker, count: int = 10) -> np.random.Generator:
+    rng = np.random.default_rng(3)
+    resting(tracker, 0, count, rng)
+    return rng
+
+
+def test_a_pancake_that_lies_still_is_ok_for_as_long_as_it_likes() -> None:
+    tracker = Tracker(SETTINGS)
+    states = resting(tracker, 0, 300, np.random.default_rng(0))
+    assert states[0] is None  # one frame has no velocity
+    assert all(state.validity is Validity.OK for state in states[1:])
+    assert max(np.linalg.norm(state.velocity) for state in states[4:]) < 0.05
+    assert tracker.counts == {"accepted": 300}
+
+
+def test_velocity_and_spin_of_a_steady_flight_are_those_of_the_flight() -> None:
+    tracker = Tracker(SETTINGS)
+    velocity, omega = np.array([0.4, -0.2, 1.1]), np.array([0.0, 9.0, 0.0])
+    for index in range(12):
+        t = index * PERIOD * 1e-9
+        state = tracker.add(stamp(index), PAN + velocity * t, rotations.quat_of_vector(omega * t))
+    np.testing.assert_allclose(state.velocity, velocity, atol=1e-9)
+    np.testing.assert_allclose(state.angular_velocity, omega, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("position", "quat_xyzw", "fault"),
+    [
+        ([np.nan, 0.0, 0.6], LEVEL, "not finite"),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, np.inf, 1.0], "not finite"),
+        ([0.0, 0.0, 0.0], LEVEL, "zero pose"),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 0.0], "quaternion not of unit length"),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.01, 1.01], "quaternion not of unit length"),
+        ([0.8, 0.0, 60.0], LEVEL, "out of workspace"),
+        ([0.8, 1.0, 0.6], LEVEL, "jump"),
+    ],
+)
+def test_a_bad_pose_is_refused_by_its_name_and_changes_nothing(
+    position: list[float], quat_xyzw: list[float], fault: str
+) -> None:
+    tracker = Tracker(SETTINGS)
+    seen(tracker)
+    before = tracker.path("a", stamp(0), stamp(99))
+    assert tracker.add(stamp(10), np.array(position), np.array(quat_xyzw)) is None
+    assert tracker.fault == fault
+    assert tracker.counts[fault] == 1
+    after = tracker.path("a", stamp(0), stamp(99))
+    np.testing.assert_array_equal(after.position, before.position)
+
+
+def test_an_array_of_another_shape_is_a_mistake_of_the_caller() -> None:
+    with pytest.raises(ValueError, match="shapes"):
+        Tracker(SETTINGS).add(stamp(0), np.zeros(2), LEVEL)
+
+
+@pytest.mark.requirement("S-47")
+def test_a_pose_that_repeats_bit_for_bit_never_enters_and_is_called_frozen() -> None:
+    tracker = Tracker(SETTINGS)
+    rng = seen(tracker)
+    held = PAN + 0.001
+    tracker.add(stamp(10), held, LEVEL)
+    tracker.add(stamp(11), held, LEVEL)
+    assert tracker.fault == "pose repeated"
+    assert tracker.validity is Validity.OK  # one repeat is a hidden frame, not a frozen system
+    for index in range(12, 40):
+        tracker.add(stamp(index), held, LEVEL)
+    assert tracker.validity is Validity.FROZEN
+    assert tracker.at(stamp(40)) is None
+    assert len(tracker.path("a", stamp(0), stamp(99)).t) == 11
+    resting(tracker, 40, 3, rng)
+    assert tracker.validity is Validity.OK
+
+
+def test_fast_cameras_are_not_frozen_before_0_3_s() -> None:
+    tracker = Tracker(dataclasses.replace(SETTINGS, rate=240.0))
+    for index in range(100):  # at 240 Hz
+        tracker.add(START + index * 4_166_667, PAN, LEVEL)
+        assert (tracker.validity is Validity.FROZEN) == (index * 4_166_667 >= 300_000_000)
+
+
+def test_one_jump_is_refused_and_the_track_goes_on() -> None:
+    tracker = Tracker(SETTINGS)
+    rng = seen(tracker)
+    tracker.add(stamp(10), PAN + np.array([0.0, 0.75, 0.0]), LEVEL)
+    assert tracker.validity is Validity.JUMP
+    resting(tracker, 11, 1, rng)
+    assert tracker.validity is Validity.OK
+    assert tracker.counts["jump"] == 1
+
+
+@pytest.mark.requirement("S-47")
+def test_a_swap_of_bodies_never_enters_and_scattered_jumps_lose_the_pancake() -> None:
+    tracker = Tracker(SETTINGS)
+    seen(tracker)
+    for index in range(10, 15):
+        tracker.add(stamp(index), PAN + np.array([0.0, (-1.0) ** index * 1.0, 0.0]), LEVEL)
+    assert tracker.validity is Validity.LOST
+    assert tracker.at(stamp(15)) is None
+
+
+def test_a_pancake_put_elsewhere_by_hand_is_found_again() -> None:
+    tracker = Tracker(SETTINGS)
+    rng = seen(tracker)
+    states = resting(tracker, 10, 8, rng, at=PAN + np.array([0.0, 0.0, -1.2]))
+    assert [state is None for state in states] == [True] * 5 + [False] * 3
+    assert tracker.validity is Validity.OK
+    assert tracker.counts["found again"] == 1
+
+
+def test_the_velocity_after_a_jump_has_nothing_of_the_old_place_in_it() -> None:
+    tracker = Tracker(dataclasses.replace(SETTINGS, rate=240.0))
+    rng = np.random.default_rng(0)
+    for index in range(30):
+        place = PAN - np.array([0.0, 0.0, 1.2 * (index >= 20)]) + rng.normal(0.0, 0.0005, 3)
+        state = tracker.add(START + index * 4_166_667, place, LEVEL)
+    assert np.linalg.norm(state.velocity) < 0.5
+
+
+def test_a_hidden_pancake_coasts_for_a_tenth_of_a_second_and_then_is_lost() -> None:
+    tracker = Tracker(SETTINGS)
+    velocity = np.array([0.5, 0.0, 1.0])
+    for index in range(6):
+        tracker.add(stamp(index), PAN + velocity * index * PERIOD * 1e-9, LEVEL)
+    assert tracker.at(stamp(6.9)).validity is Validity.OK
+    coasted = tracker.at(stamp(8))
+    assert coasted.validity is tracker.validity is Validity.OCCLUDED
+    np.testing.assert_allclose(coasted.position, PAN + velocity * 8 * PERIOD * 1e-9, atol=1e-6)
+    assert coasted.variance > 1e3 * tracker.at(stamp(6.9)).variance
+    assert tracker.at(stamp(5 + 2) + 110_000_000) is None
+    assert tracker.validity is Validity.LOST
+
+
+def test_stamps_that_repeat_or_go_back_are_refused() -> None:
+    tracker = Tracker(SETTINGS)
+    seen(tracker, 5)
+    for when, fault in [
+        (stamp(4), "stamp repeated"),
+        (stamp(3), "stamp goes back"),
+    ]:
+        assert tracker.add(when, PAN + 1e-4, LEVEL) is None
+        assert tracker.fault == fault
+    assert len(tracker.path("a", stamp(0), stamp(99)).t) == 5
+
+
+def test_of_frames_delivered_together_the_last_one_counts() -> None:
+    tracker = Tracker(SETTINGS)
+    velocity, receipt = np.array([3.0, 0.0, 0.0]), 100_000  # [ns] between receipts
+
+    def place(index: float) -> np.ndarray:
+        return PAN + velocity * index * PERIOD * 1e-9
+
+    for index in range(6):  # each frame comes with the one exposed half a period before
+        tracker.add(stamp(index) - receipt, place(index - 0.5), LEVEL)
+        state = tracker.add(stamp(index), place(index), LEVEL)
+    np.testing.assert_allclose(state.velocity, velocity, atol=1e-9)
+    path = tracker.path("a", stamp(0), stamp(99))
+    np.testing.assert_allclose(path.position, [place(index) for index in range(6)], atol=1e-12)
+    assert (tracker.counts["accepted"], tracker.counts["older of a pair"]) == (6, 6)
+    # the same frame twice, or one that is elsewhere, takes nothing away
+    assert tracker.add(stamp(5) + receipt, place(5), LEVEL) is None
+    assert tracker.add(stamp(5) + 2 * receipt, PAN + 1.0, LEVEL) is None
+    assert len(tracker.path("a", stamp(0), stamp(99)).t) == 6
+
+
+def test_a_clock_that_is_set_back_starts_the_track_again() -> None:
+    tracker = Tracker(SETTINGS)
+    seen(tracker)
+    rng = np.random.default_rng(5)
+    hour = 3600 * 1_000_000_000
+    for index in range(15):
+        tracker.add(stamp(index) - hour, PAN + rng.normal(0.0, 0.0005, 3), LEVEL)
+    assert tracker.validity is Validity.OK
+    assert tracker.counts["clock set back"] == 1
+    assert len(tracker.path("a", stamp(0) - hour, stamp(99) - hour).t) == 6
+
+
+def test_the_path_does_not_depend_on_absolute_time() -> None:
+    paths = []
+    for shift in (-START + 1, 0, 123_456_789_012_345_678):
+        tracker = Tracker(SETTINGS)
+        rng = np.random.default_rng(0)
+        for index in range(40):
+            tracker.add(stamp(index) + shift, PAN + rng.normal(0.0, 0.0005, 3), LEVEL)
+        paths.append(tracker.path("trial-1", stamp(5) + shift + 7, stamp(30) + shift))
+    assert len(paths[0].t) == 25
+    for path in paths[1:]:
+        np.testing.assert_array_equal(path.t, paths[0].t)
+        np.testing.assert_array_equal(path.position, paths[0].position)
+
+
+def test_y_up_gives_the_same_state_as_z_up() -> None:
+    z_up, y_up = Tracker(SETTINGS), Tracker(dataclasses.replace(SETTINGS, up_axis="y"))
+    to_y_up = rotations.quat_of_vector(np.array([-np.pi / 2, 0.0, 0.0]))
+    rng = np.random.default_rng(7)
+    for index in range(8):
+        position = PAN + 0.01 * rng.normal(size=3)
+        quat = rotations.quat_of_vector(0.2 * rng.normal(size=3))
+        state = z_up.add(stamp(index), position, quat)
+        x, y, z = position
+        same = y_up.add(stamp(index), np.array([x, z, -y]), rotations.multiply(to_y_up, quat))
+    for field in ("position", "quat_xyzw", "velocity", "angular_velocity"):
+        np.testing.assert_allclose(getattr(same, field), getattr(state, field), atol=1e-9)
+
+
+def test_world_to_base_and_latency_are_taken_out() -> None:
+    quarter = rotations.quat_of_vector(np.array([0.0, 0.0, np.pi / 2]))
+    tracker = Tracker(
+        dataclasses.replace(
+            SETTINGS, world_to_base=(0.1, 0.2, 0.3, *quarter.tolist()), latency_offset=0.02
+        )
+    )
+    for index in range(3):
+        state = tracker.add(stamp(index), np.array([0.5, 0.0, 0.3]) + 1e-5 * index, LEVEL)
+    assert state.stamp_ns == stamp(2) - 20_000_000
+    np.testing.assert_allclose(state.position, [0.1, 0.7, 0.6], atol=1e-4)
+    np.testing.assert_allclose(np.abs(state.quat_xyzw), np.abs(quarter), atol=1e-12)
+
+
+def test_markers_give_the_state_of_the_pose() -> None:
+    by_pose, by_markers = Tracker(SETTINGS), Tracker(SETTINGS)
+    rng = np.random.default_rng(2)
+    for index in range(4):
+        vector = 0.3 * rng.normal(size=3)
+        points = rng.permutation(marker_fit.LAYOUT) @ rotations.exp(vector).T + PAN
+        pose = by_pose.add(stamp(index), PAN, rotations.quat_of_vector(vector))
+        same = by_markers.add_markers(stamp(index), points)
+    np.testing.assert_allclose(same.position, pose.position, atol=1e-9)
+    np.testing.assert_allclose(same.angular_velocity, pose.angular_velocity, atol=1e-5)
+    assert by_markers.add_markers(stamp(4), points[:2]) is None
+    assert by_markers.fault == "markers not clear"
+    assert by_markers.latest_ns == stamp(4)
+
+
+def flight(axes: np.ndarray) -> BodyPath:
+    """Carried, thrown, caught, at 30 Hz with noise; then seen through `axes` (3, 3)."""
+    t = np.arange(45) / 30.0
+    free = np.clip(t - 0.5, 0.0, 0.6)
+    position = PAN + np.stack([0.3 * free, 0.0 * t, 2.9 * free - 0.5 * 9.81 * free**2], axis=1)
+    position += np.random.default_rng(0).normal(0.0, 0.0005, position.shape)
+    quat = np.repeat(LEVEL[None], len(t), axis=0)
+    return BodyPath(id="a", t=t, position=position @ axes.T, quat_xyzw=quat)
+
+
+def test_a_free_fall_tells_which_way_is_down() -> None:
+    down = falling(flight(np.eye(3)))
+    assert down[2] < -9.0
+    assert np.linalg.norm(down[:2]) < 0.5
+    swapped = falling(flight(np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])))
+    assert swapped[1] < -9.0
+    still = BodyPath(
+        id="a",
+        t=np.arange(45) / 30.0,
+        position=np.repeat(PAN[None], 45, axis=0),
+        quat_xyzw=np.repeat(LEVEL[None], 45, axis=0),
+    )
+    assert falling(still) is None
+
+
+def test_the_offset_of_two_clocks_is_the_age_that_jitter_cannot_lower() -> None:
+    offset = ClockOffset()
+    assert offset.seconds == 0.0
+    for jitter in (7_000_000, 0, 3_000_000):
+        offset.add(START, START + 250_000_000 + jitter)
+    assert offset.seconds == pytest.approx(0.25)
+    for index in range(240):  # two seconds of frames at once, to a tracker that could not run
+        offset.add(START + index * 8_333_333, START + 2_500_000_000 + index * 100_000)
+    assert offset.seconds == pytest.approx(0.25)
+    for index in range(20):  # but when all are late for long, it is the clocks
+        now_ns = START + (5 + index) * 1_000_000_000
+        offset.add(now_ns - 600_000_000, now_ns)
+    assert offset.seconds == pytest.approx(0.6)
+    behind = ClockOffset()
+    behind.add(START, START - 40_000_000)
+    assert behind.seconds == pytest.approx(-0.04)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"rate": 0.0}, "rate"),
+        ({"up_axis": "x"}, "up_axis"),
+        ({"world_to_base": (0.0,) * 6}, "7 numbers"),
+        ({"world_to_base": (0.0,) * 7}, "length 1"),
+        ({"latency_offset": 2.0}, "latency_offset"),
+        ({"workspace_low": (3.0, 0.0, 0.0)}, "workspace"),
+        ({"noise": float("nan")}, "noise"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(change: dict, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        dataclasses.replace(SETTINGS, **change)
+
+
+number = st.floats(width=64) | st.floats(-2.0, 2.0)
+frames = st.lists(
+    st.tuples(
+        st.integers(-(10**9), 10**18) | st.integers(START, START + 10**9),
+        hnp.arrays(float, 3, elements=number) | st.just(PAN),
+        hnp.arrays(float, 4, elements=number) | st.just(LEVEL),
+    ),
+    max_size=40,
+)
+
+
+@given(frames=frames)
+@settings(max_examples=150, deadline=None)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_whatever_comes_in_what_goes_out_is_finite_and_in_order(frames: list) -> None:
+    tracker = Tracker(SETTINGS)
+    for when, position, quat in frames:
+        for state in (tracker.add(when, position, quat), tracker.at(when + 90_000_000)):
+            if state is not None:
+                values = np.concatenate([np.ravel(value) for value in state[1:6]])
+                assert np.isfinite(values).all()
+    events = tracker.counts["clock set back"] + tracker.counts["found again"]
+    assert sum(tracker.counts.values()) - events == len(frames)
+    path = tracker.path("a", -(10**19), 10**19)  # refuses what is not finite or not in order
+    assert len(path.t) <= tracker.counts["accepted"]

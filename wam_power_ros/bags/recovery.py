@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Making a bag again of what a kill, a full disk or a broken copy has left of one.
+
+An MCAP file is a row of records; whatever is whole of it, from its beginning on, is copied into a
+new bag: every complete message, also those of a chunk that was cut.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import mmap
+import os
+import shutil
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from rosbags.interfaces import Qos
+
+from wam_power_ros.bags import reader
+from wam_power_ros.bags.reader import BagWriter, unfinished
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER_SIZE = 9  # of a record: opcode and size
+PROFILES = "offered_qos_profiles"
+# How rosbag2 names what is not the default; before Jazzy by number
+BEST_EFFORT = {"best_effort", 2}
+LATCHED = {"transient_local", 1}
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What was made of a damaged bag.
+
+    Attributes:
+        path: Of the new bag; what was left stays as it is.
+        messages: How many it has, by topic.
+        left_out: Topics that could not be copied, and why.
+    """
+
+    path: Path
+    messages: Mapping[str, int]
+    left_out: Mapping[str, str]
+
+    def __str__(self) -> str:
+        """A few lines for a terminal."""
+        lines = [f"{self.path}: {sum(self.messages.values())} messages"]
+        lines += [f"  {count:8} {topic}" for topic, count in self.messages.items()]
+        lines += [f"  left out: {topic}, {why}" for topic, why in self.left_out.items()]
+        return "\n".join(lines)
+
+
+def recover(path: Path) -> Recovered:
+    """Make the bag `<name>_recovered` of whatever complete messages are there.
+
+    Args:
+        path: Of the bag, closed or not, with or without its metadata; or of its .mcap file.
+
+    Raises:
+        ValueError: No MCAP file is there, it is still being written, or it is compressed.
+        FileExistsError: There is a recovered bag already.
+        OSError: The disk refused.
+    """
+    if path.name.endswith(reader.UNFINISHED):
+        path = path.with_name(path.name.removesuffix(reader.UNFINISHED))
+    files = _files(path)
+    bag = path.with_suffix("") if path.is_file() else path
+    writer = BagWriter(bag.with_name(bag.name + "_recovered"))
+    try:
+        copy = _Copy(writer)
+        for file in files:
+            copy.file(file)
+        if (metadata := files[0].with_name("metadata.yaml")).is_file():
+            copy.notes |= _notes(metadata)
+        state_topic = copy.notes.get("state_topic", reader.STATES)
+        made = writer.close(
+            {**copy.notes, **writer.completeness(state_topic), "recovered": json.dumps(True)}
+        )
+    except BaseException:
+        writer.abandon()
+        shutil.rmtree(unfinished(writer.path), ignore_errors=True)
+        raise
+    return Recovered(made, dict(writer.counts), copy.left_out)
+
+
+def _files(path: Path) -> list[Path]:
+    """MCAP files of a bag, in order; ValueError when there is none or one is being written."""
+    if path.is_file():
+        return [path]
+    left = unfinished(path)
+    if not path.exists() and left.is_dir():
+        handle = os.open(left, os.O_RDONLY)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise ValueError(f"{path} is still being written") from None
+        finally:
+            os.close(handle)
+        path = left / path.name
+    files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
+    if not files:
+        others = sorted(file.name for file in path.glob("*")) if path.is_dir() else []
+        raise ValueError(f"{path} holds no .mcap file to recover: {others or 'nothing is there'}")
+    return files
+
+
+def _notes(file: Path) -> dict[str, str]:
+    try:
+        return reader.custom_data(reader.plain_yaml(file))
+    except ValueError:
+        return {}  # damaged as well
+
+
+@dataclass
+class _Copy:
+    """Copying of records into a new bag."""
+
+    writer: BagWriter
+    notes: dict[str, str] = field(default_factory=dict)
+    left_out: dict[str, str] = field(default_factory=dict)
+    _schemas: dict[int, str] = field(default_factory=dict)
+    _topics: dict[int, str | None] = field(default_factory=dict)  # None: left out
+
+    def file(self, file: Path) -> None:
+        """Copy what one file holds; ids of schemas and channels are its own."""
+        self._schemas.clear()
+        self._topics.clear()
+        if file.stat().st_size <= len(MAGIC):
+            return
+        with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ) as data:
+            if data[: len(MAGIC)] != MAGIC:
+                raise ValueError(f"{file} is not an MCAP file: it begins {data[:8]!r}")
+            try:
+                for opcode, body in _records(data, len(MAGIC)):
+                    self._record(opcode, body)
+            except (struct.error, UnicodeDecodeError, KeyError):
+                pass  # no record as there should be: the file is damaged from here on
+            except _CompressedError as error:
+                raise ValueError(
+                    f"{file} holds chunks compressed with {error}, which this cannot recover; "
+                    "`mcap recover` can"
+                ) from None
+
+    def _record(self, opcode: int, body: bytes) -> None:
+        if opcode == 0x03:  # schema
+            (number,) = struct.unpack_from("<H", body)
+            self._schemas[number] = _text(body, 2)[0]
+        elif opcode == 0x04:  # channel
+            self._channel(body)
+        elif opcode == 0x05:  # message
+            channel, _, stamp_ns = struct.unpack_from("<HIQ", body)
+            topic = self._topics[channel]
+            if topic is not None:
+                cdr = body[22:]
+                self.writer.write(topic, stamp_ns, cdr)
+                if topic == reader.EVENT and not self.notes:
+                    self.notes = _event_notes(cdr)
+        elif opcode == 0x0C and _text(body, 0)[0] == "rosbag2":  # metadata, of a closed bag
+            for _, text in _map(body, _text(body, 0)[1]):
+                self.notes |= _metadata_notes(text)
+
+    def _channel(self, body: bytes) -> None:
+        channel, schema = struct.unpack_from("<HH", body)
+        if channel in self._topics:
+            return
+        topic, at = _text(body, 4)
+        at = _text(body, at)[1]  # beyond the encoding
+        offered = [
+            profile
+            for key, text in _map(body, at)
+            if key == PROFILES
+            for profile in _profiles(text)
+        ]
+        self._topics[channel] = topic
+        if topic in self.writer.counts:  # of a bag in several files
+            return
+        try:
+            self.writer.add(topic, self._schemas[schema], offered)
+        except ValueError as error:
+            self._topics[channel] = None
+            self.left_out[topic] = str(error)
+
+
+class _CompressedError(Exception):
+    """A chunk is compressed; the message says how."""
+
+
+def _records(data: bytes | mmap.mmap, at: int) -> Iterator[tuple[int, bytes]]:
+    """Complete MCAP records from a place on, those in chunks too; the data may end anywhere."""
+    while at + HEADER_SIZE <= len(data):
+        opcode, size = struct.unpack_from("<BQ", data, at)
+        begin = at + HEADER_SIZE
+        at = begin + size
+        body = data[begin:at]
+        if opcode == 0x06:  # chunk, perhaps cut
+            compression, end = _text(body, 28)
+            if compression:
+                raise _CompressedError(compression)
+            yield from _records(body, end + 8)
+        elif len(body) == size:
+            yield opcode, body
+
+
+def _text(body: bytes, at: int) -> tuple[str, int]:
+    """The string at a place, and the place after it."""
+    (size,) = struct.unpack_from("<I", body, at)
+    end = at + 4 + size
+    if end > len(body):
+        raise struct.error(f"string of {size} bytes at {at} ends beyond its record")
+    return body[at + 4 : end].decode(), end
+
+
+def _map(body: bytes, at: int) -> Iterator[tuple[str, str]]:
+    """Keys and values of a map of strings at a place."""
+    (size,) = struct.unpack_from("<I", body, at)
+    at, end = at + 4, at + 4 + size
+    while at < min(end, len(body)):
+        key, at = _text(body, at)
+        value, at = _text(body, at)
+        yield key, value
+
+
+def _metadata_notes(text: str) -> dict[str, str]:
+    try:
+        return reader.custom_data(reader.parse_plain(text.encode(), "the metadata record"))
+    except ValueError:
+        return {}
+
+
+def _event_notes(cdr: bytes) -> dict[str, str]:
+    """What our recorder noted when it began."""
+    try:
+        notes = json.loads(reader.TYPES.deserialize_cdr(cdr, reader.STRING).data).get("notes", {})
+        return {str(key): str(value) for key, value in notes.items()}
+    except Exception:  # whatever bytes make the decoder raise
+        return {}
+
+
+def _profiles(text: str) -> list[Qos]:
+    """QoS profiles as a channel's metadata has them; none when they cannot be read."""
+    try:
+        items = reader.parse_plain(text.encode(), PROFILES) or []
+        return [
+            reader.qos(
+                item["reliability"] not in BEST_EFFORT,
+                item["durability"] in LATCHED,
+                int(item["depth"]),
+            )
+            for item in items
+        ]
+    except (ValueError, TypeError, KeyError):
+        return []

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks that a driver behaves as its set-up says. Pure."""

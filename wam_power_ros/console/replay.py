@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded movement replayed by the arm, and recorded again; Ctrl-C stops the arm.
+
+The controller moves to the start of it, follows it at the wanted speed and holds; it knows the
+limits and how far off it was.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+from pathlib import Path
+
+import rclpy
+from pydantic import Field
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from wam_power_ros.bags import reader
+from wam_power_ros.control import replay_trajectory
+from wam_power_ros.params.node_params import Params
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.service_client import ServiceCalls, ServiceError
+
+STOPPED = 130  # exit status
+LONGEST = 3600.0  # [s of wall time] of a replay
+SETTLING = 1.0  # [s of wall time] in which a stopped arm comes to rest, still recorded
+NOT_YET = "nothing valid has come"  # the movement is still on its way
+
+
+class ReplayingParams(Params):
+    """Parameters of a replay."""
+
+    bag: str
+    speed: float = Field(gt=0.0)  # 1 for as recorded
+    joint_names: tuple[str, ...] = Field(min_length=1)  # of the driver
+    person: bool  # somebody is beside a real arm and is asked first
+
+
+class Replaying(Node):
+    """Hands a movement to the controller and waits for the end of it."""
+
+    def __init__(self) -> None:
+        super().__init__("replaying", automatically_declare_parameters_from_overrides=True)
+        self._params = params = ReplayingParams.of(self)
+        names = params.joint_names
+        t, q = replay_trajectory.movement(
+            *reader.read_demonstration(params.bag, names), params.speed
+        )
+        self._duration = float(t[-1])
+        self._message = interface.joint_movement_message(names, interface.JointMovement(t, q))
+        self._movements = self.create_publisher(
+            JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED
+        )
+        self._calls = ServiceCalls(self)
+        self._signals: list[int] = []
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda received, _: self._signals.append(received))
+
+    def replay(self) -> int:
+        """Replay once; the exit status.
+
+        Raises:
+            ServiceError: A service does not appear, does not answer in time, or refuses.
+        """
+        calls, name = self._calls, Path(self._params.bag).name
+        calls.insist(Trigger, interface.STOP)  # which agrees once the controller is active
+        self._movements.publish(self._message)
+        how = f"{name} at {self._params.speed:g} of its speed: {self._duration:.1f} s"
+        self._ask(f"The arm will move to the start of {how}. Press Enter: ")
+        if self._signals:
+            return STOPPED
+        self._say(f"Replaying {how}; Ctrl-C stops the arm")
+        calls.insist(SetBool, interface.RECORD, SetBool.Request(data=True))
+        try:
+            answer = self._follow()
+        finally:
+            path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False))
+        self._say(of_recorded(answer.message, self._params.speed))
+        self._say(f"recorded: {path}")
+        if self._signals:
+            self._say("Stopped: the arm holds.")
+        self._signals.clear()
+        self._ask("The arm holds. Support it, then press Enter to let it go: ")
+        if answer.success:
+            return 0
+        return STOPPED if answer.message.startswith("stopped") else 1
+
+    def _follow(self) -> Trigger.Response:
+        """The controller's answer, when the movement is over or was stopped."""
+        calls = self._calls
+        while True:
+            future = calls.begin(Trigger, interface.REPLAY)
+            calls.until(lambda f=future: f.done() or bool(self._signals), LONGEST)
+            if not future.done():
+                self._stop(future)
+            if self._signals or NOT_YET not in future.result().message:
+                return future.result()
+
+    def _stop(self, future: Future) -> None:
+        self._calls.insist(Trigger, interface.STOP)
+        if not self._calls.until(future.done):
+            raise ServiceError(f"{interface.REPLAY} did not answer after {interface.STOP}")
+        self._calls.until(lambda: False, SETTLING)
+
+    def _ask(self, text: str) -> None:
+        if self._params.person and not self._signals:
+            sys.stderr.write(text)
+            sys.stderr.flush()
+            sys.stdin.readline()
+
+    def _say(self, text: str) -> None:
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
+
+
+def of_recorded(text: str, speed: float) -> str:
+    """What the controller says of the speed of a movement, said of that of its bag.
+
+    Args:
+        text: Of the controller.
+        speed: At which the movement was handed to it.
+    """
+    possible = re.compile(r"possible at speed ([\d.]+)")
+    return possible.sub(lambda at: f"possible at --speed {float(at[1]) * speed:.2f}", text)
+
+
+def main() -> int:
+    """Entry point of `python -m wam_power_ros.console.replay`."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        with number_by_process():
+            replaying = Replaying()
+        return replaying.replay()
+    except (ServiceError, ValueError) as error:
+        sys.stderr.write(f"wam-power: {error}\n")
+        return 2
+    finally:
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A policy rehearsed in the head before the arm tries it: the controller on a model of the arm.
+
+The same controller drives the rigid-body model with its friction; what would end the rollout by a
+limit of motion is found out without moving. No pancake: its weight is nothing to the arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller import Controller, ControllerError
+from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.safety import limits_of
+from wam_power_ros.learning.policy import Policy
+
+_STILL_TICKS = 60  # control periods at rest, in which a controller comes to its fixed point
+_SUBSTEPS = 2  # of the model in a control period
+_STICTION_SPEED = 0.01  # [rad/s] below it friction is not yet all there
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """What the arm would do.
+
+    Attributes:
+        fault: Which limit would end the rollout, empty when none.
+        qd_peak: Highest joint speeds [rad/s]. Shape (n,).
+        elbow_peak: Highest speed of the guarded points, elbow and forearm [m/s].
+        tool_peak: Highest speed of the tool [m/s].
+    """
+
+    fault: str
+    qd_peak: np.ndarray
+    elbow_peak: float
+    tool_peak: float
+
+    def __str__(self) -> str:
+        """In a line; the elbow's peak is what the arm's safety board must allow."""
+        peaks = f"elbow at most {self.elbow_peak:.2f} m/s, tool {self.tool_peak:.2f} m/s"
+        return f"{peaks}; would end in a fault: {self.fault}" if self.fault else peaks
+
+
+def rehearse(
+    arm: Arm,
+    settings: ControllerSettings,
+    policy: Policy,
+    margin: float = 0.9,
+) -> Rehearsal:
+    """Execute a policy on the model, from its start until the arm has settled.
+
+    Args:
+        arm: The model; its buffers are used.
+        settings: Of the controller.
+        policy: To rehearse.
+        margin: Share of the limits of speed that the policy may use: the arm is not the model.
+
+    A policy that the controller would refuse has its refusal as the fault.
+    """
+    limits = settings.limits or limits_of(arm)
+    tight = replace(
+        limits,
+        qd_max=margin * limits.qd_max,
+        elbow_speed=margin * limits.elbow_speed,
+        tool_speed=margin * limits.tool_speed,
+    )
+    controller = Controller(
+        arm, replace(settings, limits=tight, driver_compensates_gravity=False, hold_to_run=False)
+    )
+    period_ns = round(settings.period * 1e9)
+    dt = settings.period / _SUBSTEPS
+    q, qd, stamp_ns = policy.q_start.copy(), np.zeros(arm.n), period_ns
+
+    def rest() -> None:
+        nonlocal stamp_ns
+        controller.step(stamp_ns, q, qd)
+        stamp_ns += period_ns
+
+    rest()
+    controller.hold()
+    try:
+        controller.load(policy)
+        controller.move_to_start()
+    except ControllerError as error:
+        return Rehearsal(str(error), np.zeros(arm.n), 0.0, 0.0)
+    while not controller.ready:
+        rest()
+    for _ in range(_STILL_TICKS):
+        rest()
+    controller.execute()
+    qd_peak, elbow_peak, tool_peak = np.zeros(arm.n), 0.0, 0.0
+    while True:
+        tau = controller.step(stamp_ns, q, qd)
+        if controller.mode is not Mode.ROLLOUT:
+            break
+        for _ in range(_SUBSTEPS):
+            friction = arm.friction * np.tanh(qd / _STICTION_SPEED) + arm.damping * qd
+            qd = qd + dt * arm.forward_dynamics(q, qd, tau - friction)
+            q = q + dt * qd
+        stamp_ns += period_ns
+        *guarded, tool = arm.reference_point_speeds(q, qd)
+        np.maximum(qd_peak, np.abs(qd), out=qd_peak)
+        elbow_peak, tool_peak = max(elbow_peak, *guarded), max(tool_peak, tool)
+    return Rehearsal(controller.fault_reason or "", qd_peak, elbow_peak, tool_peak)

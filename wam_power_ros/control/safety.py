@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits on torque and motion, and what the arm does when something fails.
+
+None of this is a safety function: the pendant and the robot's own safety board are. All functions
+are pure and give the same bits for the same arguments.
+
+Two fallbacks: with fresh states, `live_fallback` g(q) - d M(q) qd brings the arm to rest and
+carries it; with states lost, `Arm.gravity` of the last posture carries it without a velocity term,
+because an old velocity would feed energy in.
+"""
+
+import enum
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from wam_power_ros.control.arm import Arm, Motion
+
+_SHAPES = {"workspace_min": (3,), "workspace_max": (3,), "plane": (4,)}
+IMPLAUSIBLE_Q = 20.0  # [rad] no joint gets here: a reading beyond is refused
+IMPLAUSIBLE_QD = 500.0  # [rad/s]
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What no command and no motion may exceed. Arrays are copied and read-only.
+
+    Attributes:
+        torque: [N m]. Shape (n,).
+        torque_rate: Change of a torque per second [N m/s]; 1000 by default, as libfranka has it.
+            At 500 a hold that a person pushes with 40 N swings up until it faults. Shape (n,).
+        q_min: [rad]. Shape (n,).
+        q_max: [rad]. Shape (n,).
+        qd_max: Joint speed [rad/s]. Shape (n,).
+        spring_range: Width of the soft springs inside the position limits [rad].
+        spring_torque: Of a spring at the limit [N m]. Shape (n,).
+        elbow_speed: Of the arm's guarded points [m/s]. The WAM's safety board trips at 1.0 m/s
+            as delivered; a toss needs up to 2.0, and the board set accordingly.
+        tool_speed: In all modes but teaching [m/s]; a toss needs about 2.5.
+        teaching_tool_speed: While a person guides the arm [m/s]. A toss taught by hand needs as
+            much as a toss; lower it to 0.5 to teach slow movements only.
+        workspace_min: Corner of the box the tool must stay in during rollout and replay [m].
+        workspace_max: The other corner [m].
+        plane: Normal and distance [m] of a plane (a table, a wall) behind which neither tool nor
+            guarded points may come while the arm moves by itself: n . x >= d. Shape (4,).
+        periods: A motion limit trips when exceeded in this many states in a row.
+        q_jump: Change of a joint from one state to the next that means another zero [rad].
+
+    Raises:
+        ValueError: Names the value and the rule.
+    """
+
+    torque: np.ndarray
+    torque_rate: np.ndarray
+    q_min: np.ndarray
+    q_max: np.ndarray
+    qd_max: np.ndarray
+    spring_torque: np.ndarray
+    spring_range: float = 0.1
+    elbow_speed: float = 2.0
+    tool_speed: float = 4.0
+    teaching_tool_speed: float = 4.0
+    workspace_min: np.ndarray = (-1.5, -1.5, -0.5)
+    workspace_max: np.ndarray = (1.5, 1.5, 2.0)
+    plane: np.ndarray = (0.0, 0.0, 1.0, -0.5)
+    periods: int = 3
+    q_jump: float = 0.1
+
+    def __post_init__(self) -> None:
+        n = np.size(self.torque)
+        for field in fields(self):
+            value = getattr(self, field.name)
+            shape: tuple[int, ...] = ()
+            if field.type is np.ndarray:
+                shape = _SHAPES.get(field.name, (n,))
+            array = np.array(value, dtype=float)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise ValueError(f"limit {field.name} = {value} must be finite, shape {shape}")
+            signed = field.name in ("q_min", "q_max", *_SHAPES)
+            zero_allowed = field.name == "spring_torque"
+            if not signed and not np.all(array >= 0.0 if zero_allowed else array > 0.0):
+                raise ValueError(f"limit {field.name} = {value} must be positive")
+            if shape:
+                array.setflags(write=False)
+                object.__setattr__(self, field.name, array)
+        for low, high in (("q_min", "q_max"), ("workspace_min", "workspace_max")):
+            if not np.all(getattr(self, low) < getattr(self, high)):
+                raise ValueError(f"limit {low} = {getattr(self, low)} must be below {high}")
+        if abs(float(np.linalg.norm(self.plane[:3])) - 1.0) > 1e-6:
+            raise ValueError(f"limit plane = {self.plane} must begin with a unit normal")
+        if self.periods != int(self.periods):
+            raise ValueError(f"limit periods = {self.periods} must be a whole number")
+        # The same as plain floats, a row a joint or axis: several times faster to compare with.
+        low, high, width = self.q_min, self.q_max, self.spring_range
+        for name, columns in (
+            ("_torques", (self.torque, self.torque_rate)),
+            ("_motions", (low, high, self.qd_max)),
+            ("_springless", (low + width, high - width)),
+            ("_box", (self.workspace_min, self.workspace_max)),
+        ):
+            object.__setattr__(self, name, np.stack(columns, axis=1).tolist())
+        object.__setattr__(self, "_plane", self.plane.tolist())
+
+
+def limits_of(arm: Arm, **overrides: object) -> Limits:
+    """The limits of an arm: those of its URDF, and defaults for the rest.
+
+    Args:
+        arm: With torque, position and speed limits.
+        **overrides: Fields of `Limits`.
+
+    Raises:
+        ValueError: A field that does not exist, or a value out of range.
+    """
+    known = {field.name for field in fields(Limits)}
+    if unknown := sorted(set(overrides) - known):
+        raise ValueError(f"limits {unknown} do not exist; known: {sorted(known)}")
+    values = {
+        "torque": arm.tau_max,
+        "torque_rate": np.full(arm.n, 1000.0),
+        "q_min": arm.q_min,
+        "q_max": arm.q_max,
+        "qd_max": arm.qd_max,
+        "spring_torque": 0.1 * arm.tau_max,
+    }
+    return Limits(**(values | overrides))
+
+
+class Stamp(enum.Enum):
+    """What a state's stamp says against that of the last accepted state."""
+
+    FIRST = "first"
+    NEXT = "next"
+    REPEATED = "repeated"
+    OLDER = "older"
+    GAP = "gap"  # later than three periods: never differentiated across
+
+
+def judge_stamp(stamp_ns: int, last_ns: int | None, period_ns: int) -> Stamp:
+    """Compare a stamp with the last one accepted.
+
+    Args:
+        stamp_ns: Of the new state [ns].
+        last_ns: Of the last accepted state, None before the first [ns].
+        period_ns: Of the control loop [ns].
+    """
+    if last_ns is None:
+        return Stamp.FIRST
+    age = stamp_ns - last_ns
+    if age == 0:
+        return Stamp.REPEATED
+    if age < 0:
+        return Stamp.OLDER
+    return Stamp.GAP if age > 3 * period_ns else Stamp.NEXT
+
+
+def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limits) -> np.ndarray:
+    """The torque nearest to the wanted one that keeps the limits of size and of change per second.
+
+    When `tau` is within both limits, the result is `tau` itself.
+
+    Args:
+        tau: Wanted, finite [N m]. Shape (n,).
+        previous: Sent last, within the limit of size [N m]. Shape (n,).
+        dt: Since the last one was sent [s].
+        limits: Of the arm.
+
+    Returns:
+        [N m]. Shape (n,).
+    """
+    rows = zip(tau.tolist(), previous.tolist(), limits._torques, strict=True)
+    for wanted, last, (peak, rate) in rows:
+        step = rate * dt
+        if not (last - step <= wanted <= last + step and -peak <= wanted <= peak):
+            break
+    else:
+        return tau
+    step = limits.torque_rate * dt
+    low = np.maximum(previous - step, -limits.torque)
+    high = np.minimum(previous + step, limits.torque)
+    return np.minimum(np.maximum(tau, low), high)
+
+
+def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
+    """Torque of the soft springs that keep joints off their limits; None when none acts.
+
+    A spring rises linearly from zero at `spring_range` inside the limit to `spring_torque` at the
+    limit, and on beyond it up to twice that.
+
+    Args:
+        q: [rad]. Shape (n,).
+        limits: Of the arm.
+
+    Returns:
+        [N m]. Shape (n,).
+    """
+    for x, (low, high) in zip(q.tolist(), limits._springless, strict=True):
+        if not low <= x <= high:
+            break
+    else:
+        return None
+    width = limits.spring_range
+    below = limits.q_min + width - q
+    above = q - limits.q_max + width
+    depth = np.maximum(below, 0.0) - np.maximum(above, 0.0)
+    share = np.minimum(np.maximum(depth / width, -2.0), 2.0)
+    return share * limits.spring_torque
+
+
+def live_fallback(
+    gravity: np.ndarray, mass: np.ndarray, qd: np.ndarray, damping: float
+) -> np.ndarray:
+    """g(q) - d M(q) qd: every joint motion decays at the same rate, whatever its inertia.
+
+    Args:
+        gravity: g(q) [N m]. Shape (n,).
+        mass: M(q) [kg m^2]. Shape (n, n).
+        qd: [rad/s]. Shape (n,).
+        damping: d [1/s]; times the delay of the loop it must stay well below pi / 2.
+
+    Returns:
+        [N m]. Shape (n,).
+    """
+    return gravity - damping * mass.dot(qd)
+
+
+def teaching_damping(speed: float, damping: float, reference_speed: float) -> float:
+    """Damping that is not felt at low speed and grows with the square of the speed.
+
+    Args:
+        speed: Of the tool [m/s].
+        damping: At the reference speed [1/s].
+        reference_speed: [m/s].
+
+    Returns:
+        [1/s].
+    """
+    return damping * (speed / reference_speed) ** 2
+
+
+def exceeded(
+    q: list[float],
+    qd: list[float],
+    motion: Motion,
+    guarded: Sequence[str],
+    limits: Limits,
+    tool_speed: float,
+    boxed: bool,
+) -> str | None:
+    """Name the first motion limit a state exceeds, or None.
+
+    Beyond a position limit only moving further out counts, so that an arm parked at its stop can
+    be moved away from it.
+
+    Args:
+        q: [rad], n of them.
+        qd: [rad/s], n of them.
+        motion: Kinematics of the state.
+        guarded: Names of the arm's guarded points.
+        limits: Of the arm.
+        tool_speed: Limit in this mode [m/s].
+        boxed: Whether the workspace box applies.
+    """
+    rows = zip(q, qd, limits._motions, strict=True)
+    for i, (x, speed, (low, high, fastest)) in enumerate(rows, start=1):
+        if not -fastest <= speed <= fastest:
+            return f"joint {i} at {speed:.2f} rad/s, limit {fastest:.2f}"
+        if (x > high and speed > 0.05) or (x < low and speed < -0.05):
+            return f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
+    if motion.tool_speed > tool_speed:
+        return f"tool at {motion.tool_speed:.2f} m/s, limit {tool_speed:.2f}"
+    for name, speed in zip(guarded, motion.guarded_speeds, strict=True):
+        if speed > limits.elbow_speed:
+            return f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
+    if boxed:
+        for axis, x, (a, b) in zip("xyz", motion.position.tolist(), limits._box, strict=True):
+            if not a <= x <= b:
+                return f"tool at {axis} = {x:.3f} m, workspace {a:.3f} to {b:.3f}"
+    return None
+
+
+def behind_plane(points: Mapping[str, Sequence[float]], limits: Limits) -> str | None:
+    """Name the first point that is behind the limits' plane, or None.
+
+    Args:
+        points: In the base frame [m], three numbers each.
+        limits: Of the arm.
+    """
+    nx, ny, nz, least = limits._plane
+    for name, (x, y, z) in points.items():
+        if not nx * x + ny * y + nz * z >= least:
+            depth = least - nx * x - ny * y - nz * z
+            return f"{name} is {depth:.3f} m behind the plane {limits._plane}"
+    return None
+
+
+def plausible(values: list[float], bound: float) -> bool:
+    """Whether every value is finite and of a size a joint can have.
+
+    Args:
+        values: Positions [rad] or speeds [rad/s].
+        bound: IMPLAUSIBLE_Q or IMPLAUSIBLE_QD.
+    """
+    if math.hypot(*values) < bound:  # none is longer than all together; false for a NaN
+        return True
+    # The sum, because no comparison with a NaN tells anything.
+    return math.isfinite(sum(values)) and -bound < min(values) and max(values) < bound

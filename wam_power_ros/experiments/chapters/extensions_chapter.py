@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the wish list buys: every word and figure is made of the results of `wishes`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import ranksums
+
+from wam_power_ros.reporting.chapter import Chapter, Claim, Table
+
+Results = Mapping[str, Mapping[str, Mapping[str, Any]]]  # study -> key -> result
+REACHING, REACHING_NOISY = "wishes-sigma-reaching", "wishes-sigma-reaching-noisy"
+SIGMA, PERSON = "wishes-sigma-pancake-", "wishes-person"
+DEMONSTRATION = "wishes-demonstration-"
+AUTO = "auto"
+LEVEL = 0.05
+PAPERS = "6"  # size of the elite
+
+
+def chapter(results: Results) -> Chapter:
+    """The chapter of `wishes.jobs`.
+
+    Args:
+        results: Study -> key -> result; other studies are not looked at.
+    """
+    return Chapter(
+        title="The paper's wish list (Sec. IV)",
+        text=[
+            "The paper sets the size of the elite by hand and wishes for a mechanism that selects "
+            "it automatically, and for a person who rewards, punishes, or provides new examples "
+            "while the robot learns. These are features of the learner node; here is what each "
+            "buys. p is of a two-sided rank-sum test."
+        ],
+        parts=[_sigma(results), _person(results), _demonstration(results)],
+    )
+
+
+def _sigma(results: Results) -> Chapter:
+    tasks = {
+        "reaching, without noise": _by_size(results[REACHING]),
+        "reaching, noisy returns": _by_size(results[REACHING_NOISY]),
+        "pancake, Eq. 5": {
+            study.removeprefix(SIGMA): _means(runs, "retests")
+            for study, runs in results.items()
+            if study.startswith(SIGMA)
+        },
+    }
+    sizes = {
+        "reaching, without noise": results[REACHING][f"sigma-{AUTO}"]["sigma"],
+        "reaching, noisy returns": results[REACHING_NOISY][f"sigma-{AUTO}"]["sigma"],
+        "pancake, Eq. 5": [run["sigma"] for run in results[f"{SIGMA}{AUTO}"].values()],
+    }
+    names = list(dict.fromkeys(name for values in tasks.values() for name in values))
+    rows, best, claims, said = [], [], [], []
+    for task, values in tasks.items():
+        medians = {name: float(np.median(values[name])) for name in values}
+        rows.append([task, *(_spread(values[name]) if name in values else "–" for name in names)])
+        top = max(medians, key=lambda name: medians[name])
+        best.append((len(rows) - 1, 1 + names.index(top)))
+        fixed = {name: medians[name] for name in medians if name != AUTO}
+        good, bad = (pick(fixed, key=lambda name: fixed[name]) for pick in (max, min))
+        p_good, p_bad = (_p(values[AUTO], values[name]) for name in (good, bad))
+        loses = medians[AUTO] < medians[good] and p_good < LEVEL
+        claims.append(
+            Claim(
+                f"Automatic elite no worse than the best fixed one: {task}",
+                "wished for",
+                f"{medians[AUTO]:.3f} against {medians[good]:.3f} (σ = {good})",
+                f"p = {p_good:.2g}; worst fixed one {medians[bad]:.3f} (σ = {bad}), "
+                f"p = {p_bad:.2g}",
+                f"{len(values[AUTO])} runs each",
+                not loses,
+            )
+        )
+        chosen = np.array([size for size in sizes[task] if size is not None])
+        said.append(
+            f"{task}: median {np.median(chosen):.0f} ({chosen.min():.0f} to {chosen.max():.0f})"
+        )
+    return Chapter(
+        "An elite whose size chooses itself",
+        [
+            "After every rollout the size is taken that promises most, judged by rollouts that are "
+            f"left out of the elite in turn. It chose, over a run, {'; '.join(said)}."
+        ],
+        claims,
+        [
+            Table(
+                "Return of the final mean without noise (reaching), mean Eq. 5 of the re-tests "
+                "(pancake): median and quartiles of the runs, by size of the elite.",
+                ("task", *(f"σ = {name}" if name != AUTO else "automatic" for name in names)),
+                rows,
+                best,
+            )
+        ],
+    )
+
+
+def _person(results: Results) -> Chapter:
+    alone, helped = results[f"{SIGMA}{PAPERS}"], results[PERSON]
+    count = [run["rated"] for run in helped.values()]
+    return Chapter(
+        "A person's rewards and punishments",
+        [
+            "A simulated person sees what really happened: it rewards true flips that are caught "
+            "and punishes rollouts that are not caught, "
+            f"{np.median(count):.0f} of them in the median "
+            f"session ({min(count)} to {max(count)}). Learnt from is Eq. 5, which does not ask for "
+            "a catch, by the paper's preset without its stop rule."
+        ],
+        *_compared("A person's ratings", alone, helped),
+    )
+
+
+def _demonstration(results: Results) -> Chapter:
+    alone, helped = (results[f"{DEMONSTRATION}{which}"] for which in ("without", "with"))
+    taken = sum("demonstration-later" in run["choice"] for run in helped.values())
+    refused = sum(bool(run["refused"]) for run in helped.values())
+    return Chapter(
+        "A demonstration in the middle of learning",
+        [
+            "Sessions of the shipped default begin with demonstrations of a hand that hardly turns "
+            "the pancake; in half of them the usual hand gives one more when some rollouts are "
+            "over. "
+            f"It was learnt from in {taken} of {len(helped)} sessions and refused in {refused}."
+        ],
+        *_compared("A later demonstration", alone, helped),
+    )
+
+
+def _compared(
+    what: str, alone: Mapping[str, Any], helped: Mapping[str, Any]
+) -> tuple[list[Claim], list[Table]]:
+    """Re-tests without and with a person: landed, true flips, angle, return."""
+    claims, rows = [], []
+    for name, key, form in (
+        ("landed, share of re-tests", "landed", ".0%"),
+        ("true flips, share of re-tests", "true_flip", ".0%"),
+        ("angle at t_f [degrees]", "angle_deg", ".0f"),
+        ("return", "retests", ".3f"),
+    ):
+        without, with_ = _means(alone, key), _means(helped, key)
+        p = _p(without, with_)
+        rows.append([name, _spread(without, form), _spread(with_, form), f"{p:.2g}"])
+        if key in ("landed", "true_flip"):
+            claims.append(
+                Claim(
+                    f"{what}: {name}",
+                    "wished for",
+                    f"mean {np.mean(with_):.0%} against {np.mean(without):.0%} without",
+                    f"p = {p:.2g}",
+                    f"{len(with_)} sessions each",
+                    bool(np.mean(with_) > np.mean(without) and p < LEVEL),
+                )
+            )
+    used = [[run["used"] for run in runs.values()] for runs in (alone, helped)]
+    rows.append(["rollouts used", *(_spread(u, ".0f") for u in used), f"{_p(*used):.2g}"])
+    head = ("of a session, median and quartiles", "without", "with", "p")
+    return claims, [Table(f"{what}: the answers of the sessions.", head, rows)]
+
+
+def _by_size(runs: Mapping[str, Mapping[str, Any]]) -> dict[str, list[float]]:
+    return {key.removeprefix("sigma-"): run["final"] for key, run in runs.items()}
+
+
+def _means(runs: Mapping[str, Mapping[str, Any]], key: str) -> list[float]:
+    """Mean over the re-tests of each session; 0 where there was nothing to re-test."""
+    values = [[value for value in run[key] if value is not None] for run in runs.values()]
+    return [float(np.mean(some)) if some else 0.0 for some in values]
+
+
+def _p(one: Sequence[float], other: Sequence[float]) -> float:
+    return float(ranksums(one, other).pvalue)
+
+
+def _spread(values: Sequence[float], form: str = ".3f") -> str:
+    low, middle, high = np.quantile(values, (0.25, 0.5, 0.75))
+    return f"{middle:{form}} ({low:{form}}–{high:{form}})"

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One learner on one task for the comparison: reaching (Eq. 4) on Eq. 1, pancake (Eq. 5) in MuJoCo.
+
+Every learner has as many rollouts and is told the same. Settings come as data: a result depends on
+what is here, and on nothing that was tuned.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from hardware_sim.world import World
+from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.studies.flip_sessions import teach
+from wam_power_ros.experiments.studies.reaching_runs import generator, learn_many, scales
+from wam_power_ros.learning.learners import Search, Settings
+from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.power import Learner, Power, PowerSettings
+from wam_power_ros.learning.screened_power import Model, Screened
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.assessment import assess
+from wam_power_ros.tasks.flip.planned_toss import TossModel
+from wam_power_ros.tasks.reach.obstacle_model import FreePath
+from wam_power_ros.tasks.reach.scenario import synthetic
+
+VARIANT = "full"  # on both tasks
+NOVICE = 5.0  # [rad/s] intended pitch rate of the hand that teaches: leaves something to learn
+REPEATS = 3  # of the answer
+_SETTINGS: TypeAdapter[Settings] = TypeAdapter(Settings)
+
+
+def reaching_runs(
+    settings: dict[str, Any], stiffness: float, attractor: float, seeds: list[int], rollouts: int
+) -> dict[str, Any]:
+    """Runs of a learner on the synthetic reach.
+
+    Args:
+        settings: of the learner, as data.
+        stiffness: exploration, as a share of the mean stiffness.
+        attractor: exploration [m].
+        seeds: of the exploration.
+        rollouts: of each run.
+
+    Returns:
+        Per seed: "final" return of the mean, "returns" of the rollouts, "means" after each.
+    """
+    scenario = synthetic()
+    parameters = Parameters(scenario.policy, VARIANT, scales(stiffness, attractor))
+    learners = [
+        learner_of(settings, parameters.size, seed, FreePath(parameters, scenario))
+        for seed in seeds
+    ]
+    runs = learn_many(learners, parameters, scenario, rollouts)
+    return {
+        "seeds": seeds,
+        "final": [run.final for run in runs],
+        "returns": np.stack([run.returns for run in runs]).round(6).tolist(),
+        "means": np.stack([run.means for run in runs]).round(6).tolist(),
+    }
+
+
+def pancake_run(
+    settings: dict[str, Any], stiffness: float, attractor: float, seed: int, rollouts: int
+) -> dict[str, Any]:
+    """A learner on one demonstrated toss: one demonstration, Eq. 5, noisy rollouts on the bench.
+
+    A rollout that ends in a fault, or in which the pancake is lost from view, returns 0.
+
+    Args:
+        settings: of the learner, as data.
+        stiffness: exploration, as a share of the mean stiffness.
+        attractor: exploration [m].
+        seed: of hand, stand-in and exploration.
+        rollouts: of the run, the reproduction of the demonstration being the first.
+
+    Returns:
+        "returns" of the rollouts, "repeats" of the final mean, number of "faults" of the rollouts.
+    """
+    bench = Bench(World(seed=seed))
+    (demonstrated,) = teach(bench, seed, 1, pitch_rate=NOVICE)
+    noise = {"stiffness": stiffness, "attractor": attractor}
+    paper = preset("paper", variant=VARIANT, noise=noise)
+    parameters = Parameters(demonstrated, VARIANT, paper.noise)
+    start, _ = bench.arm.tool_pose(demonstrated.q_start)
+    model = TossModel(parameters, start, paper.pancake_weights)
+    learner = learner_of(settings, parameters.size, seed, model)
+
+    def returned(z: np.ndarray, id: str) -> tuple[float, bool]:
+        policy, _ = parameters.policy(z, id)
+        pan, pancake, _, fault = bench.run(policy)
+        ret = assess(policy, pan, pancake, paper, fault).ret
+        return ret or 0.0, bool(fault)
+
+    returns, faults = [], 0
+    for k in range(rollouts):
+        z = np.zeros(parameters.size) if k == 0 else parameters.clip(learner.ask())
+        ret, fault = returned(z, f"trial-{k}")
+        learner.tell(z, ret)
+        returns.append(ret)
+        faults += fault
+    mean = parameters.clip(learner.mean)
+    repeats = [returned(mean, f"repeat-{k}")[0] for k in range(REPEATS)]
+    return {"seed": seed, "returns": returns, "repeats": repeats, "faults": faults}
+
+
+def learner_of(settings: dict[str, Any], size: int, seed: int, model: Model) -> Learner:
+    """A learner by its settings as data; those without a "kind" are PoWER's.
+
+    Args:
+        settings: of the learner, as data.
+        size: of z.
+        seed: of the exploration.
+        model: for a learner that screens; the others are not told of it.
+
+    Raises:
+        ValueError: settings of no learner.
+    """
+    if "kind" not in settings:
+        return Power(size, PowerSettings(**settings), generator(seed))
+    chosen = _SETTINGS.validate_python(settings)
+    return Search(size, chosen, generator(seed), model if isinstance(chosen, Screened) else None)

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the paper wishes for in its Sec. IV, each with and without it.
+
+An elite whose size chooses itself, against fixed ones, where returns have noise and where they have
+none; a person who rewards and punishes; a demonstration given in the middle of learning.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import numpy as np
+
+from hardware_sim.demonstrator import PITCH_RATE
+from hardware_sim.world import Truth
+from wam_power_ros.experiments.chapters.extensions_chapter import (
+    DEMONSTRATION,
+    PERSON,
+    REACHING,
+    REACHING_NOISY,
+    SIGMA,
+    chapter,
+)
+from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.experiments.studies.flip_sessions import NOVICE, stand_in, teach
+from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evaluate, generator
+from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.policy import with_id
+from wam_power_ros.learning.power import Power, PowerSettings
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.reach.scenario import synthetic
+
+__all__ = ["chapter", "jobs", "search", "session"]
+
+HELD_OUT = range(501, 509)  # seeds nothing was tuned on
+HELD_OUT_REACHING = range(501, 531)
+TUNING = range(21, 22)  # for "quick"
+SIZES: tuple[int | str, ...] = ("auto", 3, 6, 10, 20)
+RETURN_NOISE = 0.1  # standard deviation; what returns of one pancake policy have
+RATING, RATINGS_MAX = 0.3, 20  # of the simulated person
+POOR = 4.0  # [rad/s] pitch rate of a hand that hardly turns the pancake
+GIVEN_AFTER = 20  # rollouts
+Scale = Literal["full", "quick"]
+
+
+def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> dict[str, Any]:
+    """Reaching with an elite of some size, full matrices, a run for every seed.
+
+    Args:
+        sigma: of PoWER.
+        seeds: of the exploration.
+        noise: standard deviation of what is added to a return before it is told.
+        rollouts: of each run.
+
+    Returns:
+        Noise-free return of the final mean, and the median size of the elite, of each run.
+    """
+    scenario = synthetic()
+    parameters = Parameters(scenario.policy, "full", NOISE["full"])
+    settings = PowerSettings(sigma=sigma, decay=POWER.decay)
+    learners = [Power(parameters.size, settings, generator(seed)) for seed in seeds]
+    disturbed = [np.random.default_rng([seed, 1]) for seed in seeds]
+    sizes = []
+    for _ in range(rollouts):
+        drawn = np.stack([parameters.clip(learner.ask()) for learner in learners])
+        returns, _ = evaluate(drawn, parameters, scenario)
+        for learner, z, ret, rng in zip(learners, drawn, returns, disturbed, strict=True):
+            learner.tell(z, max(float(ret) + noise * float(rng.standard_normal()), 0.0))
+        sizes.append([learner.sigma for learner in learners])
+    means = np.stack([parameters.clip(learner.mean) for learner in learners])
+    final, _ = evaluate(means, parameters, scenario)
+    return {"final": final.tolist(), "sigma": np.median(sizes, axis=0).tolist()}
+
+
+def session(
+    seed: int,
+    name: str,
+    changes: Mapping[str, Any],
+    demonstrations: int = 3,
+    pitch_rate: float = PITCH_RATE,
+    ratings: int = 0,
+    given_after: int = 0,
+) -> dict[str, Any]:
+    """One session of the pancake, with a person who may take part.
+
+    Args:
+        seed: of the hand, the stand-in and the exploration.
+        name: of the preset.
+        changes: to the preset.
+        demonstrations: how many are taught at first.
+        pitch_rate: of the hand that teaches these, see `wrist_flick`.
+        ratings: most rollouts that the person rates: what really was a true flip is rewarded,
+            what was not caught is punished.
+        given_after: rollout after which the usual hand gives a demonstration; 0: none is given.
+    """
+    bench = stand_in(seed)
+    candidates = teach(bench, seed, demonstrations, pitch_rate=pitch_rate)
+    practice = Practice(candidates, preset(name, **changes), seed, bench.forbids)
+    rated, refused, sizes = 0, "", []
+    while (trial := practice.next_trial()) is not None:
+        pan, pancake, truth, fault = bench.run(trial.policy)
+        record = practice.learn(trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth))
+        if practice.learner is not None:
+            sizes.append(practice.learner.sigma)
+        if practice.stopped:
+            continue
+        amount = RATING if truth.true_flip else 0.0 if truth.caught else -RATING
+        if rated < ratings and amount and record.ret is not None:
+            practice.rate(amount)
+            rated += 1
+        if record.number == given_after:
+            (later,) = teach(bench, seed + 10_000, 1)  # another throw of the same hand
+            try:
+                practice.give(with_id(later, "demonstration-later"))
+            except ValueError as error:
+                refused = str(error)
+    retests = [record for record in practice.records if record.kind == "retest"]
+    truths = [Truth(**record.truth or {}) for record in retests]
+    return {
+        "stopped": practice.stopped,
+        "choice": practice.choice,
+        "used": practice.used,
+        "rated": rated,
+        "refused": refused,
+        "sigma": float(np.median(sizes)) if sizes else None,
+        "returns": [r.ret for r in practice.records if r.kind != "retest"],
+        "retests": [record.ret for record in retests],
+        "landed": [truth.caught and truth.flipped for truth in truths],
+        "true_flip": [truth.true_flip for truth in truths],
+        "angle_deg": [truth.angle_deg for truth in truths],
+    }
+
+
+def jobs(scale: Scale) -> list[Job]:
+    """The runs of the chapter; "quick" is the same code with few seeds and tiny budgets."""
+    quick = scale == "quick"
+    seeds = TUNING if quick else HELD_OUT
+    sizes = SIZES[:2] if quick else SIZES
+    wanted = []
+    for study, noise in ((REACHING, 0.0), (REACHING_NOISY, RETURN_NOISE)):
+        arguments = {
+            "seeds": [1_000_000, 1_000_001] if quick else list(HELD_OUT_REACHING),
+            "noise": noise,
+            "rollouts": 12 if quick else 100,
+        }
+        wanted += [Job(study, f"sigma-{s}", search, {"sigma": s, **arguments}) for s in sizes]
+    series = 1 if quick else 3
+    # Reproductions of the demonstrations that are not chosen are none of the paper's rollouts.
+    paper = {
+        "budget": series - 1 + (4 if quick else 50),
+        "confirm": 0,
+        "retests": 1 + 9 * (not quick),
+    }
+    flip = {"retests": paper["retests"], **({"budget": 6} if quick else {})}
+    common = {"demonstrations": series}
+    for seed in seeds:
+        novice = {"seed": seed, "name": "paper", "pitch_rate": NOVICE, **common}
+        wanted += [
+            Job(
+                f"{SIGMA}{s}",
+                f"seed-{seed}",
+                session,
+                {**novice, "changes": {**paper, "power": {"sigma": s}}},
+            )
+            for s in ("auto", 6, *([] if quick else [20]))  # a session takes half a minute
+        ]
+        person = {**novice, "changes": paper, "ratings": 2 if quick else RATINGS_MAX}
+        wanted.append(Job(PERSON, f"seed-{seed}", session, person))
+        for after in (0, 2 if quick else GIVEN_AFTER):
+            poor = {"seed": seed, "name": "flip", "changes": flip, "pitch_rate": POOR, **common}
+            study = f"{DEMONSTRATION}{'with' if after else 'without'}"
+            wanted.append(Job(study, f"seed-{seed}", session, {**poor, "given_after": after}))
+    return wanted

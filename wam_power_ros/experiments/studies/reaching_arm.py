@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reaching taught on the simulated arm, learnt on Eq. 1 or on the arm by the torque controller.
+
+The four demonstrations are bags/reach_*. The sphere is in nobody's way but the path's: the arm
+does not feel it. What was learnt on Eq. 1 is executed, and whether that path clears the sphere is
+reported; practice on the arm is told what the executed paths return.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from hardware_sim.world import JOINTS, World
+from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.experiments.chapters.reaching_chapter import (
+    EXECUTED,
+    PRACTISED,
+    TAUGHT,
+    VARIANTS,
+)
+from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.experiments.studies.reaching_runs import (
+    DRAWN,
+    NOISE,
+    POWER,
+    as_data,
+    generator,
+    study,
+)
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.power import Power
+from wam_power_ros.params.resources import share
+from wam_power_ros.tasks.reach.scenario import Scenario, taught
+
+NOISE_SEED = 7  # of the stand-in
+PRACTICE = 60  # rollouts on the arm, at most
+APPRENTICES = 3  # seeds that practise on the arm
+
+
+def jobs(seeds: Sequence[int], rollouts: int) -> list[Job]:
+    """Runs of both variants, and the execution of the first seed's policy of each."""
+    found = []
+    for variant in VARIANTS:
+        arguments = {"variant": variant, "seeds": list(seeds), "rollouts": rollouts}
+        found.append(Job(TAUGHT, f"{variant}-{seeds[0]}-{seeds[-1]}", taught_runs, arguments))
+        one = {"variant": variant, "seed": seeds[0], "rollouts": rollouts}
+        found.append(Job(EXECUTED, variant, executed_run, one))
+        for seed in seeds[:APPRENTICES]:
+            one = {"variant": variant, "seed": seed, "rollouts": min(rollouts, PRACTICE)}
+            found.append(Job(PRACTISED, f"{variant}-{seed}", practised_run, one))
+    return found
+
+
+def taught_runs(variant: str, seeds: list[int], rollouts: int) -> dict[str, Any]:
+    """PoWER on the taught scenario, as data."""
+    scenario = taught_scenario()
+    return as_data(study(variant, seeds, rollouts, scenario), seeds, variant, scenario)
+
+
+def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
+    """The policy PoWER ends with, executed on the arm beside what Eq. 1 plans for it."""
+    scenario = taught_scenario()
+    (run,) = study(variant, [seed], rollouts, scenario)
+    parameters = Parameters(scenario.policy, variant, NOISE[variant])
+    policy, _ = parameters.policy(run.mean, "reach-0001")
+    executed, fault = _executed(Bench(World(seed=NOISE_SEED)), policy, scenario)
+    planned = scenario.free(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
+    shown = np.linspace(0, scenario.steps - 1, DRAWN).round().astype(int)
+    deviation = np.linalg.norm(executed - planned, axis=1)
+    away = np.linalg.norm(executed - scenario.obstacle, axis=1)
+    return {
+        "variant": variant,
+        "seed": seed,
+        "fault": fault,
+        "planned": planned[shown].round(5).tolist(),
+        "executed": executed[shown].round(5).tolist(),
+        "rms": float(np.sqrt((deviation**2).mean())),
+        "largest": float(deviation.max()),
+        "clearance": float(away.min() - scenario.radius),
+        "planned_clearance": float(
+            np.linalg.norm(planned - scenario.obstacle, axis=1).min() - scenario.radius
+        ),
+        "planned_return": run.final,
+        "executed_return": float(scenario.worth(scenario.stopped(executed[np.newaxis])[0])[0]),
+    }
+
+
+def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
+    """PoWER whose rollouts are executed on the arm: Eq. 4 of executed paths, a fault returns 0.
+
+    Returns:
+        "returns" of the rollouts, the demonstration's reproduction not among them; "faults" of
+        them; return, "clearance" [m] of the sphere and "fault" of the final mean, executed.
+    """
+    scenario = taught_scenario()
+    parameters = Parameters(scenario.policy, variant, NOISE[variant])
+    learner = Power(parameters.size, POWER, generator(seed))
+    bench = Bench(World(seed=seed))
+
+    def returned(z: np.ndarray, id: str) -> tuple[np.ndarray, str, float]:
+        path, fault = _executed(bench, parameters.policy(z, id)[0], scenario)
+        stopped, _ = scenario.stopped(path[np.newaxis])
+        return path, fault, 0.0 if fault else float(scenario.worth(stopped)[0])
+
+    returns, faults = [], 0
+    for k in range(rollouts):
+        z = parameters.clip(learner.ask())
+        _, fault, ret = returned(z, f"trial-{k}")
+        learner.tell(z, ret)
+        returns.append(ret)
+        faults += bool(fault)
+    path, fault, ret = returned(parameters.clip(learner.mean), "learnt")
+    away = np.linalg.norm(path - scenario.obstacle, axis=1)
+    return {
+        "variant": variant,
+        "seed": seed,
+        "returns": returns,
+        "faults": faults,
+        "return": ret,
+        "clearance": float(away.min() - scenario.radius),
+        "fault": fault,
+    }
+
+
+def _executed(bench: Bench, policy: Policy, scenario: Scenario) -> tuple[np.ndarray, str]:
+    """The tool's path (T, 3) [m] at the samples of the scenario, and the fault if any."""
+    pan, _, _, fault = bench.run(policy)
+    t = np.arange(scenario.steps) * scenario.period
+    return np.stack([np.interp(t, pan.t, x) for x in pan.position.T], axis=1), fault
+
+
+@cache
+def taught_scenario() -> Scenario:
+    """The scenario of the shipped bags: positions of the tool."""
+    arm = Bench(World(seed=NOISE_SEED)).arm
+    bags = sorted(share("bags").glob("reach_*"))
+    demonstrations = [from_joint_samples(arm, *read_demonstration(bag, JOINTS)) for bag in bags]
+    return taught(demonstrations)

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of learners on a reaching scenario, many together: so are their rollouts reproduced."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from wam_power_ros.learning.parametrization import NoiseScales, Parameters
+from wam_power_ros.learning.power import Learner, Power, PowerSettings
+from wam_power_ros.tasks.reach.scenario import Scenario
+
+
+def scales(stiffness: float, attractor: float) -> NoiseScales:
+    """Noise of a reach; what it does not learn has none that matters."""
+    return NoiseScales(
+        stiffness=stiffness, attractor=attractor, rotation=0.1, flick=0.1, catch_shift=0.1
+    )
+
+
+# Near the best of `reaching.tune` for each variant on the 60 tuning seeds: full .765, and within
+# .003 of it at twice the noise of either; diagonal .598.
+NOISE = {"full": scales(0.6, 0.00625), "diagonal": scales(0.6, 0.1)}
+POWER = PowerSettings(sigma=3, decay=0.965)  # of the authors' own scripts
+CHUNK = 10  # runs evaluated together; fixed, so that results do not depend on the number of jobs
+DRAWN = 50  # samples of a path that are kept for a figure
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What one learner did.
+
+    Attributes:
+        returns: Of its rollouts, in order. Shape (rollouts,).
+        means: Return of the mean, without exploration, after each of them. Shape (rollouts,).
+        stuck: The last mean still meets the obstacle.
+        mean: Its coordinates, as executed. Shape (size,).
+    """
+
+    returns: np.ndarray
+    means: np.ndarray
+    stuck: bool
+    mean: np.ndarray
+
+    @property
+    def best(self) -> float:
+        """The highest return of a rollout; Eq. 4 has no noise here."""
+        return float(self.returns.max())
+
+    @property
+    def final(self) -> float:
+        """Return of the mean after the last rollout."""
+        return float(self.means[-1])
+
+
+def learn_many(
+    learners: Sequence[Learner], parameters: Parameters, scenario: Scenario, rollouts: int
+) -> list[Run]:
+    """Practise; each learner is told what was executed, positive-definite stiffness included.
+
+    Args:
+        learners: Of `parameters.size` coordinates, which know nothing of each other; they have
+            learnt when this returns.
+        parameters: Around `scenario.policy`.
+        scenario: See there.
+        rollouts: How many, of each.
+    """
+    returns, means = np.empty((2, rollouts, len(learners)))
+    for k in range(rollouts):
+        drawn = np.stack([parameters.clip(learner.ask()) for learner in learners])
+        returns[k], _ = evaluate(drawn, parameters, scenario)
+        for learner, z, ret in zip(learners, drawn, returns[k], strict=True):
+            learner.tell(z, float(ret))
+        mean = np.stack([parameters.clip(learner.mean) for learner in learners])
+        means[k], stuck = evaluate(mean, parameters, scenario)
+    return [
+        Run(returns[:, k].copy(), means[:, k].copy(), bool(stuck[k]), mean[k])
+        for k in range(len(learners))
+    ]
+
+
+def study(
+    variant: str,
+    seeds: Sequence[int],
+    rollouts: int,
+    scenario: Scenario,
+    noise: NoiseScales | None = None,
+    workers: int = 1,
+) -> list[Run]:
+    """PoWER on one variant, a run for every seed.
+
+    Args:
+        variant: Of the parameters, "full" or "diagonal".
+        seeds: Of the exploration.
+        rollouts: Of each run.
+        scenario: See there.
+        noise: NOISE of the variant when omitted.
+        workers: Processes of joblib; changes nothing in the result.
+    """
+    parameters = Parameters(scenario.policy, variant, noise or NOISE[variant])
+
+    def power(seed: int) -> Power:
+        return Power(parameters.size, POWER, generator(seed))
+
+    return in_chunks(power, seeds, parameters, scenario, rollouts, workers)
+
+
+def generator(seed: int) -> np.random.Generator:
+    """The generator of a run."""
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def in_chunks(
+    learner: Callable[[int], Learner],
+    seeds: Sequence[int],
+    parameters: Parameters,
+    scenario: Scenario,
+    rollouts: int,
+    workers: int = 1,
+) -> list[Run]:
+    """`learn_many` for the learner of every seed."""
+
+    def runs(chunk: Sequence[int]) -> list[Run]:
+        return learn_many([learner(seed) for seed in chunk], parameters, scenario, rollouts)
+
+    chunks = [seeds[k : k + CHUNK] for k in range(0, len(seeds), CHUNK)]
+    found = Parallel(n_jobs=workers)(delayed(runs)(chunk) for chunk in chunks)
+    return [run for chunk in found for run in chunk]
+
+
+def as_data(
+    runs: Sequence[Run], seeds: Sequence[int], variant: str, scenario: Scenario
+) -> dict[str, Any]:
+    """Runs of one variant as data for JSON, with the paths of their last means."""
+    parameters = Parameters(scenario.policy, variant, NOISE[variant])
+    stiffness, attractors, _ = parameters.arrays(np.stack([run.mean for run in runs]))
+    path, _ = scenario.stopped(scenario.free(stiffness, attractors))
+    shown = np.linspace(0, scenario.steps - 1, DRAWN).round().astype(int)
+    start, _ = scenario.evaluate(
+        scenario.policy.stiffness[np.newaxis], scenario.policy.attractors[np.newaxis]
+    )
+    return {
+        "variant": variant,
+        "seeds": list(seeds),
+        "start": float(start[0]),
+        "best": [run.best for run in runs],
+        "stuck": [run.stuck for run in runs],
+        "means": np.stack([run.means for run in runs]).round(6).tolist(),
+        "paths": path[:, shown].round(5).tolist(),
+        "demonstrations": scenario.demonstrations[:, shown].round(5).tolist(),
+        "obstacle": scenario.obstacle.round(5).tolist(),
+        "radius": scenario.radius,
+    }
+
+
+def evaluate(
+    z: np.ndarray, parameters: Parameters, scenario: Scenario
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns (Eq. 4) of policies at z (B, size), and who collided; (B,) each."""
+    stiffness, attractors, _ = parameters.arrays(z)
+    return scenario.evaluate(stiffness, attractors)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A finished rollout: path of the tool, path of the tracked body, and the fault that ended it."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+import numpy as np
+
+from wam_power_ros.learning.policy import check_id, read_only
+
+
+class FaultKind(str, enum.Enum):
+    """What a fault of the controller is about; machines decide by this and never by its text."""
+
+    # The policy brought these about by itself: its return is 0, and it is not tried again.
+    JOINT_POSITION = "joint_position"  # beyond a joint's limit
+    JOINT_SPEED = "joint_speed"
+    GUARDED_SPEED = "guarded_speed"  # of a guarded point, such as elbow or forearm
+    TOOL_SPEED = "tool_speed"
+    WORKSPACE = "workspace"  # the tool left its box
+    PLANE = "plane"  # a guarded point or the tool is behind the keep-out plane
+    # These say nothing about the policy.
+    TRACKING = "tracking"  # a joint is far from its reference
+    COMPUTATION = "computation"  # a torque that is not finite, or none
+    STATES_LOST = "states_lost"  # no joint state for too long
+    STATES_REFUSED = "states_refused"  # too many joint states that are not valid
+    JUMP = "jump"  # a joint's position jumped from one state to the next
+    RELEASED = "released"  # the enabling switch was released
+    SECOND_COMMANDER = "second_commander"
+    OVERLOAD = "overload"  # too many control periods missed
+    SOFTWARE = "software"  # a callback failed
+
+    @property
+    def of_policy(self) -> bool:
+        """Whether the policy caused it: a limit of motion was exceeded."""
+        return self in _OF_POLICY
+
+
+_OF_POLICY = frozenset(list(FaultKind)[:6])
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A latched fault of the controller.
+
+    Attributes:
+        kind: What it is about.
+        text: Sentence for a person, with the value and the limit.
+    """
+
+    kind: FaultKind
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class EndEffectorPath:
+    """Pan frame in the base frame through one rollout.
+
+    Attributes:
+        id: Of the policy that was executed.
+        t: Strictly increasing [s] since the start of the rollout. Shape (T,), T >= 1.
+        position: Centre of the pan's floor [m]. Shape (T, 3).
+        quat_xyzw: Orientation, unit. Shape (T, 4).
+
+    Raises:
+        ValueError: A shape, a non-finite value, time going back, or a quaternion off unit length.
+    """
+
+    id: str
+    t: np.ndarray
+    position: np.ndarray
+    quat_xyzw: np.ndarray
+
+    def __post_init__(self) -> None:
+        _check_path(self)
+        if len(self.t) == 0:
+            raise ValueError(f"end-effector path {self.id} is empty; at least one pose is needed")
+
+
+@dataclass(frozen=True, eq=False)
+class BodyPath:
+    """Tracked body in the base frame through one rollout, as motion capture saw it.
+
+    Attributes:
+        id: Of the policy that was executed.
+        t: Strictly increasing [s] since the start of the rollout; gaps where the view was lost.
+            Shape (M,); M may be 0.
+        position: Centre of the body [m]. Shape (M, 3).
+        quat_xyzw: Orientation, unit. Shape (M, 4).
+
+    Raises:
+        ValueError: A shape, a non-finite value, time going back, or a quaternion off unit length.
+    """
+
+    id: str
+    t: np.ndarray
+    position: np.ndarray
+    quat_xyzw: np.ndarray
+
+    def __post_init__(self) -> None:
+        _check_path(self)
+
+
+def _check_path(path: EndEffectorPath | BodyPath) -> None:
+    """Replace the arrays of a path by checked, read-only ones."""
+    check_id(path.id)
+    name = f"path {path.id}"
+    count = np.size(path.t)
+    object.__setattr__(path, "t", read_only(f"{name}: t", path.t, (count,)))
+    object.__setattr__(path, "position", read_only(f"{name}: position", path.position, (count, 3)))
+    object.__setattr__(
+        path, "quat_xyzw", read_only(f"{name}: quat_xyzw", path.quat_xyzw, (count, 4))
+    )
+    steps = np.diff(path.t)
+    if np.any(steps <= 0.0):
+        at = int(np.argmax(steps <= 0.0))
+        raise ValueError(
+            f"{name}: t[{at + 1}] = {path.t[at + 1]} follows {path.t[at]}; it must increase"
+        )
+    norms = np.linalg.norm(path.quat_xyzw, axis=1)
+    wrong = np.abs(norms - 1.0) > 1e-3
+    if np.any(wrong):
+        at = int(np.argmax(wrong))
+        raise ValueError(f"{name}: quat_xyzw[{at}] has length {norms[at]}; it must be 1")

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Set-ups: the parameters of every node, its own file under the ones that are laid over it.
+
+A set-up file says what it has to say once: of the arm's driver to `torque_controller`, of the
+motion capture to `pancake_tracker`. What the other nodes must know of that, and how a stand-in
+looks that takes the place of these devices, follows from it here; a file may still say otherwise.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from wam_power_ros.params.resources import share
+
+Setup = dict[str, dict[str, Any]]  # parameters by node
+NODES = (
+    "torque_controller",
+    "demonstration_recorder",
+    "pancake_tracker",
+    "learner",
+    "wam_sim",
+    "optitrack_sim",
+)
+STAND_INS = ("wam_sim", "optitrack_sim")
+_STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
+
+
+def known() -> list[str]:
+    """Names of the set-ups that come with us."""
+    files = sorted(share("config").glob("*.yaml"))
+    return [file.stem for file in files if file.stem not in NODES]
+
+
+def find(name: str) -> Path:
+    """File of a set-up: config/NAME.yaml, or the path of one.
+
+    Raises:
+        ValueError: There is none; lists those that come with us.
+    """
+    given = Path(name).expanduser()
+    if given.suffix == ".yaml" and given.is_file():
+        return given.resolve()
+    if name not in known():
+        raise ValueError(f"no set-up {name!r}: give the path of a .yaml file or one of {known()}")
+    return share(f"config/{name}.yaml")
+
+
+def setup(names: Sequence[str] = (), rehearse: bool = False) -> Setup:
+    """Parameters of every node under some set-ups.
+
+    Args:
+        names: Set-ups over the nodes' own files, see `find`; later ones override earlier ones.
+        rehearse: Stand-ins take the place of the devices these set-ups are for, at the pace of
+            life. Without any set-up and rehearsal, they are what their own files say.
+
+    Raises:
+        ValueError: A file cannot be found or read, or names a node or parameter that is none.
+    """
+    own = {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
+    said: Setup = {node: {} for node in NODES}
+    files = [find(name) for name in names]
+    for file in files:
+        for node, values in _read(file).items():
+            _check(file, node, values, own)
+            said[node] |= values
+    chosen = {node: own[node] | said[node] for node in NODES}
+    follows = _follows(chosen["torque_controller"], chosen["pancake_tracker"])
+    if names or rehearse:
+        follows |= _shape(chosen["torque_controller"], chosen["pancake_tracker"])
+        follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
+    whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
+    if rehearse or not names:  # the stand-in does what takes a person in the lab
+        whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}
+        whole["learner"] |= {"pancake_reset": True, "reset_faults": True}
+        whole["demonstration_recorder"]["source"] = "sim"
+        if whole["wam_sim"]["pace"] == "lockstep":  # it keeps the time, and waits for everyone
+            for node in set(NODES) - set(STAND_INS):
+                whole[node]["use_sim_time"] = True
+    return whole
+
+
+def text(setup: Setup) -> str:
+    """A set-up as the text of a parameter file that every node can be started with."""
+    nodes = {node: {"ros__parameters": values} for node, values in setup.items()}
+    return yaml.dump(nodes, Dumper=_Plain, sort_keys=False, width=1000)
+
+
+class _Plain(yaml.SafeDumper):
+    """As ROS reads it: no references, and strings in quotes, for to it a bare y is a truth."""
+
+    def ignore_aliases(self, data: object) -> bool:
+        """Write the same list twice."""
+        return True
+
+
+_Plain.add_representer(str, lambda to, text: to.represent_scalar(_STR, text, style='"'))
+_Plain.add_representer(list, lambda to, items: to.represent_sequence(_SEQ, items, flow_style=True))
+
+
+def _read(file: Path) -> Setup:
+    """Parameters by node of one file."""
+    try:
+        nodes = yaml.safe_load(file.read_text()) or {}
+        found = {node: dict(section["ros__parameters"]) for node, section in nodes.items()}
+    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"{file} is no file of ROS parameters: {error!r}") from None
+    for values in found.values():  # a URDF of one's own may lie beside the file that names it
+        if values.get("urdf") and (file.parent / values["urdf"]).is_file():
+            values["urdf"] = str((file.parent / values["urdf"]).resolve())
+    return found
+
+
+def _check(file: Path, node: str, values: Mapping[str, Any], own: Setup) -> None:
+    if node not in own:
+        raise ValueError(f"{file} has parameters for {node!r}; the nodes are {list(NODES)}")
+    for name in values:
+        if name not in own[node]:
+            near = difflib.get_close_matches(name, own[node], n=1)
+            hint = f"; is it {near[0]}?" if near else f"; it has {sorted(own[node])}"
+            raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
+
+
+def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
+    """What recorder and learner must know of the driver and the motion capture."""
+    return {
+        "torque_controller": {"hold_to_run": True, "allow_no_realtime": False},
+        "demonstration_recorder": {
+            **{name: arm[name] for name in ("state_topic", "joint_names")},
+            "driver_topics": [
+                name for name in (arm["command_topic"], arm["velocity_topic"]) if name
+            ],
+            "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
+            "source": "hardware",
+        },
+        "learner": {
+            **{name: arm[name] for name in ("joint_names", "model_joint_names", "tool_frame")},
+            "urdf": arm["urdf"],
+            "pancake_reset": False,
+            "reset_faults": False,
+        },
+    }
+
+
+def _shape(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
+    """How stand-ins look that take the place of these devices."""
+    driver = ("joint_names", "state_topic", "velocity_topic", "command_topic", "command_type")
+    model = ("urdf", "model_joint_names", "tool_frame")
+    guarded = ("guarded_names", "guarded_links", "guarded_points")
+    cameras = ("pose_topic", "markers_topic", "up_axis", "world_to_base", "rate")
+    shape: Setup = {
+        "wam_sim": {
+            **{name: arm[name] for name in (*driver, *model, *guarded)},
+            "driver_compensates_gravity": arm["driver_compensates_gravity"],
+            "velocity": "empty" if arm["velocity_topic"] else "filled",
+            "pace": "real_time",  # as every driver's
+            "realtime_priority": 70,
+        },
+        "optitrack_sim": {name: mocap[name] for name in cameras},
+    }
+    if mocap["latency_offset"]:  # stamps are later than the exposure
+        shape["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}
+    return shape

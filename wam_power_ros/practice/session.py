@@ -1,0 +1,430 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session on disk: nothing learnt is ever lost.
+
+    session.yaml     everything needed to run it again; written last, so it is complete or absent
+    candidates/      the policies fitted to the demonstrations, one JSON file each
+    rollouts.jsonl   one `Record`, `Rating` or `Given` a line, append-only, on disk before it is
+                     acknowledged
+    policy.json      the best policy so far, replaced atomically
+    bags/            recordings
+    .lock            held while a learner writes
+
+Kill anything at any moment: `Session.open(folder).practice()` goes on bit-identically.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import logging
+import os
+import platform
+import re
+from collections.abc import Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from wam_power_ros.learning import policy as policy_module
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import Given, Line, Rating, Record, line_of, with_ratings
+from wam_power_ros.practice.settings import PracticeSettings
+
+SCHEMA = "wam_power_ros/session/1"
+_PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
+_LINE_MAX = 1_000_000  # bytes of a record, far more than any has
+
+_log = logging.getLogger(__name__)
+
+
+class SessionError(ValueError):
+    """A session folder that cannot be used, and why."""
+
+
+class SessionHeader(BaseModel):
+    """Contents of session.yaml.
+
+    Attributes:
+        schema_: version of this layout ("schema" in YAML).
+        seed: of the exploration (and of the stand-in, where there is one).
+        settings: of the practice.
+        candidates: ids of the candidate policies, in their order.
+        demonstrations: bags they were fitted to, as given.
+        task: whatever else is needed to run it again, such as fit settings or the stand-in's.
+        versions: of the software that began it, see `versions`.
+        clock: wall-clock figures, such as when it began.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    schema_: Literal["wam_power_ros/session/1"] = Field(default=SCHEMA, alias="schema")
+    seed: int = Field(ge=0)
+    settings: PracticeSettings
+    candidates: list[str] = Field(min_length=1)
+    demonstrations: list[str]
+    task: dict[str, Any]
+    versions: dict[str, str]
+    clock: dict[str, Any]
+
+    @field_validator("candidates")
+    @classmethod
+    def _are_ids(cls, candidates: list[str]) -> list[str]:
+        for id in candidates:
+            policy_module.check_id(id)  # they become file names
+        return candidates
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, this package and what it computes with; what is missing is left out."""
+    found = {"python": platform.python_version()}
+    for name in ("wam_power_ros", *_PACKAGES):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+class Session:
+    """A session folder, held for writing; close it, or use it as a context manager.
+
+    Attributes:
+        folder: where it is.
+        header: contents of session.yaml.
+        candidates: the policies it began with.
+        bags: folder for the recordings.
+    """
+
+    def __init__(self, folder: Path, lock: int) -> None:
+        """Use `begin` or `open`."""
+        self.folder = folder
+        self.bags = folder / "bags"
+        self._lock = lock
+        self.header, self.candidates = _read_head(folder)
+        self._log, self._size = _read_log(folder / "rollouts.jsonl")
+        self._file = self._open_log()
+
+    @staticmethod
+    def exists(folder: Path | str) -> bool:
+        """Whether a session was begun in a folder, so that it is to be opened."""
+        return (Path(folder) / "session.yaml").is_file()
+
+    @classmethod
+    def begin(
+        cls,
+        folder: Path | str,
+        settings: PracticeSettings,
+        seed: int,
+        candidates: Sequence[Policy],
+        *,
+        demonstrations: Sequence[str] = (),
+        task: Mapping[str, Any] | None = None,
+        clock: Mapping[str, Any] | None = None,
+    ) -> Session:
+        """Begin a session in a new folder, or in one whose beginning was interrupted.
+
+        Args:
+            folder: becomes the session; missing parents are made.
+            settings: of the practice.
+            seed: of the exploration.
+            candidates: policies fitted to the demonstrations.
+            demonstrations: bags the candidates were fitted to.
+            task: whatever else is needed to run it again, as data for YAML.
+            clock: wall-clock figures.
+
+        Raises:
+            SessionError: there is a session already, or another process holds the folder.
+            ValueError: `Practice` would refuse the arguments.
+        """
+        Practice(candidates, settings, seed)
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = _lock(folder)
+        try:
+            if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
+                raise SessionError(f"{folder} holds a session already; open it, or name another")
+            header = SessionHeader(
+                seed=seed,
+                settings=settings,
+                candidates=[policy.id for policy in candidates],
+                demonstrations=list(demonstrations),
+                task=dict(task or {}),
+                versions=versions(),
+                clock=dict(clock or {}),
+            )
+            text = yaml.safe_dump(header.model_dump(mode="json", by_alias=True), sort_keys=False)
+            (folder / "candidates").mkdir(exist_ok=True)
+            (folder / "bags").mkdir(exist_ok=True)
+            for policy in candidates:
+                path = folder / "candidates" / f"{policy.id}.json"
+                _replace(path, policy_module.to_json(policy))
+            _replace(folder / "session.yaml", text)
+            _sync_folder(folder.parent)
+            return cls(folder, lock)
+        except BaseException:
+            os.close(lock)
+            raise
+
+    @classmethod
+    def open(cls, folder: Path | str) -> Session:
+        """Go on with a session. A last line torn by a crash is cut off, with a warning.
+
+        Raises:
+            SessionError: no session, one that another process holds, or a malformed file; names
+                the file and line.
+        """
+        folder = Path(folder)
+        if not cls.exists(folder):
+            raise SessionError(f"{folder} holds no session: there is no session.yaml")
+        lock = _lock(folder)
+        try:
+            return cls(folder, lock)
+        except BaseException:
+            os.close(lock)
+            raise
+
+    @property
+    def settings(self) -> PracticeSettings:
+        """Settings of the practice."""
+        return self.header.settings
+
+    @property
+    def seed(self) -> int:
+        """Seed of the exploration."""
+        return self.header.seed
+
+    @property
+    def log(self) -> tuple[Line, ...]:
+        """All lines on disk, oldest first."""
+        return tuple(self._log)
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        """The rollouts on disk, oldest first, with their ratings."""
+        return with_ratings(self._log)
+
+    def practice(self) -> Practice:
+        """The practice as it was after the last line on disk.
+
+        Raises:
+            SessionError: the rollouts are not those of this session's settings and seed.
+        """
+        return _practice(self.folder, self.header, self.candidates, self._log)
+
+    def append(self, entry: Line) -> None:
+        """Put a rollout, or what a person did, on disk; when this returns, it is there to stay.
+
+        Raises:
+            SessionError: not the next rollout, or something that takes effect at another time.
+            OSError: it could not be written; the log is as it was, as far as the disk allows.
+        """
+        if self._file is None:
+            raise SessionError(f"{self.folder} is closed")
+        if why := _out_of_place(entry, self._count):
+            raise SessionError(f"{why} in {self.folder}")
+        line = (entry.to_json() + "\n").encode()
+        if len(line) > _LINE_MAX:
+            raise SessionError(f"a line of {len(line)} bytes, over {_LINE_MAX}")
+        try:
+            _write_all(self._file, line)
+            os.fsync(self._file)
+        except OSError:
+            os.ftruncate(self._file, self._size)
+            raise
+        self._size += len(line)
+        self._log.append(entry)
+
+    def save_policy(self, policy: Policy) -> None:
+        """Replace policy.json, atomically: a reader sees the old or the new one, never a part."""
+        _replace(self.folder / "policy.json", policy_module.to_json(policy))
+
+    def close(self) -> None:
+        """Let go of the folder. Closing twice is fine."""
+        if self._file is not None:
+            os.close(self._file)
+            os.close(self._lock)
+            self._file = None
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def _count(self) -> int:
+        return sum(isinstance(line, Record) for line in self._log)
+
+    def _open_log(self) -> int | None:
+        path = self.folder / "rollouts.jsonl"
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        torn = os.fstat(file).st_size - self._size
+        if torn:
+            _log.warning(
+                "%s: cut off %d bytes after line %d: a rollout was being written when the "
+                "session ended; it was never acknowledged and is run again",
+                path,
+                torn,
+                len(self._log),
+            )
+            os.ftruncate(file, self._size)
+        os.fsync(file)
+        _sync_folder(self.folder)
+        return file
+
+
+def read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], tuple[Record, ...]]:
+    """Header, candidates and rollouts of a session, for looking at: nothing is locked or changed.
+
+    Candidates include those given later; rollouts have their ratings. A learner may be writing
+    meanwhile; a line not yet complete is not returned.
+
+    Raises:
+        SessionError: no session, or a malformed file; names the file and line.
+    """
+    header, candidates, log = _read(folder)
+    later = [line.candidate() for line in log if isinstance(line, Given)]
+    return header, (*candidates, *later), with_ratings(log)
+
+
+def read_log(folder: Path | str) -> tuple[Line, ...]:
+    """All lines of a session's log, for looking at.
+
+    Raises:
+        SessionError: as `read`.
+    """
+    return tuple(_read(folder)[2])
+
+
+def read_practice(folder: Path | str) -> Practice:
+    """The practice of a session as it is on disk, for looking at.
+
+    Raises:
+        SessionError: as `read`, or the rollouts are not those of this session.
+    """
+    return _practice(Path(folder), *_read(folder))
+
+
+def _read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], list[Line]]:
+    folder = Path(folder)
+    if not Session.exists(folder):
+        raise SessionError(f"{folder} holds no session: there is no session.yaml")
+    header, candidates = _read_head(folder)
+    log, _ = _read_log(folder / "rollouts.jsonl")
+    return header, candidates, log
+
+
+def _practice(
+    folder: Path, header: SessionHeader, candidates: Sequence[Policy], log: Sequence[Line]
+) -> Practice:
+    try:
+        return Practice.from_records(candidates, header.settings, header.seed, log)
+    except ValueError as error:
+        raise SessionError(f"{folder / 'rollouts.jsonl'}: {error}") from error
+
+
+def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...]]:
+    path = folder / "session.yaml"
+    try:
+        header = SessionHeader.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+    except (ValidationError, yaml.YAMLError, UnicodeDecodeError) as error:
+        raise SessionError(f"{path}: {_brief(error)}") from error
+    candidates = []
+    for id in header.candidates:
+        path = folder / "candidates" / f"{id}.json"
+        try:
+            candidate = policy_module.from_json(path.read_text(encoding="utf-8"))
+        except (ValueError, OSError) as error:
+            raise SessionError(f"{path}: {error}") from error
+        if candidate.id != id:
+            raise SessionError(f"{path}: holds policy {candidate.id!r}, expected {id!r}")
+        candidates.append(candidate)
+    return header, tuple(candidates)
+
+
+def _read_log(path: Path) -> tuple[list[Line], int]:
+    """Complete lines of a log, and how many bytes these have."""
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return [], 0
+    # A line without its end was never acknowledged, whatever is in it.
+    size = data.rfind(b"\n") + 1
+    log: list[Line] = []
+    count = 0
+    for number, text in enumerate(data[:size].split(b"\n")[:-1], start=1):
+        try:
+            line = line_of(text.decode())
+        except ValueError as error:
+            raise SessionError(f"{path}, line {number}: {_brief(error)}") from error
+        if why := _out_of_place(line, count):
+            raise SessionError(f"{path}, line {number}: {why}")
+        count += isinstance(line, Record)
+        log.append(line)
+    return log, size
+
+
+def _out_of_place(line: Line, count: int) -> str:
+    """Why a line cannot come after `count` rollouts, empty if it can."""
+    if isinstance(line, Record):
+        wrong = line.number != count + 1
+        return f"rollout {line.number} cannot follow {count}" if wrong else ""
+    if isinstance(line, Rating) and line.rollout > count:
+        return f"rollout {line.rollout} is rated before it is on record"
+    if line.after in (count, count + 1):
+        return ""
+    return f"what takes effect after rollout {line.after} cannot follow {count}"
+
+
+def _brief(error: Exception) -> str:
+    """First thing wrong, in one line."""
+    if isinstance(error, ValidationError):
+        first, *others = error.errors()
+        where = ".".join(str(part) for part in first["loc"]) or "file"
+        more = f" (and {len(others)} more)" if others else ""
+        return f"{where}: {first['msg']}, got {str(first['input'])[:80]}{more}"
+    if isinstance(error, json.JSONDecodeError):
+        return f"not JSON: {error}"
+    return re.sub(r"\s+", " ", str(error))
+
+
+def _lock(folder: Path) -> int:
+    """Descriptor that holds the folder until it is closed, by whatever ends the process."""
+    file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(file)
+        raise SessionError(f"{folder} is being written by another learner") from error
+    return file
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file so that after a crash it is the old or the new one."""
+    temporary = path.with_name(f".{path.name}.new")
+    file = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+    try:
+        _write_all(file, text.encode())
+        os.fsync(file)
+    finally:
+        os.close(file)
+    os.replace(temporary, path)
+    _sync_folder(path.parent)
+
+
+def _write_all(file: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(file, view) :]
+
+
+def _sync_folder(folder: Path) -> None:
+    file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Terminal display, HTML pages and figures."""

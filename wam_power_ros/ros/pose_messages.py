@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses, markers, paths, states and diagnostics <-> arrays: the other half of `interface`.
+
+Callers write `interface.pose(...)`: this file is only where these conversions live. Reading
+validates the whole message and raises `ValueError` naming the value and the rule. Stamps are `int`
+nanoseconds, quaternions xyzw, all else SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry, Path
+from sensor_msgs.msg import PointCloud2, PointField
+
+if TYPE_CHECKING:
+    from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+
+RolloutPath = TypeVar("RolloutPath", "EndEffectorPath", "BodyPath")
+
+
+def nanoseconds(time: Time) -> int:
+    """A stamp as nanoseconds [ns]."""
+    return time.sec * 1_000_000_000 + time.nanosec
+
+
+def stamp(stamp_ns: int) -> Time:
+    """Nanoseconds [ns] as a stamp."""
+    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def sensor_stamp(message: object) -> int:
+    """The stamp of a sensor message [ns].
+
+    Raises:
+        ValueError: the stamp is not set: such messages cannot be put in order.
+    """
+    return set_stamp(nanoseconds(message.header.stamp))
+
+
+def set_stamp(stamp_ns: int) -> int:
+    """A sensor's stamp [ns], if it is set.
+
+    Raises:
+        ValueError: it is not.
+    """
+    if stamp_ns <= 0:
+        raise ValueError(f"stamp is {stamp_ns} ns; the driver must stamp its messages")
+    return stamp_ns
+
+
+class PoseReading(NamedTuple):
+    """One motion-capture pose."""
+
+    stamp_ns: int
+    frame: str
+    position: np.ndarray  # (3,) [m]
+    quat_xyzw: np.ndarray  # (4,)
+
+
+def _fill_pose(pose: object, position: np.ndarray, quat_xyzw: np.ndarray) -> None:
+    p, o = pose.position, pose.orientation
+    p.x, p.y, p.z = (float(value) for value in position)
+    o.x, o.y, o.z, o.w = (float(value) for value in quat_xyzw)
+
+
+def _pose_arrays(pose: object) -> tuple[np.ndarray, np.ndarray]:
+    p, o = pose.position, pose.orientation
+    return np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
+
+
+def pose_message(
+    stamp_ns: int, frame: str, position: np.ndarray, quat_xyzw: np.ndarray
+) -> PoseStamped:
+    """A pose, position (3,) [m] and quat_xyzw (4,), in `frame`."""
+    message = PoseStamped()
+    message.header.stamp, message.header.frame_id = stamp(stamp_ns), frame
+    _fill_pose(message.pose, position, quat_xyzw)
+    return message
+
+
+def pose(message: PoseStamped) -> PoseReading:
+    """Read a pose; the quaternion comes back normalised.
+
+    Raises:
+        ValueError: stamp not set, a value not finite, or the quaternion not of unit length (1e-3).
+    """
+    position, quat_xyzw = _pose_arrays(message.pose)
+    if not (np.isfinite(position).all() and np.isfinite(quat_xyzw).all()):
+        raise ValueError(f"pose {position.tolist()} {quat_xyzw.tolist()} must be finite")
+    norm = float(np.linalg.norm(quat_xyzw))
+    if abs(norm - 1.0) > 1e-3:
+        raise ValueError(f"quaternion {quat_xyzw.tolist()} must be of unit length, is {norm:.4g}")
+    return PoseReading(sensor_stamp(message), message.header.frame_id, position, quat_xyzw / norm)
+
+
+def markers(message: PointCloud2) -> tuple[int, str, np.ndarray]:
+    """Read unlabelled markers.
+
+    Returns:
+        Stamp [ns], frame, and positions (m, 3) [m]; a marker that is not finite is left out.
+
+    Raises:
+        ValueError: stamp not set, no x, y, z of float32, or a length that does not fit.
+    """
+    fields = {field.name: field for field in message.fields}
+    for name in "xyz":
+        if name not in fields or fields[name].datatype != PointField.FLOAT32:
+            raise ValueError(f"point cloud fields {sorted(fields)} must hold float32 x, y and z")
+    count = message.width * message.height
+    ends = max(fields[name].offset + 4 for name in "xyz")
+    if message.row_step != message.width * message.point_step or message.point_step < ends:
+        raise ValueError(f"point_step {message.point_step}, row_step {message.row_step} do not fit")
+    if len(message.data) != count * message.point_step:
+        raise ValueError(f"{len(message.data)} bytes for {count} points of {message.point_step}")
+    layout = np.dtype(
+        {
+            "names": list("xyz"),
+            "formats": [(">" if message.is_bigendian else "<") + "f4"] * 3,
+            "offsets": [fields[name].offset for name in "xyz"],
+            "itemsize": message.point_step,
+        }
+    )
+    cloud = np.frombuffer(bytes(message.data), dtype=layout)
+    points = np.column_stack([cloud[name] for name in "xyz"]).astype(float)  # (m, 3)
+    finite = np.isfinite(points).all(axis=1)
+    return sensor_stamp(message), message.header.frame_id, points[finite]
+
+
+def markers_message(stamp_ns: int, frame: str, points: np.ndarray) -> PointCloud2:
+    """Markers (m, 3) [m] as an unordered cloud of float32 x, y, z."""
+    points = np.asarray(points, dtype="<f4").reshape(-1, 3)
+    message = PointCloud2(height=1, width=len(points), point_step=12, is_dense=True)
+    message.header.stamp, message.header.frame_id = stamp(stamp_ns), frame
+    message.row_step = 12 * len(points)
+    message.fields = [
+        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
+        for i, name in enumerate("xyz")
+    ]
+    message.data = points.tobytes()
+    return message
+
+
+class StateReading(NamedTuple):
+    """A rigid body's state, all of it in the frame of the pose."""
+
+    stamp_ns: int
+    frame: str
+    position: np.ndarray  # (3,) [m]
+    quat_xyzw: np.ndarray  # (4,)
+    velocity: np.ndarray  # (3,) [m/s]
+    angular_velocity: np.ndarray  # (3,) [rad/s]
+    variance: float  # of the position, an axis [m^2]
+
+
+def odometry_message(state: StateReading, child_frame: str) -> Odometry:
+    """A state as Odometry, whose twist is in the child frame by its definition: rotated here."""
+    message = Odometry(child_frame_id=child_frame)
+    message.header.stamp, message.header.frame_id = stamp(state.stamp_ns), state.frame
+    _fill_pose(message.pose.pose, state.position, state.quat_xyzw)
+    rotation = _rotation(state.quat_xyzw)
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    linear.x, linear.y, linear.z = (rotation.T @ state.velocity).tolist()
+    angular.x, angular.y, angular.z = (rotation.T @ state.angular_velocity).tolist()
+    message.pose.covariance[0] = float(state.variance)
+    message.pose.covariance[7] = message.pose.covariance[14] = message.pose.covariance[0]
+    return message
+
+
+def odometry(message: Odometry) -> StateReading:
+    """Read a state, its twist rotated into the frame of the pose.
+
+    Raises:
+        ValueError: stamp not set, a value not finite, or the quaternion not of unit length (1e-3).
+    """
+    reading = pose(PoseStamped(header=message.header, pose=message.pose.pose))
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    twist = np.array([[linear.x, linear.y, linear.z], [angular.x, angular.y, angular.z]])
+    if not np.isfinite(twist).all():
+        raise ValueError(f"twist {twist.tolist()} must be finite")
+    velocity, angular_velocity = twist @ _rotation(reading.quat_xyzw).T
+    variance = float(message.pose.covariance[0])
+    return StateReading(*reading, velocity, angular_velocity, variance)
+
+
+def _rotation(quat_xyzw: np.ndarray) -> np.ndarray:
+    x, y, z, w = quat_xyzw
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) -> Path:
+    """A rollout's path; the rollout's start [ns] is the header's stamp, its id every pose's frame.
+
+    A path without poses could not carry its id: it is sent as one pose at NaN.
+    """
+    message = Path()
+    message.header.stamp, message.header.frame_id = stamp(start_ns), frame
+    if not len(path.t):
+        nowhere = np.full(3, np.nan)
+        message.poses = [pose_message(start_ns, path.id, nowhere, np.array([0.0, 0.0, 0.0, 1.0]))]
+        return message
+    stamps = start_ns + np.rint(np.asarray(path.t) * 1e9).astype(np.int64)  # (M,) [ns]
+    message.poses = [
+        pose_message(int(time), path.id, position, quat_xyzw)
+        for time, position, quat_xyzw in zip(stamps, path.position, path.quat_xyzw, strict=True)
+    ]
+    return message
+
+
+def path(message: Path, kind: type[RolloutPath]) -> tuple[int, RolloutPath]:
+    """Read a rollout's path.
+
+    Args:
+        message: the path.
+        kind: `EndEffectorPath` or `BodyPath`.
+
+    Returns:
+        The rollout's start [ns], and the path with times since then [s].
+
+    Raises:
+        ValueError: no pose, more than one id, stamps that do not increase, or what `kind` refuses.
+    """
+    if not message.poses:
+        raise ValueError("path has no pose and so no rollout id; an empty one has one pose at NaN")
+    ids = {item.header.frame_id for item in message.poses}
+    if len(ids) != 1:
+        raise ValueError(f"path carries the rollout ids {sorted(ids)}, must carry one")
+    start_ns = sensor_stamp(message)
+    first = message.poses[0].pose.position
+    poses = [] if np.isnan([first.x, first.y, first.z]).all() else message.poses
+    t = np.array([(nanoseconds(item.header.stamp) - start_ns) * 1e-9 for item in poses])  # (M,)
+    if np.any(np.diff(t) <= 0.0):
+        raise ValueError("stamps of the poses of a path must increase")
+    arrays = [_pose_arrays(item.pose) for item in poses]
+    position = np.array([item[0] for item in arrays]).reshape(-1, 3)  # (M, 3)
+    quat_xyzw = np.array([item[1] for item in arrays]).reshape(-1, 4)  # (M, 4)
+    return start_ns, kind(id=ids.pop(), t=t, position=position, quat_xyzw=quat_xyzw)
+
+
+LEVELS = {
+    "ok": DiagnosticStatus.OK,
+    "warn": DiagnosticStatus.WARN,
+    "error": DiagnosticStatus.ERROR,
+    "stale": DiagnosticStatus.STALE,
+}
+
+
+def diagnostics(
+    now: Time, name: str, hardware_id: str, level: str, text: str, values: Mapping[str, object]
+) -> DiagnosticArray:
+    """One status (REP-107): name "node: component", level of `LEVELS`, values as text."""
+    status = DiagnosticStatus(
+        level=LEVELS[level],
+        name=name,
+        hardware_id=hardware_id,
+        message=text,
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+    )
+    message = DiagnosticArray(status=[status])
+    message.header.stamp = now
+    return message

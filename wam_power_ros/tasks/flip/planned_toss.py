@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The toss a policy has planned, before any rollout: Eq. 1's own movement, then free flight.
+
+The pan follows Eq. 1 exactly. The pancake lies at its centre and leaves when the pan's
+acceleration along its normal falls below gravity's; it keeps the pan's velocity and a share of
+its turning, and flies without air. Crude, and right about what makes one policy's toss
+better than another's: that is all a screening of candidates needs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.dmp import activations
+from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.tasks.flip.flight import DELTA_H
+from wam_power_ros.tasks.flip.returns import PancakeWeights
+
+GRAVITY = 9.81  # [m/s^2]
+PERIOD = 0.005  # [s] of the planned movement; 0.002 predicts no better
+SPIN_SHARE = 0.6  # of the pan's turning that the pancake keeps; fits tosses of tuning seeds
+
+
+@dataclass(frozen=True, eq=False)
+class Tosses:
+    """Planned tosses of B policies.
+
+    Attributes:
+        tossed: It leaves the pan and rises over it by more than Delta_h. Shape (B,)
+        angle: Turned when it falls through that height [rad]; 0 when not tossed. Shape (B,)
+        apex: Highest point over the pan's height at the start [m]. Shape (B,)
+        landing_error: Pancake - pan at that time, x and y [m]. Shape (B, 2)
+    """
+
+    tossed: np.ndarray
+    angle: np.ndarray
+    apex: np.ndarray
+    landing_error: np.ndarray
+
+
+def plan_tosses(
+    parameters: Parameters, z: np.ndarray, start: np.ndarray, tail: float = 1.0
+) -> Tosses:
+    """Tosses of policies at z (B, size), of a pan that is at `start` (3,) [m] when they begin.
+
+    Args:
+        parameters: What z means.
+        z: Coordinates. Shape (B, size)
+        start: Of the pan's centre, base frame [m]. Shape (3,)
+        tail: Time after the movement that is looked at [s].
+    """
+    position, velocity, rotation, omega = _movement(parameters, z, start, tail)
+    steps = len(position)
+    normal = _normals(rotation, parameters.policy0.orientation_reference)  # (T, 3, B)
+    acceleration = np.gradient(velocity, PERIOD, axis=0)
+    acceleration[:, 2] += GRAVITY
+    free = (acceleration * normal).sum(axis=1) < 0.0  # (T, B)
+    left = free.any(axis=0)
+    release = np.where(left, free.argmax(axis=0), steps - 1)  # (B,)
+    everyone = np.arange(len(release))
+
+    t = np.maximum(np.arange(steps)[:, None] - release, 0) * PERIOD  # (T, B) of the flight
+    at = position[release, :, everyone].T  # (3, B)
+    flying = at + velocity[release, :, everyone].T * t[:, None]  # (T, 3, B)
+    flying[:, 2] -= 0.5 * GRAVITY * t**2
+    above = (flying[:, 2] - position[:, 2] > DELTA_H) & (t > 0.0)
+    tossed = left & above.any(axis=0)
+    # the last instant above it: a pan that follows the pancake upwards crosses more than once
+    down = np.where(tossed, steps - 1 - above[::-1].argmax(axis=0), steps - 1)  # (B,)
+    # turned in the pan, then with a share of its angular velocity
+    turned = (normal[0] * normal[release, :, everyone].T).sum(axis=0)
+    spin = np.linalg.norm(omega[release, :, everyone], axis=-1)
+    angle = np.arccos(np.clip(turned, -1.0, 1.0)) + SPIN_SHARE * spin * t[down, everyone]
+    miss = (flying - position)[down, :2, everyone]  # (B, 2)
+    rise = np.where(t > 0.0, flying[:, 2], position[:, 2]).max(axis=0) - start[2]
+    return Tosses(
+        tossed=tossed,
+        angle=np.where(tossed, angle, 0.0),
+        apex=np.where(left, rise, 0.0),
+        landing_error=np.where(tossed[:, None], miss, 0.0),
+    )
+
+
+def planned_terms(tosses: Tosses, weights: PancakeWeights) -> np.ndarray:
+    """Terms orientation, position and altitude of Eq. 5 for planned tosses. Shape (B, 3)."""
+    folded = np.arccos(np.cos(tosses.angle)) / np.pi
+    near = np.exp(-np.linalg.norm(tosses.landing_error, axis=1))
+    return np.stack(
+        [
+            weights.orientation * folded,
+            weights.position * near,
+            weights.altitude * np.maximum(tosses.apex, 0.0),
+        ],
+        axis=1,
+    )
+
+
+class TossModel:
+    """A `screening.Model` of Eq. 5: the planned toss, put right by what rollouts returned.
+
+    The return is taken to be sum_j (1 + w_j) term_j + w_0, the terms those of the planned toss,
+    with w normal about zero: a ridge regression, exact and done anew after every rollout.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        start: np.ndarray,
+        weights: PancakeWeights | None = None,
+        trust: float = 0.3,
+        noise: float = 0.05,
+    ) -> None:
+        """Know the plan, and nothing of any rollout.
+
+        Args:
+            parameters: What z means.
+            start: Of the pan's centre, base frame [m]. Shape (3,)
+            weights: Of Eq. 5, the paper's when omitted.
+            trust: Standard deviation of w before any rollout.
+            noise: Of a return about what w explains.
+        """
+        self._parameters, self._start = parameters, np.asarray(start, dtype=float)
+        self._weights = PancakeWeights() if weights is None else weights
+        self._terms: list[np.ndarray] = []
+        self._left_over: list[float] = []
+        self._ridge = (noise / trust) ** 2
+        self._w = np.zeros(4)
+
+    def predict(self, z: np.ndarray) -> np.ndarray:
+        """Returns to expect at z (B, size). Shape (B,)."""
+        terms = self._planned(z)
+        return terms.sum(axis=1) + self._features(terms) @ self._w
+
+    def learn(self, z: np.ndarray, ret: float) -> None:
+        """Take in that z (size,) returned `ret`."""
+        terms = self._planned(z[np.newaxis])
+        self._terms.append(self._features(terms)[0])
+        self._left_over.append(ret - float(terms.sum()))
+        x, y = np.stack(self._terms), np.array(self._left_over)
+        self._w = np.linalg.solve(x.T @ x + self._ridge * np.eye(x.shape[1]), x.T @ y)
+
+    def _planned(self, z: np.ndarray) -> np.ndarray:
+        return planned_terms(plan_tosses(self._parameters, z, self._start), self._weights)
+
+    @staticmethod
+    def _features(terms: np.ndarray) -> np.ndarray:
+        return np.column_stack([terms, np.full(len(terms), 0.5)])
+
+
+def _movement(
+    parameters: Parameters, z: np.ndarray, start: np.ndarray, tail: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Eq. 1 and the same law of the rotation vector: x, xd, r, rd. Shape (T, 3, B) each."""
+    policy = parameters.policy0
+    stiffness, attractors, rotation = parameters.arrays(z)
+    count = len(stiffness)
+    n = policy.basis.count
+    steps = round((policy.basis.duration + tail) / PERIOD) + 1
+    h = activations(policy.basis, np.arange(steps - 1) * PERIOD)  # (T-1, n)
+    force = np.matmul(stiffness, attractors[..., None])[..., 0]  # (B, n, 3)
+    a = PERIOD * (h @ stiffness.transpose(1, 2, 3, 0).reshape(n, -1)).reshape(-1, 3, 3, count)
+    b = PERIOD * (h @ force.transpose(1, 2, 0).reshape(n, -1)).reshape(-1, 3, count)
+    c = (h @ rotation.transpose(1, 2, 0).reshape(n, -1)).reshape(-1, 3, count)
+    c *= PERIOD * policy.rotation_stiffness
+    keep = 1.0 - PERIOD * policy.damping
+    rotation_keep = 1.0 - PERIOD * policy.rotation_damping
+    pull = PERIOD * policy.rotation_stiffness
+    x, xd, r, rd = np.zeros((4, steps, 3, count))
+    x[0] = start[:, None]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(steps - 1):
+            xd[k + 1] = keep * xd[k] + b[k] - (a[k] * x[k]).sum(axis=1)
+            x[k + 1] = x[k] + PERIOD * xd[k + 1]
+            rd[k + 1] = rotation_keep * rd[k] + c[k] - pull * r[k]
+            r[k + 1] = r[k] + PERIOD * rd[k + 1]
+    return x, xd, r, rd
+
+
+def _normals(rotation: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """Pan's normal when turned by rotation vectors (T, 3, B) from `reference` (xyzw). Same."""
+    axis = rotations.matrix(reference[np.newaxis])[0][:, 2]  # (3,)
+    angle = np.linalg.norm(rotation, axis=1, keepdims=True)  # (T, 1, B)
+    unit = rotation / np.maximum(angle, 1e-12)
+    along = (unit * axis[:, None]).sum(axis=1, keepdims=True)
+    # Rodrigues: v cos + (u x v) sin + u (u.v) (1 - cos)
+    turned = axis[:, None] * np.cos(angle) + unit * along * (1.0 - np.cos(angle))
+    across = np.cross(unit.swapaxes(1, 2), axis).swapaxes(1, 2)  # (T, 3, B)
+    return turned + across * np.sin(angle)

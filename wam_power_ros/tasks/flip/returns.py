@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rollout -> return: the paper's two (Eqs. 4 and 5), and one for a true flip that lands.
+
+Every return is at least zero, as PoWER needs.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wam_power_ros.tasks.flip.flight import Flight
+
+
+@dataclass(frozen=True)
+class Return:
+    """A return and the terms it is the sum of.
+
+    Attributes:
+        total: Sum of the terms.
+        terms: Each already weighted, at least 0.
+    """
+
+    total: float
+    terms: dict[str, float]
+
+
+@dataclass(frozen=True)
+class PancakeWeights:
+    """Weights of Eq. 5; all 0.5 in the paper.
+
+    Attributes:
+        orientation: w1.
+        position: w2.
+        altitude: w3 [1/m].
+    """
+
+    orientation: float = 0.5
+    position: float = 0.5
+    altitude: float = 0.5
+
+    def __post_init__(self) -> None:
+        _check_weights(self)
+
+
+@dataclass(frozen=True)
+class LandingWeights:
+    """Weights of `landing_return`; the defaults sum to 1 for a perfect flip.
+
+    Attributes:
+        rotation: Of the unfolded rotation.
+        altitude: Of the altitude up to its cap.
+        altitude_cap: Altitude that earns the whole term [m]; more earns nothing, so throwing
+            higher is no substitute for landing.
+        landing: Of landing near the pan's centre.
+        landing_scale: Distance at which that has fallen to 1/e [m]; sharper terms (0.1) were
+            found to keep the learner from turning the pancake further.
+        caught: Of resting in the pan at the end.
+    """
+
+    rotation: float = 0.4
+    altitude: float = 0.1
+    altitude_cap: float = 0.4
+    landing: float = 0.3
+    landing_scale: float = 0.3
+    caught: float = 0.2
+
+    def __post_init__(self) -> None:
+        _check_weights(self)
+        if not (self.altitude_cap > 0.0 and self.landing_scale > 0.0):
+            raise ValueError(
+                f"altitude_cap = {self.altitude_cap} and landing_scale = {self.landing_scale} "
+                "must be positive"
+            )
+
+
+def pancake_return(flight: Flight, weights: PancakeWeights | None = None) -> Return:
+    """Return of a toss (Eq. 5).
+
+        R = w1 arccos(v0 . v_tf) / pi + w2 exp(-|x_P - x_F|) + w3 x3_max
+
+    The 1/pi is in the typeset paper. What the paper leaves open: never tossed, the first term is
+    0 and t_f the end; lost from view, the second term is 0 (and the first, when the turning was
+    not seen either); the altitude counts from the pan's height at the start and is at least 0.
+
+    Args:
+        flight: As observed.
+        weights: Those of the paper when omitted.
+
+    Returns:
+        Terms orientation, position, altitude.
+    """
+    weights = PancakeWeights() if weights is None else weights
+    turned = 0.0
+    if flight.tossed:
+        cosine = float(np.dot(flight.normal_start, flight.normal))
+        turned = math.acos(min(max(cosine, -1.0), 1.0)) / math.pi
+    near = 0.0
+    if flight.seen:
+        near = math.exp(-float(np.linalg.norm(flight.position - flight.pan_position)))
+    return _sum(
+        orientation=weights.orientation * turned,
+        position=weights.position * near,
+        altitude=weights.altitude * max(flight.apex, 0.0),
+    )
+
+
+def landing_return(flight: Flight, weights: LandingWeights | None = None) -> Return:
+    """Return of a toss that asks for a whole half turn and a landing. Not in the paper.
+
+        R = w_r rho + w_a min(apex, cap) / cap + rho^2 (w_l exp(-d / d0) + w_c caught)
+
+    rho = 1 - |angle - pi| / pi, at least 0, of the unfolded angle: half a turn is best, none or
+    a whole turn is worth nothing. d is the horizontal distance at t_f. Landing and catching count
+    by the rotation squared: a pancake that never turns is easily caught.
+
+    Args:
+        flight: As observed.
+        weights: The defaults when omitted.
+
+    Returns:
+        Terms rotation, altitude, landing, caught.
+    """
+    weights = LandingWeights() if weights is None else weights
+    rotation = 0.0
+    if flight.tossed:
+        rotation = max(0.0, 1.0 - abs(flight.angle - math.pi) / math.pi)
+    near = 0.0
+    if flight.seen:
+        near = math.exp(-math.hypot(*flight.landing_error[:2]) / weights.landing_scale)
+    altitude = min(max(flight.apex, 0.0), weights.altitude_cap) / weights.altitude_cap
+    return _sum(
+        rotation=weights.rotation * rotation,
+        altitude=weights.altitude * altitude,
+        landing=weights.landing * rotation**2 * near,
+        caught=weights.caught * rotation**2 * float(flight.resting),
+    )
+
+
+def reaching_return(
+    path: np.ndarray,
+    demonstrated: np.ndarray,
+    goal: np.ndarray,
+    *,
+    w1: float = 0.5,
+    w2: float = 0.5,
+    unit: float = 0.1,
+) -> float | np.ndarray:
+    """Return of a reaching rollout, or of many at once (Eq. 4).
+
+        R = sum_{t < t_e} w1/T exp(-|x_R(t) - x_D(t)|) + w2 exp(-|x_R(t_e) - x_G|)
+
+    T is the number of samples and t_e the last. On collision the end-effector stays where it is;
+    that is the scenario's business, this formula sees only the path.
+
+    Args:
+        path: x_R [m]. Shape (T, 3), or (B, T, 3) for many.
+        demonstrated: x_D [m]. Shape (T, 3).
+        goal: x_G [m]. Shape (3,).
+        w1: Of following the demonstration.
+        w2: Of reaching the goal.
+        unit: Of length in the exponents [m]. The paper names none; only decimetres give both
+            returns it reports, 0.61 before and 0.73 after learning.
+
+    Returns:
+        One return, or shape (B,).
+
+    Raises:
+        ValueError: Shapes that do not fit, or a value that is not finite.
+    """
+    path, demonstrated = np.asarray(path, dtype=float), np.asarray(demonstrated, dtype=float)
+    if path.ndim not in (2, 3) or path.shape[-2:] != demonstrated.shape or path.shape[-1] != 3:
+        raise ValueError(
+            f"path {path.shape} and demonstrated {demonstrated.shape} must be (T, 3), "
+            "the path optionally with a leading count"
+        )
+    if not (np.isfinite(path).all() and np.isfinite(demonstrated).all()):
+        raise ValueError("path and demonstrated must be finite")
+    if not unit > 0.0:
+        raise ValueError(f"unit = {unit} m must be positive")
+    steps = path.shape[-2]
+    astray = np.linalg.norm(path[..., :-1, :] - demonstrated[:-1], axis=-1) / unit
+    missed = np.linalg.norm(path[..., -1, :] - goal, axis=-1) / unit
+    total = w1 / steps * np.exp(-astray).sum(axis=-1) + w2 * np.exp(-missed)
+    return float(total) if path.ndim == 2 else total
+
+
+def _sum(**terms: float) -> Return:
+    return Return(total=math.fsum(terms.values()), terms=terms)
+
+
+def _check_weights(weights: PancakeWeights | LandingWeights) -> None:
+    for name, value in vars(weights).items():
+        if not 0.0 <= value < math.inf:
+            raise ValueError(f"{name} = {value} must be finite and at least 0")

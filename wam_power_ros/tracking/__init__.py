@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rigid body in motion capture: filter, marker fit. Pure."""
