@@ -214,7 +214,7 @@ def taught() -> Policy:
 
 def start(processes: Processes, folder: Path) -> dict[str, Running]:
     """The nodes, with the stand-in at the pace of life."""
-    setup = overlay.setup((), rehearse=True)
+    setup = overlay.setup((), simulated=True)
     setup["demonstration_recorder"]["directory"] = str(folder)
     setup["torque_controller"]["idle_service"] = ""  # an idled arm hangs, and nobody lifts it
     file = folder / "parameters.yaml"

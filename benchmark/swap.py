@@ -57,7 +57,7 @@ def main() -> int:
         words = [word for name in names for word in ("--config", name)]
         start = time.monotonic()
         count = len(first) + options.rollouts
-        learn(folder, count, options.patience, *words, *(["--rehearse"] if names else []))
+        learn(folder, count, options.patience, *words, *(["--simulate"] if names else []))
         took = time.monotonic() - start
         _, _, records = session.read(folder)
         new = list(records[len(first) : count])

@@ -5,7 +5,7 @@
     ros2 launch wam_power_ros sim.launch.py session:=/tmp/flip demonstrations:=/tmp/bags/demo_1
     ros2 launch wam_power_ros sim.launch.py config:="geodude natnet_ros2"
 
-With `config` it is the rehearsal of hardware.launch.py: the stand-ins look like those devices.
+With `config` the stand-ins behave like those devices: hardware.launch.py in simulation.
 """
 
 import os
@@ -29,7 +29,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         return LaunchConfiguration(name).perform(context)
 
     names = given("config").split()
-    setup = overlay.setup(names, rehearse=bool(names) or given("pace") == "real_time")
+    setup = overlay.setup(names, simulated=bool(names) or given("pace") == "real_time")
     setup["wam_sim"]["seed"] = int(given("seed"))
     setup["learner"] |= {
         "session": given("session"),
@@ -65,7 +65,7 @@ def generate_launch_description() -> LaunchDescription:
             SetEnvironmentVariable("ROS_SECURITY_ENABLE", LaunchConfiguration("secure")),
             SetEnvironmentVariable("ROS_SECURITY_STRATEGY", "Enforce"),
             DeclareLaunchArgument(
-                "config", default_value="", description="set-ups to rehearse, by name or path"
+                "config", default_value="", description="set-ups to simulate, by name or path"
             ),
             DeclareLaunchArgument(
                 "pace", default_value="lockstep", choices=["lockstep", "real_time"]

@@ -36,7 +36,7 @@ class Rehearsal:
         over = folder / "over.yaml"
         over.write_text(IN_STEP)
         self.probe, self.processes = probe, processes
-        self.setup = overlay.setup([*names, str(over)], rehearse=True)
+        self.setup = overlay.setup([*names, str(over)], simulated=True)
         self.file = folder / "parameters.yaml"
         self.file.write_text(overlay.text(self.setup))
         arm = self.setup["torque_controller"]

@@ -37,7 +37,7 @@ def toss(t: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def of(name: str, *over: FilePath) -> overlay.Setup:
-    return overlay.setup([name, *map(str, over)], rehearse=True)
+    return overlay.setup([name, *map(str, over)], simulated=True)
 
 
 class Cameras:

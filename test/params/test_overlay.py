@@ -54,9 +54,9 @@ def test_set_ups_are_for_the_nodes_there_are() -> None:
 
 
 @pytest.mark.parametrize("name", overlay.known())
-@pytest.mark.parametrize("rehearse", [False, True])
-def test_every_set_up_is_accepted_by_every_node(name: str, rehearse: bool, tmp_path: Path) -> None:
-    setup = overlay.setup([name], rehearse)
+@pytest.mark.parametrize("simulated", [False, True])
+def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_path: Path) -> None:
+    setup = overlay.setup([name], simulated)
     params = {node: read(setup, node, tmp_path) for node in overlay.NODES}
     arm, learner = params["torque_controller"], params["learner"]
     # what several nodes must know is the same everywhere
@@ -69,9 +69,9 @@ def test_every_set_up_is_accepted_by_every_node(name: str, rehearse: bool, tmp_p
     limits = TorqueControllerParams.of_file(own, "torque_controller", *over)
     of_the_lab = {name: getattr(arm, name) for name in ("hold_to_run", "allow_no_realtime")}
     assert limits.model_copy(update=of_the_lab) == arm
-    assert learner.pancake_reset == learner.reset_faults == rehearse
-    assert arm.hold_to_run == (not arm.allow_no_realtime) == (not rehearse)
-    assert params["demonstration_recorder"].source == ("sim" if rehearse else "hardware")
+    assert learner.pancake_reset == learner.reset_faults == simulated
+    assert arm.hold_to_run == (not arm.allow_no_realtime) == (not simulated)
+    assert params["demonstration_recorder"].source == ("sim" if simulated else "hardware")
 
 
 def test_without_a_set_up_every_node_gets_its_own_file() -> None:
@@ -83,7 +83,7 @@ def test_without_a_set_up_every_node_gets_its_own_file() -> None:
 
 
 def test_what_follows_from_a_driver_reaches_recorder_and_stand_in(tmp_path: Path) -> None:
-    setup = overlay.setup(["libbarrett"], rehearse=True)
+    setup = overlay.setup(["libbarrett"], simulated=True)
     recorder = read(setup, "demonstration_recorder", tmp_path)
     assert recorder.driver_topics == ("/joint_torque_commands", "/wam/jointVelocity")
     assert recorder.joint_names[0] == setup["wam_sim"]["joint_names"][0] == "q1"

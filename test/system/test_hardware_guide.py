@@ -65,7 +65,7 @@ class Lab:
         (folder / "lockstep.yaml").write_text(yaml.safe_dump(steps))
         self._running: list[subprocess.Popen[bytes]] = []
         names = ["geodude", "natnet_ros2", str(folder / "my_lab.yaml")]
-        self._setup = overlay.setup(names, rehearse=True)
+        self._setup = overlay.setup(names, simulated=True)
         self._start("hardware_sim.main", self._setup)
 
     def _start(self, module: str, setup: overlay.Setup) -> None:
@@ -96,7 +96,7 @@ class Lab:
         words = [str(path) for word in words for path in self._expanded(word)]
         if words[0] in ("replay", "teach", "learn"):
             self.leave()  # as the guide says: end the launch file first
-            words += ["--config", str(self._folder / "lockstep.yaml"), "--rehearse"]
+            words += ["--config", str(self._folder / "lockstep.yaml"), "--simulate"]
         if words[0] == "learn":
             self._learn(words)
         else:
@@ -108,7 +108,7 @@ class Lab:
 
     def _environment(self, domain: bool) -> dict[str, str]:
         environment = dict(self._processes.environment)
-        if not domain:  # wam-power takes a free one for its rehearsal
+        if not domain:  # wam-power takes a free one for a simulation
             del environment["ROS_DOMAIN_ID"]
         return environment
 
@@ -158,7 +158,7 @@ class Lab:
             for name in given.pop("config").split()
         ]
         assert given == {}
-        setup = overlay.setup(names, rehearse=True)
+        setup = overlay.setup(names, simulated=True)
         setup["torque_controller"]["autostart"] = False
         for node in ("torque_controller", "pancake_tracker", "demonstration_recorder"):
             self._start(f"wam_power_ros.nodes.{node}", setup)
@@ -192,7 +192,7 @@ class Lab:
         self._probe.until(agreed, name, PATIENCE)
 
     def leave(self) -> None:
-        """End the launch file, and the devices: a rehearsal brings its own."""
+        """End the launch file, and the devices: a simulation brings its own."""
         while self._running:
             self._processes.end(self._running.pop())
 

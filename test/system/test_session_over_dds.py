@@ -222,7 +222,7 @@ def test_a_demonstration_whose_reproduction_would_end_in_a_fault_is_not_reproduc
         str(demonstration),
         "--config",
         str(low),
-        "--rehearse",
+        "--simulate",
         "--session",
         "session",
     )
@@ -237,7 +237,7 @@ def test_a_session_taken_up_under_lower_limits_sends_nothing_that_breaks_them(
     candidate: Policy, tmp_path: Path
 ) -> None:
     folder, low = begin(tmp_path / "session", candidate), with_low_limits(tmp_path)
-    arguments = ("--session", "session", "--config", str(low), "--rehearse")
+    arguments = ("--session", "session", "--config", str(low), "--simulate")
     status, output = ended(wam_power(tmp_path, "learn", *arguments))
     assert status != 0
     assert "trial-0001 (reproduces demonstration-1) was not sent: by these limits" in output

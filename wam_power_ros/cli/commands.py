@@ -131,7 +131,7 @@ def replay(options: argparse.Namespace) -> int:
     from wam_power_ros.bags import reader
     from wam_power_ros.control import replay_trajectory
 
-    arm = overlay.setup(options.config, options.rehearse)["torque_controller"]
+    arm = overlay.setup(options.config, options.simulate)["torque_controller"]
     replay_trajectory.movement(
         *reader.read_demonstration(options.bag, arm["joint_names"]), options.speed
     )

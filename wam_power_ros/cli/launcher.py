@@ -46,7 +46,7 @@ def open_bench(
     options: argparse.Namespace, folder: Path, seed: int, changes: overlay.Setup | None = None
 ) -> Iterator[Bench]:
     """Controller, recorder into `folder`, and stand-ins unless there is a real arm."""
-    setup = overlay.setup(options.config, options.rehearse)
+    setup = overlay.setup(options.config, options.simulate)
     for node, values in (changes or {}).items():
         setup[node] |= values
     file = folder / "logs" / "parameters.yaml"
@@ -77,13 +77,13 @@ def enclave(name: str) -> list[str]:
 
 def simulated(options: argparse.Namespace) -> bool:
     """Whether stand-ins take the place of the devices."""
-    return options.rehearse or not options.config
+    return options.simulate or not options.config
 
 
 def chosen(options: argparse.Namespace) -> list[str]:
     """The options that choose the same set-up again."""
     again = [word for name in options.config for word in ("--config", name)]
-    return [*again, "--rehearse"] if options.rehearse else again
+    return [*again, "--simulate"] if options.simulate else again
 
 
 def _consent() -> None:

@@ -93,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     config.add_argument(
         "config", nargs="*", metavar="NAME", help=f"of {', '.join(overlay.known())}"
     )
-    config.add_argument("--rehearse", action="store_true", help="with stand-ins for the devices")
+    config.add_argument("--simulate", action="store_true", help="with stand-ins for the devices")
     config.set_defaults(command=_config)
 
     policy = subparsers.add_parser(
@@ -217,7 +217,7 @@ def _arm_options(parser: argparse.ArgumentParser) -> None:
         "most. No stand-in is started",
     )
     parser.add_argument(
-        "--rehearse",
+        "--simulate",
         action="store_true",
         help="with --config: stand-ins take the place of the devices, and look like them",
     )
@@ -239,7 +239,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _config(options: argparse.Namespace) -> None:
-    print(overlay.text(overlay.setup(options.config, options.rehearse)), end="")
+    print(overlay.text(overlay.setup(options.config, options.simulate)), end="")
 
 
 def _policy(options: argparse.Namespace) -> None:

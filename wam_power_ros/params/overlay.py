@@ -50,13 +50,13 @@ def find(name: str) -> Path:
     return share(f"config/{name}.yaml")
 
 
-def setup(names: Sequence[str] = (), rehearse: bool = False) -> Setup:
+def setup(names: Sequence[str] = (), simulated: bool = False) -> Setup:
     """Parameters of every node under some set-ups.
 
     Args:
         names: Set-ups over the nodes' own files, see `find`; later ones override earlier ones.
-        rehearse: Stand-ins take the place of the devices these set-ups are for, at the pace of
-            life. Without any set-up and rehearsal, they are what their own files say.
+        simulated: Whether stand-ins of the same shape replace the devices of these set-ups, in
+            real time. Without any set-up the stand-ins are as their own files describe them.
 
     Raises:
         ValueError: A file cannot be found or read, or names a node or parameter that is none.
@@ -70,11 +70,11 @@ def setup(names: Sequence[str] = (), rehearse: bool = False) -> Setup:
             said[node] |= values
     chosen = {node: own[node] | said[node] for node in NODES}
     follows = _follows(chosen["torque_controller"], chosen["pancake_tracker"])
-    if names or rehearse:
+    if names or simulated:
         follows |= _shape(chosen["torque_controller"], chosen["pancake_tracker"])
         follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
     whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
-    if rehearse or not names:  # the stand-in does what takes a person in the lab
+    if simulated or not names:  # the stand-in does what takes a person in the lab
         whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}
         whole["learner"] |= {"pancake_reset": True, "reset_faults": True}
         whole["demonstration_recorder"]["source"] = "sim"
