@@ -30,7 +30,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.torque_law import TorqueLaw
-from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import teach
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.tasks.flip.flight import observe_flight
@@ -93,7 +93,7 @@ def state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return values
 
 
-def record(bench: Bench, policy: Policy) -> Recording:
+def record(bench: Environment, policy: Policy) -> Recording:
     """Execute a policy and keep what its physics steps depend on."""
     recording = Recording()
     step = mujoco.mj_step
@@ -180,7 +180,7 @@ class Clock:
         return run
 
 
-def by_part(bench: Bench, policy: Policy) -> dict[str, list[float]]:
+def by_part(bench: Environment, policy: Policy) -> dict[str, list[float]]:
     """Time of each call of each part [s]; their sum is a little more than an untimed rollout's."""
     clock = Clock()
     with ExitStack() as stack:
@@ -191,7 +191,7 @@ def by_part(bench: Bench, policy: Policy) -> dict[str, list[float]]:
     return clock.seconds
 
 
-def by_tick(bench: Bench, policy: Policy) -> np.ndarray:
+def by_tick(bench: Environment, policy: Policy) -> np.ndarray:
     """Time of one rollout, cut where the world begins a tick [s]. Shape (ticks + 1,)."""
     stamps = [time.perf_counter()]
     step = World.step
@@ -206,7 +206,7 @@ def by_tick(bench: Bench, policy: Policy) -> np.ndarray:
     return np.diff(stamps)
 
 
-def control_steps(bench: Bench, policy: Policy) -> list[float]:
+def control_steps(bench: Environment, policy: Policy) -> list[float]:
     """Time of each of the controller's steps in a rollout [s]."""
     times: list[float] = []
     step = Controller.step
@@ -240,7 +240,7 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=15)
     repeats = parser.parse_args().repeats
-    bench = Bench(World(None, seed=1))
+    bench = Environment(World(None, seed=1))
     (policy,) = teach(bench, seed=1, count=1)
     recording = record(bench, policy)
     playback = Playback(bench.world, recording)

@@ -17,7 +17,7 @@ from hardware_sim.world import World, WorldSettings
 from wam_power_ros.bags import reader
 from wam_power_ros.cli.launcher import DOMAIN
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import PANCAKE, fit
 from wam_power_ros.learning.policy import Policy
@@ -108,7 +108,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert lines(folder)[: len(kept)] == kept
 
     # The same in one process, undisturbed: what a person did, at the places the log has it.
-    bench = Bench(World(WorldSettings(), SEED))
+    bench = Environment(World(WorldSettings(), SEED))
     practice = Practice([candidate], SETTINGS, SEED, bench.forbids)
     events = [line for line in read_log(folder) if not isinstance(line, Record)]
     assert len(events) == 3

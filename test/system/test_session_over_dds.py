@@ -31,7 +31,7 @@ from std_srvs.srv import SetBool
 from hardware_sim.world import World, WorldSettings
 from wam_power_ros.bags import reader
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import practise
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import PANCAKE, fit
@@ -143,7 +143,7 @@ def candidate(demonstration: Path) -> Policy:
 def expected(candidate: Policy) -> list[dict[str, Any]]:
     """What the same session learns in one process."""
     rows: list[str] = []
-    bench = Bench(World(WorldSettings(), SEED))
+    bench = Environment(World(WorldSettings(), SEED))
     practise(bench, [candidate], SETTINGS, SEED, lambda record: rows.append(record.to_json()))
     return learnt(rows)
 

@@ -36,7 +36,7 @@ def tracker_settings() -> TrackerSettings:
     return TrackerSettings(**{name: values[name] for name in names})
 
 
-class Bench:
+class Environment:
     """One arm on which policies are tried, one at a time."""
 
     def __init__(

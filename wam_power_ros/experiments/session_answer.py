@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hardware_sim.world import QUIET, Truth, World
-from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.filmstrip import TRACE_RATE
 from wam_power_ros.experiments.render import render
 from wam_power_ros.learning import policy
@@ -39,10 +39,10 @@ def run(folder: Path, film: bool) -> session_report.Exhibit:
     answer = policy.from_json(saved.read_text())
     world = World(seed=header.seed)
     world.trace = []
-    bench = Bench(world)
-    calm = bench.run(policy.with_id(answer, f"answer{QUIET}"))
+    environment = Environment(world)
+    calm = environment.run(policy.with_id(answer, f"answer{QUIET}"))
     sys.stdout.write(f"without noise the answer {_outcome(calm[2], calm[3])}\n")
-    pan, pancake, truth, fault = bench.run(answer)
+    pan, pancake, truth, fault = environment.run(answer)
     flight = observe_flight(pan, pancake, header.settings.delta_h)
     caption = f"{_outcome(truth, fault)}."
     path = folder / "film.webp"

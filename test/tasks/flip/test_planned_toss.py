@@ -6,7 +6,7 @@ import pytest
 from toss_task import demonstrated_policy
 
 from hardware_sim.world import World
-from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import teach
 from wam_power_ros.learning.parametrization import NoiseScales, Parameters
 from wam_power_ros.practice.settings import preset
@@ -68,7 +68,7 @@ def test_a_model_learns_what_the_plan_misses() -> None:
 
 def test_the_plan_tells_good_tosses_from_bad_ones() -> None:
     """Before any rollout: that is what makes it worth screening with."""
-    bench, settings = Bench(World(seed=21)), preset("paper")
+    bench, settings = Environment(World(seed=21)), preset("paper")
     (policy,) = teach(bench, 21, 1)
     p = Parameters(policy, "full", NOISE)
     start, _ = bench.arm.tool_pose(policy.q_start)

@@ -14,13 +14,13 @@ from wam_power_ros.experiments.studies.reaching_runs import (
     learn_many,
     study,
 )
+from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learners import RandomSearch, Search
 from wam_power_ros.learning.parametrization import Parameters
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Learner, Power
 from wam_power_ros.learning.screened_power import Screened
 from wam_power_ros.tasks.reach.obstacle_model import FreePath
-from wam_power_ros.tasks.reach.scenario import synthetic
 
 SCENARIO = synthetic()
 FULL = Parameters(SCENARIO.policy, "full", NOISE["full"])

@@ -13,9 +13,10 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from hardware_sim.world import World
-from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import teach
 from wam_power_ros.experiments.studies.reaching_runs import generator, learn_many, scales
+from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learners import Search, Settings
 from wam_power_ros.learning.parametrization import Parameters
 from wam_power_ros.learning.power import Learner, Power, PowerSettings
@@ -24,7 +25,6 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.reach.obstacle_model import FreePath
-from wam_power_ros.tasks.reach.scenario import synthetic
 
 VARIANT = "full"  # on both tasks
 NOVICE = 5.0  # [rad/s] intended pitch rate of the hand that teaches: leaves something to learn
@@ -65,7 +65,7 @@ def reaching_runs(
 def pancake_run(
     settings: dict[str, Any], stiffness: float, attractor: float, seed: int, rollouts: int
 ) -> dict[str, Any]:
-    """A learner on one demonstrated toss: one demonstration, Eq. 5, noisy rollouts on the bench.
+    """A learner on one demonstrated toss: one demonstration, Eq. 5, noisy rollouts.
 
     A rollout that ends in a fault, or in which the pancake is lost from view, returns 0.
 
@@ -79,18 +79,18 @@ def pancake_run(
     Returns:
         "returns" of the rollouts, "repeats" of the final mean, number of "faults" of the rollouts.
     """
-    bench = Bench(World(seed=seed))
-    (demonstrated,) = teach(bench, seed, 1, pitch_rate=NOVICE)
+    environment = Environment(World(seed=seed))
+    (demonstrated,) = teach(environment, seed, 1, pitch_rate=NOVICE)
     noise = {"stiffness": stiffness, "attractor": attractor}
     paper = preset("paper", variant=VARIANT, noise=noise)
     parameters = Parameters(demonstrated, VARIANT, paper.noise)
-    start, _ = bench.arm.tool_pose(demonstrated.q_start)
+    start, _ = environment.arm.tool_pose(demonstrated.q_start)
     model = TossModel(parameters, start, paper.pancake_weights)
     learner = learner_of(settings, parameters.size, seed, model)
 
     def returned(z: np.ndarray, id: str) -> tuple[float, bool]:
         policy, _ = parameters.policy(z, id)
-        pan, pancake, _, fault = bench.run(policy)
+        pan, pancake, _, fault = environment.run(policy)
         ret = assess(policy, pan, pancake, paper, fault).ret
         return ret or 0.0, bool(fault)
 

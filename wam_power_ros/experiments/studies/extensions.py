@@ -26,12 +26,12 @@ from wam_power_ros.experiments.chapters.extensions_chapter import (
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies.flip_sessions import NOVICE, stand_in, teach
 from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evaluate, generator
+from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.parametrization import Parameters
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.learning.power import Power, PowerSettings
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.tasks.reach.scenario import synthetic
 
 __all__ = ["chapter", "jobs", "search", "session"]
 
@@ -96,12 +96,12 @@ def session(
             what was not caught is punished.
         given_after: rollout after which the usual hand gives a demonstration; 0: none is given.
     """
-    bench = stand_in(seed)
-    candidates = teach(bench, seed, demonstrations, pitch_rate=pitch_rate)
-    practice = Practice(candidates, preset(name, **changes), seed, bench.forbids)
+    environment = stand_in(seed)
+    candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
+    practice = Practice(candidates, preset(name, **changes), seed, environment.forbids)
     rated, refused, sizes = 0, "", []
     while (trial := practice.next_trial()) is not None:
-        pan, pancake, truth, fault = bench.run(trial.policy)
+        pan, pancake, truth, fault = environment.run(trial.policy)
         record = practice.learn(trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth))
         if practice.learner is not None:
             sizes.append(practice.learner.sigma)
@@ -112,7 +112,7 @@ def session(
             practice.rate(amount)
             rated += 1
         if record.number == given_after:
-            (later,) = teach(bench, seed + 10_000, 1)  # another throw of the same hand
+            (later,) = teach(environment, seed + 10_000, 1)  # another throw of the same hand
             try:
                 practice.give(with_id(later, "demonstration-later"))
             except ValueError as error:

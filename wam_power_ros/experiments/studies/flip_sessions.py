@@ -27,7 +27,7 @@ from wam_power_ros.experiments.chapters.flip_chapter import (
     PAPER,
     chapter,
 )
-from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import PANCAKE, FitSettings, activations, fit
@@ -73,7 +73,7 @@ def stand_in(
     friction: float | None = None,
     believed_pan: float = 1.0,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
-) -> Bench:
+) -> Environment:
     """A bench with the sensing and the motors of the stand-in, as it is or in some other condition.
 
     Args:
@@ -84,7 +84,7 @@ def stand_in(
     """
     scene = SceneSettings() if friction is None else SceneSettings(friction=friction)
     world_ = World(WorldSettings(scene=scene, **world), seed)
-    return Bench(world_, urdf=_with_pan(world_.urdf, believed_pan))
+    return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))
 
 
 def _with_pan(urdf: str, share: float) -> str:
@@ -102,7 +102,7 @@ def _with_pan(urdf: str, share: float) -> str:
 
 
 def teach(
-    bench: Bench,
+    environment: Environment,
     seed: int,
     count: int,
     settings: FitSettings = PANCAKE,
@@ -111,7 +111,7 @@ def teach(
     """Policies fitted to a small series of demonstrations by the hand.
 
     Args:
-        bench: where it is taught.
+        environment: where it is taught.
         seed: of the hand; demonstration k of a seed is always the same.
         count: of demonstrations.
         settings: of the fit.
@@ -120,31 +120,31 @@ def teach(
     policies = []
     for number in range(count):
         script = wrist_flick(np.random.default_rng([seed, number]), pitch_rate=pitch_rate)
-        stamps_ns, q = bench.demonstrate(script, f"demonstration-{number}")
-        demonstration = from_joint_samples(bench.arm, stamps_ns, q)
+        stamps_ns, q = environment.demonstrate(script, f"demonstration-{number}")
+        demonstration = from_joint_samples(environment.arm, stamps_ns, q)
         policies.append(fit([demonstration], settings, f"demonstration-{number + 1}"))
     return policies
 
 
 def practise(
-    bench: Bench,
+    environment: Environment,
     candidates: list[Policy],
     settings: PracticeSettings,
     seed: int,
     report: Callable[[Record], None] | None = None,
 ) -> Practice:
-    """One session on the bench, from the reproductions to the last re-test.
+    """One session on the environment, from the reproductions to the last re-test.
 
     Args:
-        bench: where it is practised.
+        environment: where it is practised.
         candidates: fitted policies to choose from.
         settings: of the session.
         seed: of the exploration.
         report: called with every record.
     """
-    practice = Practice(candidates, settings, seed, bench.forbids)
+    practice = Practice(candidates, settings, seed, environment.forbids)
     while (trial := practice.next_trial()) is not None:
-        pan, pancake, truth, fault = bench.run(trial.policy)
+        pan, pancake, truth, fault = environment.run(trial.policy)
         record = practice.learn(trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth))
         if report is not None:
             report(record)
@@ -178,10 +178,10 @@ def session(
         repeats: of the answer in each of these.
         exhibited: keep the paths of the demonstration, its reproduction and the answer.
     """
-    bench = stand_in(seed, **(condition or {}))
-    candidates = teach(bench, seed, demonstrations, pitch_rate=pitch_rate)
+    environment = stand_in(seed, **(condition or {}))
+    candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
     settings = preset(name, **(changes or {}))
-    practice = practise(bench, candidates, settings, seed)
+    practice = practise(environment, candidates, settings, seed)
     records, best = practice.records, practice.best
     trials = [record for record in records if record.kind != "retest"]
     parameters = practice.parameters
@@ -213,7 +213,7 @@ def session(
         ]
         result["carried"][where] = [_outcome(truth, fault) for truth, fault in runs]
     if exhibited:
-        result["exhibit"] = _exhibit(bench, seed, pitch_rate, parameters.policy0, best.policy)
+        result["exhibit"] = _exhibit(environment, seed, pitch_rate, parameters.policy0, best.policy)
     return result
 
 
@@ -263,17 +263,17 @@ def _k33(policy: Policy) -> list[float]:
 
 
 def _exhibit(
-    bench: Bench, seed: int, pitch_rate: float, demonstrated: Policy, answer: Policy
+    environment: Environment, seed: int, pitch_rate: float, demonstrated: Policy, answer: Policy
 ) -> dict[str, Any]:
     """Paths of demonstration, reproduction and answer for the figures, and the answer's trace."""
     number = int(demonstrated.id.rpartition("-")[2]) - 1  # as `teach` named it
-    world = bench.world
+    world = environment.world
     script = wrist_flick(np.random.default_rng([seed, number]), pitch_rate=pitch_rate)
     world.trace = []
-    bench.demonstrate(script, f"demonstration-{number}")
-    shown = {"demonstration": _traced(bench, world.trace)}
+    environment.demonstrate(script, f"demonstration-{number}")
+    shown = {"demonstration": _traced(environment, world.trace)}
     for name, policy in (("reproduction", demonstrated), ("answer", answer)):
-        pan, pancake, _, _ = bench.run(policy)
+        pan, pancake, _, _ = environment.run(policy)
         flight = observe_flight(pan, pancake)
         shown[name] = {
             "pan": _plain(pan.t, pan.position, pan.quat_xyzw),
@@ -286,12 +286,12 @@ def _exhibit(
     return shown
 
 
-def _traced(bench: Bench, trace: Sequence[np.ndarray]) -> dict[str, Any]:
+def _traced(environment: Environment, trace: Sequence[np.ndarray]) -> dict[str, Any]:
     """Paths of pan and pancake in a trace of the world, one of 100 a second."""
     rows = np.array(trace)
     t = 0.01 * np.arange(len(rows))
-    n = bench.arm.n
-    poses = [bench.arm.tool_pose(q) for q in rows[:, :n]]
+    n = environment.arm.n
+    poses = [environment.arm.tool_pose(q) for q in rows[:, :n]]
     position = np.stack([place for place, _ in poses])
     turned = np.stack([rotations.quat_xyzw(matrix) for _, matrix in poses])
     pancake = rows[::3]

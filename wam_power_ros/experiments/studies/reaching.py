@@ -31,10 +31,11 @@ from wam_power_ros.experiments.studies.reaching_runs import (
     scales,
     study,
 )
+from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.parametrization import NoiseScales, Parameters
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.tasks.reach.scenario import Scenario, synthetic
+from wam_power_ros.tasks.reach.scenario import Scenario
 
 __all__ = ["chapter", "jobs", "tune"]
 

@@ -22,7 +22,7 @@ from wam_power_ros.experiments.chapters.reaching_chapter import (
     TAUGHT,
     VARIANTS,
 )
-from wam_power_ros.experiments.environment import Bench
+from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies.reaching_runs import (
     DRAWN,
@@ -70,7 +70,7 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     (run,) = study(variant, [seed], rollouts, scenario)
     parameters = Parameters(scenario.policy, variant, NOISE[variant])
     policy, _ = parameters.policy(run.mean, "reach-0001")
-    executed, fault = _executed(Bench(World(seed=NOISE_SEED)), policy, scenario)
+    executed, fault = _executed(Environment(World(seed=NOISE_SEED)), policy, scenario)
     planned = scenario.free(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
     shown = np.linspace(0, scenario.steps - 1, DRAWN).round().astype(int)
     deviation = np.linalg.norm(executed - planned, axis=1)
@@ -102,10 +102,10 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     scenario = taught_scenario()
     parameters = Parameters(scenario.policy, variant, NOISE[variant])
     learner = Power(parameters.size, POWER, generator(seed))
-    bench = Bench(World(seed=seed))
+    environment = Environment(World(seed=seed))
 
     def returned(z: np.ndarray, id: str) -> tuple[np.ndarray, str, float]:
-        path, fault = _executed(bench, parameters.policy(z, id)[0], scenario)
+        path, fault = _executed(environment, parameters.policy(z, id)[0], scenario)
         stopped, _ = scenario.stopped(path[np.newaxis])
         return path, fault, 0.0 if fault else float(scenario.worth(stopped)[0])
 
@@ -129,9 +129,11 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     }
 
 
-def _executed(bench: Bench, policy: Policy, scenario: Scenario) -> tuple[np.ndarray, str]:
+def _executed(
+    environment: Environment, policy: Policy, scenario: Scenario
+) -> tuple[np.ndarray, str]:
     """The tool's path (T, 3) [m] at the samples of the scenario, and the fault if any."""
-    pan, _, _, fault = bench.run(policy)
+    pan, _, _, fault = environment.run(policy)
     t = np.arange(scenario.steps) * scenario.period
     return np.stack([np.interp(t, pan.t, x) for x in pan.position.T], axis=1), fault
 
@@ -139,7 +141,7 @@ def _executed(bench: Bench, policy: Policy, scenario: Scenario) -> tuple[np.ndar
 @cache
 def taught_scenario() -> Scenario:
     """The scenario of the shipped bags: positions of the tool."""
-    arm = Bench(World(seed=NOISE_SEED)).arm
+    arm = Environment(World(seed=NOISE_SEED)).arm
     bags = sorted(share("bags").glob("reach_*"))
     demonstrations = [from_joint_samples(arm, *read_demonstration(bag, JOINTS)) for bag in bags]
     return taught(demonstrations)
