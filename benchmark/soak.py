@@ -172,7 +172,7 @@ class Director(Node):
         self._policies.publish(String(data=to_json(policy)))
         self.until(lambda: self.call(Trigger, interface.MOVE_TO_START) == policy.id, 60.0)
         try:
-            self.call(Trigger, interface.PANCAKE_RESET, patience=10.0)
+            self.call(Trigger, interface.body_topic("pancake", "reset"), patience=10.0)
             self.call(Trigger, interface.EXECUTE, patience=10.0)
         except TimeoutError:  # a fault in between: it is not at the start any more
             return False
@@ -188,7 +188,7 @@ class Director(Node):
     def _teach(self) -> bool:
         self.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
         try:
-            self.call(Trigger, interface.PANCAKE_RESET, patience=10.0)
+            self.call(Trigger, interface.body_topic("pancake", "reset"), patience=10.0)
             self.call(Trigger, interface.HAND_DEMONSTRATE, patience=10.0)
         except TimeoutError:  # a fault in between: the arm is not free any more
             return False

@@ -30,6 +30,7 @@ class OptitrackSimParams(Params):
     """What config/optitrack_sim.yaml says; ranges are those of `MocapSettings`."""
 
     frame: str
+    body: str  # whose poses are published
     pose_topic: str
     markers_topic: str
     reliable: bool

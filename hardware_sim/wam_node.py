@@ -34,6 +34,7 @@ from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.deferred_service import LateTrigger
 
+BODY = "pancake"  # that is tracked
 STILL_TICKS = 50
 START_TOLERANCE = 0.05  # [rad] of the arm from q_start for a reset
 
@@ -127,7 +128,9 @@ class WamSim(Node):
         others = [name for name in params.other_joints if name]
         self._others = interface.JointStateWriter(others) if others else None
         self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
-        self._truth = self.create_publisher(String, interface.PANCAKE_TRUTH, interface.LATCHED)
+        self._truth = self.create_publisher(
+            String, interface.body_topic(BODY, "truth"), interface.LATCHED
+        )
         self._description = self.create_publisher(
             String, interface.ROBOT_DESCRIPTION, interface.LATCHED
         )
@@ -160,9 +163,9 @@ class WamSim(Node):
         serve(SetBool, interface.WAM_GRAVITY_COMPENSATE, self._on_gravity_compensate)
         serve(SetBool, interface.WAM_HOLD, self._on_hold)
         serve(Trigger, interface.WAM_IDLE, self._on_idle)
-        serve(Trigger, interface.PANCAKE_DROP, self._on_drop)
+        serve(Trigger, interface.body_topic(BODY, "drop"), self._on_drop)
         self._home = LateTrigger(self, interface.WAM_MOVE_HOME, self._begin_home)
-        self._reset = LateTrigger(self, interface.PANCAKE_RESET, self._begin_reset)
+        self._reset = LateTrigger(self, interface.body_topic(BODY, "reset"), self._begin_reset)
         self._hand = LateTrigger(self, interface.HAND_DEMONSTRATE, self._begin_demonstration)
 
     # The tick

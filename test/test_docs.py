@@ -17,9 +17,15 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 PAGES = ["README.md", "docs/method.md", "docs/hardware.md", "docs/safety.md", "SECURITY.md"]
 NAMES = sorted(
-    value
-    for name, value in vars(interface).items()
-    if name.isupper() and isinstance(value, str) and value.startswith("/")
+    [
+        *(
+            value
+            for name, value in vars(interface).items()
+            if name.isupper() and isinstance(value, str) and value.startswith("/")
+        ),
+        *(interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES),
+        interface.rollout_topic("pancake"),
+    ]
 )
 PAPER = re.search(r"\| paper \| code \| test \|\n(.*?)\n\n", README, re.DOTALL)
 

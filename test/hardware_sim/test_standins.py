@@ -46,7 +46,9 @@ class Bench:
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self.paths = probe.listen(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-        self.truths = probe.listen(String, interface.PANCAKE_TRUTH, interface.LATCHED)
+        self.truths = probe.listen(
+            String, interface.body_topic("pancake", "truth"), interface.LATCHED
+        )
         overrides = {f"wam_sim:{name}": value for name, value in parameters.items()}
         self.process = processes.node(
             "hardware_sim.main", *CONFIGS, **{"wam_sim:pace": pace, **overrides}
@@ -110,7 +112,9 @@ class Bench:
             lambda: self.insist(interface.MOVE_TO_START) == policy.id, "at the policy's start"
         )
         self.probe.spin(pauses[0])
-        self.probe.until(lambda: self.insist(interface.PANCAKE_RESET) == policy.id, "the reset")
+        self.probe.until(
+            lambda: self.insist(interface.body_topic("pancake", "reset")) == policy.id, "the reset"
+        )
         self.probe.spin(pauses[1])
         assert self.insist(interface.EXECUTE) == policy.id
         self.probe.until(lambda: self.paths and self.truths, "path and truth", deadline=60.0)
@@ -160,7 +164,9 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
     probe: Probe, processes: Processes
 ) -> None:
     bench = Bench(probe, processes, "lockstep")
-    poses = probe.listen(PoseStamped, interface.PANCAKE_POSE, interface.STATE_RECORD)
+    poses = probe.listen(
+        PoseStamped, interface.body_topic("pancake", "pose"), interface.STATE_RECORD
+    )
     bench.control()
     policy = lift("trial-0001")
     results, frames = [], []
@@ -190,13 +196,14 @@ def test_a_reset_is_refused_without_a_policy_and_away_from_its_start(
 ) -> None:
     bench = Bench(probe, processes, "lockstep")
     bench.control()
-    refusal = probe.call(Trigger, interface.PANCAKE_RESET)
+    refusal = probe.call(Trigger, interface.body_topic("pancake", "reset"))
     assert (refusal.success, "policy" in refusal.message) == (False, True)
     policy = lift("far-away")
     far = Policy(**{**vars(policy), "q_start": policy.q_start + 0.3})
     bench.policies.publish(String(data=to_json(far)))
     probe.until(
-        lambda: "rad from" in probe.call(Trigger, interface.PANCAKE_RESET).message, "the refusal"
+        lambda: "rad from" in probe.call(Trigger, interface.body_topic("pancake", "reset")).message,
+        "the refusal",
     )
 
 
@@ -292,7 +299,9 @@ def test_an_arm_that_waits_frozen_for_a_rollout_moves_home_when_told_to(
     policy = lift("never-executed")
     bench.policies.publish(String(data=to_json(policy)))
     probe.until(lambda: bench.insist(interface.MOVE_TO_START) == policy.id, "at the start")
-    probe.until(lambda: bench.insist(interface.PANCAKE_RESET) == policy.id, "the reset")
+    probe.until(
+        lambda: bench.insist(interface.body_topic("pancake", "reset")) == policy.id, "the reset"
+    )
     waiting = bench.state().q
     home = probe.begin(Trigger, interface.WAM_MOVE_HOME)
     probe.until(lambda: np.abs(bench.state().q - waiting).max() > 0.1, "the arm on its way")
@@ -308,7 +317,9 @@ def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
     bench.policies.publish(String(data=to_json(policy)))
     probe.until(lambda: bench.insist(interface.MOVE_TO_START) == policy.id, "at the start")
     count = len(bench.messages)
-    probe.until(lambda: bench.insist(interface.PANCAKE_RESET) == policy.id, "the reset")
+    probe.until(
+        lambda: bench.insist(interface.body_topic("pancake", "reset")) == policy.id, "the reset"
+    )
     stamps = [bench.state(i).stamp_ns for i in range(count, len(bench.messages))]
     assert len(stamps) > 20  # of the 50 the reset waits at least; the first may come late
     assert set(np.diff(stamps)) == {TICK}

@@ -117,7 +117,7 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     bench = Bench(probe, processes, tmp_path / "bags")
     latched(probe, interface.ROBOT_DESCRIPTION, "<robot name='wam'/>")
     torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-    poses = probe.publisher(PoseStamped, interface.PANCAKE_POSE, BEST_EFFORT)
+    poses = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), BEST_EFFORT)
     bench.send(50)  # before the recording
     path = bench.start()
     assert re.fullmatch(r"demo_\d{8}_\d{6}", path.name)

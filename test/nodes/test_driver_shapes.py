@@ -63,7 +63,11 @@ class Rehearsal:
         paths = self.probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self.processes.node("wam_power_ros.nodes.torque_controller", self.file)
         policies = self.probe.publisher(String, interface.POLICY, interface.LATCHED)
-        for service in (interface.MOVE_TO_START, interface.PANCAKE_RESET, interface.EXECUTE):
+        for service in (
+            interface.MOVE_TO_START,
+            interface.body_topic("pancake", "reset"),
+            interface.EXECUTE,
+        ):
             self.insist(service, policy, policies)
         message = self.probe.until(lambda: paths and paths[-1], "the path")
         return interface.path(message, EndEffectorPath)[1]

@@ -48,8 +48,8 @@ class Bench:
     def __init__(self, probe: Probe, processes: Processes, **parameters: object) -> None:
         self.probe = probe
         self.node = processes.node(NODE, CONFIG, **parameters)
-        self.states = probe.listen(Odometry, interface.PANCAKE_STATE, RELIABLE)
-        self.paths = probe.listen(Path, interface.ROLLOUT_PANCAKE, interface.LATCHED)
+        self.states = probe.listen(Odometry, interface.body_topic("pancake", "state"), RELIABLE)
+        self.paths = probe.listen(Path, interface.rollout_topic("pancake"), interface.LATCHED)
         self.diagnostics = probe.listen(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
@@ -78,7 +78,7 @@ def test_a_path_holds_every_valid_frame_of_the_rollout_however_they_come(
     probe: Probe, processes: Processes
 ) -> None:
     bench = Bench(probe, processes, clock_offset_max=100.0, silence=1000.0)
-    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
     paths = []
     poses = toss(np.random.default_rng(1))
     now_ns = time.time_ns()
@@ -114,7 +114,7 @@ def test_a_path_without_an_end_in_view_goes_out_after_silence(
     probe: Probe, processes: Processes
 ) -> None:
     bench = Bench(probe, processes, silence=0.3)
-    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
     start_ns = time.time_ns()
     for index, pose in enumerate(toss(np.random.default_rng(1), 10)):
         frames.publish(interface.pose_message(start_ns + index * PERIOD, "world", *pose))
@@ -131,7 +131,7 @@ def test_hidden_markers_coast_and_every_fault_is_in_the_diagnostics(
     probe: Probe, processes: Processes
 ) -> None:
     bench = Bench(probe, processes, rate=10.0)
-    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
     now_ns = time.time_ns()
     bad = [
         (PAN + np.array([0.0, 2.0, 0.0]), LEVEL),
@@ -163,7 +163,7 @@ def test_stamps_of_another_clock_are_reported_and_no_path_is_made_of_them(
     probe: Probe, processes: Processes
 ) -> None:
     bench = Bench(probe, processes)
-    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
     start_ns = time.time_ns() - 3600 * 1_000_000_000
     for index, pose in enumerate(toss(np.random.default_rng(1), 10)):
         frames.publish(interface.pose_message(start_ns + index * PERIOD, "world", *pose))
@@ -194,7 +194,7 @@ def test_a_cloud_of_markers_in_a_y_up_world_gives_the_state_in_the_base(
 
 def test_in_lockstep_a_standing_clock_is_no_silence(probe: Probe, processes: Processes) -> None:
     bench = Bench(probe, processes, use_sim_time=True, silence=0.5)
-    frames = probe.publisher(PoseStamped, interface.PANCAKE_POSE, RELIABLE)
+    frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
     clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
     poses = toss(np.random.default_rng(1), 40)
     second = 1_000_000_000

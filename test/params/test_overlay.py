@@ -91,6 +91,34 @@ def test_what_follows_from_a_driver_reaches_recorder_and_stand_in(tmp_path: Path
     assert setup["wam_sim"]["driver_compensates_gravity"]
 
 
+@pytest.mark.parametrize(
+    ("driver", "poses"),
+    [
+        (None, "/ball/pose"),
+        ("natnet_ros2", "/ball/pose"),
+        ("vrpn_mocap", "/vrpn_mocap/ball/pose"),
+        ("motion_capture_tracking", ""),
+    ],
+)
+def test_the_name_of_the_body_is_said_once_and_the_drivers_topic_follows_it(
+    driver: str | None, poses: str, tmp_path: Path
+) -> None:
+    ball = write(tmp_path, "ball", "pancake_tracker: {ros__parameters: {body: ball}}")
+    setup = overlay.setup([*filter(None, [driver]), ball], simulated=True)
+    assert setup["pancake_tracker"]["pose_topic"] == setup["optitrack_sim"]["pose_topic"] == poses
+    seen = poses or setup["pancake_tracker"]["markers_topic"]
+    assert setup["demonstration_recorder"]["mocap_topics"] == [seen]
+    for node in ("demonstration_recorder", "learner", "optitrack_sim"):
+        assert setup[node]["body"] == "ball"
+
+
+def test_a_task_without_a_body_has_no_motion_capture_to_record(tmp_path: Path) -> None:
+    none = write(tmp_path, "none", 'pancake_tracker: {ros__parameters: {body: ""}}')
+    setup = overlay.setup(["vrpn_mocap", none])
+    assert setup["demonstration_recorder"]["mocap_topics"] == [""]  # how ROS writes an empty list
+    assert setup["demonstration_recorder"]["body"] == setup["learner"]["body"] == ""
+
+
 def test_the_last_file_counts_most_and_may_deny_what_follows(tmp_path: Path) -> None:
     one = write(tmp_path, "one", "torque_controller: {ros__parameters: {torque_share: 0.3}}")
     two = write(

@@ -171,7 +171,7 @@ def test_a_state_comes_back_with_its_twist_in_the_base_frame() -> None:
         np.array([0.0, 0.0, 7.0]),
         1e-6,
     )
-    message = interface.odometry_message(state, interface.PANCAKE_FRAME)
+    message = interface.odometry_message(state, "pancake")
     assert message.twist.twist.linear.x == pytest.approx(4.0)
     back = interface.odometry(message)
     for was, is_now in zip(state[2:], back[2:], strict=True):
@@ -233,3 +233,30 @@ def test_a_path_of_two_rollouts_is_refused() -> None:
 @given(STAMPS)
 def test_stamps_are_exact(stamp_ns: int) -> None:
     assert interface.nanoseconds(interface.stamp(stamp_ns)) == stamp_ns
+
+
+def test_topics_follow_the_name_of_the_tracked_body() -> None:
+    assert interface.body_topic("pancake", "state") == "/pancake/state"
+    assert interface.body_topic("ball", "reset") == "/ball/reset"
+    assert interface.rollout_topic("ball") == "/rollout/ball"
+    assert interface.body_topic("", "reset") == "/scene/reset"
+    assert interface.body_topic("", "truth") == "/scene/truth"
+
+
+@pytest.mark.parametrize(("body", "leaf"), [("ball", "poses"), ("", "pose"), ("", "state")])
+def test_a_topic_that_no_body_has_is_refused_with_those_there_are(body: str, leaf: str) -> None:
+    with pytest.raises(ValueError, match=rf"'{leaf}'.*truth"):
+        interface.body_topic(body, leaf)
+
+
+@pytest.mark.parametrize("body", ["a ball", "/ball", "2balls", "scene", "end_effector"])
+def test_a_body_whose_name_makes_no_topic_of_its_own_is_refused(body: str) -> None:
+    with pytest.raises(ValueError, match=r"name .* of a tracked body"):
+        interface.body_topic(body, "pose")
+    with pytest.raises(ValueError, match=r"name .* of a tracked body"):
+        interface.rollout_topic(body)
+
+
+def test_a_path_of_no_body_has_no_topic() -> None:
+    with pytest.raises(ValueError, match=r"name '' of a tracked body"):
+        interface.rollout_topic("")

@@ -23,8 +23,8 @@ import sys
 from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
-from wam_power_ros import interface, real_time
-from wam_power_ros.late_service import LateTrigger
+from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros.deferred_service import LateTrigger
 
 class Talker(Node):
     def __init__(self):
@@ -40,7 +40,7 @@ class Talker(Node):
         self._words.publish(String(data="last"))
         import time; time.sleep(0.3)
 
-sys.exit(real_time.run(Talker))
+sys.exit(scheduling.run(Talker))
 """
 
 

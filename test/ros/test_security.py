@@ -30,6 +30,8 @@ NAMES = {
     for name, value in vars(interface).items()
     if name.isupper() and isinstance(value, str) and value.startswith("/")
 }
+NAMES |= {interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES}
+NAMES.add(interface.rollout_topic("pancake"))
 NODES = {
     "torque_controller": TorqueController,
     "demonstration_recorder": DemonstrationRecorder,
@@ -71,6 +73,21 @@ def test_only_the_controller_publishes_torques(name: str | None) -> None:
         if topics.get("publish") == "ALLOW" and torques in [topic.text for topic in topics]
     ]
     assert senders == ["torque_controller"]
+
+
+def test_the_table_follows_the_name_of_the_body(tmp_path: Path) -> None:
+    def named(body: str) -> dict[str, security.Access]:
+        file = tmp_path / "body.yaml"
+        file.write_text(f'pancake_tracker: {{ros__parameters: {{body: "{body}"}}}}')
+        return security.table(overlay.setup([str(file)]))
+
+    ball, none = named("ball"), named("")
+    assert security.policy(ball) == security.policy(RIGHTS).replace("/pancake", "/ball").replace(
+        "/rollout/pancake", "/rollout/ball"
+    ).replace("/ball_tracker", "/pancake_tracker")
+    assert set(RIGHTS) - set(none) == {"pancake_tracker", "optitrack_sim"}
+    assert "/scene/reset" in none["learner"].calls and "/scene/reset" in none["wam_sim"].serves
+    assert not any("pancake" in name for right in none.values() for name in right.subscribes)
 
 
 def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:

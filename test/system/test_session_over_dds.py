@@ -278,7 +278,9 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
     # What a killed learner may leave: a recording, and a path and truth of the trial under way.
     left = PathMessage
     left_path = probe.publisher(left, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-    left_truth = probe.node.create_publisher(String, interface.PANCAKE_TRUTH, interface.LATCHED)
+    left_truth = probe.node.create_publisher(
+        String, interface.body_topic("pancake", "truth"), interface.LATCHED
+    )
     path = EndEffectorPath(
         ROLLOUTS[0], np.array([0.0, 0.01]), np.zeros((2, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
     )
@@ -358,7 +360,7 @@ def test_another_reader_opens_a_rollout_with_everything_that_made_it(
     assert {name: kind for name, (kind, *_) in topics.items()}.items() >= {
         interface.JOINT_STATES: "sensor_msgs/msg/JointState",
         interface.EFFORT_COMMANDS: "std_msgs/msg/Float64MultiArray",
-        interface.PANCAKE_POSE: "geometry_msgs/msg/PoseStamped",
+        interface.body_topic("pancake", "pose"): "geometry_msgs/msg/PoseStamped",
         interface.POLICY: "std_msgs/msg/String",
     }.items()
     assert topics[interface.POLICY][3]["durability"] == "transient_local"
@@ -371,5 +373,5 @@ def test_another_reader_opens_a_rollout_with_everything_that_made_it(
     answered = {int(command.layout.dim[0].label.split()[0]) for command in rollout}
     assert len(answered) > 500 and answered <= stamps  # each torque names a state that is there
     assert np.isfinite([command.data for command in rollout]).all()
-    frames = decoded(bag, interface.PANCAKE_POSE)
+    frames = decoded(bag, interface.body_topic("pancake", "pose"))
     assert len(frames) > 30 and all(frame.header.frame_id for frame in frames)

@@ -169,6 +169,7 @@ def _teach_series(bench: Bench, folder: Path, options: argparse.Namespace) -> li
         command += ["-p", f"demonstrations:={options.demonstrations}"]
         command += ["-p", f"series:={series}", "-p", f"person:={json.dumps(person)}"]
         command += ["-p", f"state_topic:={bench.setup['torque_controller']['state_topic']}"]
+        command += ["-p", f"body:={json.dumps(bench.setup['pancake_tracker']['body'])}"]
         bench.processes.finish(bench.processes.start("teaching", command, talks=True))
     return [Path(bag) for bag in json.loads(series.read_text())]
 

@@ -32,6 +32,7 @@ class TeachingParams(Params):
     demonstrations: int = Field(ge=1)
     series: str  # file to write the list of bags to
     person: bool  # a person leads the arm; otherwise the stand-in's hand does
+    body: str  # that is tracked; empty: none
     state_topic: str  # that the recorder listens to
 
 
@@ -56,7 +57,9 @@ class Teaching(Node):
         for number in range(1, self.params.demonstrations + 1):
             self._ask(f"demonstration {number}: press Enter, then lead the arm")
             if not self.params.person:  # back to the start, and the pancake into the pan
-                self._calls.insist(Trigger, interface.PANCAKE_RESET, Trigger.Request())
+                self._calls.insist(
+                    Trigger, interface.body_topic(self.params.body, "reset"), Trigger.Request()
+                )
             self._calls.insist(SetBool, interface.RECORD, SetBool.Request(data=True))
             if self.params.person:
                 self._ask("press Enter when the movement is over")

@@ -111,7 +111,7 @@ class CheckDriver(Node):
         if not arm.urdf:
             subscribe(String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED)
         self._listener = subscribe(self._command_type, arm.command_topic, self._on_torque, HEAR_ALL)
-        self._drop = self.create_client(Trigger, interface.PANCAKE_DROP)
+        self._drop = self.create_client(Trigger, interface.body_topic(mocap.body, "drop"))
         scheduling.request(arm.realtime_priority)  # to hear what the controller will hear
         self._executor = scheduling.executor_for(self)
 

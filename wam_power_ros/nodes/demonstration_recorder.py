@@ -39,6 +39,7 @@ class DemonstrationRecorderParams(Params):
     directory: str
     realtime_priority: int = Field(ge=0, le=98)
     stem: str = Field(min_length=1, pattern=r"^[A-Za-z0-9-]+$")
+    body: str  # name of the tracked body; empty for none
     state_topic: str
     driver_topics: tuple[str, ...]
     mocap_topics: tuple[str, ...]
@@ -67,7 +68,13 @@ class DemonstrationRecorder(Node):
         self._state_topic = self.resolve_topic_name(params.state_topic)
         self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
         devices = (params.state_topic, *params.driver_topics, *params.mocap_topics)
-        topics = dict.fromkeys((*devices, *params.topics, *params.latched_topics))
+        of_body: tuple[str, ...] = ()
+        if params.body:
+            of_body = (
+                interface.body_topic(params.body, "state"),
+                interface.rollout_topic(params.body),
+            )
+        topics = dict.fromkeys((*devices, *params.topics, *of_body, *params.latched_topics))
         topics.pop("", None)  # how ROS writes an empty list
         self._topics = RawTopics(self, topics, self._on_message)
         self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)

@@ -66,6 +66,7 @@ class LearnerParams(Params):
     model_joint_names: tuple[str, ...]  # the same in the URDF
     urdf: str  # path, or a file of our share folder
     tool_frame: str
+    body: str  # name of the tracked body
     controller: tuple[str, ...] = Field(min_length=1)  # its parameters, to rehearse with: files
     session: str  # folder; empty: none is begun
     demonstrations: tuple[str, ...]  # bags; not needed to resume
@@ -120,11 +121,18 @@ class Learner(Node):
         self._practice: Practice | None = None
         self._paused = False
         self._bag = ""  # that was named last
+        self._truth_topic = interface.body_topic(params.body, "truth")
+        self._reset_service = interface.body_topic(params.body, "reset")
         subscribe = self.create_subscription
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
-        subscribe(Path, interface.ROLLOUT_PANCAKE, self._on_pancake, interface.LATCHED)
-        subscribe(Odometry, interface.PANCAKE_STATE, self._on_state, interface.STATE_OUT)
-        subscribe(String, interface.PANCAKE_TRUTH, self._on_truth, interface.LATCHED)
+        subscribe(Path, interface.rollout_topic(params.body), self._on_pancake, interface.LATCHED)
+        subscribe(
+            Odometry,
+            interface.body_topic(params.body, "state"),
+            self._on_state,
+            interface.STATE_OUT,
+        )
+        subscribe(String, self._truth_topic, self._on_truth, interface.LATCHED)
         subscribe(
             DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
         )
@@ -142,7 +150,7 @@ class Learner(Node):
             for name in (
                 interface.MOVE_TO_START,
                 interface.EXECUTE,
-                interface.PANCAKE_RESET,
+                self._reset_service,
                 interface.RESET,
             )
         }
@@ -392,7 +400,7 @@ class Learner(Node):
                     raise
         pan, pancake = self._paths_of(trial, rested_ns)
         bag = self._end_bag() if self.params.record_rollouts else ""
-        if self.count_publishers(interface.PANCAKE_TRUTH):
+        if self.count_publishers(self._truth_topic):
             timeout = self.params.rollout_timeout
             self._until(lambda: self._truth_of(trial), f"truth of {trial.id}", timeout)
         whole = trial.policy.basis.duration + practice.settings.settle_time
@@ -416,7 +424,7 @@ class Learner(Node):
         self._resting = 0
         self._reach_start(trial)
         if self.params.pancake_reset:
-            self._insist(interface.PANCAKE_RESET, trial)
+            self._insist(self._reset_service, trial)
         self._resting = 0
         self._until(
             lambda: self._resting >= 3, "the pancake rests in the pan", self.params.patience

@@ -37,6 +37,7 @@ LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # every other is an err
 class PancakeTrackerParams(Params):
     """See config/pancake_tracker.yaml."""
 
+    body: str  # name of the tracked body
     pose_topic: str
     markers_topic: str
     rate: float
@@ -90,8 +91,10 @@ class PancakeTracker(Node):
         self._heard_ns = self._watch.now().nanoseconds
 
         publish, subscribe = self.create_publisher, self.create_subscription
-        self._states = publish(Odometry, interface.PANCAKE_STATE, interface.STATE_OUT)
-        self._paths = publish(Path, interface.ROLLOUT_PANCAKE, interface.LATCHED)
+        self._states = publish(
+            Odometry, interface.body_topic(params.body, "state"), interface.STATE_OUT
+        )
+        self._paths = publish(Path, interface.rollout_topic(params.body), interface.LATCHED)
         self._diagnostics = publish(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
@@ -141,7 +144,7 @@ class PancakeTracker(Node):
 
     def _publish(self, state: TrackedState) -> None:
         reading = interface.StateReading(state.stamp_ns, interface.BASE_FRAME, *state[1:6])
-        self._states.publish(interface.odometry_message(reading, interface.PANCAKE_FRAME))
+        self._states.publish(interface.odometry_message(reading, self._params.body))
 
     def _look(self) -> None:
         """Coast through an occlusion; give up waiting for frames that do not come."""
@@ -165,7 +168,9 @@ class PancakeTracker(Node):
         path = self._tracker.path(rollout.id, rollout.start_ns, rollout.end_ns)
         down = falling(path)
         if down is not None and down[2] > -0.87 * math.hypot(*down):  # 30 degrees
-            self._complain(f"the pancake falls along {down.round(1)}: up_axis or world_to_base?")
+            self._complain(
+                f"the {self._params.body} falls along {down.round(1)}: up_axis or world_to_base?"
+            )
         if abs(self._offset.seconds) > self._params.clock_offset_max:
             self._complain(f"{rollout.id} not scored: stamps {self._offset.seconds:.3f} s off")
             nothing = np.zeros(0)
@@ -194,7 +199,7 @@ class PancakeTracker(Node):
         self._diagnostics.publish(
             interface.diagnostics(
                 self.get_clock().now().to_msg(),
-                "pancake_tracker: pancake",
+                f"pancake_tracker: {self._params.body}",
                 "motion capture",
                 level,
                 text,

@@ -69,6 +69,7 @@ def setup(names: Sequence[str] = (), simulated: bool = False) -> Setup:
             _check(file, node, values, own)
             said[node] |= values
     chosen = {node: own[node] | said[node] for node in NODES}
+    _name_body(chosen["pancake_tracker"], said["pancake_tracker"])
     follows = _follows(chosen["torque_controller"], chosen["pancake_tracker"])
     if names or simulated:
         follows |= _shape(chosen["torque_controller"], chosen["pancake_tracker"])
@@ -125,6 +126,17 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Setup) -> None
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
 
 
+def _name_body(mocap: dict[str, Any], said: dict[str, Any]) -> None:
+    """Topic of the tracked body's poses: the one that was said, with the body's name filled in."""
+    if not mocap["body"]:
+        said |= {"pose_topic": "", "markers_topic": ""}
+    elif "pose_topic" in said:
+        said["pose_topic"] = said["pose_topic"].replace("{body}", mocap["body"])
+    elif not said.get("markers_topic"):
+        said["pose_topic"] = f"/{mocap['body']}/pose"
+    mocap |= said
+
+
 def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
     """What recorder and learner must know of the driver and the motion capture."""
     return {
@@ -134,12 +146,14 @@ def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
             "driver_topics": [
                 name for name in (arm["command_topic"], arm["velocity_topic"]) if name
             ],
+            "body": mocap["body"],
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
             "source": "hardware",
         },
         "learner": {
             **{name: arm[name] for name in ("joint_names", "model_joint_names", "tool_frame")},
             "urdf": arm["urdf"],
+            "body": mocap["body"],
             "pancake_reset": False,
             "reset_faults": False,
         },
@@ -151,7 +165,7 @@ def _shape(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
     driver = ("joint_names", "state_topic", "velocity_topic", "command_topic", "command_type")
     model = ("urdf", "model_joint_names", "tool_frame")
     guarded = ("guarded_names", "guarded_links", "guarded_points")
-    cameras = ("pose_topic", "markers_topic", "up_axis", "world_to_base", "rate")
+    cameras = ("body", "pose_topic", "markers_topic", "up_axis", "world_to_base", "rate")
     shape: Setup = {
         "wam_sim": {
             **{name: arm[name] for name in (*driver, *model, *guarded)},

@@ -9,6 +9,7 @@ quaternions xyzw, all else SI.
 from __future__ import annotations
 
 import math
+import re
 from array import array
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -39,14 +40,10 @@ from wam_power_ros.ros.pose_messages import stamp as stamp
 # Topics
 JOINT_STATES = "/joint_states"
 EFFORT_COMMANDS = "/effort_controller/commands"
-PANCAKE_POSE = "/pancake/pose"
 MARKERS = "/pointCloud"
-PANCAKE_STATE = "/pancake/state"
-PANCAKE_TRUTH = "/pancake/truth"  # stand-in only: logged, never learnt from
 POLICY = "/policy"
 REPLAY_TRAJECTORY = "/replay/trajectory"
 ROLLOUT_END_EFFECTOR = "/rollout/end_effector"
-ROLLOUT_PANCAKE = "/rollout/pancake"
 LEARNER_BAG = "/learner/bag"  # path of a demonstration to be given to the learner
 ROBOT_DESCRIPTION = "/robot_description"
 DIAGNOSTICS = "/diagnostics"
@@ -69,16 +66,56 @@ WAM_GRAVITY_COMPENSATE = "/wam/gravityCompensate"
 WAM_HOLD = "/wam/holdJointPosition"
 WAM_MOVE_HOME = "/wam/moveHome"
 WAM_IDLE = "/wam/idle"
-PANCAKE_RESET = "/pancake/reset"  # stand-in only
-PANCAKE_DROP = "/pancake/drop"  # stand-in only
 HAND_DEMONSTRATE = "/hand/demonstrate"  # stand-in only
 
 NO_BAG = f"no bag was named on {LEARNER_BAG}"  # yet: topics and services are not ordered
 
+# Topics and services of a tracked body, which follow its name; its frame is the name itself
+BODY_LEAVES = ("pose", "state", "truth", "reset", "drop")  # the last three: stand-in only
+SCENE_LEAVES = ("truth", "reset")  # of a task without a body
+SCENE = "scene"
+_BODY = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_RESERVED = {SCENE, "end_effector"}
+
+
+def body_topic(body: str, leaf: str) -> str:
+    """Topic or service of a tracked body, such as `/pancake/state`.
+
+    Args:
+        body: Name of the body; empty for a task without one, which has `/scene/truth` and
+            `/scene/reset`.
+        leaf: One of `BODY_LEAVES`.
+
+    Raises:
+        ValueError: When there is no such topic, or the name of the body is not acceptable.
+    """
+    leaves = BODY_LEAVES if body else SCENE_LEAVES
+    if leaf not in leaves:
+        raise ValueError(f"no topic {leaf!r} of body {body!r}; there are {list(leaves)}")
+    return f"/{_checked(body) if body else SCENE}/{leaf}"
+
+
+def rollout_topic(body: str) -> str:
+    """Topic of a tracked body's path through a rollout, such as `/rollout/pancake`.
+
+    Raises:
+        ValueError: When the name of the body is not acceptable.
+    """
+    return f"/rollout/{_checked(body)}"
+
+
+def _checked(body: str) -> str:
+    if not _BODY.fullmatch(body) or body in _RESERVED:
+        raise ValueError(
+            f"name {body!r} of a tracked body must be letters, digits and underscores, begin with "
+            f"a letter, and be none of {sorted(_RESERVED)}"
+        )
+    return body
+
+
 # Frames
 BASE_FRAME = "wam_base"
 MOCAP_FRAME = "world"
-PANCAKE_FRAME = "pancake"
 
 
 def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE") -> QoSProfile:

@@ -65,6 +65,11 @@ def table(setup: Setup) -> dict[str, Access]:
     arm, mocap, recorder = (
         setup[node] for node in ("torque_controller", "pancake_tracker", "demonstration_recorder")
     )
+    body = mocap["body"]
+    reset, truth = interface.body_topic(body, "reset"), interface.body_topic(body, "truth")
+    of_body = ()  # what the tracker makes of the body's poses
+    if body:
+        of_body = (interface.body_topic(body, "state"), interface.rollout_topic(body))
     seen = mocap["pose_topic"] or mocap["markers_topic"]
     idle = arm["idle_service"] or interface.WAM_IDLE
     states = tuple(filter(None, (arm["state_topic"], arm["velocity_topic"])))
@@ -72,18 +77,21 @@ def table(setup: Setup) -> dict[str, Access]:
     lists = ("driver_topics", "mocap_topics", "topics", "latched_topics")
     recorded = dict.fromkeys(
         _absolute(topic)
-        for topic in (arm["state_topic"], *(topic for name in lists for topic in recorder[name]))
+        for topic in (
+            arm["state_topic"],
+            *(topic for name in lists for topic in recorder[name] if topic),
+            *of_body,
+        )
     )
-    paths = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_PANCAKE)
     told = (
         interface.LEARNER_REWARD,
         interface.LEARNER_PUNISH,
         interface.LEARNER_DEMONSTRATION,
         interface.LEARNER_PAUSE,
     )
-    return {
+    rights = {
         "torque_controller": Access(
-            publishes=(arm["command_topic"], paths[0], interface.DIAGNOSTICS),
+            publishes=(arm["command_topic"], interface.ROLLOUT_END_EFFECTOR, interface.DIAGNOSTICS),
             subscribes=(
                 *states,
                 *described,
@@ -109,15 +117,15 @@ def table(setup: Setup) -> dict[str, Access]:
             serves=(interface.RECORD,),
         ),
         "pancake_tracker": Access(
-            publishes=(interface.PANCAKE_STATE, paths[1], interface.DIAGNOSTICS),
-            subscribes=(seen, paths[0]),
+            publishes=(*of_body, interface.DIAGNOSTICS),
+            subscribes=(seen, interface.ROLLOUT_END_EFFECTOR),
         ),
         "learner": Access(
             publishes=(interface.POLICY,),
             subscribes=(
-                *paths,
-                interface.PANCAKE_STATE,
-                interface.PANCAKE_TRUTH,
+                interface.ROLLOUT_END_EFFECTOR,
+                *of_body,
+                truth,
                 interface.DIAGNOSTICS,
                 interface.LEARNER_BAG,
             ),
@@ -125,7 +133,7 @@ def table(setup: Setup) -> dict[str, Access]:
             calls=(
                 interface.MOVE_TO_START,
                 interface.EXECUTE,
-                interface.PANCAKE_RESET,
+                reset,
                 interface.RESET,
                 interface.RECORD,
             ),
@@ -134,7 +142,7 @@ def table(setup: Setup) -> dict[str, Access]:
             calls=(
                 interface.GRAVITY_COMPENSATION,
                 interface.RECORD,
-                interface.PANCAKE_RESET,
+                reset,
                 interface.HAND_DEMONSTRATE,
             ),
             process="operator",
@@ -165,7 +173,7 @@ def table(setup: Setup) -> dict[str, Access]:
             publishes=(
                 *states,
                 interface.ROBOT_DESCRIPTION,
-                interface.PANCAKE_TRUTH,
+                truth,
                 interface.CLOCK,
                 interface.DIAGNOSTICS,
             ),
@@ -175,16 +183,21 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.WAM_HOLD,
                 interface.WAM_MOVE_HOME,
                 interface.WAM_IDLE,
-                interface.PANCAKE_RESET,
-                interface.PANCAKE_DROP,
+                reset,
+                *((interface.body_topic(body, "drop"),) if body else ()),
                 interface.HAND_DEMONSTRATE,
             ),
         ),
         "optitrack_sim": Access(
-            publishes=tuple(dict.fromkeys((seen, interface.PANCAKE_POSE, interface.MARKERS))),
+            publishes=(
+                (seen, interface.body_topic(body, "pose"), interface.MARKERS) if body else ()
+            ),
             process="wam_sim",
         ),
     }
+    if not body:
+        del rights["pancake_tracker"], rights["optitrack_sim"]
+    return rights
 
 
 def policy(rights: Mapping[str, Access]) -> str:
