@@ -3,11 +3,14 @@
 
 import math
 import zlib
+from typing import Any
 
 import numpy as np
 
+from wam_power_ros.learning.learner import generator_state
 from wam_power_ros.learning.parametrization import TURN_OF_FLICK
 from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.settings import PracticeSettings
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.assessment import Assessment
@@ -33,6 +36,12 @@ def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> P
         rotation_damping=36.0,
         q_start=np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0]),
     )
+
+
+def learner_state(learner: Power) -> list[Any]:
+    """Everything that decides what the learner asks for next, as data for JSON."""
+    known = learner._rollouts
+    return [known.z.tolist(), known.returns.tolist(), generator_state(learner._rng)]
 
 
 def toss(trial: Trial, settings: PracticeSettings, noise: float = 0.1) -> Assessment:

@@ -1,69 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PoWER, policy learning by weighting exploration with the returns ([Kormushev2010], Eqs. 2-3).
-
-A learner is asked for coordinates z and told the return they had; between the two a robot may take
-an hour. Every learner has the methods of `Learner`, keeps all it knows in `state()`, and takes its
-random generator from outside.
-"""
+"""PoWER, policy learning by weighting exploration with the returns ([Kormushev2010], Eqs. 2-3)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
+
+from wam_power_ros.learning.learner import (
+    LearnerSettings,
+    Model,
+    Rollouts,
+    best_first,
+    check_start,
+    weighted_mean,
+)
 
 Weights = Literal["return", "sharpened"]
 SIZES = (2, 3, 4, 6, 8, 12, 16, 24)  # of an elite that `choose_sigma` has to choose from
 _FEW = 8  # rollouts that are too few to choose by
-
-
-class Learner(Protocol):
-    """What the practice of a skill needs of a learner of z in R^size.
-
-    `ask` draws from the learner's generator; `tell` does not, and accepts points that were never
-    asked for (a demonstration, the mean, a corrected sample).
-    """
-
-    size: int
-
-    @property
-    def mean(self) -> np.ndarray:
-        """The policy without exploration, as of all that was told. Shape (size,)."""
-        ...
-
-    def ask(self) -> np.ndarray:
-        """Draw the next coordinates to try. Shape (size,)."""
-        ...
-
-    def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn that z, of shape (size,), had the return `ret`."""
-        ...
-
-    def state(self) -> dict[str, Any]:
-        """All of the learner, generator included, as data for JSON."""
-        ...
-
-
-class PowerSettings(BaseModel):
-    """Settings of PoWER.
-
-    Attributes:
-        sigma: size of the elite, the number of best past rollouts that make the mean; "auto": of
-            `choose_sigma`, anew after every rollout.
-        weights: "return" weights them with their returns (the paper), "sharpened" with
-            exp((R - R_max) / (sharpness (R_max - R_min))), R_min and R_max those of the elite.
-        sharpness: see `weights`.
-        decay: factor on the exploration for each rollout told; 1 for none (the paper).
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    sigma: Annotated[int, Field(ge=1)] | Literal["auto"] = 6
-    weights: Weights = "return"
-    sharpness: float = Field(default=0.3, gt=0.0, allow_inf_nan=False)
-    decay: float = Field(default=1.0, gt=0.0, le=1.0)
 
 
 def power_update(
@@ -87,8 +43,8 @@ def power_update(
         rollouts: parameters of the past rollouts, oldest first. Shape (m, n)
         returns: their returns, none negative. Shape (m,)
         sigma: size of the elite.
-        weights: see `PowerSettings`.
-        sharpness: see `PowerSettings`.
+        weights: see `Power.Settings`.
+        sharpness: see `Power.Settings`.
 
     Returns:
         New parameters. Shape (n,). No argument is modified.
@@ -112,11 +68,10 @@ def power_update(
         raise ValueError(f"returns must be finite and >= 0, got {returns[bad][:3]}")
     if not (returns > 0.0).any():
         raise ValueError(f"none of {len(returns)} returns is positive")
-    elite = _best_first(returns)[:sigma]
+    elite = best_first(returns)[:sigma]
     weight = _weights(returns[elite], weights, sharpness)  # (k,)
     offsets = rollouts[elite] - theta  # (k, n)
-    # Summed row by row and not by BLAS, whose order of summation depends on the processor.
-    return theta + (weight[:, np.newaxis] * offsets).sum(axis=0) / weight.sum()
+    return theta + weighted_mean(offsets, weight)
 
 
 def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
@@ -144,7 +99,7 @@ def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
     count = len(returns)
     if count < _FEW:
         return 6
-    order = _best_first(returns)
+    order = best_first(returns)
     rollouts, returns = rollouts[order], returns[order]
     sums = np.cumsum(returns[:, np.newaxis] * rollouts, axis=0)  # of the first 1, 2, ... best
     weights = np.cumsum(returns)
@@ -173,12 +128,6 @@ def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
     return chosen
 
 
-def _best_first(returns: np.ndarray) -> np.ndarray:
-    """Indices by falling return; of equal returns the later rollout is first."""
-    newest_first = np.arange(len(returns))[::-1]
-    return newest_first[np.argsort(-returns[newest_first], kind="stable")]
-
-
 def _weights(returns: np.ndarray, kind: Weights, sharpness: float) -> np.ndarray:
     """Weights of an elite, the largest being one: their sum needs no guard. Shape (k,)."""
     best = returns.max()
@@ -193,166 +142,78 @@ def _weights(returns: np.ndarray, kind: Weights, sharpness: float) -> np.ndarray
 
 
 class Power:
-    """PoWER behind ask and tell: Gaussian exploration of unit noise about `mean`."""
+    """PoWER with Gaussian exploration of unit variance about the mean [Kormushev2010]."""
 
-    def __init__(self, size: int, settings: PowerSettings, rng: np.random.Generator) -> None:
-        """Start at z = 0, having been told nothing.
+    class Settings(LearnerSettings):
+        """Settings of PoWER.
 
-        Args:
-            size: number of parameters.
-            settings: see there.
-            rng: source of the exploration; used by `ask` alone.
+        Attributes:
+            sigma: Size of the elite, the number of best past rollouts that make the mean; "auto":
+                chosen by `choose_sigma` after every rollout.
+            weights: Weights of the elite: "return", its returns (the paper), or "sharpened",
+                exp((R - R_max) / (sharpness (R_max - R_min))), R_min and R_max those of the elite.
+            sharpness: Width of the sharpened weights, in units of R_max - R_min.
+            decay: Factor on the exploration noise for each rollout; 1: constant (the paper).
         """
-        if size < 1:
-            raise ValueError(f"size is {size}, there must be at least one parameter")
+
+        sigma: Annotated[int, Field(ge=1)] | Literal["auto"] = 6
+        weights: Weights = "return"
+        sharpness: float = Field(default=0.3, gt=0.0, allow_inf_nan=False)
+        decay: float = Field(default=1.0, gt=0.0, le=1.0)
+
+    needs_model = False
+
+    def __init__(
+        self,
+        size: int,
+        settings: Settings,
+        rng: np.random.Generator,
+        model: Model | None = None,
+    ) -> None:
+        """Start at z = 0; see `LearnerClass`."""
+        check_start(Power, size, model)
         self.size = size
         self.settings = settings
         self._rng = rng
-        self._told: list[np.ndarray] = []
-        self._returns: list[float] = []
+        self._rollouts = Rollouts(size)
         self._mean = np.zeros(size)
 
     @property
     def mean(self) -> np.ndarray:
-        """Return-weighted mean of the elite, z = 0 until a positive return was told. (size,)."""
+        """Weighted mean of the elite; z = 0 until a return was positive. Shape (size,)."""
         return self._mean.copy()
 
     @property
     def noise(self) -> float:
         """Standard deviation of the next exploration, in units of z."""
-        return self.settings.decay ** len(self._returns)
+        return self.settings.decay ** len(self._rollouts)
 
     @property
     def sigma(self) -> int:
         """Size of the elite that made the mean, or will make the first."""
         if self.settings.sigma != "auto":
             return self.settings.sigma
-        return choose_sigma(np.array(self._told), np.array(self._returns))
+        return choose_sigma(self._rollouts.z, self._rollouts.returns)
 
     @property
     def count(self) -> int:
-        """Number of rollouts told."""
-        return len(self._returns)
+        """Number of rollouts learnt from."""
+        return len(self._rollouts)
 
     def ask(self) -> np.ndarray:
         """Draw the next coordinates, the mean plus noise. Shape (size,)."""
         return self._mean + self.noise * self._rng.standard_normal(self.size)
 
     def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn that z had return `ret`.
-
-        Args:
-            z: coordinates of the rollout, asked for or not. Shape (size,)
-            ret: its return, >= 0.
-
-        Raises:
-            ValueError: z or `ret` cannot be learnt from; nothing has changed then.
-        """
-        check_rollout(z, ret, self.size)
-        self._told.append(np.array(z, dtype=float))  # the caller may do with his as he likes
-        self._returns.append(float(ret))
-        self._update()
-
-    def state(self) -> dict[str, Any]:
-        """All of the learner as data for JSON, generator included; `from_state` is its inverse."""
-        return state_of("power", self.settings, self._told, self._returns, self.size, self._rng)
-
-    @classmethod
-    def from_state(cls, state: Mapping[str, Any]) -> Power:
-        """Learner that goes on exactly where the one that gave `state` was.
-
-        Raises:
-            ValueError: not the state of a PoWER learner.
-        """
-        if state.get("learner") != "power":
-            raise ValueError(f"state of learner {state.get('learner')!r}, expected 'power'")
-        settings = PowerSettings.model_validate(state["settings"])
-        learner = cls(int(state["size"]), settings, restore_generator(state["generator"]))
-        tell_again(learner, state)
-        return learner
-
-    def _update(self) -> None:
-        if max(self._returns) > 0.0:
+        """Learn from a rollout; see `Learner.tell`."""
+        self._rollouts.add(z, ret)
+        returns = self._rollouts.returns
+        if returns.max() > 0.0:
             self._mean = power_update(
                 np.zeros(self.size),
-                np.stack(self._told),
-                np.array(self._returns),
+                self._rollouts.z,
+                returns,
                 self.sigma,
                 self.settings.weights,
                 self.settings.sharpness,
             )
-
-
-def check_rollout(z: np.ndarray, ret: float, size: int) -> None:
-    """Check what a learner of `size` parameters is told; see `Learner.tell`.
-
-    Raises:
-        ValueError: it cannot be learnt from.
-    """
-    z = np.array(z, dtype=float)
-    if z.shape != (size,) or not np.isfinite(z).all():
-        raise ValueError(f"z must be finite and of shape ({size},), got {z.shape}: {z}")
-    if not (np.isfinite(ret) and ret >= 0.0):
-        raise ValueError(f"a return must be finite and >= 0, got {ret}")
-
-
-def state_of(
-    kind: str,
-    settings: BaseModel,
-    told: Sequence[np.ndarray],
-    returns: Sequence[float],
-    size: int,
-    rng: np.random.Generator,
-) -> dict[str, Any]:
-    """`Learner.state` of a learner that follows from its settings and what it was told."""
-    return {
-        "learner": kind,
-        "size": size,
-        "settings": settings.model_dump(mode="json"),
-        "z": [z.tolist() for z in told],
-        "returns": list(returns),
-        "generator": generator_state(rng),
-    }
-
-
-def tell_again(learner: Learner, state: Mapping[str, Any]) -> None:
-    """Tell a learner all that the one of this `state` was told.
-
-    Raises:
-        ValueError: not as many returns as rollouts, or one that cannot be learnt from.
-    """
-    if len(state["z"]) != len(state["returns"]):
-        raise ValueError(f"{len(state['z'])} rollouts but {len(state['returns'])} returns")
-    for z, ret in zip(state["z"], state["returns"], strict=True):
-        learner.tell(z, ret)
-
-
-def generator_state(rng: np.random.Generator) -> dict[str, Any]:
-    """State of a PCG64 generator as data for JSON; its integers have up to 128 bits.
-
-    Raises:
-        ValueError: the generator is of another kind.
-    """
-    state = rng.bit_generator.state
-    if state["bit_generator"] != "PCG64":
-        raise ValueError(f"bit generator {state['bit_generator']!r}, expected 'PCG64'")
-    return {
-        "bit_generator": "PCG64",
-        "state": {key: int(value) for key, value in state["state"].items()},
-        "has_uint32": int(state["has_uint32"]),
-        "uinteger": int(state["uinteger"]),
-    }
-
-
-def restore_generator(state: Mapping[str, Any]) -> np.random.Generator:
-    """Generator in the state that `generator_state` gave.
-
-    Raises:
-        ValueError: not the state of a PCG64 generator.
-    """
-    bit_generator = np.random.PCG64()
-    try:
-        bit_generator.state = dict(state)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"not the state of a PCG64 generator: {error!r}") from error
-    return np.random.Generator(bit_generator)

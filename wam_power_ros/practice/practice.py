@@ -16,9 +16,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from wam_power_ros.learning.learner import generator_state
 from wam_power_ros.learning.parametrization import Parameters
 from wam_power_ros.learning.policy import Policy, check_id, to_json
-from wam_power_ros.learning.power import Power, generator_state
+from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.practice.best_policy import Best, evidence_of
 from wam_power_ros.practice.feasible_sampler import Permission

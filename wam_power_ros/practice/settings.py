@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wam_power_ros.learning.parametrization import NoiseScales
-from wam_power_ros.learning.power import PowerSettings
+from wam_power_ros.learning.power import Power
 from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
 
@@ -50,7 +50,7 @@ class PracticeSettings(BaseModel):
 
     variant: Literal["full", "diagonal", "symmetric", "attractors", "planar"]
     noise: NoiseScales
-    power: PowerSettings
+    power: Power.Settings
     ret: Literal["eq5", "landing"]
     pancake_weights: PancakeWeights = PancakeWeights()
     landing_weights: LandingWeights = LandingWeights()

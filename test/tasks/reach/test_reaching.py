@@ -15,11 +15,12 @@ from wam_power_ros.experiments.studies.reaching_runs import (
     study,
 )
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
-from wam_power_ros.learning.learners import RandomSearch, Search
+from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import Parameters
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.power import Learner, Power
-from wam_power_ros.learning.screened_power import Screened
+from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.random_search import RandomSearch
+from wam_power_ros.learning.screened_power import ScreenedPower
 from wam_power_ros.tasks.reach.obstacle_model import FreePath
 
 SCENARIO = synthetic()
@@ -141,7 +142,7 @@ def test_a_run_tells_its_best_rollout_and_its_final_mean() -> None:
 
 
 def test_the_final_policy_of_random_search_is_its_best_rollout() -> None:
-    told = run(Search(FULL.size, RandomSearch(), generator(5)), 20)
+    told = run(RandomSearch(FULL.size, RandomSearch.Settings(), generator(5)), 20)
     assert told.final == pytest.approx(told.best, rel=1e-9)
 
 
@@ -159,11 +160,11 @@ def test_a_model_predicts_a_free_path_exactly_and_a_stopped_one_better_each_time
 
 
 def test_screening_needs_clearly_fewer_rollouts_than_power() -> None:
-    settings = Screened()
+    settings = ScreenedPower.Settings()
     screened, power = (
         learn_many(
             [
-                Search(FULL.size, settings, generator(seed), FreePath(FULL, SCENARIO))
+                ScreenedPower(FULL.size, settings, generator(seed), FreePath(FULL, SCENARIO))
                 if screens
                 else Power(FULL.size, POWER, generator(seed))
                 for seed in TUNING[:4]

@@ -10,17 +10,22 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from hardware_sim.world import World
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import teach
 from wam_power_ros.experiments.studies.reaching_runs import generator, learn_many, scales
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
-from wam_power_ros.learning.learners import Search, Settings
+from wam_power_ros.learning.adaptive_power import AdaptivePower
+from wam_power_ros.learning.cma_es import CmaEs
+from wam_power_ros.learning.learner import Learner, LearnerClass, Model
 from wam_power_ros.learning.parametrization import Parameters
-from wam_power_ros.learning.power import Learner, Power, PowerSettings
-from wam_power_ros.learning.screened_power import Model, Screened
+from wam_power_ros.learning.pi2 import Pi2
+from wam_power_ros.learning.policy_gradient import Enac, Reinforce
+from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.random_search import RandomSearch
+from wam_power_ros.learning.screened_power import ScreenedPower
+from wam_power_ros.learning.shaped_power import ShapedPower
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.planned_toss import TossModel
@@ -29,7 +34,17 @@ from wam_power_ros.tasks.reach.obstacle_model import FreePath
 VARIANT = "full"  # on both tasks
 NOVICE = 5.0  # [rad/s] intended pitch rate of the hand that teaches: leaves something to learn
 REPEATS = 3  # of the answer
-_SETTINGS: TypeAdapter[Settings] = TypeAdapter(Settings)
+_CLASSES: dict[str, LearnerClass] = {
+    "power": Power,
+    "shaped_power": ShapedPower,
+    "adaptive_power": AdaptivePower,
+    "pi2_bb": Pi2,
+    "cma_es": CmaEs,
+    "reinforce": Reinforce,
+    "enac": Enac,
+    "random": RandomSearch,
+    "screened": ScreenedPower,
+}
 
 
 def reaching_runs(
@@ -107,18 +122,18 @@ def pancake_run(
 
 
 def learner_of(settings: dict[str, Any], size: int, seed: int, model: Model) -> Learner:
-    """A learner by its settings as data; those without a "kind" are PoWER's.
+    """Construct a learner.
 
     Args:
-        settings: of the learner, as data.
-        size: of z.
-        seed: of the exploration.
-        model: for a learner that screens; the others are not told of it.
+        settings: Name of the learner, "power" if omitted, under "kind"; and its settings.
+        size: Number of parameters.
+        seed: Seed of the exploration.
+        model: Predictor of returns, for a learner that needs one.
 
     Raises:
-        ValueError: settings of no learner.
+        ValueError: If a setting is unknown or out of range.
     """
-    if "kind" not in settings:
-        return Power(size, PowerSettings(**settings), generator(seed))
-    chosen = _SETTINGS.validate_python(settings)
-    return Search(size, chosen, generator(seed), model if isinstance(chosen, Screened) else None)
+    values = dict(settings)
+    found = _CLASSES[values.pop("kind", "power")]
+    chosen = found.Settings(**values)
+    return found(size, chosen, generator(seed), model if found.needs_model else None)

@@ -29,7 +29,7 @@ from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evalua
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.parametrization import Parameters
 from wam_power_ros.learning.policy import with_id
-from wam_power_ros.learning.power import Power, PowerSettings
+from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 
@@ -60,7 +60,7 @@ def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> d
     """
     scenario = synthetic()
     parameters = Parameters(scenario.policy, "full", NOISE["full"])
-    settings = PowerSettings(sigma=sigma, decay=POWER.decay)
+    settings = Power.Settings(sigma=sigma, decay=POWER.decay)
     learners = [Power(parameters.size, settings, generator(seed)) for seed in seeds]
     disturbed = [np.random.default_rng([seed, 1]) for seed in seeds]
     sizes = []

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
+from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import NoiseScales, Parameters
-from wam_power_ros.learning.power import Learner, Power, PowerSettings
+from wam_power_ros.learning.power import Power
 from wam_power_ros.tasks.reach.scenario import Scenario
 
 
@@ -25,7 +26,7 @@ def scales(stiffness: float, attractor: float) -> NoiseScales:
 # Near the best of `reaching.tune` for each variant on the 60 tuning seeds: full .765, and within
 # .003 of it at twice the noise of either; diagonal .598.
 NOISE = {"full": scales(0.6, 0.00625), "diagonal": scales(0.6, 0.1)}
-POWER = PowerSettings(sigma=3, decay=0.965)  # of the authors' own scripts
+POWER = Power.Settings(sigma=3, decay=0.965)  # of the authors' own scripts
 CHUNK = 10  # runs evaluated together; fixed, so that results do not depend on the number of jobs
 DRAWN = 50  # samples of a path that are kept for a figure
 

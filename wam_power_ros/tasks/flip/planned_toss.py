@@ -99,7 +99,7 @@ def planned_terms(tosses: Tosses, weights: PancakeWeights) -> np.ndarray:
 
 
 class TossModel:
-    """A `screening.Model` of Eq. 5: the planned toss, put right by what rollouts returned.
+    """A `learner.Model` of Eq. 5: the planned toss, put right by what rollouts returned.
 
     The return is taken to be sum_j (1 + w_j) term_j + w_0, the terms those of the planned toss,
     with w normal about zero: a ridge regression, exact and done anew after every rollout.

@@ -14,7 +14,7 @@ EVERY = 4  # samples of a path from one that is looked at to the next: 4 cm at m
 
 
 class FreePath:
-    """A `screening.Model` of Eq. 4: the path of Eq. 1, which stops where something was met before.
+    """A `learner.Model` of Eq. 4: the path of Eq. 1, which stops where something was met before.
 
     Known from the start are Eq. 1, the demonstration and the return. The obstacle is not: where a
     rollout was stopped follows from its return, the path being known. There, and `REACH` about

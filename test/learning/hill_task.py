@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A hill to climb, for tests of the learners, and a crude model of it."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+
+from wam_power_ros.learning.learner import Learner
+
+SIZE = 6
+TOP = np.full(SIZE, 0.8)
+L = TypeVar("L", bound=Learner)
+
+
+def rng(seed: int) -> np.random.Generator:
+    return np.random.Generator(np.random.PCG64(seed))
+
+
+def hill(z: np.ndarray) -> float:
+    return float(np.exp(-0.3 * ((z - TOP) ** 2).sum()))
+
+
+class CrudeModel:
+    """Knows roughly where the top is, and counts the rollouts."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def predict(self, z: np.ndarray) -> np.ndarray:
+        """Any scale will do."""
+        return -((z - 0.5) ** 2).sum(axis=1) / (1 + self.count)
+
+    def learn(self, z: np.ndarray, ret: float) -> None:
+        """Count."""
+        self.count += 1
+
+
+def climb(learner: L, rollouts: int) -> L:
+    for _ in range(rollouts):
+        z = learner.ask()
+        learner.tell(z, hill(z))
+    return learner

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every learner has in common."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hill_task import SIZE, CrudeModel, climb, hill, rng
+
+from wam_power_ros.learning.adaptive_power import AdaptivePower
+from wam_power_ros.learning.cma_es import CmaEs
+from wam_power_ros.learning.learner import (
+    Learner,
+    LearnerClass,
+    Rollouts,
+    best_first,
+    generator_state,
+    weighted_mean,
+)
+from wam_power_ros.learning.pi2 import Pi2
+from wam_power_ros.learning.policy_gradient import Enac, Reinforce
+from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.random_search import RandomSearch
+from wam_power_ros.learning.screened_power import ScreenedPower
+from wam_power_ros.learning.shaped_power import ShapedPower
+
+CLIMBERS: list[tuple[LearnerClass, dict[str, Any]]] = [
+    (Power, {}),
+    (ShapedPower, {}),
+    (ShapedPower, {"weights": "return", "mirrored": False}),
+    (AdaptivePower, {}),
+    (Pi2, {}),
+    (CmaEs, {}),
+    (Reinforce, {}),
+    (Enac, {}),
+    (ScreenedPower, {"candidates": 20}),
+]
+ALL = [*CLIMBERS, (RandomSearch, {})]
+every_learner = pytest.mark.parametrize(("found", "values"), ALL)
+
+
+def started(found: LearnerClass, values: dict[str, Any], seed: int) -> Learner:
+    model = CrudeModel() if found.needs_model else None
+    return found(SIZE, found.Settings(**values), rng(seed), model)
+
+
+@pytest.mark.parametrize(("found", "values"), CLIMBERS)
+@pytest.mark.parametrize("seed", range(5))
+def test_every_learner_climbs_a_hill(
+    found: LearnerClass, values: dict[str, Any], seed: int
+) -> None:
+    learner = climb(started(found, values, seed), 300)
+    assert hill(np.zeros(SIZE)) < 0.32
+    assert hill(learner.mean) > 0.6
+
+
+@every_learner
+@pytest.mark.parametrize("count", [0, 7, 33])
+def test_a_learner_given_the_same_rollouts_goes_on_bit_for_bit(
+    found: LearnerClass, values: dict[str, Any], count: int
+) -> None:
+    learner, again = started(found, values, 1), started(found, values, 1)
+    for _ in range(count):
+        z = learner.ask()
+        again.ask()  # a session that is resumed draws again what its log holds
+        learner.tell(z, hill(z))
+        again.tell(z, hill(z))
+    for _ in range(25):
+        z = learner.ask()
+        np.testing.assert_array_equal(again.ask(), z)
+        learner.tell(z, hill(z))
+        again.tell(z, hill(z))
+        np.testing.assert_array_equal(again.mean, learner.mean)
+
+
+@every_learner
+def test_the_seed_decides_and_tell_draws_nothing(
+    found: LearnerClass, values: dict[str, Any]
+) -> None:
+    source = rng(4)
+    model = CrudeModel() if found.needs_model else None
+    first = climb(found(SIZE, found.Settings(**values), source, model), 30)
+    second, other = (climb(started(found, values, seed), 30) for seed in (4, 5))
+    np.testing.assert_array_equal(first.mean, second.mean)
+    assert not np.array_equal(second.mean, other.mean)
+    before = generator_state(source)
+    first.tell(np.ones(SIZE), 0.5)
+    assert generator_state(source) == before
+
+
+@every_learner
+def test_a_rollout_that_cannot_be_learnt_from_is_refused_and_changes_nothing(
+    found: LearnerClass, values: dict[str, Any]
+) -> None:
+    learner, untouched = (climb(started(found, values, 0), 5) for _ in range(2))
+    for z, ret in [
+        (np.zeros(SIZE + 1), 1.0),
+        (np.full(SIZE, np.nan), 1.0),
+        (np.zeros(SIZE), -0.1),
+        (np.zeros(SIZE), np.inf),
+        (np.zeros(SIZE), np.nan),
+    ]:
+        with pytest.raises(ValueError, match="must be finite"):
+            learner.tell(z, ret)
+    for _ in range(20):
+        np.testing.assert_array_equal(climb(learner, 1).mean, climb(untouched, 1).mean)
+
+
+@every_learner
+def test_the_arrays_of_a_learner_are_its_own(found: LearnerClass, values: dict[str, Any]) -> None:
+    learner, untouched = (started(found, values, 2) for _ in range(2))
+    for _ in range(30):
+        z = learner.ask()
+        np.testing.assert_array_equal(z, untouched.ask())
+        learner.tell(z, hill(z))
+        untouched.tell(z.copy(), hill(z))
+        z[:] = 99.0
+        learner.mean[:] = 99.0
+    np.testing.assert_array_equal(learner.mean, untouched.mean)
+
+
+@every_learner
+def test_returns_that_are_all_zero_are_survived(
+    found: LearnerClass, values: dict[str, Any]
+) -> None:
+    learner = started(found, values, 0)
+    for _ in range(40):
+        learner.tell(learner.ask(), 0.0)
+    assert np.isfinite(learner.mean).all() and np.isfinite(learner.ask()).all()
+
+
+@every_learner
+def test_the_scale_of_returns_does_not_matter(found: LearnerClass, values: dict[str, Any]) -> None:
+    learners = [started(found, values, 3) for _ in range(2)]
+    for _ in range(30):
+        for learner, factor in zip(learners, (1.0, 2.0**-30), strict=True):
+            z = learner.ask()
+            learner.tell(z, factor * hill(z))
+    np.testing.assert_allclose(learners[0].mean, learners[1].mean, rtol=1e-9, atol=1e-12)
+
+
+@every_learner
+def test_settings_are_frozen_and_have_no_other_fields(
+    found: LearnerClass, values: dict[str, Any]
+) -> None:
+    with pytest.raises(ValueError, match="populatoin"):
+        found.Settings(populatoin=3)
+    for field in found.Settings.model_fields:
+        with pytest.raises(ValueError, match="frozen"):
+            setattr(found.Settings(), field, 1)
+
+
+@every_learner
+def test_a_learner_without_parameters_or_with_an_unused_model_is_refused(
+    found: LearnerClass, values: dict[str, Any]
+) -> None:
+    model = CrudeModel() if found.needs_model else None
+    with pytest.raises(ValueError, match="size is 0"):
+        found(0, found.Settings(), rng(0), model)
+    with pytest.raises(ValueError, match="model"):
+        found(SIZE, found.Settings(), rng(0), None if found.needs_model else CrudeModel())
+
+
+def test_rollouts_are_kept_in_order_until_they_are_cleared() -> None:
+    rollouts = Rollouts(2)
+    assert rollouts.z.shape == (0, 2) and rollouts.returns.shape == (0,)
+    rollouts.add(np.array([1.0, 2.0]), 0.5)
+    rollouts.add(np.array([3.0, 4.0]), 0.25)
+    assert rollouts.z.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+    assert rollouts.returns.tolist() == [0.5, 0.25] and len(rollouts) == 2
+    rollouts.clear()
+    assert len(rollouts) == 0
+
+
+def test_of_equal_returns_the_later_rollout_comes_first() -> None:
+    assert best_first(np.array([0.2, 0.9, 0.2, 0.9, 0.1])).tolist() == [3, 1, 2, 0, 4]
+
+
+def test_a_weighted_mean_is_that_of_numpy() -> None:
+    rows, weights = rng(0).standard_normal((5, 3)), rng(1).uniform(0.1, 1.0, 5)
+    expected = np.average(rows, axis=0, weights=weights)
+    np.testing.assert_allclose(weighted_mean(rows, weights), expected, rtol=1e-12)
+
+
+def test_the_state_of_a_generator_restores_it_and_other_generators_are_refused() -> None:
+    source = rng(0)
+    source.standard_normal(3)
+    other = np.random.PCG64()
+    other.state = generator_state(source)
+    assert np.random.Generator(other).random() == source.random()
+    with pytest.raises(ValueError, match="PCG64"):
+        generator_state(np.random.Generator(np.random.MT19937(0)))

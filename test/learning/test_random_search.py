@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random search."""
+
+import numpy as np
+from hill_task import SIZE, hill, rng
+
+from wam_power_ros.learning.random_search import RandomSearch
+
+
+def test_random_search_keeps_the_best_rollout() -> None:
+    learner = RandomSearch(SIZE, RandomSearch.Settings(), rng(0))
+    assert not learner.mean.any()
+    samples = [learner.ask() for _ in range(50)]
+    for z in samples:
+        learner.tell(z, hill(z))
+    np.testing.assert_array_equal(learner.mean, max(samples, key=hill))
+
+
+def test_of_equal_returns_the_first_rollout_is_kept() -> None:
+    learner = RandomSearch(1, RandomSearch.Settings(), rng(0))
+    for value in (1.0, 2.0):
+        learner.tell(np.array([value]), 0.0)
+    assert learner.mean.tolist() == [1.0]

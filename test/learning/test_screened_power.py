@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PoWER with model-based screening."""
+
+import numpy as np
+from hill_task import SIZE, CrudeModel, climb, hill, rng
+
+from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.screened_power import ScreenedPower
+
+Settings = ScreenedPower.Settings
+
+
+def test_the_candidate_of_highest_predicted_return_is_executed() -> None:
+    model = CrudeModel()
+    learner = ScreenedPower(SIZE, Settings(candidates=50), rng(7), model)
+    candidates = rng(7).standard_normal((50, SIZE))  # the mean is still zero
+    best = candidates[np.argmax(model.predict(candidates))]
+    np.testing.assert_array_equal(learner.ask(), best)
+
+
+def test_the_number_of_candidates_decreases_with_the_number_of_rollouts() -> None:
+    asked: list[int] = []
+
+    class Counting(CrudeModel):
+        def predict(self, z: np.ndarray) -> np.ndarray:
+            asked.append(len(z))
+            return super().predict(z)
+
+    climb(ScreenedPower(SIZE, Settings(candidates=16, half_life=2), rng(1), Counting()), 12)
+    assert asked == [16, 11, 8, 6, 4, 3, 2]  # then one, which needs no prediction
+
+
+def test_with_one_candidate_it_is_power() -> None:
+    settings = Settings(candidates=1, sigma=3, decay=0.97)
+    screened = climb(ScreenedPower(SIZE, settings, rng(5), CrudeModel()), 40)
+    power = climb(Power(SIZE, Power.Settings(sigma=3, decay=0.97), rng(5)), 40)
+    np.testing.assert_allclose(screened.mean, power.mean, rtol=1e-12)
+
+
+def test_the_model_learns_from_every_rollout() -> None:
+    model = CrudeModel()
+    climb(ScreenedPower(SIZE, Settings(candidates=5), rng(0), model), 9)
+    assert model.count == 9
+
+
+def test_a_good_model_helps_and_a_wrong_one_leaves_the_measured_returns_to_decide() -> None:
+    class Wrong(CrudeModel):
+        def predict(self, z: np.ndarray) -> np.ndarray:
+            return -super().predict(z)
+
+    settings = Settings(candidates=50)
+    right = climb(ScreenedPower(SIZE, settings, rng(1), CrudeModel()), 30)
+    assert hill(right.mean) > 0.8
+    wrong = ScreenedPower(SIZE, settings, rng(1), Wrong())
+    executed = []
+    for _ in range(30):
+        executed.append(wrong.ask())
+        wrong.tell(executed[-1], hill(executed[-1]))
+    # Three rollouts make the elite, and the model has no say in which.
+    elite = sorted(executed, key=hill)[-3:]
+    expected = np.average(elite, axis=0, weights=[hill(z) for z in elite])
+    np.testing.assert_allclose(wrong.mean, expected)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PoWER that adapts the exploration variance of each parameter, as in Kober's sample code."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from wam_power_ros.learning.learner import (
+    LearnerSettings,
+    Model,
+    Rollouts,
+    best_first,
+    check_start,
+    weighted_mean,
+)
+from wam_power_ros.learning.power import power_update
+
+
+class AdaptivePower:
+    """PoWER with one exploration variance per parameter, estimated from the elite."""
+
+    class Settings(LearnerSettings):
+        """Settings of adaptive PoWER.
+
+        Attributes:
+            sigma: Size of the elite that makes the mean.
+            variance_sigma: Size of the elite that makes the variance; larger, so that the variance
+                does not collapse.
+            smallest: Lower bound of the variances, as a fraction of the initial one.
+            largest: Upper bound of the variances, as a multiple of the initial one.
+        """
+
+        sigma: int = Field(default=10, ge=1)
+        variance_sigma: int = Field(default=100, ge=1)
+        smallest: float = Field(default=0.1, gt=0.0, le=1.0)
+        largest: float = Field(default=10.0, ge=1.0, allow_inf_nan=False)
+
+    needs_model = False
+
+    def __init__(
+        self,
+        size: int,
+        settings: Settings,
+        rng: np.random.Generator,
+        model: Model | None = None,
+    ) -> None:
+        """Start at z = 0; see `LearnerClass`."""
+        check_start(AdaptivePower, size, model)
+        self.size = size
+        self.settings = settings
+        self._rng = rng
+        self._rollouts = Rollouts(size)
+        self._variance = np.ones(size)
+        self._mean = np.zeros(size)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Return-weighted mean of the elite. Shape (size,)."""
+        return self._mean.copy()
+
+    def ask(self) -> np.ndarray:
+        """Draw the next coordinates, the mean plus noise. Shape (size,)."""
+        return self._mean + np.sqrt(self._variance) * self._rng.standard_normal(self.size)
+
+    def tell(self, z: np.ndarray, ret: float) -> None:
+        """Learn from a rollout; see `Learner.tell`."""
+        self._rollouts.add(z, ret)
+        rollouts, returns = self._rollouts.z, self._rollouts.returns
+        if returns.max() <= 0.0:
+            return
+        elite = best_first(returns)[: self.settings.variance_sigma]
+        # sigma^2 = sum R (theta_k - theta)^2 / sum R, theta being the mean before the update.
+        weights = returns[elite] / returns.max()
+        variance = weighted_mean((rollouts[elite] - self._mean) ** 2, weights)
+        self._variance = np.clip(variance, self.settings.smallest, self.settings.largest)
+        self._mean = power_update(self._mean, rollouts, returns, self.settings.sigma)

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What every learner has in common: the protocol, the past rollouts, the weighted mean.
+
+A learner proposes coordinates z to try and is given their returns; a rollout on the robot lies
+between the two. Every learner is a class with a frozen pydantic model `Settings` and the
+constructor of `LearnerClass`. It is a function of its settings, of the draws from its generator
+and of the rollouts it was given: to restore one, give them to a new one in the same order.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+
+class Learner(Protocol):
+    """A learner of z in R^size, which starts at z = 0 with exploration of unit variance.
+
+    `ask` alone draws from the learner's generator. `tell` accepts points that were not asked for:
+    a demonstration, the mean, a corrected sample.
+    """
+
+    size: int
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Current estimate, without exploration noise. Shape (size,)."""
+        ...
+
+    def ask(self) -> np.ndarray:
+        """Draw the next coordinates to try. Shape (size,)."""
+        ...
+
+    def tell(self, z: np.ndarray, ret: float) -> None:
+        """Learn from a rollout.
+
+        Args:
+            z: Coordinates of the rollout. Shape (size,).
+            ret: Return of the rollout, >= 0.
+
+        Raises:
+            ValueError: If z or `ret` is not finite, `ret` is negative or z has another shape; the
+                learner is unchanged then.
+        """
+        ...
+
+
+class Model(Protocol):
+    """A predictor of returns that is usable before the first rollout and may learn from each.
+
+    Both methods depend only on the rollouts learnt from, in their order: no generator, no clock.
+    """
+
+    def predict(self, z: np.ndarray) -> np.ndarray:
+        """Predicted returns of candidates z of shape (B, size). Shape (B,)."""
+        ...
+
+    def learn(self, z: np.ndarray, ret: float) -> None:
+        """Learn that the rollout at z (size,) had the return `ret`."""
+        ...
+
+
+class LearnerClass(Protocol):
+    """A class of learners, as an entry point of the group `wam_power_ros.learners` names it.
+
+    Attributes:
+        Settings: Model of the settings, which has a default for every field.
+        needs_model: Whether the constructor needs a `Model`; if not, it takes none.
+    """
+
+    Settings: Any
+    needs_model: bool
+
+    def __call__(
+        self,
+        size: int,
+        settings: Any,  # noqa: ANN401 - the class's own `Settings`
+        rng: np.random.Generator,
+        model: Model | None = None,
+    ) -> Learner:
+        """Construct a learner.
+
+        Args:
+            size: Number of parameters.
+            settings: Instance of `Settings`.
+            rng: Source of the exploration noise; used by `ask` alone.
+            model: Predictor of returns, given if and only if `needs_model`.
+
+        Raises:
+            ValueError: If `size` is too small, or a model is missing or unused.
+        """
+        ...
+
+
+class LearnerSettings(BaseModel):
+    """Settings of a learner: frozen, without unknown fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Rollouts:
+    """Coordinates and returns of past rollouts, oldest first."""
+
+    def __init__(self, size: int) -> None:
+        """Start empty, for rollouts of `size` parameters."""
+        self._size = size
+        self._z: list[np.ndarray] = []
+        self._returns: list[float] = []
+
+    def __len__(self) -> int:
+        return len(self._returns)
+
+    @property
+    def z(self) -> np.ndarray:
+        """Coordinates. Shape (m, size)."""
+        return np.array(self._z, dtype=float).reshape(-1, self._size)
+
+    @property
+    def returns(self) -> np.ndarray:
+        """Returns. Shape (m,)."""
+        return np.array(self._returns, dtype=float)
+
+    def add(self, z: np.ndarray, ret: float) -> None:
+        """Append a copy of a rollout.
+
+        Raises:
+            ValueError: As `Learner.tell`.
+        """
+        z = np.array(z, dtype=float)
+        if z.shape != (self._size,) or not np.isfinite(z).all():
+            raise ValueError(f"z must be finite and of shape ({self._size},), got {z.shape}: {z}")
+        if not (np.isfinite(ret) and ret >= 0.0):
+            raise ValueError(f"a return must be finite and >= 0, got {ret}")
+        self._z.append(z)
+        self._returns.append(float(ret))
+
+    def clear(self) -> None:
+        """Forget all rollouts: the next batch begins."""
+        self._z, self._returns = [], []
+
+
+def check_start(learner: type[Any], size: int, model: Model | None, size_min: int = 1) -> None:
+    """Check what a learner is constructed with.
+
+    Raises:
+        ValueError: If `size` is too small, or a model is given in vain.
+    """
+    if size < size_min:
+        raise ValueError(f"size is {size}, {learner.__name__} needs at least {size_min}")
+    if model is not None and not learner.needs_model:
+        raise ValueError(f"{learner.__name__} uses no model, got {model}")
+
+
+def best_first(returns: np.ndarray) -> np.ndarray:
+    """Indices by decreasing return; of equal returns the later rollout comes first."""
+    newest_first = np.arange(len(returns))[::-1]
+    return newest_first[np.argsort(-returns[newest_first], kind="stable")]
+
+
+def weighted_mean(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Weighted mean of rows (k, n). Shape (n,).
+
+    Summed row by row and not by BLAS, whose order of summation depends on the processor.
+    """
+    return (weights[:, np.newaxis] * rows).sum(axis=0) / weights.sum()
+
+
+def generator_state(rng: np.random.Generator) -> dict[str, Any]:
+    """State of a PCG64 generator as data for JSON; its integers have up to 128 bits.
+
+    Raises:
+        ValueError: If the generator is of another kind.
+    """
+    state = rng.bit_generator.state
+    if state["bit_generator"] != "PCG64":
+        raise ValueError(f"bit generator {state['bit_generator']!r}, expected 'PCG64'")
+    return {
+        "bit_generator": "PCG64",
+        "state": {key: int(value) for key, value in state["state"].items()},
+        "has_uint32": int(state["has_uint32"]),
+        "uinteger": int(state["uinteger"]),
+    }

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Episodic policy gradients: REINFORCE [Williams1992] and natural actor-critic [Peters2008].
+
+Ours: returns are divided by their standard deviation in the batch, so that one rate serves every
+scale of returns, and the step is in units of the exploration noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from wam_power_ros.learning.learner import LearnerSettings, Model, Rollouts, check_start
+
+
+class _PolicyGradient:
+    """A step along an estimate of the gradient of the expected return."""
+
+    class Settings(LearnerSettings):
+        """Settings of a policy gradient.
+
+        Attributes:
+            population: Number of rollouts of an update.
+            rate: Learning rate, in units of the exploration noise.
+            decay: Factor on the exploration noise for each update.
+        """
+
+        population: int = Field(ge=2)
+        rate: float = Field(default=1.0, gt=0.0, allow_inf_nan=False)
+        decay: float = Field(gt=0.0, le=1.0)
+
+    needs_model = False
+
+    def __init__(
+        self,
+        size: int,
+        settings: Settings,
+        rng: np.random.Generator,
+        model: Model | None = None,
+    ) -> None:
+        """Start at z = 0; see `LearnerClass`."""
+        check_start(type(self), size, model)
+        self.size = size
+        self.settings = settings
+        self._rng = rng
+        self._batch = Rollouts(size)
+        self._noise = 1.0
+        self._mean = np.zeros(size)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Current estimate, without exploration noise. Shape (size,)."""
+        return self._mean.copy()
+
+    def ask(self) -> np.ndarray:
+        """Draw the next coordinates, the mean plus noise. Shape (size,)."""
+        return self._mean + self._noise * self._rng.standard_normal(self.size)
+
+    def tell(self, z: np.ndarray, ret: float) -> None:
+        """Learn from a rollout; see `Learner.tell`."""
+        self._batch.add(z, ret)
+        if len(self._batch) < self.settings.population:
+            return
+        returns = self._batch.returns
+        deviation = float(returns.std())
+        if deviation > 0.0:
+            eps = (self._batch.z - self._mean) / self._noise  # (N, n)
+            gradient = self._gradient(eps, (returns - returns.mean()) / deviation)
+            self._mean = self._mean + self.settings.rate * self._noise * gradient
+        self._noise *= self.settings.decay
+        self._batch.clear()
+
+    def _gradient(self, eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
+        """Gradient in units of the noise; eps = noise * grad log pi (N, n), returns (N,)."""
+        raise NotImplementedError
+
+
+class Reinforce(_PolicyGradient):
+    """Episodic REINFORCE with the baseline of least variance [Williams1992]."""
+
+    class Settings(_PolicyGradient.Settings):
+        """Settings of REINFORCE; see there."""
+
+        population: int = Field(default=10, ge=2)
+        decay: float = Field(default=0.95, gt=0.0, le=1.0)
+
+    def _gradient(self, eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
+        # b = sum psi^2 R / sum psi^2;  grad = mean psi (R - b), each axis alone
+        # [Peters2008, episodic REINFORCE with optimal baseline].
+        square = eps**2
+        baseline = (square * returns[:, np.newaxis]).sum(axis=0)
+        baseline /= np.maximum(square.sum(axis=0), np.finfo(float).tiny)
+        return (eps * (returns[:, np.newaxis] - baseline)).mean(axis=0)
+
+
+class Enac(_PolicyGradient):
+    """Episodic natural actor-critic [Peters2008]."""
+
+    class Settings(_PolicyGradient.Settings):
+        """Settings of the natural actor-critic; see there.
+
+        With a population below size + 1 the smallest gradient that explains the returns is taken.
+        """
+
+        population: int = Field(default=20, ge=2)
+        decay: float = Field(default=0.9, gt=0.0, le=1.0)
+
+    def _gradient(self, eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
+        # R_k = psi_k^T w + J_0 by least squares; w is the natural gradient [Peters2008, eNAC].
+        design = eps - eps.mean(axis=0)
+        return np.linalg.lstsq(design, returns, rcond=None)[0]

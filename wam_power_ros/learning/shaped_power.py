@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PoWER with a warm-up, rank weights and mirrored sampling; all three are not in the paper."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from wam_power_ros.learning.learner import (
+    LearnerSettings,
+    Model,
+    Rollouts,
+    best_first,
+    check_start,
+    weighted_mean,
+)
+from wam_power_ros.learning.power import Weights, power_update
+
+
+class ShapedPower:
+    """PoWER with a warm-up, rank weights and mirrored sampling."""
+
+    class Settings(LearnerSettings):
+        """Settings of shaped PoWER.
+
+        Attributes:
+            sigma: Size of the elite.
+            weights: As in `power_update`, or "rank": w_i = ln(sigma + 1/2) - ln(i).
+            decay: Factor on the exploration noise for each rollout after the warm-up.
+            warm_up: Number of rollouts at the start during which the mean stays at z = 0.
+            mirrored: Whether every second sample is its predecessor mirrored at the mean that
+                was sampled about.
+        """
+
+        sigma: int = Field(default=3, ge=1)
+        weights: Weights | Literal["rank"] = "rank"
+        decay: float = Field(default=0.965, gt=0.0, le=1.0)
+        warm_up: int = Field(default=10, ge=0)
+        mirrored: bool = True
+
+    needs_model = False
+
+    def __init__(
+        self,
+        size: int,
+        settings: Settings,
+        rng: np.random.Generator,
+        model: Model | None = None,
+    ) -> None:
+        """Start at z = 0; see `LearnerClass`."""
+        check_start(ShapedPower, size, model)
+        self.size = size
+        self.settings = settings
+        self._rng = rng
+        self._rollouts = Rollouts(size)
+        self._centre = np.zeros(size)  # mean about which the current pair is sampled
+        self._mean = np.zeros(size)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Weighted mean of the elite; z = 0 during the warm-up. Shape (size,)."""
+        return self._mean.copy()
+
+    def ask(self) -> np.ndarray:
+        """Draw the next coordinates, or mirror the last ones. Shape (size,)."""
+        count = len(self._rollouts)
+        if self.settings.mirrored and count % 2 == 1:
+            return 2.0 * self._centre - self._rollouts.z[-1]
+        noise = self.settings.decay ** max(count - self.settings.warm_up, 0)
+        return self._mean + noise * self._rng.standard_normal(self.size)
+
+    def tell(self, z: np.ndarray, ret: float) -> None:
+        """Learn from a rollout; see `Learner.tell`."""
+        self._rollouts.add(z, ret)
+        if len(self._rollouts) % 2 == 1:
+            self._centre = self._mean
+        returns = self._rollouts.returns
+        if len(returns) < self.settings.warm_up or returns.max() <= 0.0:
+            return
+        sigma, weights = self.settings.sigma, self.settings.weights
+        if weights == "rank":
+            elite = best_first(returns)[:sigma]
+            rank = np.arange(1, len(elite) + 1)
+            by_rank = np.log(sigma + 0.5) - np.log(rank)  # [Hansen2016, (49)]
+            self._mean = weighted_mean(self._rollouts.z[elite], by_rank)
+        else:
+            self._mean = power_update(self._mean, self._rollouts.z, returns, sigma, weights)
