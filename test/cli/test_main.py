@@ -45,12 +45,12 @@ def test_wam_power_run_starts_what_ros2_run_starts() -> None:
     setup = (ROOT / "setup.py").read_text().replace("{NAME}", "wam_power_ros")
     entry_points = dict(re.findall(r'"([\w-]+) = ([\w.]+):main"', setup))
     assert entry_points.pop("wam-power") == "wam_power_ros.cli.main"
-    assert entry_points == main.NODES
+    assert entry_points == {name: entry.module for name, entry in main.NODES.items()}
 
 
 @pytest.mark.parametrize("node", main.NODES)
 def test_every_node_is_a_module_that_is_there(node: str) -> None:
-    assert find_spec(main.NODES[node]) is not None
+    assert find_spec(main.NODES[node].module) is not None
 
 
 def test_a_node_gets_its_arguments_from_the_command_line() -> None:
@@ -82,7 +82,7 @@ def test_what_a_session_was_begun_with_cannot_be_changed(
 
 def test_resuming_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     message = refusal(capsys, "learn", "--resume", "--session", str(tmp_path / "none"))
-    assert "holds no session to go on with" in message
+    assert "holds no session" in message
 
 
 def test_an_arm_is_not_taken_hold_of_with_nobody_there(
@@ -91,8 +91,8 @@ def test_an_arm_is_not_taken_hold_of_with_nobody_there(
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     arguments = ["teach", "--folder", str(tmp_path / "taught"), "--config", "geodude"]
     message = refusal(capsys, *arguments)
-    assert "Hand on the pendant" in message
-    assert "nobody is at the keyboard" in message
+    assert "hand on the pendant" in message
+    assert "no answer: standard input is closed" in message
 
 
 def test_a_set_up_that_is_none_starts_nothing(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import pytest
 from std_msgs.msg import Bool
 
-from wam_power_ros.console.enabling_switch import FIRST, NEXT, HeldKey
+from wam_power_ros.console.enabling_switch import FIRST_REPEAT, NEXT_REPEAT, HeldKey
 from wam_power_ros.ros import interface
 
 if TYPE_CHECKING:
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 def test_a_key_is_held_while_it_repeats_and_released_soon_after() -> None:
     key = HeldKey()
     assert not key.held(0.0)
-    key.came(10.0)
-    assert key.held(10.0 + 0.99 * FIRST)  # before a terminal repeats it for the first time
-    assert not key.held(10.0 + FIRST)
+    key.press(10.0)
+    assert key.held(10.0 + 0.99 * FIRST_REPEAT)  # before a terminal repeats it for the first time
+    assert not key.held(10.0 + FIRST_REPEAT)
     now = 20.0
-    key.came(now)
+    key.press(now)
     for _ in range(30):
-        now += 0.9 * NEXT
+        now += 0.9 * NEXT_REPEAT
         assert key.held(now)
-        key.came(now)
-    assert key.held(now + 0.9 * NEXT)
-    assert not key.held(now + NEXT)
+        key.press(now)
+    assert key.held(now + 0.9 * NEXT_REPEAT)
+    assert not key.held(now + NEXT_REPEAT)
 
 
 @pytest.mark.requirement("S-30")

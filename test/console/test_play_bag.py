@@ -19,7 +19,7 @@ from test_reader import NAMES, QOS, START, joint_state, random_q
 from wam_power_ros.bags import reader
 from wam_power_ros.bags.reader import BagWriter
 from wam_power_ros.cli import main
-from wam_power_ros.console.play_bag import chosen
+from wam_power_ros.console.play_bag import select_topics
 from wam_power_ros.ros import interface
 
 DEMONSTRATION = min((ROOT / "bags").glob("demo_*"))
@@ -95,11 +95,11 @@ def test_what_commands_or_releases_an_arm_is_never_played(tmp_path: Path) -> Non
         "/b/torques", START, bytes(reader.TYPES.serialize_cdr(message, reader.JOINT_STATE))
     )
     path = writer.close({})
-    topics, left_out = chosen(path)
+    topics, left_out = select_topics(path)
     assert list(topics) == ["/a/joint_states"]
-    assert Counter(left_out.values()) == {"it commands an arm": 4, "it releases an arm": 1}
+    assert Counter(left_out.values()) == {"it commands an arm": 4, "it enables an arm": 1}
     with pytest.raises(ValueError, match="/b/torques: it commands an arm, which is never played"):
-        chosen(path, ["/a/joint_states", "/b/torques"])
+        select_topics(path, ["/a/joint_states", "/b/torques"])
 
 
 def test_no_torque_is_played_and_nothing_beside_a_driver(

@@ -68,8 +68,8 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     (folder / "logs" / DOMAIN).write_text(processes.environment["ROS_DOMAIN_ID"])
 
     def tell(*words: object) -> tuple[int, str]:
-        """Exit status of `wam-power tell`, which finds the learner by its session, and its word."""
-        command = [sys.executable, "-m", "wam_power_ros.cli", "tell", *map(str, words)]
+        """Exit status and answer of `wam-power feedback`, which knows the session alone."""
+        command = [sys.executable, "-m", "wam_power_ros.cli", "feedback", *map(str, words)]
         told = processes.start([*command, "--session", str(folder)], ROS_DOMAIN_ID="")
         probe.until(lambda: told.poll() is not None, "an answer", 300.0)
         return told.returncode, processes.output(told)

@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the command line does with an arm: teaching, learning, replaying, and telling of it.
-
-Each function is a command, with the options that `cli` has parsed.
-"""
+"""The commands of `wam-power`; each takes the options that `cli.main` has parsed."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -19,14 +17,13 @@ from typing import TYPE_CHECKING
 
 from wam_power_ros.cli.launcher import (
     DOMAIN,
-    Bench,
+    Launcher,
     UsageError,
-    chosen,
-    enclave,
     interrupt,
+    launch,
     now,
-    open_bench,
-    shown,
+    setup_options,
+    short_path,
     simulated,
 )
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
@@ -37,140 +34,121 @@ if TYPE_CHECKING:
 
 SESSIONS = Path("sessions")
 REPLAYS = Path("replays")
-TASKS = {  # what may be taught -> how the recorder is set for it
-    "flip": {},
-    "reach": {"stem": "reach", "topics": [""], "mocap_topics": [""], "driver_topics": [""]},
-}
+TASK = "flip"  # the default
+
+
+# On the arm or its stand-in
 
 
 def teach(options: argparse.Namespace) -> None:
     """Record a series of demonstrations."""
+    task = options.task or TASK
     folder = (options.folder or Path("demonstrations") / now()).resolve()
-    changes = {"wam_sim": {"hand": options.task}, "demonstration_recorder": TASKS[options.task]}
-    with open_bench(options, folder, options.seed or 0, changes) as bench:
-        bags = _teach_series(bench, folder, options)
-    if options.task == "flip":
-        print("To learn from them:\n  wam-power learn --bags", *map(shown, bags), *chosen(options))
+    with launch(options, folder, options.seed or 0, task) as launcher:
+        bags = _record_demonstrations(launcher, folder, options)
+    chosen = ["--task", task] if task != TASK else []
+    print(
+        "To learn from them:\n  wam-power learn --bags",
+        *map(short_path, bags),
+        *chosen,
+        *setup_options(options),
+    )
 
 
 def learn(options: argparse.Namespace) -> int:
-    """Begin a session or go on with one, to its end and its report."""
+    """Begin a session or resume one, run it to its end and write its report."""
     from wam_power_ros.practice import session
     from wam_power_ros.reporting import terminal
 
     folder = _session_folder(options)
-    begun = session.Session.exists(folder)
-    if begun:
+    resumed = session.Session.exists(folder)
+    if resumed:
         header, _, records = session.read(folder)
         seed = header.seed
-        print(f"Going on with {folder}: {len(records)} rollouts are on record.")
+        print(f"Resuming {folder} with {len(records)} recorded rollouts.")
     else:
         seed = options.seed or 0
-        print(f"A new session, {folder}; Ctrl-C stops it, nothing learnt is lost.")
+        print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
-    again = " ".join(["wam-power learn --session", str(shown(folder)), *chosen(options)])
+    again = " ".join(
+        ["wam-power learn --session", str(short_path(folder)), *setup_options(options)]
+    )
+    task = options.task or TASK
     try:
-        with open_bench(options, folder, seed) as bench:
-            bench.start("pancake_tracker")
-            bags = [] if begun else [path.resolve() for path in options.bags or []]
-            if not begun and not bags:
-                bags = _teach_series(bench, folder, options)
-            learner = bench.start(
+        with launch(options, folder, seed, task) as launcher:
+            launcher.node("pancake_tracker")
+            bags = [] if resumed else [path.resolve() for path in options.bags or []]
+            if not resumed and not bags:
+                bags = _record_demonstrations(launcher, folder, options)
+            given = {name: getattr(options, name) for name in ("learner", "preset", "trials")}
+            learner = launcher.node(
                 "learner",
-                session=folder,
+                session=str(folder),
                 seed=seed,
-                demonstrations=json.dumps([str(bag) for bag in bags] or [""]),
-                **({"preset": options.preset} if options.preset else {}),
-                **({"trials": options.trials} if options.trials else {}),
+                demonstrations=[str(bag) for bag in bags] or [""],
+                **{name: value for name, value in given.items() if value},
             )
-            records = _follow(folder, bench.processes, learner)
+            records = _follow(folder, launcher.processes, learner)
     except KeyboardInterrupt:
-        print(f"\nStopped. What was learnt is in {shown(folder)}. To go on:\n  {again}")
+        print(f"\nStopped. The session is in {short_path(folder)}. To resume:\n  {again}")
         return 130
     except ProcessError:
-        print(f"\nWhat was learnt is in {shown(folder)}. To go on:\n  {again}")
+        print(f"\nThe session is in {short_path(folder)}. To resume:\n  {again}")
         raise
     print(terminal.summary(records))
     return report(argparse.Namespace(session=folder))
 
 
-def tell(options: argparse.Namespace) -> int:
-    """Say a word to the learner of a running session."""
-    if (options.word == "demonstration") != (options.bag is not None):
-        raise UsageError("a demonstration, and only that, needs a bag")
-    domain = _session_folder(options) / "logs" / DOMAIN
-    if domain.exists():
-        os.environ |= {
-            "ROS_DOMAIN_ID": domain.read_text().strip(),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        }
-    from wam_power_ros.console.feedback import tell as say
-
-    taken, answer = say(options.word, options.bag)
-    print(answer if taken else f"refused: {answer}")
-    return 0 if taken else 2
-
-
-def report(options: argparse.Namespace) -> int:
-    """Write the report of a session."""
-    from wam_power_ros.practice import session
-    from wam_power_ros.reporting import session_report as page
-
-    folder = options.session
-    _, _, records = session.read(folder)
-    if any(record.truth for record in records):
-        _exhibit(folder)
-    else:
-        page.write(folder)
-    print(f"Report: {shown(folder.resolve() / 'report.html')}")
-    return 0
-
-
 def replay(options: argparse.Namespace) -> int:
-    """Have the arm repeat a recorded movement."""
+    """Repeat a recorded movement with the arm."""
     from wam_power_ros.bags import reader
     from wam_power_ros.control import replay_trajectory
 
-    arm = overlay.setup(options.config, options.simulate)["torque_controller"]
-    replay_trajectory.movement(
-        *reader.read_demonstration(options.bag, arm["joint_names"]), options.speed
-    )
+    names = overlay.setup(options.config, options.simulate)["torque_controller"]["joint_names"]
+    replay_trajectory.movement(*reader.read_demonstration(options.bag, names), options.speed)
     folder = (options.folder or REPLAYS / now()).resolve()
     signal.signal(signal.SIGTERM, interrupt)
     changes = {"demonstration_recorder": {"stem": "replay"}}
-    with open_bench(options, folder, 0, changes) as bench:
-        names = bench.setup["torque_controller"]["joint_names"]
-        command = [sys.executable, "-m", "wam_power_ros.console.replay", "--ros-args"]
-        command += enclave("operator")
-        for given in (
-            f"bag:={json.dumps(str(options.bag.resolve()))}",
-            f"speed:={options.speed}",
-            f"joint_names:={json.dumps(list(names))}",
-            f"person:={json.dumps(not simulated(options))}",
-        ):
-            command += ["-p", given]
-        replaying = bench.processes.start("replaying", command, talks=True)
+    with launch(options, folder, 0, changes=changes) as launcher:
+        replaying = launcher.script(
+            "replay",
+            bag=str(options.bag.resolve()),
+            speed=options.speed,
+            joint_names=list(names),
+            person=not simulated(options),
+        )
         while True:
             try:
-                return bench.processes.wait(replaying)
-            except KeyboardInterrupt:  # it stops the arm first; only then may the others end
+                return launcher.processes.wait(replaying)
+            except KeyboardInterrupt:  # the script stops the arm first; then the nodes may end
                 replaying.process.send_signal(signal.SIGINT)
 
 
-def _teach_series(bench: Bench, folder: Path, options: argparse.Namespace) -> list[Path]:
-    """Bags of the series taught in this folder, which is taught now if it was not yet."""
+def enable(_: argparse.Namespace) -> int:
+    """Publish the enabling switch from the keyboard."""
+    from wam_power_ros.console import enabling_switch
+
+    return enabling_switch.main()
+
+
+def _record_demonstrations(
+    launcher: Launcher, folder: Path, options: argparse.Namespace
+) -> list[Path]:
+    """Bags of the series of this folder, which is recorded now unless it is complete."""
     series = folder / "demonstrations.json"
-    person = not simulated(options)
     if not series.exists():
-        hand = "a person" if person else "the simulated hand"
-        print(f"Teaching: {options.demonstrations} demonstrations, by {hand}")
-        command = [sys.executable, "-m", "wam_power_ros.console.teach", "--ros-args"]
-        command += enclave("operator")
-        command += ["-p", f"demonstrations:={options.demonstrations}"]
-        command += ["-p", f"series:={series}", "-p", f"person:={json.dumps(person)}"]
-        command += ["-p", f"state_topic:={bench.setup['torque_controller']['state_topic']}"]
-        command += ["-p", f"body:={json.dumps(bench.setup['pancake_tracker']['body'])}"]
-        bench.processes.finish(bench.processes.start("teaching", command, talks=True))
+        person = not simulated(options)
+        teacher = "a person" if person else "the simulated demonstrator"
+        print(f"Teaching: {options.demonstrations} demonstrations by {teacher}")
+        teaching = launcher.script(
+            "teach",
+            demonstrations=options.demonstrations,
+            series=str(series),
+            person=person,
+            body=launcher.setup["pancake_tracker"]["body"],
+            state_topic=launcher.setup["torque_controller"]["state_topic"],
+        )
+        launcher.processes.finish(teaching)
     return [Path(bag) for bag in json.loads(series.read_text())]
 
 
@@ -197,42 +175,146 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Re
     return with_ratings(log)
 
 
-def _session_folder(options: argparse.Namespace) -> Path:
-    from wam_power_ros.practice.session import Session, read
+# Sessions
+
+
+def feedback(options: argparse.Namespace) -> int:
+    """Give a person's feedback to the learner of a running session."""
+    if (options.kind == "demonstration") != (options.bag is not None):
+        raise UsageError("a bag is needed for a demonstration, and only for that")
+    domain = _existing_session(options.session) / "logs" / DOMAIN
+    if domain.exists():
+        os.environ |= {
+            "ROS_DOMAIN_ID": domain.read_text().strip(),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        }
+    from wam_power_ros.console.feedback import give
+
+    accepted, answer = give(options.kind, options.bag)
+    print(answer if accepted else f"refused: {answer}")
+    return 0 if accepted else 2
+
+
+def report(options: argparse.Namespace) -> int:
+    """Write the report of a session; with pictures of the arm when it was simulated."""
+    from wam_power_ros.practice import session
+    from wam_power_ros.reporting import session_report
 
     folder = options.session
-    if folder is None and options.resume:
-        begun = [path for path in SESSIONS.glob("*") if Session.exists(path)]
-        if not begun:
-            raise UsageError(f"no session in {SESSIONS.resolve()} to go on with; name --session")
-        folder = max(begun, key=lambda path: (path / "session.yaml").stat().st_mtime)
-    if folder is None:
-        folder = SESSIONS / f"{now()}-seed-{options.seed or 0}"
-    if options.resume and not Session.exists(folder):
-        raise UsageError(f"{folder} holds no session to go on with")
+    _, _, records = session.read(folder)
+    if any(record.truth for record in records):
+        _report_with_film(folder)
+    else:
+        session_report.write(folder)
+    print(f"Report: {short_path(folder.resolve() / 'report.html')}")
+    return 0
+
+
+def _session_folder(options: argparse.Namespace) -> Path:
+    """Folder to begin or resume; refuses options that differ from what the session began with."""
+    from wam_power_ros.practice.session import Session, read
+
+    if options.resume:
+        folder = _existing_session(options.session)
+    else:
+        folder = (options.session or SESSIONS / f"{now()}-seed-{options.seed or 0}").resolve()
     if Session.exists(folder):
         header, _, _ = read(folder)
         if options.seed is not None and options.seed != header.seed:
             raise UsageError(f"{folder} was begun with seed {header.seed}; leave --seed out")
         if options.preset or options.trials or options.bags:
             raise UsageError(f"{folder} was begun already; leave --preset, --trials and --bags out")
+    return folder
+
+
+def _existing_session(folder: Path | None) -> Path:
+    """Folder of a session, by default that of the newest one."""
+    from wam_power_ros.practice.session import Session
+
+    if folder is None:
+        sessions = [path for path in SESSIONS.glob("*") if Session.exists(path)]
+        if not sessions:
+            raise UsageError(f"no session in {SESSIONS.resolve()}; name one with --session")
+        folder = max(sessions, key=lambda path: (path / "session.yaml").stat().st_mtime)
+    if not Session.exists(folder):
+        raise UsageError(f"{folder} holds no session")
     return folder.resolve()
 
 
-def _exhibit(folder: Path) -> None:
+def _report_with_film(folder: Path) -> None:
     """Write the report of a simulated session, with a film if this machine can render one."""
     command = [sys.executable, "-m", "wam_power_ros.experiments.session_answer", str(folder)]
-    if (why := _failure(command, os.environ.get("MUJOCO_GL", "egl"))) is not None:
-        print(f"No film of it: {why}")
-        if (why := _failure([*command, "--no-film", why], "disable")) is not None:
-            raise UsageError(f"no report: {why}")
+    if (error := _last_error(command, os.environ.get("MUJOCO_GL", "egl"))) is not None:
+        print(f"No film in the report: {error}")
+        if (error := _last_error([*command, "--no-film", error], "disable")) is not None:
+            raise UsageError(f"no report: {error}")
 
 
-def _failure(command: Sequence[str], gl: str) -> str | None:
-    """Run a command; the last thing it said when it failed, None when it did not."""
+def _last_error(command: Sequence[str], gl: str) -> str | None:
+    """Run a command; last line of its error output when it failed, None when it did not."""
     ended = subprocess.run(
         command, env={**os.environ, "MUJOCO_GL": gl}, stderr=subprocess.PIPE, text=True
     )
     if ended.returncode == 0:
         return None
     return (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
+
+
+# Set-ups, bags, studies
+
+
+def config(options: argparse.Namespace) -> None:
+    """Print the parameters of every node."""
+    setup = overlay.setup(options.config, options.simulate, options.task or TASK)
+    print(overlay.text(setup), end="")
+
+
+def policy(options: argparse.Namespace) -> None:
+    """Print the SROS2 policy."""
+    from wam_power_ros.ros import security
+
+    print(security.policy(security.table(overlay.setup(options.config))), end="")
+
+
+def play(options: argparse.Namespace) -> None:
+    """Publish the topics of a bag."""
+    from wam_power_ros.console import play_bag
+
+    signal.signal(signal.SIGTERM, interrupt)
+    play_bag.play(options.bag, options.rate, options.topics, options.wait)
+
+
+def recover(options: argparse.Namespace) -> None:
+    """Recover damaged bags."""
+    from wam_power_ros.bags.recovery import recover
+
+    for bag in options.bag:
+        print(recover(bag))
+
+
+def reproduce(options: argparse.Namespace) -> int:
+    """Run the studies of the paper and write their report."""
+    # One thread a process: with more, sums are ordered otherwise and last digits move. To be set
+    # before NumPy is imported; worker processes inherit it.
+    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    from wam_power_ros.experiments import jobs, reproduce
+
+    folder = options.folder or Path("reproduction-quick" if options.quick else "reproduction")
+    signal.signal(signal.SIGTERM, interrupt)
+    try:
+        report = reproduce.run(
+            folder,
+            "quick" if options.quick else "full",
+            options.jobs,
+            options.scheduler,
+            options.only or reproduce.STUDIES,
+        )
+    except KeyboardInterrupt:
+        again = shlex.join(sys.argv[1:] if sys.argv[1:2] == ["reproduce"] else ["reproduce"])
+        print(f"\nStopped. Finished results are in {folder}. To resume:\n  wam-power {again}")
+        return 130
+    except jobs.JobError as error:
+        print(f"wam-power: {error}Finished results are in {folder}.", file=sys.stderr)
+        return 1
+    print(f"Report: {short_path(report.resolve())}")
+    return 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person's word to a running learner: its services, for who has no ros2 command line."""
+"""A person's feedback to a running learner: calls its services, without a ros2 command line."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import number_by_process
 from wam_power_ros.ros.service_client import TIMEOUT, ServiceCalls, ServiceError
 
-WORDS = {
+REQUESTS = {
     "reward": (interface.LEARNER_REWARD, Trigger, Trigger.Request()),
     "punish": (interface.LEARNER_PUNISH, Trigger, Trigger.Request()),
     "demonstration": (interface.LEARNER_DEMONSTRATION, Trigger, Trigger.Request()),
@@ -24,38 +24,39 @@ WORDS = {
 }
 
 
-def tell(word: str, bag: Path | None = None) -> tuple[bool, str]:
-    """Say something to the learner of this DDS domain.
+def give(kind: str, bag: Path | None = None) -> tuple[bool, str]:
+    """Give feedback to the learner of this DDS domain.
 
     Args:
-        word: One of `WORDS`.
-        bag: Of a demonstration, for the word "demonstration".
+        kind: One of `REQUESTS`.
+        bag: Bag of the demonstration, for the kind "demonstration".
 
     Returns:
-        Whether it took it up, and its answer.
+        Whether the learner accepted it, and its answer.
     """
     context = rclpy.Context()
     rclpy.init(context=context)
     try:
         with number_by_process():
             node = rclpy.create_node("tell", context=context)
-        return _tell(node, word, bag)
+        return _give(node, kind, bag)
     except ServiceError as error:
         return False, f"{error}; is there a learner with the same ROS_DOMAIN_ID?"
     finally:
         rclpy.shutdown(context=context)
 
 
-def _tell(node: Node, word: str, bag: Path | None) -> tuple[bool, str]:
-    name, kind, request = WORDS[word]
+def _give(node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:
+    name, service, request = REQUESTS[kind]
     calls = ServiceCalls(node)
     if bag is not None:
-        named = node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
-        named.publish(String(data=str(bag.resolve())))
+        publisher = node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
+        publisher.publish(String(data=str(bag.resolve())))
     end = time.monotonic() + TIMEOUT
     while True:
-        answer = calls.call(kind, name, request)
-        early = bag is not None and answer.message == interface.NO_BAG  # it has not heard of it yet
+        answer = calls.call(service, name, request)
+        # topics and services are not ordered: the learner may not have received the bag yet
+        early = bag is not None and answer.message == interface.NO_BAG
         if not early or time.monotonic() > end:
             return answer.success, answer.message
         calls.until(lambda: False, 0.05)

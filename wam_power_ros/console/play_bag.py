@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag played as topics, as `ros2 bag play` does: for nodes to hear, never for an arm to follow.
+"""Publish the topics of a bag, as `ros2 bag play` does, except those that command or enable an arm.
 
-What commands an arm or releases it is left out: recorded torques answer the states of then. Nor is
-a topic played beside somebody who publishes it, such as the driver of a real arm: it is not begun,
-or ended as soon as the other is discovered.
+Recorded torques answer the recorded states, not the present ones. A topic is not published beside
+another publisher of it either, such as the driver of a real arm: playing does not begin, or ends as
+soon as the other publisher is discovered.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import importlib
 import math
 import os
 import re
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,32 +24,36 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosbags.interfaces import QosDurability, QosReliability
 
 from wam_power_ros.bags import reader
+from wam_power_ros.console.prompt import say
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import number_by_process
 
-LOOK_AROUND = 4.0  # [s] in which others that are there are found, as a rule within 2
-LOOK_PERIOD = 1.0  # [s] for publishers that come later
-DEPTH = 4000  # messages kept for a reader that is late
+DISCOVERY_TIME = 4.0  # [s] to discover present publishers; 2 are usually enough
+CHECK_PERIOD = 1.0  # [s] between checks for publishers that start later
+DEPTH = 4000  # [messages] kept for a late subscriber
 COMMAND_NAMES = re.compile(r"command|cmd", re.IGNORECASE)
 COMMAND_TYPES = {"std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"}
 
 
-def chosen(
+def select_topics(
     path: Path, wanted: Sequence[str] = ()
 ) -> tuple[dict[str, reader.Topic], dict[str, str]]:
-    """Topics of a bag that are to be played, and those left out with the reason.
+    """Select the topics of a bag that may be published.
 
     Args:
-        path: Of the bag.
-        wanted: Of these topics alone; of all if empty.
+        path: Folder of the bag.
+        wanted: Only these topics; all if empty.
+
+    Returns:
+        Selected topics, and the reason for each topic that is left out.
 
     Raises:
-        ValueError: It is no bag, a wanted topic is not in it or is a command, nothing is left.
+        ValueError: When it is no bag, a wanted topic is not in it or is a command, or none is left.
     """
     found = reader.topics(path)
     if unknown := [name for name in wanted if name not in found]:
         raise ValueError(f"{path}: no topic {', '.join(unknown)}; it has {', '.join(found)}")
-    reasons = {name: _command(path, name, topic.msgtype) for name, topic in found.items()}
+    reasons = {name: _danger(path, name, topic.msgtype) for name, topic in found.items()}
     left_out = {name: why for name, why in reasons.items() if why}
     if refused := [f"{name}: {left_out[name]}" for name in wanted if name in left_out]:
         raise ValueError(f"{'; '.join(refused)}, which is never played")
@@ -61,10 +64,10 @@ def chosen(
     return topics, left_out
 
 
-def _command(path: Path, name: str, msgtype: str) -> str:
-    """Why a topic counts as a command to an arm; empty if it does not."""
+def _danger(path: Path, name: str, msgtype: str) -> str:
+    """Why a topic must not be published; empty if it may be."""
     if name == interface.ENABLE:
-        return "it releases an arm"
+        return "it enables an arm"
     if msgtype in COMMAND_TYPES or COMMAND_NAMES.search(name):
         return "it commands an arm"
     if msgtype == reader.JOINT_STATE:
@@ -76,23 +79,23 @@ def _command(path: Path, name: str, msgtype: str) -> str:
 
 
 def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float = 0.0) -> None:
-    """Publish the messages of a bag as far apart as they were received; says what it does.
+    """Publish the messages of a bag with the time between them with which they were received.
 
     Args:
-        path: Of the bag.
-        rate: 1 for as recorded, 2 for twice as fast.
-        wanted: These topics alone.
-        wait: For a reader of every topic, after a look around, at most [s].
+        path: Folder of the bag.
+        rate: Speed; 1 is as recorded, 2 twice as fast.
+        wanted: Only these topics; all if empty.
+        wait: Longest wait for a subscriber of every topic, after discovery [s].
 
     Raises:
-        ValueError: As `chosen`; a rate that is not positive, a type that is not installed, another
-            publisher of one of the topics.
+        ValueError: As `select_topics`; when the rate is not positive, a type is not installed or
+            one of the topics has another publisher.
     """
     if not 0.0 < rate < math.inf:
         raise ValueError(f"rate {rate} must be positive")
-    topics, left_out = chosen(path, wanted)
+    topics, left_out = select_topics(path, wanted)
     for name, why in left_out.items():
-        _say(f"not played: {name}, for {why}")
+        say(f"not played: {name}, because {why}")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     context = rclpy.Context()
     rclpy.init(context=context)
@@ -112,37 +115,37 @@ class _Player:
     def _publisher(self, name: str, topic: reader.Topic) -> Publisher:
         package, _, message = topic.msgtype.split("/")
         try:
-            kind = getattr(importlib.import_module(f"{package}.msg"), message)
+            message_type = getattr(importlib.import_module(f"{package}.msg"), message)
         except (ImportError, AttributeError):
             raise ValueError(
-                f"{name}: type {topic.msgtype} is not installed; choose others with --topics"
+                f"{name}: type {topic.msgtype} is not installed; select others with --topics"
             ) from None
-        return self._node.create_publisher(kind, name, qos(topic))
+        return self._node.create_publisher(message_type, name, qos(topic))
 
     def play(self, path: Path, rate: float, wait: float) -> None:
-        time.sleep(LOOK_AROUND)
+        time.sleep(DISCOVERY_TIME)
         self._check_alone()
         end = time.monotonic() + wait
-        while time.monotonic() < end and not all(map(_readers, self._publishers.values())):
+        while time.monotonic() < end and not all(map(_subscribers, self._publishers.values())):
             time.sleep(0.05)
-        silent = [name for name, each in self._publishers.items() if not _readers(each)]
-        _say(f"Playing {', '.join(self._publishers)}; Ctrl-C ends it")
-        if silent:
-            _say(f"nobody listens to {', '.join(silent)}")
-        begun, looked, first_ns, count = time.monotonic(), time.monotonic(), None, 0
+        unread = [name for name, each in self._publishers.items() if not _subscribers(each)]
+        say(f"Playing {', '.join(self._publishers)}; Ctrl-C ends it")
+        if unread:
+            say(f"no subscriber of {', '.join(unread)}")
+        begun, checked, first_ns, count = time.monotonic(), time.monotonic(), None, 0
         for name, stamp_ns, cdr in reader.messages(path, self._publishers):
             first_ns = stamp_ns if first_ns is None else first_ns
             due = begun + (stamp_ns - first_ns) * 1e-9 / rate
             while (left := due - time.monotonic()) > 0.0:
-                time.sleep(min(left, LOOK_PERIOD))
-            if time.monotonic() - looked > LOOK_PERIOD:
+                time.sleep(min(left, CHECK_PERIOD))
+            if time.monotonic() - checked > CHECK_PERIOD:
                 self._check_alone()
-                looked = time.monotonic()
+                checked = time.monotonic()
             self._publishers[name].publish(bytes(cdr))
             count += 1
         for publisher in self._publishers.values():
-            publisher.wait_for_all_acked(Duration(seconds=LOOK_AROUND))
-        _say(f"played {count} messages in {time.monotonic() - begun:.1f} s")
+            publisher.wait_for_all_acked(Duration(seconds=DISCOVERY_TIME))
+        say(f"played {count} messages in {time.monotonic() - begun:.1f} s")
 
     def _check_alone(self) -> None:
         for name in self._publishers:
@@ -153,13 +156,13 @@ class _Player:
                     if info.node_name != self._node.get_name()
                 ]
                 raise ValueError(
-                    f"{name} is published by {', '.join(others) or 'another player'} too; nobody "
-                    "could tell what was recorded from what is (a killed node counts for 20 s)"
+                    f"{name} is published by {', '.join(others) or 'another player'} too: "
+                    "recorded and live messages would mix (a killed node counts for 20 s)"
                 )
 
 
 def qos(topic: reader.Topic) -> QoSProfile:
-    """The QoS to play a topic with: as recorded, but deep, for the graph does not tell a depth."""
+    """QoS to publish a topic with: as recorded, but deep, as discovery does not report a depth."""
     reliable = all(item.reliability == QosReliability.RELIABLE for item in topic.offered)
     latched = bool(topic.offered) and all(
         item.durability == QosDurability.TRANSIENT_LOCAL for item in topic.offered
@@ -171,10 +174,5 @@ def qos(topic: reader.Topic) -> QoSProfile:
     )
 
 
-def _readers(publisher: Publisher) -> int:
+def _subscribers(publisher: Publisher) -> int:
     return publisher.get_subscription_count()
-
-
-def _say(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-    sys.stdout.flush()

@@ -50,20 +50,22 @@ def find(name: str) -> Path:
     return share(f"config/{name}.yaml")
 
 
-def setup(names: Sequence[str] = (), simulated: bool = False) -> Setup:
+def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") -> Setup:
     """Parameters of every node under some set-ups.
 
     Args:
         names: Set-ups over the nodes' own files, see `find`; later ones override earlier ones.
         simulated: Whether stand-ins of the same shape replace the devices of these set-ups, in
             real time. Without any set-up the stand-ins are as their own files describe them.
+        task: Name of the task that is learnt; its set-up config/TASK.yaml, where there is one,
+            lies under the others.
 
     Raises:
         ValueError: A file cannot be found or read, or names a node or parameter that is none.
     """
     own = {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
     said: Setup = {node: {} for node in NODES}
-    files = [find(name) for name in names]
+    files = [find(name) for name in (*([task] if task in known() else []), *names)]
     for file in files:
         for node, values in _read(file).items():
             _check(file, node, values, own)
@@ -71,9 +73,10 @@ def setup(names: Sequence[str] = (), simulated: bool = False) -> Setup:
     chosen = {node: own[node] | said[node] for node in NODES}
     _name_body(chosen["pancake_tracker"], said["pancake_tracker"])
     follows = _follows(chosen["torque_controller"], chosen["pancake_tracker"])
+    if files:
+        follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
     if names or simulated:
         follows |= _shape(chosen["torque_controller"], chosen["pancake_tracker"])
-        follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
     whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
     if simulated or not names:  # the stand-in does what takes a person in the lab
         whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}
