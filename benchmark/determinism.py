@@ -39,7 +39,8 @@ def busy(processes: int) -> Iterator[None]:
 
 def on_the_bench(seed: int, trials: int, demonstrations: int) -> tuple[list[object], list[object]]:
     """Fitted policies and records of the session in one process."""
-    from hardware_sim.world import World, WorldSettings
+    from hardware_sim.settings import WorldSettings
+    from hardware_sim.world import World
     from wam_power_ros.experiments.environment import Environment
     from wam_power_ros.experiments.studies.flip_sessions import practise, teach
     from wam_power_ros.learning.policy import to_json

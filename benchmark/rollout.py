@@ -260,7 +260,7 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     seconds = {label: float(best(calls).sum()) for label, calls in parts.items()}
     ticks = len(recording.forces)
     simulated = 0.002 * ticks
-    say(f"rollout of {simulated:.2f} s, {ticks} ticks; tossed {truth.tossed}")
+    say(f"rollout of {simulated:.2f} s, {ticks} ticks; tossed {truth['tossed']}")
     say(f"rollouts a second        {1.0 / whole:8.1f}")
     say(f"times real time          {simulated / whole:8.1f}")
     say(f"whole rollout            {whole * 1e3:8.1f} ms")

@@ -19,8 +19,9 @@ from rclpy.executors import Executor
 
 from hardware_sim.network_link import Link
 from hardware_sim.optitrack_node import OptitrackSim
+from hardware_sim.settings import PERIOD_NS
 from hardware_sim.wam_node import WamSim
-from hardware_sim.world import PERIOD_NS, World
+from hardware_sim.world import World
 from wam_power_ros.ros import interface, scheduling
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 

@@ -1,94 +1,70 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The MuJoCo scene: the arm of the URDF, the pan's contact surfaces, the pancake and the air."""
+"""The MuJoCo model: the arm of the URDF with its pan, air, ground, light and a task's bodies."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
+from hardware_sim.ground_truth import TOOL_SITE
+from hardware_sim.scenes import Scene
 from wam_power_ros.control.arm import WAM_GUARDED, Guarded
 
+TIMESTEP = 0.001  # [s] of the physics
+AIR_DENSITY = 1.2  # [kg/m^3]
 PAN_RADIUS = 0.139  # [m]
-PANCAKE_RADIUS = 0.09  # [m]
-PANCAKE_HALF_HEIGHT = 0.0025  # [m]
-PANCAKE_MASS = 0.026  # [kg], the paper's
 _RIM_SEGMENTS = 16
 _RIM_HEIGHT = 0.035  # [m]
 _RIM_FLARE = 0.6  # [rad] outward: the pan of a person, and a catch forgives some centimetres
-_PAN, _PANCAKE = 1, 2  # collision bits: the pancake touches pan and ground, nothing else touches
-
-
-@dataclass(frozen=True)
-class SceneSettings:
-    """What of the scene is a choice.
-
-    Attributes:
-        timestep: Physics step [s].
-        friction: Sliding friction between pancake and pan.
-        air_density: [kg/m^3]; drag only.
-
-    Raises:
-        ValueError: A value out of range.
-    """
-
-    timestep: float = 0.001
-    friction: float = 0.2
-    air_density: float = 1.2
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.timestep <= 0.002:
-            raise ValueError(f"timestep {self.timestep} s must be positive, at most 0.002")
-        for name in ("friction", "air_density"):
-            if not 0.0 <= getattr(self, name) <= 10.0:
-                raise ValueError(f"{name} {getattr(self, name)} must be 0 to 10")
+_FIXED, _BODY = 1, 2  # collision bits: a body touches pan and ground, nothing else touches
 
 
 def build(
     urdf: str,
-    settings: SceneSettings | None = None,
+    scene: Scene,
+    friction: float,
     tool: str = "pan",
     guarded: Sequence[Guarded] = WAM_GUARDED,
 ) -> mujoco.MjModel:
-    """Compile the scene.
+    """Compile the model of an arm in a scene.
 
     Args:
         urdf: Text of the arm's URDF.
-        settings: None for the defaults.
-        tool: Link that holds the pan: z its normal, origin on its floor.
-        guarded: Points of the arm whose speeds matter.
+        scene: Scene that adds its bodies.
+        friction: Sliding friction of pan and ground.
+        tool: Link that holds the pan: z normal to the pan, origin on its floor.
+        guarded: Points of the arm whose speeds are logged.
 
     Returns:
-        A model whose first degrees of freedom are the arm's joints, and the last six the pancake's;
-        with a site "pan" at the tool and one of its name at every guarded point.
+        A model whose first degrees of freedom are the arm's joints, those of the scene after them;
+        with a site `TOOL_SITE` at the tool and one of its name at every guarded point.
 
     Raises:
         ValueError: The text is no URDF.
     """
-    settings = settings or SceneSettings()
     spec = arm(urdf)
     option = spec.option
-    option.timestep = settings.timestep
+    option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    option.density = settings.air_density
+    option.density = AIR_DENSITY
     for point in guarded:
         spec.body(point.link).add_site(name=point.name, pos=list(point.offset), group=4)
-    spec.body(tool).add_site(name="pan", group=4)
-    _add_pan(spec.body(tool), settings)
-    _add_pancake(spec.worldbody, settings)
-    _add_surroundings(spec, settings)
+    spec.body(tool).add_site(name=TOOL_SITE, group=4)
+    _add_pan(spec.body(tool), friction)
+    scene.build(spec)
+    _add_surroundings(spec, friction)
     model = spec.compile()
     # The ellipsoid model's added mass and lift would cancel the flip of a thin disc: drag alone.
-    model.geom_fluid[model.geom("pancake").id, 4:12] = 0.0
+    model.geom_fluid[:, 4:12] = 0.0
     return model
 
 
 def arm(urdf: str) -> mujoco.MjSpec:
-    """The arm alone as the URDF has it: rotors and friction included, its shapes only drawn.
+    """Model of the arm alone as the URDF has it, with rotors and friction; shapes are only drawn.
 
     Args:
         urdf: Text of the URDF.
@@ -114,18 +90,25 @@ def arm(urdf: str) -> mujoco.MjSpec:
     return spec
 
 
-def _contact(settings: SceneSettings) -> dict[str, object]:
+def body_contact(friction: float) -> dict[str, object]:
+    """Contact of a body that touches pan and ground, as arguments of a geom."""
+    return _contact(friction) | {"contype": _BODY, "conaffinity": _FIXED}
+
+
+def _contact(friction: float) -> dict[str, object]:
     """Nearly inelastic; MuJoCo's softer default lets a thin disc fall through the pan."""
     return {
         "solref": [0.005, 0.6],
         "solimp": [0.9, 0.97, 0.002, 0.5, 2.0],
-        "friction": [settings.friction, 0.005, 0.0001],
+        "friction": [friction, 0.005, 0.0001],
         "condim": 4,
+        "contype": _FIXED,
+        "conaffinity": _BODY,
     }
 
 
-def _add_pan(pan: mujoco.MjsBody, settings: SceneSettings) -> None:
-    contact = _contact(settings) | {"contype": _PAN, "conaffinity": _PANCAKE, "mass": 0.0}
+def _add_pan(pan: mujoco.MjsBody, friction: float) -> None:
+    contact = _contact(friction) | {"mass": 0.0}
     colour = [0.13, 0.13, 0.14, 1.0]
     pan.add_geom(
         name="pan_floor",
@@ -155,42 +138,14 @@ def _add_pan(pan: mujoco.MjsBody, settings: SceneSettings) -> None:
         )
 
 
-def _add_pancake(world: mujoco.MjsBody, settings: SceneSettings) -> None:
-    body = world.add_body(name="pancake", pos=[0.0, 0.0, 2.0])
-    body.add_freejoint(name="pancake")
-    body.add_geom(
-        name="pancake",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[PANCAKE_RADIUS, PANCAKE_HALF_HEIGHT, 0.0],
-        mass=PANCAKE_MASS,
-        fluid_ellipsoid=1,
-        rgba=[0.95, 0.78, 0.25, 1.0],
-        contype=_PANCAKE,
-        conaffinity=_PAN,
-        **_contact(settings),
-    )
-    for sign, colour in ((1.0, [0.97, 0.97, 0.95, 1.0]), (-1.0, [0.96, 0.70, 0.10, 1.0])):
-        body.add_geom(  # white above, yellow below, as the paper's: to be seen, not felt
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[0.97 * PANCAKE_RADIUS, 0.0004, 0.0],
-            pos=[0.0, 0.0, sign * (PANCAKE_HALF_HEIGHT + 0.0002)],
-            mass=0.0,
-            rgba=colour,
-            contype=0,
-            conaffinity=0,
-        )
-
-
-def _add_surroundings(spec: mujoco.MjSpec, settings: SceneSettings) -> None:
-    """Ground for a pancake that missed, and a light."""
+def _add_surroundings(spec: mujoco.MjSpec, friction: float) -> None:
+    """Ground for a body that missed the pan, and a light."""
     world = spec.worldbody
     world.add_geom(
         name="ground",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[3.0, 3.0, 0.1],
         rgba=[0.93, 0.93, 0.91, 1.0],
-        contype=_PAN,
-        conaffinity=_PANCAKE,
-        **_contact(settings),
+        **_contact(friction),
     )
     world.add_light(pos=[0.5, -1.0, 3.0], dir=[0.0, 0.3, -1.0], castshadow=True)

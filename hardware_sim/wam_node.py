@@ -24,10 +24,12 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from hardware_sim.barrett_services import FOLDED, Driver
-from hardware_sim.demonstrator import SKILLS, Hand
-from hardware_sim.scene import SceneSettings
+from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.scenes.flip import Flip
+from hardware_sim.scenes.reach import Reach
 from hardware_sim.sensors import MocapFrame, MocapSettings
-from hardware_sim.world import PERIOD, ArmSettings, World, WorldSettings
+from hardware_sim.settings import PERIOD, ArmSettings, SceneSettings, WorldSettings
+from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm, Guarded
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.params.node_params import Params
@@ -83,7 +85,7 @@ class WamSimParams(Params):
         own = {field.name for field in dataclasses.fields(WorldSettings)} & set(self.model_fields)
         return WorldSettings(
             **{name: getattr(self, name) for name in own},
-            scene=SceneSettings(friction=self.friction),
+            scene=SceneSettings(self.friction, self.pancake_offset_sd),
             mocap=mocap,
             arm=ArmSettings(
                 self.urdf,
@@ -111,6 +113,7 @@ class WamSim(Node):
         self.params = params = WamSimParams.of(self)
         self.on_torque: Callable[[interface.TorqueReading], None] = lambda reading: None
         self.counters: Counter[str] = Counter()
+        self._skill = {"flip": Flip, "reach": Reach}[params.hand](SceneSettings())
         self._label = ""
         self._policy: policies.Policy | None = None
         self._demonstrations = 0
@@ -223,7 +226,7 @@ class WamSim(Node):
         if self.world.frozen and self._settled and label not in ("hold", "inactive"):
             self.world.release()
         if was.startswith("rollout "):
-            truth = json.dumps(dataclasses.asdict(self.world.truth()))
+            truth = json.dumps(self.world.truth())
             self._truth.publish(String(data=truth))
 
     def _on_torque(self, message: Float64MultiArray | JointState) -> None:
@@ -322,14 +325,14 @@ class WamSim(Node):
         rng = np.random.default_rng((self.params.seed, self._demonstrations))
         if world.frozen:
             world.release()
-        world.attach(Hand(SKILLS[self.params.hand].script(rng), *world.pan_pose))
+        world.attach(Demonstrator(self._skill.script(rng), *world.pan_pose))
         self._pulling = True
 
     def _next_demonstration(self) -> tuple[str, np.ndarray]:
         """Name and first posture (7,) [rad] of the demonstration that is to come."""
-        skill, number = SKILLS[self.params.hand], self._demonstrations
+        skill, number = self._skill, self._demonstrations
         rng = np.random.default_rng((self.params.seed, number, 1))
-        home = skill.home + skill.scatter * rng.standard_normal(len(skill.home))
+        home = skill.home + skill.home_sd * rng.standard_normal(len(skill.home))
         return f"demonstration-{number}", home
 
     # Barrett's services

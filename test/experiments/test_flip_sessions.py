@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hardware_sim.world import HOME
+from hardware_sim.scenes.flip import HOME
 from wam_power_ros.experiments.chapters import flip_chapter
 from wam_power_ros.experiments.studies import flip_sessions
 from wam_power_ros.reporting.chapter import Chapter, Claim

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import signal
 import subprocess
 import sys
@@ -13,7 +12,8 @@ from conftest import ROOT, Probe, Processes
 from std_srvs.srv import SetBool, Trigger
 from test_session_over_dds import JOINTS, SEED, learnt, lines
 
-from hardware_sim.world import World, WorldSettings
+from hardware_sim.settings import WorldSettings
+from hardware_sim.world import World
 from wam_power_ros.bags import reader
 from wam_power_ros.cli.launcher import DOMAIN
 from wam_power_ros.control.arm import Arm
@@ -114,7 +114,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert len(events) == 3
     while (trial := practice.next_trial()) is not None:
         pan, pancake, truth, fault = bench.run(trial.policy)
-        practice.learn(trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth))
+        practice.learn(trial, pan, pancake, fault=fault, truth=truth)
         for event in events:
             if event.after == trial.number:
                 practice.replay(event)

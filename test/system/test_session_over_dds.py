@@ -28,7 +28,8 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from hardware_sim.world import World, WorldSettings
+from hardware_sim.settings import WorldSettings
+from hardware_sim.world import World
 from wam_power_ros.bags import reader
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.experiments.environment import Environment

@@ -12,8 +12,9 @@ import dataclasses
 import numpy as np
 import yaml
 
-from hardware_sim.demonstrator import Hand, Script
-from hardware_sim.world import HOME, Truth, World
+from hardware_sim.demonstrator import Demonstrator, Script
+from hardware_sim.ground_truth import Truth
+from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import rehearse
@@ -87,13 +88,13 @@ class Environment:
             Stamps (M,) [ns] and joint positions (M, 7) [rad] as the driver reported them.
         """
         world = self.world
-        self._place(name, HOME)
+        self._place(name, world.scene.home)
         controller = self.controller
         controller.set_gravity_compensation(True)
         for _ in range(_STILL_TICKS):
             self.tick()
         world.release()
-        world.attach(Hand(script, *world.pan_pose))
+        world.attach(Demonstrator(script, *world.pan_pose))
         stamps, q = [], []
         while world.pulled:
             sample = world.joint_state()

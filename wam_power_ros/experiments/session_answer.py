@@ -13,7 +13,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from hardware_sim.world import QUIET, Truth, World
+from hardware_sim.ground_truth import Truth
+from hardware_sim.world import QUIET, World
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.filmstrip import TRACE_RATE
 from wam_power_ros.experiments.render import render
@@ -60,9 +61,9 @@ def run(folder: Path, film: bool) -> session_report.Exhibit:
 
 def _outcome(truth: Truth, fault: str) -> str:
     return fault or (
-        f"turned {abs(truth.angle_deg):.0f}° until it came down, "
-        f"{'flipped' if truth.flipped else 'not flipped'} and "
-        f"{'caught' if truth.caught else 'dropped'}"
+        f"turned {abs(truth['angle_deg']):.0f}° until it came down, "
+        f"{'flipped' if truth['flipped'] else 'not flipped'} and "
+        f"{'caught' if truth['caught'] else 'dropped'}"
     )
 
 

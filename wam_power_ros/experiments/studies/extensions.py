@@ -7,14 +7,12 @@ none; a person who rewards and punishes; a demonstration given in the middle of 
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
 
-from hardware_sim.demonstrator import PITCH_RATE
-from hardware_sim.world import Truth
+from hardware_sim.scenes.flip import PITCH_RATE
 from wam_power_ros.experiments.chapters.extensions_chapter import (
     DEMONSTRATION,
     PERSON,
@@ -102,12 +100,12 @@ def session(
     rated, refused, sizes = 0, "", []
     while (trial := practice.next_trial()) is not None:
         pan, pancake, truth, fault = environment.run(trial.policy)
-        record = practice.learn(trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth))
+        record = practice.learn(trial, pan, pancake, fault=fault, truth=truth)
         if practice.learner is not None:
             sizes.append(practice.learner.sigma)
         if practice.stopped:
             continue
-        amount = RATING if truth.true_flip else 0.0 if truth.caught else -RATING
+        amount = RATING if truth["true_flip"] else 0.0 if truth["caught"] else -RATING
         if rated < ratings and amount and record.ret is not None:
             practice.rate(amount)
             rated += 1
@@ -118,7 +116,7 @@ def session(
             except ValueError as error:
                 refused = str(error)
     retests = [record for record in practice.records if record.kind == "retest"]
-    truths = [Truth(**record.truth or {}) for record in retests]
+    truths = [record.truth or {} for record in retests]
     return {
         "stopped": practice.stopped,
         "choice": practice.choice,
@@ -128,9 +126,9 @@ def session(
         "sigma": float(np.median(sizes)) if sizes else None,
         "returns": [r.ret for r in practice.records if r.kind != "retest"],
         "retests": [record.ret for record in retests],
-        "landed": [truth.caught and truth.flipped for truth in truths],
-        "true_flip": [truth.true_flip for truth in truths],
-        "angle_deg": [truth.angle_deg for truth in truths],
+        "landed": [truth["caught"] and truth["flipped"] for truth in truths],
+        "true_flip": [truth["true_flip"] for truth in truths],
+        "angle_deg": [truth["angle_deg"] for truth in truths],
     }
 
 

@@ -7,7 +7,6 @@ the paper's preset beside Fig. 5, and the ablation of what the paper says about 
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
@@ -15,9 +14,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from hardware_sim.demonstrator import PITCH_RATE, wrist_flick
-from hardware_sim.scene import SceneSettings
-from hardware_sim.world import Truth, World, WorldSettings
+from hardware_sim.ground_truth import Truth
+from hardware_sim.scenes.flip import PITCH_RATE, wrist_flick
+from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.experiments.chapters.flip_chapter import (
     ABLATION,
@@ -145,7 +145,7 @@ def practise(
     practice = Practice(candidates, settings, seed, environment.forbids)
     while (trial := practice.next_trial()) is not None:
         pan, pancake, truth, fault = environment.run(trial.policy)
-        record = practice.learn(trial, pan, pancake, fault=fault, truth=dataclasses.asdict(truth))
+        record = practice.learn(trial, pan, pancake, fault=fault, truth=truth)
         if report is not None:
             report(record)
     return practice
@@ -219,7 +219,7 @@ def session(
 
 def _told(record: Record) -> dict[str, Any]:
     """What is kept of a rollout."""
-    flight, truth = record.flight, Truth(**record.truth or {})
+    flight, truth = record.flight, record.truth or {}
     return {
         "kind": record.kind,
         "ret": record.ret,
@@ -231,16 +231,16 @@ def _told(record: Record) -> dict[str, Any]:
 
 def _outcome(truth: Truth, fault: str) -> dict[str, Any]:
     return {
-        "landed": truth.caught and truth.flipped,
-        "true_flip": truth.true_flip,
-        "angle_deg": truth.angle_deg,
-        "apex": truth.apex,
-        "miss": math.hypot(*truth.landing_error),
-        "peak_qd": truth.peak_qd,
-        "elbow_speed": truth.peak_elbow_speed,
-        "forearm_speed": truth.peak_forearm_speed,
-        "pan_speed": truth.peak_pan_speed,
-        "beyond_no_load": truth.beyond_no_load,
+        "landed": truth["caught"] and truth["flipped"],
+        "true_flip": truth["true_flip"],
+        "angle_deg": truth["angle_deg"],
+        "apex": truth["apex"],
+        "miss": math.hypot(*truth["landing_error"]),
+        "peak_qd": truth["peak_qd"],
+        "elbow_speed": truth["peak_elbow_speed"],
+        "forearm_speed": truth["peak_forearm_speed"],
+        "pan_speed": truth["peak_pan_speed"],
+        "beyond_no_load": truth["beyond_no_load"],
         "fault": fault,
     }
 

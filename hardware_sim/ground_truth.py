@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ground truth of a rollout: the log of its states, and the peaks of the arm in it.
+
+Only the simulator knows it: it is logged and shown, and no part of the system learns from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+
+from hardware_sim.motors import DirectDrives, Motors
+from hardware_sim.settings import PERIOD, N
+
+TOOL_SITE = "pan"  # site of the model at the origin of the tool
+LOG_TICKS = 5000  # ticks since the release that are logged: 10 s
+
+Truth = dict[str, Any]  # plain data by name, as it is published and written to the session log
+
+
+class Snapshot(NamedTuple):
+    """Body and tool at one instant."""
+
+    body: np.ndarray  # (7,) position [m] and quaternion wxyz of the tracked body; (0,) without one
+    position: np.ndarray  # (3,) of the tool [m]
+    rotation: np.ndarray  # (3, 3) of the tool
+
+
+@dataclass(frozen=True)
+class ArmTruth:
+    """Peaks of the arm since the release.
+
+    Attributes:
+        peak_qd: Peak joint speeds [rad/s]; seven.
+        peak_tau: Peak torques the motors gave [N m]; seven.
+        peak_elbow_speed: Peak speed of the first guarded point [m/s].
+        peak_forearm_speed: Peak speed of the last guarded point [m/s].
+        peak_pan_speed: Peak speed of the tool [m/s].
+        beyond_no_load: A motor was turned faster than its bus voltage turns it unloaded.
+        saturated: Share of ticks in which a motor could not give what was commanded.
+    """
+
+    peak_qd: list[float]
+    peak_tau: list[float]
+    peak_elbow_speed: float
+    peak_forearm_speed: float
+    peak_pan_speed: float
+    beyond_no_load: bool
+    saturated: float
+
+
+class RolloutLog:
+    """States after each tick since the release, one row a tick.
+
+    Attributes:
+        start: Body and tool at the release.
+        rows: Number of ticks logged.
+
+    Args:
+        model: Model with a site at every point and at the tool.
+        data: State that is logged.
+        points: Names of the guarded points.
+        body: Columns of the tracked body in qpos, and in qvel; empty without one.
+    """
+
+    start: Snapshot
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        points: Sequence[str],
+        body: tuple[slice, slice],
+    ) -> None:
+        self._data = data
+        self._points = [model.site(name).id for name in (*points, TOOL_SITE)]
+        self._body = body
+        self._qpos = np.empty((LOG_TICKS, model.nq))
+        self._qvel = np.empty((LOG_TICKS, model.nv))
+        self._tau = np.empty((LOG_TICKS, N))
+        self._sites = np.empty((LOG_TICKS, *data.site_xpos.shape))
+        self.rows = 0
+        self._saturated = 0
+
+    def restart(self, start: Snapshot) -> None:
+        """Forget all rows; `start` is not copied."""
+        self.start, self.rows, self._saturated = start, 0, 0
+
+    def record(self, saturated: bool) -> None:
+        """Add a row, in the first 10 s; `saturated`: a motor could not give what was commanded."""
+        self._saturated += saturated
+        row, data = self.rows, self._data
+        if row == LOG_TICKS:
+            return
+        self._qpos[row] = data.qpos
+        self._qvel[row] = data.qvel
+        self._tau[row] = data.qfrc_applied[:N]
+        self._sites[row] = data.site_xpos
+        self.rows = row + 1
+
+    @property
+    def body(self) -> np.ndarray:
+        """Position [m] and quaternion wxyz of the tracked body. Shape (rows, 7)."""
+        return self._qpos[: self.rows, self._body[0]]
+
+    @property
+    def body_twist(self) -> np.ndarray:
+        """Velocity [m/s], and angular velocity in its own frame [rad/s]. Shape (rows, 6)."""
+        return self._qvel[: self.rows, self._body[1]]
+
+    @property
+    def tool(self) -> np.ndarray:
+        """Position of the tool [m]. Shape (rows, 3)."""
+        return self._sites[: self.rows, self._points[-1]]
+
+    def arm_truth(self, motors: Motors | DirectDrives) -> ArmTruth:
+        """Peaks of the arm, driven by `motors`."""
+        rows = self.rows
+        speeds = np.zeros(len(self._points))
+        if rows > 1:
+            steps = np.diff(self._sites[:rows, self._points], axis=0)
+            speeds = np.linalg.norm(steps, axis=2).max(axis=0) / PERIOD
+        qd = self._qvel[:rows, :N]
+        motor_speeds = np.abs(qd @ motors.of_joints.T).max(axis=0, initial=0.0)
+        return ArmTruth(
+            peak_qd=np.abs(qd).max(axis=0, initial=0.0).tolist(),
+            peak_tau=np.abs(self._tau[:rows]).max(axis=0, initial=0.0).tolist(),
+            peak_elbow_speed=float(speeds[0]),
+            peak_forearm_speed=float(speeds[-2]),
+            peak_pan_speed=float(speeds[-1]),
+            beyond_no_load=bool((motor_speeds > motors.motor_no_load_speed).any()),
+            saturated=self._saturated / max(rows, 1),
+        )

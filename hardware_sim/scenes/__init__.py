@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes: what surrounds the arm in one task, one module a task."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import mujoco
+import numpy as np
+
+from hardware_sim.demonstrator import Script
+from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
+from hardware_sim.settings import SceneSettings
+
+
+class Scene(Protocol):
+    """Bodies around the arm, the demonstration of the task, and the ground truth of a rollout.
+
+    Attributes:
+        body: Name of the MuJoCo body that is tracked, on a free joint; "" for none. Topics and
+            services follow it.
+        home: Posture in which demonstrations begin [rad]. Shape (7,).
+        home_sd: Standard deviation of that posture, per joint [rad].
+    """
+
+    body: str
+    home: np.ndarray
+    home_sd: float
+
+    def __init__(self, settings: SceneSettings) -> None: ...
+
+    def build(self, spec: mujoco.MjSpec) -> None:
+        """Add the bodies to a model of the arm, its pan and the ground."""
+        ...
+
+    def place(
+        self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
+    ) -> None:
+        """Put the bodies to where a rollout begins; they come to rest before it does.
+
+        Args:
+            data: State, just reset, the arm in its start posture.
+            position: Position of the tool [m]. Shape (3,).
+            rotation: Rotation of the tool. Shape (3, 3).
+            offset: Random offset in the plane of the pan [m]. Shape (2,).
+        """
+        ...
+
+    def script(self, rng: np.random.Generator) -> Script:
+        """Draw a demonstration."""
+        ...
+
+    def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
+        """Outcome of a rollout as plain data."""
+        ...

@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pancake flipping: the pancake in the pan, the toss that is demonstrated, and what came of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from hardware_sim import scene
+from hardware_sim.demonstrator import PAUSE, Target
+from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
+from hardware_sim.settings import PERIOD, SceneSettings
+from wam_power_ros import rotations
+
+BODY = "pancake"
+RADIUS = 0.09  # [m] of the pancake
+HALF_HEIGHT = 0.0025  # [m] of the pancake
+MASS = 0.026  # [kg] of the pancake, the paper's
+DELTA_H = 0.12  # [m] over the pan's floor, where a falling pancake is judged
+HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
+HOME.setflags(write=False)
+PITCH_RATE = 7.6  # [rad/s] of a practised person: most such tosses reproduce at 90 degrees or more
+WRIST_TO_PAN = 0.34  # [m] from the wrist to the pan's centre
+
+
+@dataclass(frozen=True)
+class FlipTruth:
+    """Outcome of a toss.
+
+    Attributes:
+        caught: The pancake lies flat on the pan's floor now (centre under 12 mm, |cos| over .98).
+        flipped: It lies on its other side.
+        tossed: It rose over `DELTA_H` and fell through it again.
+        t_f: Time at which it fell through [s since the release]; None when not tossed.
+        angle_deg: Rotation from rest until then about the axis of the throw, beyond half a turn as
+            well [degrees].
+        true_flip: Caught, flipped, and turned by 150 to 240 degrees in the air.
+        apex: Highest point over the pan's height at the start [m].
+        landing_error: Pancake less pan at t_f, along x and y [m]; two.
+    """
+
+    caught: bool
+    flipped: bool
+    tossed: bool
+    t_f: float | None
+    angle_deg: float
+    true_flip: bool
+    apex: float
+    landing_error: list[float]
+
+
+class Flip:
+    """Scene of pancake flipping, see `Scene`."""
+
+    body = BODY
+    home = HOME
+    home_sd = 0.0
+
+    def __init__(self, settings: SceneSettings) -> None:
+        self._friction = settings.friction
+
+    def build(self, spec: mujoco.MjSpec) -> None:
+        """Add the pancake, white above and yellow below as the paper's."""
+        body = spec.worldbody.add_body(name=BODY, pos=[0.0, 0.0, 2.0])
+        body.add_freejoint(name=BODY)
+        body.add_geom(
+            name=BODY,
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[RADIUS, HALF_HEIGHT, 0.0],
+            mass=MASS,
+            fluid_ellipsoid=1,
+            rgba=[0.95, 0.78, 0.25, 1.0],
+            **scene.body_contact(self._friction),
+        )
+        for sign, colour in ((1.0, [0.97, 0.97, 0.95, 1.0]), (-1.0, [0.96, 0.70, 0.10, 1.0])):
+            body.add_geom(  # drawn, not felt
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                size=[0.97 * RADIUS, 0.0004, 0.0],
+                pos=[0.0, 0.0, sign * (HALF_HEIGHT + 0.0002)],
+                mass=0.0,
+                rgba=colour,
+                contype=0,
+                conaffinity=0,
+            )
+
+    def place(
+        self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
+    ) -> None:
+        """Lay the pancake into the pan."""
+        pancake = data.joint(BODY).qpos
+        pancake[:3] = position + rotation @ [*offset, 0.003]
+        mujoco.mju_mat2Quat(pancake[3:], rotation.ravel())
+
+    def script(self, rng: np.random.Generator) -> TossScript:
+        """Draw a toss."""
+        return wrist_flick(rng)
+
+    def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
+        """`FlipTruth` as plain data."""
+        height = log.body[:, 2]
+        error, angle, t_f = [0.0, 0.0], 0.0, None
+        at = _fallen(height - log.tool[:, 2])
+        if at is not None:
+            t_f = (at + 1) * PERIOD
+            error = (log.body[at, :2] - log.tool[at, :2]).tolist()
+            angle = math.degrees(_turned(log, at))
+        caught, flipped = _lies(now)
+        start = log.start.position[2]
+        return asdict(
+            FlipTruth(
+                caught=caught,
+                flipped=flipped,
+                tossed=at is not None,
+                t_f=t_f,
+                angle_deg=angle,
+                true_flip=caught and flipped and 150.0 <= angle <= 240.0,
+                apex=float(height.max(initial=start) - start),
+                landing_error=error,
+            )
+        )
+
+
+def _normal(body: np.ndarray) -> np.ndarray:
+    """Normal (3,) of the pancake in a pose (7,)."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, body[3:])
+    return matrix.reshape(3, 3)[:, 2]
+
+
+def _lies(now: Snapshot) -> tuple[bool, bool]:
+    """Whether the pancake lies flat in the pan, and on its other side."""
+    pan = now.rotation
+    x, y, z = (pan.T @ (now.body[:3] - now.position)).tolist()
+    cosine = float(_normal(now.body) @ pan[:, 2])
+    flat = abs(z) < 0.012 and abs(cosine) > 0.98 and math.hypot(x, y) < scene.PAN_RADIUS
+    return flat, cosine < 0.0
+
+
+def _turned(log: RolloutLog, end: int) -> float:
+    """Angle of the pancake's normal from the release to a row of the log, unwrapped [rad]."""
+    normal_start = _normal(log.start.body)
+    quat_xyzw = log.body[: end + 1, [4, 5, 6, 3]]
+    x, y, z, w = quat_xyzw.T
+    normals = np.stack(
+        [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], axis=1
+    )
+    begin = max(0, end - round(0.1 / PERIOD))  # the last 0.1 s of the flight
+    omega = rotations.matrix(quat_xyzw[begin:]) @ log.body_twist[begin : end + 1, 3:, None]
+    axis = omega.mean(axis=0)[:, 0]
+    axis -= (axis @ normal_start) * normal_start  # a disc may spin about its normal
+    length = float(np.linalg.norm(axis))
+    if length < 1e-6:
+        return 0.0
+    axis /= length
+    across = np.cross(axis, normal_start)
+    return float(np.unwrap(np.arctan2(normals @ across, normals @ normal_start))[-1])
+
+
+def _fallen(height: np.ndarray) -> int | None:
+    """First index after the highest point at which a height is under `DELTA_H`, if it ever rose."""
+    risen = np.flatnonzero(height > DELTA_H)
+    if len(risen) == 0:
+        return None
+    up = int(risen[0])
+    down = np.flatnonzero(height[up:] < DELTA_H)
+    stop = up + int(down[0]) if len(down) else len(height)
+    apex = up + int(np.argmax(height[up:stop]))
+    under = np.flatnonzero(height[apex:] < DELTA_H)
+    return apex + int(under[0]) if len(under) else None
+
+
+@dataclass(frozen=True)
+class TossScript:
+    """A planar toss: keys of the wrist and of the pan's pitch, relative to where it begins.
+
+    Attributes:
+        t: Times of the keys, the first at 0 [s]. Shape (n,).
+        wrist: Position of the wrist, x outward and z up [m]. Shape (n, 2).
+        wrist_speed: Velocity of the wrist [m/s]. Shape (n, 2).
+        pitch: Pitch of the pan, front edge up [rad]. Shape (n,).
+        pitch_rate: Rate of the pitch [rad/s]. Shape (n,).
+    """
+
+    t: np.ndarray
+    wrist: np.ndarray
+    wrist_speed: np.ndarray
+    pitch: np.ndarray
+    pitch_rate: np.ndarray
+
+    @property
+    def end(self) -> float:
+        """See `Script`."""
+        return float(self.t[-1])
+
+    def target(self, t: float, position: np.ndarray, rotation: np.ndarray) -> Target:
+        """See `Script`."""
+        at = min(t, self.end)
+        x, z = self._wrist(at)
+        vx, vz = self._wrist(at, 1) if t < self.end else (0.0, 0.0)
+        rate = float(self._pitch(at, 1)) if t < self.end else 0.0
+        # the front edge rises when the pan turns about -y
+        turn = rotations.exp(np.array([0.0, -float(self._pitch(at)), 0.0]))
+        wrist = position - WRIST_TO_PAN * rotation[:, 0]
+        rotation = turn @ rotation
+        lever = WRIST_TO_PAN * rotation[:, 0]
+        omega = np.array([0.0, -rate, 0.0])
+        velocity = np.array([vx, 0.0, vz]) + np.cross(omega, lever)
+        return Target(wrist + np.array([x, 0.0, z]) + lever, rotation, velocity, omega)
+
+    @cached_property
+    def _wrist(self) -> CubicHermiteSpline:
+        return CubicHermiteSpline(self.t, self.wrist, self.wrist_speed)
+
+    @cached_property
+    def _pitch(self) -> CubicHermiteSpline:
+        return CubicHermiteSpline(self.t, self.pitch, self.pitch_rate)
+
+
+def wrist_flick(
+    rng: np.random.Generator, spread: float = 1.0, pitch_rate: float = PITCH_RATE
+) -> TossScript:
+    """A toss from the wrist: flick the front edge up, follow under the pancake, cushion its fall.
+
+    It begins at `HOME`, the pan tilted forward and the pancake slid against the front of the rim,
+    as a cook does: from there a flick throws it the same way every time. Out of a level pan, the
+    pancake would slide or not slide to the rim on the way, and throws scatter by 15 cm.
+
+    Args:
+        rng: Generator of the differences between demonstrations.
+        spread: Scale of these differences: 0 for the intended toss, 1 for a person's.
+        pitch_rate: Intended pitch rate at the release [rad/s].
+    """
+
+    def scatter(sd: float, *shape: int) -> np.ndarray:
+        return spread * sd * rng.standard_normal(shape)
+
+    durations = np.array([0.22, 0.30, 0.35]) * (1.0 + scatter(0.06, 3))  # rise, under, cushion [s]
+    wrist = np.array([[0.03, 0.02], [0.03, 0.08], [0.0, 0.02]]) + scatter(0.012, 3, 2)
+    wrist_speed = np.array([0.75, 0.3]) + scatter(0.15, 2)
+    pitch = np.deg2rad([35.0, 30.0, 22.0]) + scatter(np.deg2rad(4.0), 3)
+    rate = pitch_rate * (1.0 + float(scatter(0.08)))
+    still = np.zeros((2, 2))
+    return TossScript(
+        np.concatenate([[0.0], PAUSE + np.concatenate([[0.0], np.cumsum(durations)])]),
+        np.vstack([still, wrist]),
+        np.vstack([still, wrist_speed, still]),
+        np.concatenate([[0.0, 0.0], pitch]),
+        np.array([0.0, 0.0, rate, 0.0, 0.0]),
+    )

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reaching past an obstacle: a sphere in the way, the reach that is demonstrated, its clearance.
+
+The obstacle is drawn and not felt: contact is the centre of the tool inside the sphere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import mujoco
+import numpy as np
+
+from hardware_sim.demonstrator import PAUSE, Target
+from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
+from hardware_sim.settings import SceneSettings
+
+HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] the pan level, right
+HOME.setflags(write=False)
+GOAL = np.array([0.78, 0.25, 0.6])  # [m] half a metre to the left of where the pan is at `HOME`
+GOAL.setflags(write=False)
+
+
+@dataclass(frozen=True)
+class ReachTruth:
+    """Outcome of a reach.
+
+    Attributes:
+        touched: The tool's centre was inside the obstacle.
+        clearance: Least distance of the tool's centre from the obstacle's surface [m], negative
+            inside; None without an obstacle.
+        goal_distance: Least distance of the tool's centre from `GOAL` [m].
+    """
+
+    touched: bool
+    clearance: float | None
+    goal_distance: float
+
+
+class Reach:
+    """Scene of reaching, see `Scene`: nothing is tracked."""
+
+    body = ""
+    home = HOME
+    home_sd = 0.008
+
+    def __init__(self, settings: SceneSettings) -> None:
+        *centre, self._radius = settings.obstacle
+        self._centre = np.array(centre)
+
+    def build(self, spec: mujoco.MjSpec) -> None:
+        """Draw the obstacle."""
+        if self._radius > 0.0:
+            spec.worldbody.add_geom(
+                name="obstacle",
+                type=mujoco.mjtGeom.mjGEOM_SPHERE,
+                size=[self._radius, 0.0, 0.0],
+                pos=self._centre.tolist(),
+                rgba=[0.8, 0.2, 0.15, 0.6],
+                contype=0,
+                conaffinity=0,
+            )
+
+    def place(
+        self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
+    ) -> None:
+        """Nothing has to be placed."""
+
+    def script(self, rng: np.random.Generator) -> ReachScript:
+        """Draw a reach."""
+        return reach(rng)
+
+    def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
+        """`ReachTruth` as plain data."""
+        path = np.vstack([log.start.position, log.tool])
+        clearance = None
+        if self._radius > 0.0:
+            clearance = float(np.linalg.norm(path - self._centre, axis=1).min() - self._radius)
+        return asdict(
+            ReachTruth(
+                touched=clearance is not None and clearance < 0.0,
+                clearance=clearance,
+                goal_distance=float(np.linalg.norm(path - GOAL, axis=1).min()),
+            )
+        )
+
+
+@dataclass(frozen=True)
+class ReachScript:
+    """A reach to a place in an arc, the pan kept as it was taken: minimum jerk, a little warped.
+
+    Attributes:
+        goal: Where it ends [m]. Shape (3,).
+        arc: Offset of its middle from the straight line [m]. Shape (3,).
+        duration: Duration of the movement [s].
+        warp: In (-1, 1); positive when the first half of the way is the faster one.
+    """
+
+    goal: np.ndarray
+    arc: np.ndarray
+    duration: float
+    warp: float
+
+    @property
+    def end(self) -> float:
+        """See `Script`."""
+        return PAUSE + self.duration
+
+    def target(self, t: float, position: np.ndarray, rotation: np.ndarray) -> Target:
+        """See `Script`."""
+        u = min(max(t - PAUSE, 0.0) / self.duration, 1.0)
+        s, rate = u + self.warp * u * (1.0 - u), 1.0 + self.warp * (1.0 - 2.0 * u)
+        rate *= 30.0 * s**2 * (1.0 - s) ** 2 / self.duration
+        s = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        way, angle = self.goal - position, np.pi * s
+        return Target(
+            position + s * way + np.sin(angle) * self.arc,
+            rotation,
+            rate * (way + np.pi * np.cos(angle) * self.arc),
+            np.zeros(3),
+        )
+
+
+def reach(rng: np.random.Generator, spread: float = 1.0) -> ReachScript:
+    """A reach of half a metre in 2 s, from `HOME` to `GOAL` with an arc of 6 cm.
+
+    Args:
+        rng: Generator of the differences between demonstrations.
+        spread: Scale of these differences: 0 for the intended reach, 1 for a person's.
+    """
+    goal = GOAL + spread * 0.01 * rng.standard_normal(3)
+    arc = np.array([0.0, 0.0, 0.06]) + spread * 0.01 * rng.standard_normal(3)
+    duration = 2.0 * (1.0 + spread * 0.05 * float(rng.standard_normal()))
+    warp = spread * float(np.clip(0.1 * rng.standard_normal(), -0.3, 0.3))
+    return ReachScript(goal, arc, duration, warp)

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the simulated world: which arm, how it is driven and sensed, what surrounds it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+from hardware_sim.sensors import MocapSettings
+from wam_power_ros.control.arm import WAM_GUARDED, Guarded
+
+N = 7  # joints
+JOINTS = tuple(f"wam_j{number}" for number in range(1, N + 1))
+PERIOD_NS = 2_000_000  # [ns] control period of the WAM's driver
+PERIOD = PERIOD_NS / 1e9  # [s]
+_SHARES = ("wind_sd", "torque_scale_sd", "friction_sd", "friction_share")
+
+
+@dataclass(frozen=True)
+class ArmSettings:
+    """The simulated arm; by default the WAM.
+
+    Attributes:
+        urdf: URDF file, absolute or below the package's share folder.
+        joints: Names of the joints from base to tip; seven.
+        tool: Link that holds the pan: z normal to the pan, origin on its floor.
+        guarded: Points whose speeds are logged; the first counts as elbow, the last as forearm.
+        home: Initial posture [rad]; seven, or None for that of the scene.
+        drives: "wam" for its cables and motors, "direct" for the limits in the URDF.
+
+    Raises:
+        ValueError: Not seven joints, or no guarded point.
+    """
+
+    urdf: str = "urdf/wam7.urdf"
+    joints: tuple[str, ...] = JOINTS
+    tool: str = "pan"
+    guarded: tuple[Guarded, ...] = WAM_GUARDED
+    home: tuple[float, ...] | None = None
+    drives: Literal["wam", "direct"] = "wam"
+
+    def __post_init__(self) -> None:
+        for name in ("joints", "home"):
+            values = getattr(self, name)
+            if values is not None and len(values) != N:
+                raise ValueError(f"{name} {values} must be {N}")
+        if not self.guarded:
+            raise ValueError("the stand-in logs the speed of at least one guarded point")
+
+
+@dataclass(frozen=True)
+class SceneSettings:
+    """Settings of what surrounds the arm; a scene uses those that concern it.
+
+    Attributes:
+        friction: Sliding friction between pan and body.
+        body_offset_sd: Standard deviation of the body's place in the pan, per axis [m].
+        obstacle: Centre and radius of a sphere in the base frame [m]; four, radius 0 for none.
+
+    Raises:
+        ValueError: A value out of range.
+    """
+
+    friction: float = 0.2
+    body_offset_sd: float = 0.003
+    obstacle: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        for name in ("friction", "body_offset_sd"):
+            if not 0.0 <= getattr(self, name) <= 10.0:
+                raise ValueError(f"{name} {getattr(self, name)} must be 0 to 10")
+        values = self.obstacle
+        if len(values) != 4 or not all(map(math.isfinite, values)) or values[3] < 0.0:
+            raise ValueError(f"obstacle {values} must be x, y, z and a radius from 0")
+
+
+@dataclass(frozen=True)
+class WorldSettings:
+    """Settings of the simulated world; the defaults describe the WAM as it is.
+
+    Attributes:
+        bus_voltage: Bus voltage of the motors [V].
+        command_delay_ticks: Control periods from a joint state to the torque that answers it.
+        wind_sd: Standard deviation of a rollout's steady wind, per axis [m/s].
+        torque_scale_sd: Standard deviation of each joint's torque constant per rollout, as a share.
+        friction_sd: Standard deviation of each joint's Coulomb friction per rollout, as a share.
+        friction_share: Share of the URDF's Coulomb friction that the joints have.
+        driver_compensates_gravity: The driver adds g(q) to the commanded torque.
+        watchdog: After 10 ms without a command the driver compensates gravity, damped; without a
+            watchdog it holds the last command.
+        watchdog_damping: Damping of that fallback [1/s].
+        scene: Settings of the scene.
+        mocap: Settings of the motion capture.
+        arm: Settings of the arm.
+
+    Raises:
+        ValueError: A value out of range.
+    """
+
+    bus_voltage: float = 48.0
+    command_delay_ticks: int = 2
+    wind_sd: float = 0.1
+    torque_scale_sd: float = 0.01
+    friction_sd: float = 0.1
+    friction_share: float = 1.0
+    driver_compensates_gravity: bool = False
+    watchdog: bool = True
+    watchdog_damping: float = 5.0
+    scene: SceneSettings = field(default_factory=SceneSettings)
+    mocap: MocapSettings = field(default_factory=MocapSettings)
+    arm: ArmSettings = field(default_factory=ArmSettings)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.command_delay_ticks <= 50:
+            raise ValueError(f"command_delay_ticks {self.command_delay_ticks} must be 0 to 50")
+        for name in _SHARES:
+            if not 0.0 <= getattr(self, name) < 10.0:
+                raise ValueError(f"{name} {getattr(self, name)} must be from 0 to below 10")
+        if not 0.0 <= self.watchdog_damping <= 100.0:
+            raise ValueError(f"watchdog_damping {self.watchdog_damping} must be 0 to 100")

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pancake: where it lies, how it flies, and what is said of a toss."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from simulated import CALM, begin, holding_torque, run
+
+from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.ground_truth import Truth
+from hardware_sim.scenes.flip import (
+    DELTA_H,
+    HALF_HEIGHT,
+    HOME,
+    WRIST_TO_PAN,
+    TossScript,
+    wrist_flick,
+)
+from hardware_sim.settings import (
+    JOINTS,
+    PERIOD,
+)
+from hardware_sim.world import World
+from wam_power_ros import rotations
+from wam_power_ros.control.arm import Arm
+
+SEEDS = range(6)
+POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def calm() -> World:
+    return World(CALM, seed=3)
+
+
+def test_a_pancake_rests_in_a_level_pan(calm: World) -> None:
+    gravity = begin(calm)
+    start = calm.data.qpos[7:10] - calm.pan_pose[0]
+    run(calm, gravity, 500)
+    truth = calm.truth()
+    drift = calm.data.qpos[7:10] - calm.pan_pose[0] - start
+    assert np.abs(drift).max() < 1e-3
+    assert (truth["caught"], truth["flipped"], truth["tossed"], truth["t_f"]) == (
+        True,
+        False,
+        False,
+        None,
+    )
+    assert abs(truth["apex"]) < 0.01
+
+
+def test_in_a_tilted_pan_it_has_slid_to_the_rim_before_a_rollout_begins(calm: World) -> None:
+    gravity = begin(calm, q=HOME)
+    position, rotation = calm.pan_pose
+    offset = rotation.T @ (calm.data.qpos[7:10] - position)
+    assert offset[0] > 0.04
+    run(calm, gravity, 250)
+    moved = rotation.T @ (calm.data.qpos[7:10] - position) - offset
+    assert np.abs(moved).max() < 2e-3
+    assert calm.truth()["caught"]
+
+
+def throw(world: World, spin: float, up: float, outward: float = 0.0) -> float:
+    """Let go of the pancake 15 cm above a still pan, with a spin [rad/s] and speeds [m/s].
+
+    Returns:
+        The angle it has turned by the time it has fallen [rad], the integral of its spin.
+    """
+    gravity = begin(world)
+    data = world.data
+    data.qpos[9] += 0.15
+    data.qvel[7:13] = [outward, 0.0, up, 0.0, spin, 0.0]
+    angles = [0.0]
+    for _ in range(300):
+        before = data.qvel[11]
+        world.step(gravity)
+        angles.append(angles[-1] + 0.5 * PERIOD * (before + data.qvel[11]))
+    truth = world.truth()
+    return angles[round(truth["t_f"] / PERIOD)] if truth["t_f"] else math.nan
+
+
+@pytest.mark.parametrize("spin", [-25.0, -14.0, 5.0, 18.0])
+def test_the_true_angle_counts_on_beyond_half_a_turn(calm: World, spin: float) -> None:
+    turned = throw(calm, spin, up=1.5)
+    truth = calm.truth()
+    assert truth["tossed"]
+    assert truth["angle_deg"] == pytest.approx(math.degrees(abs(turned)), abs=1.0)
+    assert truth["apex"] == pytest.approx(0.15 + 1.5**2 / 19.62, abs=0.02)
+
+
+def test_the_fall_is_judged_where_it_passes_the_height_above_the_pan(calm: World) -> None:
+    throw(calm, 3.0, up=1.0, outward=0.2)
+    truth = calm.truth()
+    expected = (1.0 + math.sqrt(1.0 + 2 * 9.81 * (0.15 - DELTA_H))) / 9.81
+    assert truth["t_f"] == pytest.approx(expected, abs=0.015)
+    assert truth["landing_error"][0] == pytest.approx(0.2 * truth["t_f"], abs=0.02)
+    assert abs(truth["landing_error"][1]) < 0.005
+
+
+def test_a_pancake_thrown_over_is_caught_on_its_other_side(calm: World) -> None:
+    throw(calm, 15.0, up=1.7)
+    run(calm, holding_torque(calm), 300)
+    truth = calm.truth()
+    assert (truth["caught"], truth["flipped"], truth["true_flip"]) == (True, True, True)
+
+
+@pytest.mark.parametrize(
+    ("moved", "tilt", "caught"),
+    [
+        ((0.0, 0.0, 0.0), 0.0, True),
+        ((0.04, 0.02, 0.0), math.pi, True),
+        ((0.0, 0.0, 0.015), 0.0, False),  # still in the air
+        ((0.15, 0.0, 0.0), 0.0, False),  # beside
+        ((0.0, 0.0, 0.0), 0.25, False),  # leaning on the rim
+    ],
+)
+def test_caught_is_flat_in_the_pan(
+    calm: World, moved: tuple[float, ...], tilt: float, caught: bool
+) -> None:
+    begin(calm)
+    calm.data.qpos[7:10] += moved
+    calm.data.qpos[10:14] = [math.cos(tilt / 2), 0.0, math.sin(tilt / 2), 0.0]
+    truth = calm.truth()
+    assert truth["caught"] == caught
+    assert truth["flipped"] == (tilt > 1.0)
+
+
+def test_a_pancake_beside_the_pan_is_not_caught_and_lies_on_the_ground(calm: World) -> None:
+    throw(calm, 2.0, up=1.0, outward=1.5)
+    run(calm, holding_torque(calm), 500)
+    assert not calm.truth()["caught"]
+    assert calm.data.qpos[9] == pytest.approx(HALF_HEIGHT, abs=0.005)
+
+
+# The script
+
+
+def script(seed: int, spread: float = 1.0) -> TossScript:
+    return wrist_flick(np.random.default_rng(seed), spread)
+
+
+def test_no_two_demonstrations_are_alike_and_the_seed_decides() -> None:
+    for one, same, other in zip(
+        astuple(script(1)), astuple(script(1)), astuple(script(2)), strict=True
+    ):
+        np.testing.assert_array_equal(one, same)
+        assert (one != other).any()
+    for one, other in zip(astuple(script(1, 0.0)), astuple(script(2, 0.0)), strict=True):
+        np.testing.assert_array_equal(one, other)  # without scatter, the hand's intention
+
+
+@given(st.integers(0, 10_000))
+def test_every_script_begins_at_rest_where_it_takes_the_pan_and_ends_at_rest(seed: int) -> None:
+    drawn = script(seed)
+    assert (np.diff(drawn.t) > 0.0).all()
+    for values in (
+        drawn.wrist[0],
+        drawn.pitch[0],
+        drawn.wrist_speed[[0, -1]],
+        drawn.pitch_rate[-1],
+    ):
+        assert not np.any(values)
+    position, rotation, velocity, omega = drawn.target(0.0, POSITION, ROTATION)
+    np.testing.assert_allclose(position, POSITION, atol=1e-12)
+    np.testing.assert_allclose(rotation, ROTATION, atol=1e-12)
+    assert not velocity.any()
+    assert not omega.any()
+
+
+def test_the_target_passes_through_the_keys_of_its_script() -> None:
+    keys = script(0)
+    start = POSITION - WRIST_TO_PAN * ROTATION[:, 0]  # the wrist
+    for k, t in enumerate(keys.t):
+        position, rotation, _, omega = keys.target(t, POSITION, ROTATION)
+        wrist = position - WRIST_TO_PAN * rotation[:, 0] - start
+        np.testing.assert_allclose(wrist, [keys.wrist[k, 0], 0.0, keys.wrist[k, 1]], atol=1e-12)
+        turned = rotations.log(rotation @ ROTATION.T)
+        np.testing.assert_allclose(turned, [0.0, -keys.pitch[k], 0.0], atol=1e-9)  # front edge up
+        np.testing.assert_allclose(omega, [0.0, -keys.pitch_rate[k], 0.0], atol=1e-9)
+
+
+def demonstrate(world: World, arm: Arm, seed: int) -> tuple[Truth, np.ndarray]:
+    """One demonstration on an arm that carries its own weight; its joint positions with it."""
+    world.reset(f"demonstration-{seed}", HOME)
+    world.release()
+    world.attach(Demonstrator(script(seed), *world.pan_pose))
+    joints = []
+    while world.pulled:
+        sample = world.joint_state()
+        joints.append(sample.q)
+        world.step(arm.gravity(sample.q))
+    return world.truth(), np.array(joints)
+
+
+@pytest.fixture(scope="module")
+def demonstrations() -> list[tuple[Truth, np.ndarray]]:
+    world = World(seed=1)
+    arm = Arm(world.urdf, JOINTS)
+    return [demonstrate(world, arm, seed) for seed in SEEDS]
+
+
+def test_the_demonstrator_tosses_the_pancake(
+    demonstrations: list[tuple[Truth, np.ndarray]],
+) -> None:
+    for truth, _ in demonstrations:
+        assert truth["tossed"]
+        assert 45.0 < truth["angle_deg"] < 270.0
+        assert 0.25 < truth["apex"] < 1.0
+    assert len({truth["angle_deg"] for truth, _ in demonstrations}) == len(SEEDS)
+
+
+def test_the_motors_can_do_what_is_demonstrated_at_48_volts(
+    demonstrations: list[tuple[Truth, np.ndarray]],
+) -> None:
+    no_load = World().motors.no_load_speed
+    for truth, _ in demonstrations:
+        assert (np.array(truth["peak_qd"]) < 0.95 * no_load).all()
+        assert not truth["beyond_no_load"]
+        assert truth["saturated"] == 0.0
+        assert truth["peak_forearm_speed"] < 2.0
+
+
+def test_a_demonstration_begins_and_ends_at_rest_within_the_joint_limits(
+    demonstrations: list[tuple[Truth, np.ndarray]],
+) -> None:
+    arm = Arm(World().urdf, JOINTS)
+    for _, q in demonstrations:
+        np.testing.assert_allclose(q[0], HOME, atol=1e-3)
+        assert np.abs(q[50] - q[0]).max() < 0.01
+        assert np.abs(q[-1] - q[-25]).max() < 0.02
+        assert ((arm.q_min < q) & (q < arm.q_max)).all()
+        assert np.abs(q[:, [0, 2, 4, 6]]).max() < 0.05  # a planar toss

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reaching: the script, and when the obstacle counts as touched."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hardware_sim.demonstrator import PAUSE, Demonstrator
+from hardware_sim.scenes.reach import GOAL, HOME, Reach, reach
+from hardware_sim.settings import JOINTS, SceneSettings, WorldSettings
+from hardware_sim.world import World
+from wam_power_ros import rotations
+from wam_power_ros.control.arm import Arm
+
+POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
+
+
+@given(st.integers(0, 10_000))
+def test_every_reach_goes_from_rest_to_rest_in_an_arc_and_keeps_the_pan_as_it_was(
+    seed: int,
+) -> None:
+    script = reach(np.random.default_rng(seed))
+    for t, place in ((0.0, POSITION), (PAUSE, POSITION), (script.end, script.goal)):
+        position, rotation, velocity, omega = script.target(t, POSITION, ROTATION)
+        np.testing.assert_allclose(position, place, atol=1e-12)
+        np.testing.assert_array_equal(rotation, ROTATION)
+        np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
+        assert not omega.any()
+    times = np.linspace(PAUSE, script.end, 201)
+    height = np.array([script.target(t, POSITION, ROTATION).position for t in times])[:, 2]
+    assert (height - np.linspace(height[0], height[-1], 201)).max() > 0.0
+    again = reach(np.random.default_rng(seed))
+    assert again.duration == script.duration != reach(np.random.default_rng(seed + 1)).duration
+
+
+def world_with(*obstacle: float) -> World:
+    """A world with an obstacle: x, y, z, radius [m]."""
+    settings = WorldSettings(scene=SceneSettings(obstacle=obstacle or (0.0,) * 4))
+    return World(settings, seed=1, make_scene=Reach)
+
+
+def lead(world: World, rollout_id: str = "demonstration-0") -> tuple[np.ndarray, np.ndarray]:
+    """Lead the gravity-compensated arm from `HOME` to `GOAL` as intended, without scatter.
+
+    Returns:
+        Joint positions as sensed (M, 7) [rad] and true positions of the tool (M, 3) [m].
+    """
+    arm = Arm(world.urdf, JOINTS)
+    world.reset(rollout_id, HOME)
+    world.release()
+    world.attach(Demonstrator(reach(np.random.default_rng(0), spread=0.0), *world.pan_pose))
+    joints, path = [], [world.pan_pose[0]]
+    while world.pulled:
+        sample = world.joint_state()
+        joints.append(sample.q)
+        world.step(arm.gravity(sample.q))
+        assert not world.mocap_frames()  # nothing is tracked
+        path.append(world.pan_pose[0])
+    return np.array(joints), np.array(path)
+
+
+def test_a_led_arm_comes_to_the_goal_level_and_within_its_limits() -> None:
+    world = world_with()
+    arm = Arm(world.urdf, JOINTS)
+    start, _ = arm.tool_pose(HOME)
+    assert np.linalg.norm(GOAL - start) == pytest.approx(0.5, abs=0.01)
+    q, path = lead(world)
+    truth = world.truth()
+    assert np.linalg.norm(path[-1] - GOAL) < 0.03
+    assert truth["goal_distance"] == pytest.approx(np.linalg.norm(path - GOAL, axis=1).min())
+    assert min(arm.tool_pose(posture)[1][2, 2] for posture in q) > np.cos(np.deg2rad(8.0))
+    assert truth["peak_forearm_speed"] < 1.0  # what the safety board allows by default [m/s]
+    assert ((arm.q_min + 0.3 < q) & (q < arm.q_max - 0.3)).all()
+    assert (truth["touched"], truth["clearance"]) == (False, None)  # there is no obstacle
+
+
+@pytest.mark.parametrize("aside", [(0.0, 0.0, 0.05), (0.05, 0.0, -0.02), (0.0, 0.2, 0.0)])
+@pytest.mark.parametrize("margin", [-1e-5, 1e-5])
+def test_the_obstacle_is_touched_exactly_when_the_centre_of_the_tool_enters_it(
+    aside: tuple[float, float, float], margin: float
+) -> None:
+    _, path = lead(world_with())
+    centre = path[len(path) // 2] + aside
+    nearest = float(np.linalg.norm(path - centre, axis=1).min())
+    world = world_with(*centre.tolist(), nearest + margin)
+    _, again = lead(world)
+    np.testing.assert_array_equal(again, path)  # drawn, not felt
+    truth = world.truth()
+    assert truth["touched"] is (margin > 0.0)
+    assert truth["clearance"] == pytest.approx(-margin, abs=1e-12)
+
+
+def test_only_an_obstacle_with_a_radius_is_drawn() -> None:
+    for obstacle, drawn in (((0.7, 0.0, 0.5, 0.08), 1), ((0.7, 0.0, 0.5, 0.0), 0)):
+        model = world_with(*obstacle).model
+        names = [model.geom(k).name for k in range(model.ngeom)]
+        assert names.count("obstacle") == drawn
+        assert "pancake" not in names
+
+
+def test_a_rollout_is_a_function_of_seed_and_id() -> None:
+    world = world_with(0.7, 0.0, 0.5, 0.08)
+    first, _ = lead(world, "trial-0001")
+    other, _ = lead(world, "trial-0002")
+    assert not np.array_equal(other[: len(first)], first[: len(other)])
+    np.testing.assert_array_equal(lead(world, "trial-0001")[0], first)
+    np.testing.assert_array_equal(lead(world_with(0.7, 0.0, 0.5, 0.08), "trial-0001")[0], first)
+
+
+def test_the_arm_draws_the_same_noise_in_every_scene() -> None:
+    worlds = World(seed=1), world_with()
+    for world in worlds:
+        world.reset("trial-0001", HOME)
+    frictions = [world.model.dof_frictionloss[:7].tolist() for world in worlds]
+    winds = [world.model.opt.wind.tolist() for world in worlds]
+    assert frictions[0] == frictions[1]
+    assert winds[0] == winds[1]
+
+
+def test_nothing_can_be_dropped_where_nothing_is_tracked() -> None:
+    with pytest.raises(ValueError, match="no body"):
+        world_with().drop()

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Peaks of the arm in the log of a rollout."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import CALM, begin, run
+
+from hardware_sim.ground_truth import LOG_TICKS
+from hardware_sim.world import World
+
+
+@pytest.fixture(scope="module")
+def calm() -> World:
+    return World(CALM, seed=3)
+
+
+def test_a_torque_beyond_the_envelope_is_clipped_and_told(calm: World) -> None:
+    gravity = begin(calm)
+    run(calm, gravity, 10)
+    assert calm.truth()["saturated"] == 0.0
+    run(calm, gravity + 60.0 * np.eye(7)[3], 20)
+    truth = calm.truth()
+    assert truth["peak_tau"][3] == pytest.approx(28.8)
+    assert truth["saturated"] > 0.5
+    assert not truth["beyond_no_load"]
+    calm.data.qvel[3] = 8.0
+    calm.step(gravity)
+    assert calm.truth()["beyond_no_load"]
+
+
+def test_peaks_are_those_since_the_release_and_of_its_first_10_s(calm: World) -> None:
+    torque = begin(calm)
+    calm.data.qvel[3] = 1.0
+    run(calm, torque, 5)
+    first = calm.truth()
+    assert first["peak_qd"][3] == pytest.approx(1.0, abs=0.3)
+    assert first["peak_pan_speed"] > 0.2
+    run(calm, None, LOG_TICKS)
+    calm.data.qvel[3] = 2.0
+    run(calm, None, 5)
+    assert calm.truth()["peak_qd"][3] == first["peak_qd"][3]  # the log is full
+    begin(calm)
+    assert calm.truth()["peak_qd"] == [0.0] * 7
+
+
+def test_elbow_and_forearm_are_the_first_and_the_last_guarded_point() -> None:
+    settings = replace(CALM, arm=replace(CALM.arm, guarded=CALM.arm.guarded[:1]))
+    one, both = World(settings), World(CALM)
+    for world in (one, both):
+        begin(world)
+        world.data.qvel[:4] = 0.5
+        run(world, None, 10)
+    assert one.truth()["peak_elbow_speed"] == one.truth()["peak_forearm_speed"]
+    assert one.truth()["peak_elbow_speed"] == both.truth()["peak_elbow_speed"]
+    assert both.truth()["peak_forearm_speed"] > both.truth()["peak_elbow_speed"]

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The MuJoCo model against Pinocchio and against the facts sheet of the arm."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+from simulated import LEVEL, URDF, begin
+
+from hardware_sim import scene
+from hardware_sim.settings import (
+    JOINTS,
+)
+from hardware_sim.world import World
+from wam_power_ros.control.arm import Arm
+
+
+@pytest.fixture(scope="module")
+def arm() -> Arm:
+    return Arm(URDF, JOINTS)
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(seed=3)
+
+
+def test_mujoco_and_pinocchio_agree_on_the_arm_of_the_urdf(arm: Arm) -> None:
+    model = scene.arm(URDF).compile()
+    model.dof_damping[:] = 0.0
+    model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    mass = np.zeros((7, 7))
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        data.qpos[:] = rng.uniform(arm.q_min, arm.q_max)
+        data.qvel[:] = rng.normal(scale=2.0, size=7)
+        data.qacc[:] = qdd = rng.normal(scale=8.0, size=7)
+        q, qd = data.qpos.copy(), data.qvel.copy()
+        mujoco.mj_inverse(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        position, rotation = arm.tool_pose(q)
+        np.testing.assert_allclose(data.qfrc_inverse, arm.inverse_dynamics(q, qd, qdd), atol=1e-6)
+        np.testing.assert_allclose(mass, arm.mass_matrix(q), atol=1e-9)
+        np.testing.assert_allclose(data.body("pan").xpos, position, atol=1e-9)
+        np.testing.assert_allclose(data.body("pan").xmat.reshape(3, 3), rotation, atol=1e-9)
+
+
+def test_the_arm_keeps_its_figures_in_the_scene(arm: Arm, world: World) -> None:
+    model = world.model
+    assert model.body_mass[1 : model.body("pancake").id].sum() == pytest.approx(
+        19.459 + 9.971 + 0.6, abs=1e-3
+    )
+    np.testing.assert_array_equal(model.dof_armature[:7], arm.armature)
+    np.testing.assert_array_equal(model.jnt_range[:7].T, [arm.q_min, arm.q_max])
+    np.testing.assert_allclose(world.motors.no_load_speed, arm.qd_max, rtol=2e-3)
+    np.testing.assert_allclose(world.motors.tau_max, arm.tau_max, rtol=4e-3)
+    assert sum(model.geom_group == 1) > 10  # there is an arm to be seen
+
+
+def test_the_guarded_points_are_those_of_the_arm_model(arm: Arm, world: World) -> None:
+    begin(world)
+    data = world.data
+    mujoco.mj_forward(world.model, data)
+    names = ("elbow", "forearm", "pan")
+    before = {name: data.site(name).xpos.copy() for name in names}
+    rng = np.random.default_rng(1)
+    qd, small = rng.normal(size=7), 1e-6
+    data.qpos[:7] = LEVEL + small * qd
+    mujoco.mj_kinematics(world.model, data)
+    moved = [np.linalg.norm(data.site(name).xpos - before[name]) / small for name in names]
+    np.testing.assert_allclose(moved, arm.reference_point_speeds(LEVEL, qd), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("q", "tool_plate"),  # from Barrett's DH table, computed apart from this model
+    [
+        ((0.0,) * 7, (0.0, 0.0, 1.2569)),
+        ((0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0), (0.43670872, 0.0, 1.14538996)),
+        ((0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0), (0.17853346, 0.0, 1.2342937)),
+        ((0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0), (0.02919702, 0.0, 1.24944478)),
+        ((0.0, -2.0, 0.0, 3.13, 0.0, 0.0, 0.0), (-0.212, 0.0, 0.353)),
+    ],
+)
+def test_the_tool_plate_is_where_barretts_table_has_it(
+    q: tuple[float, ...], tool_plate: tuple[float, ...]
+) -> None:
+    position, _ = Arm(URDF, JOINTS, tool_frame="wam_tool_plate").tool_pose(np.array(q))
+    np.testing.assert_allclose(position, tool_plate, atol=6e-4 if q[1] == -2.0 else 1e-7)
+
+
+def test_the_arm_without_its_pan_weighs_what_the_facts_sheet_says(arm: Arm) -> None:
+    tree = ElementTree.fromstring(URDF)
+    pan = tree.find("link[@name='pan']")
+    pan.remove(pan.find("inertial"))
+    bare = Arm(ElementTree.tostring(tree, encoding="unicode"), JOINTS)
+    q = np.array([0.0, 0.6, 0.0, 1.6, 0.0, 0.0, 0.0])
+    links = np.diag(bare.mass_matrix(q)) - bare.armature
+    sheet = [1.039, 1.495, 0.179, 0.126, 0.00084, 0.00077, 0.00008]
+    np.testing.assert_allclose(links, sheet, rtol=4e-3, atol=6e-6)
+    rng = np.random.default_rng(0)
+    poses = rng.uniform(arm.q_min, arm.q_max, size=(5000, 7))
+    worst = np.abs([bare.gravity(pose) for pose in poses]).max(axis=0)
+    np.testing.assert_allclose(worst, [0.0, 28.1, 6.6, 5.2, 0.15, 0.14, 0.0], rtol=0.1, atol=0.01)

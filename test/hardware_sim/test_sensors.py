@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Encoders and motion capture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import CALM, LEVEL, begin, run
+
+from hardware_sim.motors import motor_motion
+from hardware_sim.sensors import Encoders, MocapFrame, MocapSettings
+from hardware_sim.settings import (
+    PERIOD,
+    PERIOD_NS,
+)
+from hardware_sim.world import World
+from wam_power_ros.tracking.marker_fit import LAYOUT
+
+
+def test_encoders_count_and_the_velocity_follows_through_its_filter() -> None:
+    encoders = Encoders(PERIOD)
+    q, qd = LEVEL.copy(), np.array([0.1, -0.3, 0.2, 0.7, -0.5, 1.1, 2.3])
+    encoders.reset(q.tolist())
+    seen = []
+    for _ in range(100):
+        q = q + PERIOD * qd
+        encoders.read(q.tolist())
+        counts = np.array(motor_motion(encoders.q)) * 4096 / math.tau
+        np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
+        seen.append(encoders.qd)
+    resolution = np.array([3.65, 2.72, 4.56, 8.52, 7.91, 7.91, 10.27]) * 1e-5
+    assert (np.abs(np.array(encoders.q) - q) <= 1.01 * resolution).all()
+    late = np.array(seen)[50:]
+    np.testing.assert_allclose(late.mean(axis=0), qd, atol=3e-3)
+    # noise of differenced counts after the 180 rad/s filter, some mrad/s
+    assert (late.std(axis=0) < 0.02).all()
+    assert late.std(axis=0).max() > 5e-4
+    # a step of the velocity has risen to 1 - 1/e after 1/180 s
+    rise = np.array(seen)[:, 6] / qd[6]
+    assert np.interp(1 - math.exp(-1), rise[:10], PERIOD * np.arange(1, 11)) == pytest.approx(
+        1 / 180, abs=1e-3
+    )
+
+
+def filmed(world: World, seconds: float) -> list[tuple[int, MocapFrame]]:
+    """Frames with the time each came in, from a pancake at rest."""
+    gravity = begin(world)
+    frames = []
+    for _ in range(round(seconds / PERIOD)):
+        world.step(gravity)
+        frames += [(world.time_ns, frame) for frame in world.mocap_frames()]
+    return frames
+
+
+def test_frames_come_at_their_rate_and_late() -> None:
+    world = World(replace(CALM, mocap=MocapSettings(rate=30.0, latency=0.04, dropout=0.0)))
+    frames = filmed(world, 2.0)
+    stamps = np.array([frame.stamp_ns for _, frame in frames])
+    late = np.array([now for now, _ in frames]) - stamps
+    assert len(frames) == pytest.approx(59, abs=1)
+    assert set(late.tolist()) == {40_000_000}
+    assert (np.abs(np.diff(stamps) - 1e9 / 30) <= PERIOD_NS).all()
+
+
+def test_frames_are_as_noisy_as_their_markers() -> None:
+    world = World(replace(CALM, mocap=MocapSettings(rate=250.0, noise=0.0005, dropout=0.0)))
+    world.reset("trial-0001", LEVEL)  # and nothing moves
+    run(world, None, 1000)
+    frames = world.mocap_frames()
+    truth = world.data.qpos[7:10]
+    errors = np.array([frame.position for frame in frames]) - truth
+    markers = np.array([frame.markers for frame in frames])
+    assert np.abs(errors.mean(axis=0)).max() < 1e-4
+    np.testing.assert_allclose(markers.std(axis=0), 0.0005, rtol=0.25)
+    assert 0.0002 < errors.std() < 0.0005  # four markers, and a centre away from theirs
+    np.testing.assert_allclose(np.linalg.norm([f.quat_xyzw for f in frames], axis=1), 1.0)
+    spacing = np.linalg.norm(markers[:, 0] - markers[:, 1], axis=1).mean()
+    assert spacing == pytest.approx(np.linalg.norm(LAYOUT[0] - LAYOUT[1]), abs=2e-4)
+
+
+def test_frames_and_markers_are_lost_as_often_as_asked() -> None:
+    mocap = MocapSettings(rate=250.0, dropout=0.2, occlusion=0.3)
+    frames = [frame for _, frame in filmed(World(replace(CALM, mocap=mocap)), 2.0)]
+    assert len(frames) == pytest.approx(0.8 * 490, rel=0.12)
+    hidden = sum(len(frame.markers) == 3 for frame in frames)
+    assert hidden / len(frames) == pytest.approx(0.3, abs=0.08)

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings out of range are refused."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from hardware_sim.settings import (
+    ArmSettings,
+    SceneSettings,
+    WorldSettings,
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "wrong"),
+    [
+        (WorldSettings, {"command_delay_ticks": -1}),
+        (WorldSettings, {"wind_sd": math.nan}),
+        (WorldSettings, {"friction_sd": -0.1}),
+        (WorldSettings, {"watchdog_damping": math.inf}),
+        (SceneSettings, {"friction": -0.1}),
+        (SceneSettings, {"body_offset_sd": math.nan}),
+        (SceneSettings, {"obstacle": (0.5, 0.0, 0.5, -0.1)}),
+        (SceneSettings, {"obstacle": (0.5, math.inf, 0.5, 0.1)}),
+        (ArmSettings, {"joints": ("a", "b")}),
+        (ArmSettings, {"home": (0.0,) * 6}),
+        (ArmSettings, {"guarded": ()}),
+    ],
+)
+def test_settings_out_of_range_are_refused_by_name(kind: type, wrong: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        kind(**wrong)
