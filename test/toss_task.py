@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from wam_power_ros.learning.learner import generator_state
-from wam_power_ros.learning.parametrization import TURN_OF_FLICK
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.settings import PracticeSettings
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.assessment import Assessment
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK
 
 
 def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> Policy:

@@ -7,15 +7,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from toss_task import demonstrated_policy
 
-from wam_power_ros.learning.parametrization import FLOOR, VARIANTS, NoiseScales, Parameters
+from wam_power_ros.learning.parametrization import (
+    FLOOR,
+    VARIANTS,
+    Direction,
+    NoiseScales,
+    Parametrization,
+)
 from wam_power_ros.learning.policy import to_json
 
-NOISE = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
+NOISE = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
+PATTERN = 0.05 * np.arange(24.0).reshape(8, 3) * [1.0, 0.0, 1.0]
+LIFT = Direction("lift", 0.03, attractors=PATTERN, rotation=np.zeros((8, 3)))
+TWIST = Direction("twist", 0.02, attractors=np.zeros((8, 3)), rotation=PATTERN[::-1])
 variants = pytest.mark.parametrize("variant", VARIANTS)
 
 
-def parameters(variant: str, seed: int = 0) -> Parameters:
-    return Parameters(demonstrated_policy(seed=seed), variant, NOISE)
+def parametrization(variant: str, seed: int = 0) -> Parametrization:
+    return Parametrization(demonstrated_policy(seed=seed), variant, NOISE, (LIFT, TWIST))
 
 
 def symmetric(matrices: np.ndarray) -> np.ndarray:
@@ -24,18 +33,18 @@ def symmetric(matrices: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("variant", "size"),
-    [("full", 96), ("diagonal", 48), ("symmetric", 72), ("attractors", 24), ("planar", 50)],
+    [("full", 98), ("diagonal", 50), ("symmetric", 74), ("attractors", 26), ("planar", 50)],
 )
 def test_each_variant_has_the_parameters_it_says(variant: str, size: int) -> None:
-    p = parameters(variant)
-    assert p.size == size == len(p.names) == len(set(p.names)) == len(p.scale)
+    p = parametrization(variant)
+    assert p.size == size == len(p.theta0) == len(p.scale)
     covered = np.concatenate([np.arange(size)[group] for group in p.groups.values()])
     np.testing.assert_array_equal(np.sort(covered), np.arange(size))
 
 
 @variants
 def test_zero_is_the_demonstrated_policy_bit_for_bit(variant: str) -> None:
-    p = parameters(variant)
+    p = parametrization(variant)
     policy, z = p.policy(np.zeros(p.size), "trial-0001")
     assert not z.any()
     expected = to_json(p.policy0).replace("flick-1", "trial-0001")
@@ -46,7 +55,7 @@ def test_zero_is_the_demonstrated_policy_bit_for_bit(variant: str) -> None:
 
 @variants
 def test_a_sampled_stiffness_is_positive_definite_and_stored_as_executed(variant: str) -> None:
-    p = parameters(variant)
+    p = parametrization(variant)
     rng = np.random.default_rng(1)
     clipped = 0
     for _ in range(50):
@@ -63,7 +72,7 @@ def test_a_sampled_stiffness_is_positive_definite_and_stored_as_executed(variant
 
 @variants
 def test_clipping_touches_only_what_is_learnt_and_what_is_too_soft(variant: str) -> None:
-    p = parameters(variant)
+    p = parametrization(variant)
     wanted = 4.0 * np.random.default_rng(2).standard_normal(p.size)
     policy, z = p.policy(wanted, "a")
     for name, group in p.groups.items():
@@ -86,94 +95,82 @@ def test_clipping_touches_only_what_is_learnt_and_what_is_too_soft(variant: str)
 @settings(max_examples=30, deadline=None)
 def test_a_mean_of_clipped_samples_needs_no_clipping(seed: int, split: float) -> None:
     for variant in ("full", "planar"):
-        p = parameters(variant)
+        p = parametrization(variant)
         a, b = (p.clip(8.0 * z) for z in np.random.default_rng(seed).standard_normal((2, p.size)))
         mean = split * a + (1.0 - split) * b
         np.testing.assert_array_equal(p.clip(mean), mean)
 
 
 @variants
-def test_coordinates_are_the_inverse_of_policy(variant: str) -> None:
-    p = parameters(variant)
-    wanted = np.random.default_rng(3).standard_normal(p.size)
-    for group in {"flick", "catch_shift"} & p.groups.keys():
-        wanted[p.groups[group]] = 0.0
-    policy, z = p.policy(wanted, "a")
-    np.testing.assert_allclose(p.coordinates(policy), z, atol=1e-9)
-
-
-@variants
 def test_unit_noise_has_the_scale_of_each_group(variant: str) -> None:
-    p = parameters(variant)
+    p = parametrization(variant)
     moved = p.theta(np.ones(p.size)) - p.theta0
     mean = np.trace(p.policy0.stiffness, axis1=1, axis2=2).mean() / 3.0
     expected = {
-        "stiffness": 0.1 * mean, "attractors": 0.01, "rotation": 0.05, "flick": 0.03,
-        "catch_shift": 0.02,
-    }  # fmt: skip
+        "stiffness": 0.1 * mean,
+        "attractors": 0.01,
+        "rotation": 0.05,
+        "lift": 0.03,
+        "twist": 0.02,
+    }
     for name, group in p.groups.items():
         np.testing.assert_allclose(moved[group], expected[name])
 
 
-def test_the_catch_shift_moves_the_last_three_attractors_outward() -> None:
-    p = parameters("planar")
+@variants
+def test_a_direction_moves_all_attractors_along_its_pattern_and_nothing_else(variant: str) -> None:
+    p = parametrization(variant)
     z = np.zeros(p.size)
-    z[p.groups["catch_shift"]] = 5.0  # 0.1 m
+    z[p.groups["lift"]], z[p.groups["twist"]] = 2.0, -3.0
     policy, _ = p.policy(z, "a")
-    moved = policy.attractors - p.policy0.attractors
-    np.testing.assert_allclose(moved[:, 0], [0, 0, 0, 0, 0, 0.05, 0.1, 0.1], atol=1e-12)
-    assert not moved[:, 1:].any()
+    before = p.policy0
+    np.testing.assert_array_equal(policy.attractors, before.attractors + 2.0 * 0.03 * PATTERN)
+    rotation = before.rotation_attractors + -3.0 * 0.02 * PATTERN[::-1]
+    np.testing.assert_array_equal(policy.rotation_attractors, rotation)
+    np.testing.assert_array_equal(policy.stiffness, before.stiffness)
 
 
-def test_the_flick_enlarges_what_was_demonstrated_of_the_turn() -> None:
-    p = parameters("planar")
+def test_a_planar_parameter_moves_its_own_entry() -> None:
+    p = parametrization("planar")
     z = np.zeros(p.size)
-    z[p.groups["flick"]] = 5.0  # 0.15
+    z[p.groups["stiffness"].start + 3 * 2 + 2] = 1.0  # K_xz of the third
+    z[p.groups["attractors"].start + 2 * 4 + 1] = 1.0  # mu_z of the fifth
+    z[p.groups["rotation"].start + 7] = 1.0  # r_y of the eighth
     policy, _ = p.policy(z, "a")
-    before, after = p.policy0.rotation_attractors, policy.rotation_attractors
-    np.testing.assert_allclose(after[:, 1] - after[0, 1], 1.15 * (before[:, 1] - before[0, 1]))
-    np.testing.assert_array_equal(after[0], before[0])
-    np.testing.assert_array_equal(after[:, [0, 2]], before[:, [0, 2]])
-    np.testing.assert_array_equal(policy.attractors, p.policy0.attractors)
-
-
-def test_names_say_which_entry_moves() -> None:
-    p = parameters("planar")
-    z = np.zeros(p.size)
-    z[p.names.index("K3_xz")] = 1.0
-    z[p.names.index("r8_y")] = 1.0
-    policy, _ = p.policy(z, "a")
-    moved = np.argwhere(policy.stiffness != p.policy0.stiffness).tolist()
-    assert moved == [[2, 0, 2], [2, 2, 0]]
-    assert np.argwhere(policy.rotation_attractors != p.policy0.rotation_attractors).tolist() == [
-        [7, 1]
-    ]
+    for name, moved in (
+        ("stiffness", [[2, 0, 2], [2, 2, 0]]),
+        ("attractors", [[4, 2]]),
+        ("rotation_attractors", [[7, 1]]),
+    ):
+        assert np.argwhere(getattr(policy, name) != getattr(p.policy0, name)).tolist() == moved
 
 
 def test_what_cannot_be_is_refused_with_its_reason() -> None:
-    p = parameters("full")
+    p = parametrization("full")
     with pytest.raises(ValueError, match="'cubic' is not one of full, diagonal"):
-        Parameters(demonstrated_policy(), "cubic", NOISE)
-    with pytest.raises(ValueError, match=r"shape \(3,\), variant 'full' has \(96,\)"):
+        Parametrization(demonstrated_policy(), "cubic", NOISE)
+    with pytest.raises(ValueError, match=r"shape \(3,\), variant 'full' has \(98,\)"):
         p.policy(np.zeros(3), "a")
     with pytest.raises(ValueError, match="not finite"):
-        p.clip(np.full(96, np.nan))
-    with pytest.raises(ValueError, match="shifts the last 3 primitives"):
-        Parameters(demonstrated_policy(count=2), "planar", NOISE)
-    with pytest.raises(ValueError, match="has 4 primitives, expected 8"):
-        p.coordinates(demonstrated_policy(count=4))
+        p.clip(np.full(98, np.nan))
+    with pytest.raises(ValueError, match="'lift' has 8 attractors, policy 'flick-1' has 4"):
+        Parametrization(demonstrated_policy(count=4), "full", NOISE, (LIFT,))
+    with pytest.raises(ValueError, match=r"scale = 0\.0"):
+        Direction("lift", 0.0, PATTERN, PATTERN)
+    with pytest.raises(ValueError, match=r"rotation has shape \(7, 3\)"):
+        Direction("lift", 1.0, PATTERN, PATTERN[1:])
 
 
 def test_the_floor_is_below_every_demonstrated_stiffness() -> None:
     for seed in range(20):
-        p = parameters("full", seed)
+        p = parametrization("full", seed)
         low = np.linalg.eigvalsh(symmetric(p.policy0.stiffness)).min()
         assert p.stiffness_min == pytest.approx(FLOOR * low) and 0.0 < p.stiffness_min < low
 
 
 @variants
 def test_many_at_once_are_the_policies_one_by_one(variant: str) -> None:
-    p = parameters(variant)
+    p = parametrization(variant)
     z = 6.0 * np.random.default_rng(2).standard_normal((20, p.size))
     many = p.arrays(z)
     for k in range(len(z)):

@@ -7,14 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from toss_task import demonstrated_policy
 
-from wam_power_ros.learning.parametrization import Parameters
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.feasible_sampler import HALVINGS_MAX, REDRAWS_MAX, Permission
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 
 SETTINGS = preset("flip")
-PARAMETERS = Parameters(demonstrated_policy("flick-1", seed=1), "planar", SETTINGS.noise)
+PARAMETERS = flip_parametrization(demonstrated_policy("flick-1", seed=1), "planar", SETTINGS.noise)
 RAN = np.zeros(PARAMETERS.size)
 RIGHT = np.eye(PARAMETERS.size)[PARAMETERS.groups["catch_shift"].start]  # catches further out
 

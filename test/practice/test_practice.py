@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy, learner_state, toss
 
-from wam_power_ros.learning.parametrization import TURN_OF_FLICK, Parameters
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.practice.practice import Practice
@@ -18,6 +17,7 @@ from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.assessment import Assessment, assess, choose_demonstration
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, flip_parametrization
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 Judge = Callable[[Trial], Assessment]
@@ -593,7 +593,7 @@ def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:
     practice = Practice(CANDIDATES[:1], preset("flip", budget=2, retests=0), 3, forbidden)
     trial = practice.next_trial()
     record = practice.note(trial, far(trial))
-    parameters = Parameters(CANDIDATES[0], "planar", practice.settings.noise)
+    parameters = flip_parametrization(CANDIDATES[0], "planar", practice.settings.noise)
     learnt = parameters.policy(np.array(record.learnt_as), "learnt")[0]
     moved = learnt.attractors[-1, 0] - CANDIDATES[0].attractors[-1, 0]
     assert 0.0 < moved <= 0.02  # a quarter of .7 * .1 m: the whole and the half are forbidden

@@ -1,36 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a policy is learnt: policy <-> coordinates z in which exploration has unit noise.
+"""Parametrization of a policy: the parameters that are learnt, and their exploration noise.
 
-Stiffness is some hundred 1/s^2 and attractors are some tenths of a metre, so "the sigma_i are
+Stiffness is several hundred 1/s^2 and attractors are tenths of a metre, so "the sigma_i are
 different" ([Kormushev2010], footnote 3). A learner sees neither: theta = theta0 + scale * z with
-one scale a group, and every learner explores z with standard deviation one.
+one scale per group, and every learner explores z with unit standard deviation.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from wam_power_ros.learning.dmp import positive_definite
-from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.policy import Policy, read_only
 
-FLOOR = 0.1  # smallest stiffness a sample may have, of the smallest one of the demonstration
-CATCH_PROFILE = (0.5, 1.0, 1.0)  # what a catch shift of one moves the last three attractors by
-TURN_OF_FLICK = 2.0  # [rad] what a toss turns more for a flick of one, as measured on wrist flicks
+FLOOR = 0.1  # smallest stiffness of a sample, as a fraction of the smallest one demonstrated [1]
 _XZ = np.ix_((0, 2), (0, 2))
 
 
 class NoiseScales(BaseModel):
-    """One standard deviation of exploration for each group of parameters.
+    """Standard deviation of the exploration noise, one for each group of parameters.
 
     Attributes:
-        stiffness: of every entry of K_i, as a fraction of the policy's mean stiffness [1].
-        attractor: of every entry of mu_i [m].
-        rotation: of every entry of r_i [rad].
-        flick: of the flick [1].
-        catch_shift: of the catch shift [m].
+        stiffness: Noise of every entry of K_i, as a fraction of the policy's mean stiffness [1].
+        attractor: Noise of every entry of mu_i [m].
+        rotation: Noise of every entry of r_i [rad].
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -38,17 +35,44 @@ class NoiseScales(BaseModel):
     stiffness: float = Field(gt=0.0, le=1.0)
     attractor: float = Field(gt=0.0, le=1.0)
     rotation: float = Field(gt=0.0, le=1.0)
-    flick: float = Field(default=0.05, gt=0.0, le=1.0)
-    catch_shift: float = Field(gt=0.0, le=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """One parameter that moves all attractors together along a fixed pattern.
+
+    Attributes:
+        name: Name of its group.
+        scale: Standard deviation of the exploration noise, in units of the parameter.
+        attractors: Displacement of every mu_i for a parameter of one [m]. Shape (n, 3).
+        rotation: Displacement of every r_i for a parameter of one [rad]. Shape (n, 3).
+
+    Raises:
+        ValueError: If the scale is not positive, or a pattern is not finite or of another shape.
+    """
+
+    name: str
+    scale: float
+    attractors: np.ndarray
+    rotation: np.ndarray
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.scale < np.inf:
+            raise ValueError(f"{self.name}: scale = {self.scale} must be positive")
+        shape = (len(self.attractors), 3)
+        for field in ("attractors", "rotation"):
+            pattern = read_only(f"{self.name}: {field}", getattr(self, field), shape)
+            object.__setattr__(self, field, pattern)
 
 
 @dataclass(frozen=True)
 class _Layout:
+    """Learnt entries of each K_i, mu_i and r_i."""
+
     entries: tuple[tuple[int, int], ...]  # of each K_i
     paired: bool  # an entry (row, column) moves (column, row) with it
     axes: tuple[int, ...]  # of each mu_i
     rotation_axes: tuple[int, ...] = ()  # of each r_i
-    catch: bool = False  # and a flick
 
 
 _DIAGONAL = ((0, 0), (1, 1), (2, 2))
@@ -57,51 +81,56 @@ _LAYOUTS = {
     "diagonal": _Layout(_DIAGONAL, False, (0, 1, 2)),
     "symmetric": _Layout((*_DIAGONAL, (0, 1), (0, 2), (1, 2)), True, (0, 1, 2)),
     "attractors": _Layout((), False, (0, 1, 2)),
-    "planar": _Layout(((0, 0), (2, 2), (0, 2)), True, (0, 2), (1,), True),
+    "planar": _Layout(((0, 0), (2, 2), (0, 2)), True, (0, 2), (1,)),
 }
 VARIANTS = tuple(_LAYOUTS)
 
 
-class Parameters:
-    """The map between z and policies around one demonstrated policy.
+class Parametrization:
+    """The map between coordinates z and policies around one demonstrated policy.
 
-    Variants, with n primitives:
-        full: K_i and mu_i, 9 n + 3 n (the paper's).
-        diagonal: the diagonal of K_i and mu_i, 3 n + 3 n; off-diagonal entries are zero.
-        symmetric: the symmetric part of K_i and mu_i, 6 n + 3 n.
+    Variants, for a mixture of n spring-dampers:
+        full: K_i and mu_i, 9 n + 3 n parameters (the paper's).
+        diagonal: The diagonal of K_i, and mu_i, 3 n + 3 n; off-diagonal entries are zero.
+        symmetric: The symmetric part of K_i, and mu_i, 6 n + 3 n.
         attractors: mu_i, 3 n.
-        planar: a movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, the rotation
-            attractor about y (pitch), 6 n; one flick, which enlarges the demonstrated turning of
-            the pan, r_i - r_1 about y, by that share; and one catch shift, which moves mu_x of the
-            last three primitives by .5, 1 and 1.
-    Everything else of the policy stays as it is in `policy0`.
+        planar: A movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, and the rotation
+            attractor about y (pitch), 6 n.
+    Each direction is one more parameter. Everything else stays as it is in `policy0`.
 
     Attributes:
-        size: number of parameters.
-        variant: name of the variant.
-        policy0: the policy at z = 0.
-        theta0: parameters of that policy [1/s^2, m, rad, m]. Shape (size,)
-        scale: one standard deviation of exploration, in the units of theta. Shape (size,)
-        groups: where each group is in theta and z; a group without parameters is missing.
-        names: what each entry is, such as "K3_xz" or "mu8_x". Length size.
-        stiffness_min: smallest eigenvalue of the symmetric part of a sampled K_i [1/s^2].
+        size: Number of parameters.
+        variant: Name of the variant.
+        policy0: Policy at z = 0.
+        theta0: Parameters of that policy [1/s^2, m, rad, units of the directions]. Shape (size,).
+        scale: Standard deviation of the exploration noise, in the units of theta. Shape (size,).
+        groups: Slice of each group in theta and z: "stiffness", "attractors", "rotation", and the
+            directions by name; a group without parameters is missing.
+        stiffness_min: Smallest eigenvalue of the symmetric part of a sampled K_i [1/s^2].
     """
 
-    def __init__(self, policy0: Policy, variant: str, noise: NoiseScales) -> None:
-        """Take the parameters of `variant` around `policy0`.
+    def __init__(
+        self,
+        policy0: Policy,
+        variant: str,
+        noise: NoiseScales,
+        directions: Sequence[Direction] = (),
+    ) -> None:
+        """Take the parameters of `variant`, then the directions, around `policy0`.
 
         Raises:
-            ValueError: unknown variant, or a catch shift asked of fewer than three primitives.
+            ValueError: If the variant is unknown, or a pattern is not that of n spring-dampers.
         """
         if variant not in _LAYOUTS:
             raise ValueError(f"variant {variant!r} is not one of {', '.join(VARIANTS)}")
         layout = _LAYOUTS[variant]
         n = policy0.basis.count
-        if layout.catch and n < len(CATCH_PROFILE):
-            raise ValueError(
-                f"variant {variant!r} shifts the last {len(CATCH_PROFILE)} primitives, "
-                f"policy {policy0.id!r} has {n}"
-            )
+        for direction in directions:
+            if len(direction.attractors) != n:
+                raise ValueError(
+                    f"direction {direction.name!r} has {len(direction.attractors)} attractors, "
+                    f"policy {policy0.id!r} has {n}"
+                )
         if variant == "diagonal":
             policy0 = replace(policy0, stiffness=policy0.stiffness * np.eye(3))
         symmetric = _symmetric_part(policy0.stiffness)  # (n, 3, 3)
@@ -110,32 +139,27 @@ class Parameters:
         self.policy0 = policy0
         self.stiffness_min = FLOOR * float(np.linalg.eigvalsh(symmetric).min())
         self._layout = layout
+        self._directions = tuple(directions)
         self._n = n
 
-        blocks: list[tuple[str, np.ndarray, float, list[str]]] = []
-        rows = range(1, n + 1)
+        blocks: list[tuple[str, np.ndarray, float]] = []
         if layout.entries:
-            names = [f"K{i}_{'xyz'[r]}{'xyz'[c]}" for i in rows for r, c in layout.entries]
             value = self._entries(policy0.stiffness)
-            blocks.append(("stiffness", value, noise.stiffness * mean_stiffness, names))
-        names = [f"mu{i}_{'xyz'[a]}" for i in rows for a in layout.axes]
+            blocks.append(("stiffness", value, noise.stiffness * mean_stiffness))
         value = policy0.attractors[:, layout.axes].ravel()
-        blocks.append(("attractors", value, noise.attractor, names))
+        blocks.append(("attractors", value, noise.attractor))
         if layout.rotation_axes:
-            names = [f"r{i}_{'xyz'[a]}" for i in rows for a in layout.rotation_axes]
             value = policy0.rotation_attractors[:, layout.rotation_axes].ravel()
-            blocks.append(("rotation", value, noise.rotation, names))
-        if layout.catch:
-            blocks.append(("flick", np.zeros(1), noise.flick, ["flick"]))
-            blocks.append(("catch_shift", np.zeros(1), noise.catch_shift, ["catch_shift"]))
+            blocks.append(("rotation", value, noise.rotation))
+        for direction in directions:
+            blocks.append((direction.name, np.zeros(1), direction.scale))
 
-        self.theta0 = np.concatenate([value for _, value, _, _ in blocks])
-        self.scale = np.concatenate([np.full(len(v), scale) for _, v, scale, _ in blocks])
-        self.names = tuple(name for _, _, _, names in blocks for name in names)
+        self.theta0 = np.concatenate([value for _, value, _ in blocks])
+        self.scale = np.concatenate([np.full(len(value), scale) for _, value, scale in blocks])
         self.size = len(self.theta0)
         self.groups: dict[str, slice] = {}
         start = 0
-        for group, value, _, _ in blocks:
+        for group, value, _ in blocks:
             self.groups[group] = slice(start, start + len(value))
             start += len(value)
         self.theta0.setflags(write=False)
@@ -145,23 +169,23 @@ class Parameters:
         """Parameters in their own units, theta0 + scale * z. Shape (size,)."""
         return self.theta0 + self.scale * self._checked(z)
 
-    def policy(self, z: np.ndarray, id: str) -> tuple[Policy, np.ndarray]:
+    def policy(self, z: np.ndarray, policy_id: str) -> tuple[Policy, np.ndarray]:
         """Policy at z, with every stiffness matrix positive definite.
 
         Args:
-            z: wanted coordinates. Shape (size,)
-            id: id of the new policy.
+            z: Requested coordinates. Shape (size,).
+            policy_id: Id of the new policy.
 
         Returns:
-            The policy, and the coordinates it has: `clip(z)`. It is these that are to be learnt
-            from. `policy(clip(z), id)` is the same policy, bit for bit.
+            The policy and its coordinates, `clip(z)`: these are to be learnt from.
+            `policy(clip(z), policy_id)` is the same policy, bit for bit.
         """
         z = self.clip(z)
         delta = self.scale * z
         attractors, rotation = self._attractors(delta)
         policy = replace(
             self.policy0,
-            id=id,
+            id=policy_id,
             stiffness=self._stiffness(delta),
             attractors=attractors,
             rotation_attractors=rotation,
@@ -169,10 +193,10 @@ class Parameters:
         return policy, z
 
     def arrays(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """What `policy` gives, for many at once, up to rounding.
+        """Arrays of the policies at many z at once; those of `policy` up to rounding.
 
         Args:
-            z: wanted coordinates. Shape (B, size)
+            z: Requested coordinates. Shape (B, size).
 
         Returns:
             Positive definite stiffness (B, n, 3, 3), attractors and rotation attractors (B, n, 3).
@@ -207,26 +231,6 @@ class Parameters:
             block[bad] = difference.reshape(-1, block.shape[1]) / scale
         return z
 
-    def coordinates(self, policy: Policy) -> np.ndarray:
-        """Coordinates z at which the learnt part is that of `policy`; flick and catch shift read 0.
-
-        What the variant does not learn is not looked at. Shape (size,)
-
-        Raises:
-            ValueError: the policy has another number of primitives.
-        """
-        if policy.basis.count != self._n:
-            raise ValueError(
-                f"policy {policy.id!r} has {policy.basis.count} primitives, expected {self._n}"
-            )
-        parts = [
-            self._entries(policy.stiffness),
-            policy.attractors[:, self._layout.axes].ravel(),
-            policy.rotation_attractors[:, self._layout.rotation_axes].ravel(),
-            np.zeros(2 * int(self._layout.catch)),
-        ]
-        return (np.concatenate(parts) - self.theta0) / self.scale
-
     def _checked(self, z: np.ndarray) -> np.ndarray:
         z = np.asarray(z, dtype=float)
         if z.shape != (self.size,):
@@ -243,7 +247,7 @@ class Parameters:
         return np.stack(columns, axis=1).ravel() if columns else np.zeros(0)
 
     def _stiffness(self, delta: np.ndarray) -> np.ndarray:
-        """Matrices of policy0 moved by delta (..., size). Shape (..., n, 3, 3)."""
+        """Stiffness matrices of policy0 moved by delta (..., size). Shape (..., n, 3, 3)."""
         batch = delta.shape[:-1]
         stiffness = np.broadcast_to(self.policy0.stiffness, (*batch, self._n, 3, 3)).copy()
         if self._layout.entries:
@@ -255,7 +259,7 @@ class Parameters:
         return stiffness
 
     def _attractors(self, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of policy0 moved by delta (..., size), of place and rotation. (..., n, 3) each."""
+        """Attractors and rotation attractors of policy0 moved by delta. Shape (..., n, 3) each."""
         batch, axes = delta.shape[:-1], self._layout.axes
         shape = (*batch, self._n, 3)
         attractors = np.broadcast_to(self.policy0.attractors, shape).copy()
@@ -264,12 +268,10 @@ class Parameters:
         axes = self._layout.rotation_axes
         if axes:
             rotation[..., axes] += delta[..., self.groups["rotation"]].reshape(*batch, self._n, -1)
-        if self._layout.catch:
-            demonstrated = self.policy0.rotation_attractors[:, axes]
-            flick = delta[..., self.groups["flick"], np.newaxis]  # (..., 1, 1)
-            rotation[..., axes] += flick * (demonstrated - demonstrated[0])
-            shift = delta[..., self.groups["catch_shift"]]  # (..., 1)
-            attractors[..., -len(CATCH_PROFILE) :, 0] += shift * np.array(CATCH_PROFILE)
+        for direction in self._directions:
+            step = delta[..., self.groups[direction.name], np.newaxis]  # (..., 1, 1)
+            attractors += step * direction.attractors
+            rotation += step * direction.rotation
         return attractors, rotation
 
     def _raised(self, stiffness: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 
@@ -27,7 +27,7 @@ class Permission:
             get the same answer, and an answer's is asked for before every re-test.
     """
 
-    def __init__(self, parameters: Parameters, forbidden: Callable[[Policy], str]) -> None:
+    def __init__(self, parameters: Parametrization, forbidden: Callable[[Policy], str]) -> None:
         self._parameters = parameters
         self._forbidden = forbidden
 

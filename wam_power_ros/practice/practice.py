@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from wam_power_ros.learning.learner import generator_state
-from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, check_id, to_json
 from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
@@ -29,6 +29,7 @@ from wam_power_ros.practice.stopping_rule import Confirmation
 from wam_power_ros.practice.trial import Retry, Trial
 from wam_power_ros.tasks.flip.assessment import Assessment, assess, choose_demonstration
 from wam_power_ros.tasks.flip.landing_correction import corrected
+from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 
 _RECENT = 5  # rollouts whose mean return a demonstration given later has to exceed
 RATING_MAX = 1.0  # of one rating: a whole return
@@ -37,7 +38,7 @@ E = TypeVar("E", Rating, Given)
 
 def reproduced(candidate: Policy, settings: PracticeSettings) -> Policy:
     """The policy that reproduces a demonstration: the candidate in the parameters of a session."""
-    parameters = Parameters(candidate, settings.variant, settings.noise)
+    parameters = flip_parametrization(candidate, settings.variant, settings.noise)
     return parameters.policy(np.zeros(parameters.size), candidate.id)[0]
 
 
@@ -108,7 +109,8 @@ class Practice:
         self._forbidden = forbidden
         self._candidates = list(candidates)
         self._parameters = {
-            policy.id: Parameters(policy, settings.variant, settings.noise) for policy in candidates
+            policy.id: flip_parametrization(policy, settings.variant, settings.noise)
+            for policy in candidates
         }
         self._rng = np.random.Generator(np.random.PCG64(seed))
         self._records: list[Record] = []
@@ -164,7 +166,7 @@ class Practice:
         return (*self._candidates, *waiting)
 
     @property
-    def parameters(self) -> Parameters | None:
+    def parameters(self) -> Parametrization | None:
         """Parameters of the chosen demonstration, None before the choice."""
         return None if self._demonstration is None else self._parameters[self._demonstration]
 
@@ -490,7 +492,7 @@ class Practice:
             return
         if isinstance(event, Given):
             policy = event.candidate()
-            self._parameters[policy.id] = Parameters(
+            self._parameters[policy.id] = flip_parametrization(
                 policy, self.settings.variant, self.settings.noise
             )
             self._candidates.append(policy)

@@ -9,8 +9,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from wam_power_ros.learning.parametrization import NoiseScales
 from wam_power_ros.learning.power import Power
+from wam_power_ros.tasks.flip.parametrization import FlipNoise
 from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
 
@@ -18,7 +18,7 @@ class PracticeSettings(BaseModel):
     """Settings of a session; `preset` has the two sets that are used.
 
     Attributes:
-        variant: what of the policy is learnt, see `Parameters`.
+        variant: what of the policy is learnt, see `flip_parametrization`.
         noise: one standard deviation of exploration a group.
         power: settings of the learner.
         ret: return that is learnt from: "eq5" (the paper's Eq. 5) or "landing" (`landing_return`).
@@ -49,7 +49,7 @@ class PracticeSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     variant: Literal["full", "diagonal", "symmetric", "attractors", "planar"]
-    noise: NoiseScales
+    noise: FlipNoise
     power: Power.Settings
     ret: Literal["eq5", "landing"]
     pancake_weights: PancakeWeights = PancakeWeights()

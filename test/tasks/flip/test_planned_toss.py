@@ -8,13 +8,13 @@ from toss_task import demonstrated_policy
 from hardware_sim.world import World
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import teach
-from wam_power_ros.learning.parametrization import NoiseScales, Parameters
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
+from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel, plan_tosses, planned_terms
 from wam_power_ros.tasks.flip.returns import PancakeWeights
 
-NOISE = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
+NOISE = FlipNoise(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
 
 
 def some(count: int, size: int, seed: int = 0) -> np.ndarray:
@@ -23,8 +23,8 @@ def some(count: int, size: int, seed: int = 0) -> np.ndarray:
 
 def test_a_pan_that_rests_tosses_nothing() -> None:
     policy = demonstrated_policy()
-    p = Parameters(policy, "attractors", NOISE)
-    z = p.coordinates(policy)
+    p = flip_parametrization(policy, "attractors", NOISE)
+    z = np.zeros(p.size)
     still = np.tile(policy.attractors[0], policy.basis.count)
     z = z + (still - p.theta0) / p.scale
     tosses = plan_tosses(p, z[np.newaxis], policy.attractors[0])
@@ -34,7 +34,7 @@ def test_a_pan_that_rests_tosses_nothing() -> None:
 
 
 def test_policies_are_planned_as_if_alone() -> None:
-    p = Parameters(demonstrated_policy(), "planar", NOISE)
+    p = flip_parametrization(demonstrated_policy(), "planar", NOISE)
     start, z = np.array([0.6, 0.0, 0.5]), some(6, p.size)
     many = plan_tosses(p, z, start)
     for k in range(len(z)):
@@ -45,7 +45,7 @@ def test_policies_are_planned_as_if_alone() -> None:
 
 
 def test_what_rises_more_than_delta_h_is_tossed_and_every_number_is_finite() -> None:
-    p = Parameters(demonstrated_policy(), "full", NOISE)
+    p = flip_parametrization(demonstrated_policy(), "full", NOISE)
     tosses = plan_tosses(p, 5.0 * some(200, p.size), np.array([0.6, 0.0, 0.5]))
     assert (tosses.angle[~tosses.tossed] == 0.0).all() and (tosses.angle >= 0.0).all()
     for values in vars(tosses).values():
@@ -55,7 +55,7 @@ def test_what_rises_more_than_delta_h_is_tossed_and_every_number_is_finite() -> 
 
 
 def test_a_model_learns_what_the_plan_misses() -> None:
-    p = Parameters(demonstrated_policy(), "full", NOISE)
+    p = flip_parametrization(demonstrated_policy(), "full", NOISE)
     start, z = np.array([0.6, 0.0, 0.5]), some(40, p.size)
     terms = planned_terms(plan_tosses(p, z, start), PancakeWeights())
     returns = terms @ np.array([0.6, 1.2, 0.9]) + 0.05
@@ -70,7 +70,7 @@ def test_the_plan_tells_good_tosses_from_bad_ones() -> None:
     """Before any rollout: that is what makes it worth screening with."""
     bench, settings = Environment(World(seed=21)), preset("paper")
     (policy,) = teach(bench, 21, 1)
-    p = Parameters(policy, "full", NOISE)
+    p = flip_parametrization(policy, "full", NOISE)
     start, _ = bench.arm.tool_pose(policy.q_start)
     z = some(12, p.size)
     planned = TossModel(p, start).predict(z)

@@ -16,7 +16,7 @@ from wam_power_ros.experiments.studies.reaching_runs import (
 )
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learner import Learner
-from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.random_search import RandomSearch
@@ -24,7 +24,7 @@ from wam_power_ros.learning.screened_power import ScreenedPower
 from wam_power_ros.tasks.reach.obstacle_model import FreePath
 
 SCENARIO = synthetic()
-FULL = Parameters(SCENARIO.policy, "full", NOISE["full"])
+FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
 
 
 def drawn(count: int, seed: int = 0) -> list[Policy]:

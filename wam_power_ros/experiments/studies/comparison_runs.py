@@ -19,7 +19,7 @@ from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.adaptive_power import AdaptivePower
 from wam_power_ros.learning.cma_es import CmaEs
 from wam_power_ros.learning.learner import Learner, LearnerClass, Model
-from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.pi2 import Pi2
 from wam_power_ros.learning.policy_gradient import Enac, Reinforce
 from wam_power_ros.learning.power import Power
@@ -63,7 +63,7 @@ def reaching_runs(
         Per seed: "final" return of the mean, "returns" of the rollouts, "means" after each.
     """
     scenario = synthetic()
-    parameters = Parameters(scenario.policy, VARIANT, scales(stiffness, attractor))
+    parameters = Parametrization(scenario.policy, VARIANT, scales(stiffness, attractor))
     learners = [
         learner_of(settings, parameters.size, seed, FreePath(parameters, scenario))
         for seed in seeds
@@ -98,7 +98,7 @@ def pancake_run(
     (demonstrated,) = teach(environment, seed, 1, pitch_rate=NOVICE)
     noise = {"stiffness": stiffness, "attractor": attractor}
     paper = preset("paper", variant=VARIANT, noise=noise)
-    parameters = Parameters(demonstrated, VARIANT, paper.noise)
+    parameters = Parametrization(demonstrated, VARIANT, paper.noise)
     start, _ = environment.arm.tool_pose(demonstrated.q_start)
     model = TossModel(parameters, start, paper.pancake_weights)
     learner = learner_of(settings, parameters.size, seed, model)

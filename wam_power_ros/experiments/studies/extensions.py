@@ -25,7 +25,7 @@ from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies.flip_sessions import NOVICE, stand_in, teach
 from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evaluate, generator
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
-from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
@@ -57,7 +57,7 @@ def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> d
         Noise-free return of the final mean, and the median size of the elite, of each run.
     """
     scenario = synthetic()
-    parameters = Parameters(scenario.policy, "full", NOISE["full"])
+    parameters = Parametrization(scenario.policy, "full", NOISE["full"])
     settings = Power.Settings(sigma=sigma, decay=POWER.decay)
     learners = [Power(parameters.size, settings, generator(seed)) for seed in seeds]
     disturbed = [np.random.default_rng([seed, 1]) for seed in seeds]

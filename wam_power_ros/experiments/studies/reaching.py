@@ -33,7 +33,7 @@ from wam_power_ros.experiments.studies.reaching_runs import (
 )
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.dmp import activations
-from wam_power_ros.learning.parametrization import NoiseScales, Parameters
+from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.tasks.reach.scenario import Scenario
 
@@ -111,7 +111,7 @@ def plain_path(policy: Policy, scenario: Scenario) -> np.ndarray:
 
 def rollouts_per_second(scenario: Scenario, count: int = 500) -> tuple[float, float]:
     """Rollouts a second with their returns, `count` of them batched, and plain one by one."""
-    parameters = Parameters(scenario.policy, "full", NOISE["full"])
+    parameters = Parametrization(scenario.policy, "full", NOISE["full"])
     z = np.random.default_rng(0).standard_normal((count, parameters.size))
     few = [parameters.policy(one, "speed")[0] for one in z[:20]]
     batched, plain = [], []

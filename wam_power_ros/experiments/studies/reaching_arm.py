@@ -34,7 +34,7 @@ from wam_power_ros.experiments.studies.reaching_runs import (
     study,
 )
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.params.resources import share
@@ -69,7 +69,7 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     """The policy PoWER ends with, executed on the arm beside what Eq. 1 plans for it."""
     scenario = taught_scenario()
     (run,) = study(variant, [seed], rollouts, scenario)
-    parameters = Parameters(scenario.policy, variant, NOISE[variant])
+    parameters = Parametrization(scenario.policy, variant, NOISE[variant])
     policy, _ = parameters.policy(run.mean, "reach-0001")
     executed, fault = _executed(Environment(World(seed=NOISE_SEED)), policy, scenario)
     planned = scenario.free(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
@@ -101,7 +101,7 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
         them; return, "clearance" [m] of the sphere and "fault" of the final mean, executed.
     """
     scenario = taught_scenario()
-    parameters = Parameters(scenario.policy, variant, NOISE[variant])
+    parameters = Parametrization(scenario.policy, variant, NOISE[variant])
     learner = Power(parameters.size, POWER, generator(seed))
     environment = Environment(World(seed=seed))
 

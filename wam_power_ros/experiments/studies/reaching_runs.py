@@ -11,16 +11,14 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from wam_power_ros.learning.learner import Learner
-from wam_power_ros.learning.parametrization import NoiseScales, Parameters
+from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
 from wam_power_ros.learning.power import Power
 from wam_power_ros.tasks.reach.scenario import Scenario
 
 
 def scales(stiffness: float, attractor: float) -> NoiseScales:
     """Noise of a reach; what it does not learn has none that matters."""
-    return NoiseScales(
-        stiffness=stiffness, attractor=attractor, rotation=0.1, flick=0.1, catch_shift=0.1
-    )
+    return NoiseScales(stiffness=stiffness, attractor=attractor, rotation=0.1)
 
 
 # Near the best of `reaching.tune` for each variant on the 60 tuning seeds: full .765, and within
@@ -59,7 +57,7 @@ class Run:
 
 
 def learn_many(
-    learners: Sequence[Learner], parameters: Parameters, scenario: Scenario, rollouts: int
+    learners: Sequence[Learner], parameters: Parametrization, scenario: Scenario, rollouts: int
 ) -> list[Run]:
     """Practise; each learner is told what was executed, positive-definite stiffness included.
 
@@ -102,7 +100,7 @@ def study(
         noise: NOISE of the variant when omitted.
         workers: Processes of joblib; changes nothing in the result.
     """
-    parameters = Parameters(scenario.policy, variant, noise or NOISE[variant])
+    parameters = Parametrization(scenario.policy, variant, noise or NOISE[variant])
 
     def power(seed: int) -> Power:
         return Power(parameters.size, POWER, generator(seed))
@@ -118,7 +116,7 @@ def generator(seed: int) -> np.random.Generator:
 def in_chunks(
     learner: Callable[[int], Learner],
     seeds: Sequence[int],
-    parameters: Parameters,
+    parameters: Parametrization,
     scenario: Scenario,
     rollouts: int,
     workers: int = 1,
@@ -137,7 +135,7 @@ def as_data(
     runs: Sequence[Run], seeds: Sequence[int], variant: str, scenario: Scenario
 ) -> dict[str, Any]:
     """Runs of one variant as data for JSON, with the paths of their last means."""
-    parameters = Parameters(scenario.policy, variant, NOISE[variant])
+    parameters = Parametrization(scenario.policy, variant, NOISE[variant])
     stiffness, attractors, _ = parameters.arrays(np.stack([run.mean for run in runs]))
     path, _ = scenario.stopped(scenario.free(stiffness, attractors))
     shown = np.linspace(0, scenario.steps - 1, DRAWN).round().astype(int)
@@ -159,7 +157,7 @@ def as_data(
 
 
 def evaluate(
-    z: np.ndarray, parameters: Parameters, scenario: Scenario
+    z: np.ndarray, parameters: Parametrization, scenario: Scenario
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns (Eq. 4) of policies at z (B, size), and who collided; (B,) each."""
     stiffness, attractors, _ = parameters.arrays(z)

@@ -8,17 +8,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wam_power_ros.learning.parametrization import TURN_OF_FLICK, Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.settings import PracticeSettings
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.assessment import Assessment
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK
 
 
 def corrected(
     trial: Trial,
     assessment: Assessment,
-    parameters: Parameters,
+    parameters: Parametrization,
     settings: PracticeSettings,
     forbidden: Callable[[Policy], str],
 ) -> np.ndarray:

@@ -15,7 +15,7 @@ import numpy as np
 
 from wam_power_ros import rotations
 from wam_power_ros.learning.dmp import activations
-from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.returns import PancakeWeights
 
@@ -42,7 +42,7 @@ class Tosses:
 
 
 def plan_tosses(
-    parameters: Parameters, z: np.ndarray, start: np.ndarray, tail: float = 1.0
+    parameters: Parametrization, z: np.ndarray, start: np.ndarray, tail: float = 1.0
 ) -> Tosses:
     """Tosses of policies at z (B, size), of a pan that is at `start` (3,) [m] when they begin.
 
@@ -107,7 +107,7 @@ class TossModel:
 
     def __init__(
         self,
-        parameters: Parameters,
+        parameters: Parametrization,
         start: np.ndarray,
         weights: PancakeWeights | None = None,
         trust: float = 0.3,
@@ -151,7 +151,7 @@ class TossModel:
 
 
 def _movement(
-    parameters: Parameters, z: np.ndarray, start: np.ndarray, tail: float
+    parameters: Parametrization, z: np.ndarray, start: np.ndarray, tail: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Eq. 1 and the same law of the rotation vector: x, xd, r, rd. Shape (T, 3, B) each."""
     policy = parameters.policy0

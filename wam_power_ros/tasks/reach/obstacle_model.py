@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wam_power_ros.learning.parametrization import Parameters
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.reach.scenario import Scenario, held
 
 REACH = 0.04  # [m] from a place where something was met within which it is expected again
@@ -21,7 +21,7 @@ class FreePath:
     it, a later path is expected to stop as well.
     """
 
-    def __init__(self, parameters: Parameters, scenario: Scenario) -> None:
+    def __init__(self, parameters: Parametrization, scenario: Scenario) -> None:
         """Know the free path; of `scenario` the obstacle is not looked at."""
         self._parameters = parameters
         self._scenario = scenario

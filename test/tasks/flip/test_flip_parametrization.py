@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flick and catch shift of a toss."""
+
+import numpy as np
+import pytest
+from toss_task import demonstrated_policy
+
+from wam_power_ros.learning.parametrization import VARIANTS, NoiseScales, Parametrization
+from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
+
+NOISE = FlipNoise(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
+
+
+def moved(group: str, value: float) -> tuple[Policy, Policy]:
+    """The demonstrated policy, and the one whose `group` is moved by `value` deviations."""
+    p = flip_parametrization(demonstrated_policy(), "planar", NOISE)
+    z = np.zeros(p.size)
+    z[p.groups[group]] = value
+    return p.policy0, p.policy(z, "a")[0]
+
+
+def test_the_catch_shift_moves_the_last_three_attractors_outward() -> None:
+    before, after = moved("catch_shift", 5.0)  # 0.1 m
+    shift = after.attractors - before.attractors
+    np.testing.assert_allclose(shift[:, 0], [0, 0, 0, 0, 0, 0.05, 0.1, 0.1], atol=1e-12)
+    assert not shift[:, 1:].any()
+    np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
+
+
+def test_the_flick_enlarges_the_demonstrated_turn() -> None:
+    before, after = moved("flick", 5.0)  # 0.15
+    old, new = before.rotation_attractors, after.rotation_attractors
+    np.testing.assert_allclose(new[:, 1] - new[0, 1], 1.15 * (old[:, 1] - old[0, 1]))
+    np.testing.assert_array_equal(new[0], old[0])
+    np.testing.assert_array_equal(new[:, [0, 2]], old[:, [0, 2]])
+    np.testing.assert_array_equal(after.attractors, before.attractors)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_only_the_planar_variant_has_a_flick_and_a_catch_shift(variant: str) -> None:
+    policy = demonstrated_policy()
+    noise = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
+    p, plain = flip_parametrization(policy, variant, NOISE), Parametrization(policy, variant, noise)
+    extra = ["flick", "catch_shift"] if variant == "planar" else []
+    assert list(p.groups) == [*plain.groups, *extra]
+    assert p.size == plain.size + len(extra)
+    same = [q.policy(np.zeros(q.size), "a")[0] for q in (p, plain)]
+    assert to_json(same[0]) == to_json(same[1])
+
+
+def test_a_policy_with_too_few_attractors_for_a_catch_shift_is_refused() -> None:
+    with pytest.raises(ValueError, match="shifts the last 3 attractors, policy 'flick-1' has 2"):
+        flip_parametrization(demonstrated_policy(count=2), "planar", NOISE)
