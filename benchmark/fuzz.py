@@ -16,9 +16,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from wam_power_ros.control.controller import Controller, ControllerError
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.ros import cdr, interface
 
 PERIOD_NS = 2_000_000
@@ -31,7 +33,7 @@ CALLS = (
     Controller.move_to_start,
     lambda core: core.set_gravity_compensation(True),
     lambda core: core.set_gravity_compensation(False),
-    lambda core: core.fault("fuzz"),
+    lambda core: core.fault(Fault(FaultKind.SOFTWARE, "fuzz")),
     Controller.stale_torque,
 )
 

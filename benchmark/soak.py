@@ -41,6 +41,7 @@ from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Code, read
 
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
@@ -144,10 +145,12 @@ class Director(Node):
                 if self.until(client.service_is_ready, 5.0):
                     future = client.call_async(request or kind.Request())
                     if self.until(future.done, 60.0):
-                        if future.result().success:
-                            return str(future.result().message)
-                        why = f"refused: {future.result().message}"
-                        if "fault" in why:  # it is latched; a busy machine brings some about
+                        response = future.result()
+                        answer = read(response.success, response.message)
+                        if answer.success:
+                            return answer.values.get("policy", answer.text)
+                        why = f"refused: {answer.text}"
+                        if answer.code is Code.FAULT:  # a busy machine brings some about
                             self._reset()
                 self.wait(0.2)
         finally:

@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from wam_power_ros import rotations
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.controller import Controller, ControllerError
+from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_references import Brake, MinJerk, Sampled
-from wam_power_ros.control.modes import TRANSITIONS, Mode
+from wam_power_ros.control.modes import TRANSITIONS, ControllerError, Mode
 from wam_power_ros.control.torque_law import TorqueLaw
 from wam_power_ros.learning import dmp
 from wam_power_ros.learning.policy import Basis, Policy, with_id
+from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()
@@ -29,6 +30,7 @@ MODEL = Arm(URDF, NAMES)  # of the plant; each controller has its own
 LIMITS = safety.limits_of(MODEL)
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
+A_TEST = Fault(FaultKind.SOFTWARE, "a test")
 ENCODER = np.array([3.65, 2.72, 4.56, 8.52, 7.91, 7.91, 10.27]) * 1e-5  # [rad] a count
 
 
@@ -191,7 +193,7 @@ def test_a_hand_can_teach_a_toss_at_2_5_metres_a_second() -> None:
     controller.set_gravity_compensation(True)
     plant.push = hand
     run(controller, plant, 0.7)
-    assert controller.mode is Mode.GRAVITY_COMPENSATION, controller.fault_reason
+    assert controller.mode is Mode.GRAVITY_COMPENSATION, controller.latched
     assert max(speeds) > 2.4
     assert np.linalg.norm(tool(plant) - pan(9.0)[0]) < 0.01
 
@@ -282,7 +284,7 @@ def test_a_blocked_move_is_a_fault() -> None:
         controller.step(plant.stamp, stuck, np.zeros(7))
         plant.stamp += PERIOD_NS
     assert controller.mode is Mode.FAULT
-    assert "rad away" in controller.fault_reason
+    assert "rad away" in controller.latched.text
 
 
 @pytest.mark.requirement("S-25")
@@ -298,7 +300,7 @@ def test_a_held_arm_that_was_carried_off_does_not_spring_back() -> None:
         plant.step(sent[-1])
         if controller.mode is Mode.FAULT:
             break
-    assert "rad away" in controller.fault_reason
+    assert "rad away" in controller.latched.text
     q, plant.push = plant.q.copy(), None  # the board lets torques through again
     run(controller, plant, 1.0)
     assert np.abs(plant.q - q).max() < 0.2
@@ -312,7 +314,7 @@ def test_a_replay_follows_the_recording_and_reports_its_error() -> None:
     controller, plant = begin(HOME + 0.05, sensing=True, delay=2, friction=1.0)
     controller.start_replay(recording, speed=1.5)
     run(controller, plant, 6.0, until=lambda: controller.mode is not Mode.REPLAY)
-    assert controller.mode is Mode.HOLD, controller.fault_reason
+    assert controller.mode is Mode.HOLD, controller.latched
     error = controller.replay_error
     assert np.all(error.rms < 0.03)
     assert np.all(error.largest >= error.rms)
@@ -399,7 +401,7 @@ def test_a_rollout_follows_the_reproduced_path(
     controller = make(law=TorqueLaw(kind=law))
     controller, plant = begin(controller=controller, delay=delay, sensing=sensing)
     result = rollout(controller, plant)
-    assert controller.mode is Mode.HOLD, controller.fault_reason
+    assert controller.mode is Mode.HOLD, controller.latched
     away, angle = deviation(result, POLICY)
     assert 1e3 * away < millimetres
     assert angle < degrees
@@ -413,7 +415,7 @@ def test_a_rollout_through_the_wrist_singularity_stays_calm(friction: float) -> 
     policy = make_policy(q_start=q, pitch=0.6)
     controller, plant = begin(q, controller=make(policy), delay=2, sensing=True, friction=friction)
     crossed = rollout(controller, plant)
-    assert controller.mode is Mode.HOLD, controller.fault_reason
+    assert controller.mode is Mode.HOLD, controller.latched
     assert deviation(crossed, policy)[0] < 0.01
     assert controller.counters["limited"] < 150
 
@@ -426,12 +428,12 @@ def test_the_pan_may_turn_as_far_as_its_law_holds(turn: float, mode: Mode) -> No
     policy = Policy(**{**vars(still), "rotation_attractors": turning})
     controller, plant = begin(controller=make(policy))
     result = rollout(controller, plant)
-    assert controller.mode is mode, controller.fault_reason
+    assert controller.mode is mode, controller.latched
     if mode is Mode.HOLD:
         assert plant.q[6] == pytest.approx(1.8, abs=0.05)
         assert deviation(result, policy)[1] < 3.0
     else:
-        assert "turned by more" in controller.fault_reason
+        assert "turned by more" in controller.latched.text
 
 
 def test_the_path_covers_the_movement_and_the_settling_and_is_handed_out_once() -> None:
@@ -473,7 +475,7 @@ def test_lost_states_do_not_slow_a_movement() -> None:
 
 
 def test_an_aborted_rollout_leaves_a_shorter_path() -> None:
-    for abort in (Controller.stop, Controller.deactivate, lambda c: c.fault("someone said so")):
+    for abort in (Controller.stop, Controller.deactivate, lambda c: c.fault(A_TEST)):
         controller, plant = begin()
         controller.execute()
         run(controller, plant, 0.3)
@@ -588,7 +590,7 @@ def test_a_long_gap_is_a_fault_and_a_short_one_is_counted() -> None:
     plant.stamp += 12 * PERIOD_NS
     controller.step(*plant.state())
     assert controller.mode is Mode.FAULT
-    assert "24 ms" in controller.fault_reason
+    assert "24 ms" in controller.latched.text
 
 
 @pytest.mark.requirement("S-44")
@@ -643,7 +645,7 @@ def test_a_rollout_that_leaves_the_workspace_is_a_fault() -> None:
     controller.execute()
     run(controller, plant, 2.0)
     assert controller.mode is Mode.FAULT
-    assert "z =" in controller.fault_reason
+    assert "z =" in controller.latched.text
 
 
 @pytest.mark.requirement("S-23")
@@ -658,7 +660,7 @@ def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> 
     controller.execute()
     run(controller, plant, 1.0)
     assert controller.mode is Mode.FAULT
-    assert controller.fault_reason.startswith(f"{guarded} is 0.0")
+    assert controller.latched.text.startswith(f"{guarded} is 0.0")
 
 
 @pytest.mark.requirement("S-30")
@@ -682,7 +684,7 @@ def test_hold_to_run_is_asked_for_and_its_release_is_a_fault_in_the_same_state()
         controller.enabled = False
         controller.step(*plant.state())
         assert controller.mode is Mode.FAULT
-        assert "released" in controller.fault_reason
+        assert "released" in controller.latched.text
 
 
 @pytest.mark.requirement("S-30")
@@ -722,7 +724,7 @@ def test_a_fault_brings_the_arm_to_rest_carries_it_and_stays_until_reset() -> No
     run(controller, plant, 0.45)  # in the middle of the throw
     start = tool(plant)
     assert np.abs(plant.qd).max() > 0.5
-    controller.fault("a test")
+    controller.fault(A_TEST)
     with pytest.raises(ControllerError, match="moves at"):
         controller.reset()
     run(controller, plant, 1.0)
@@ -739,7 +741,7 @@ def test_a_fault_brings_the_arm_to_rest_carries_it_and_stays_until_reset() -> No
     controller.stop()
     controller.deactivate()
     assert controller.mode is Mode.FAULT
-    assert controller.fault_reason == "a test"
+    assert controller.latched == A_TEST
     controller.reset()
     run(controller, plant, 0.2)
     assert controller.mode is Mode.HOLD
@@ -791,7 +793,7 @@ def test_without_a_velocity_from_the_driver_positions_are_differentiated() -> No
         stamp, q, _ = plant.state()
         positions.append(tool(plant))
         plant.step(controller.step(stamp, q, None))
-    assert controller.mode is Mode.HOLD, controller.fault_reason
+    assert controller.mode is Mode.HOLD, controller.latched
     x, _ = dmp.reproduce(dmp.tabulate(POLICY), positions[0], np.zeros(3))
     assert np.linalg.norm(np.array(positions)[: len(x)] - x, axis=1).max() < 0.02
 
@@ -816,7 +818,7 @@ def test_a_law_that_finds_no_torque_is_a_fault_and_no_exception() -> None:
         controller.execute()
         run(controller, plant, 0.1)
         assert controller.mode is Mode.FAULT
-        assert reason in controller.fault_reason
+        assert reason in controller.latched.text
 
 
 # --------------------------------------------------------------------------------------- requests
@@ -833,7 +835,7 @@ def in_mode(mode: Mode) -> Controller:
         Mode.REPLAY: lambda: controller.start_replay(
             SimpleNamespace(t=np.arange(9.0), q=HOME + np.arange(9.0)[:, None] * np.full(7, 0.01))
         ),
-        Mode.FAULT: lambda: controller.fault("a test"),
+        Mode.FAULT: lambda: controller.fault(A_TEST),
     }
     enter[mode]()
     run(controller, plant, 0.02)
@@ -949,7 +951,7 @@ call = st.sampled_from(
         Controller.move_to_start,
         Controller.reset,
         lambda c: c.set_gravity_compensation(True),
-        lambda c: c.fault("fuzz"),
+        lambda c: c.fault(A_TEST),
         Controller.stale_torque,
     ]
 )

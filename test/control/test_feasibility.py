@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rehearsal finds what would end a rollout, without an arm that moves."""
+"""A simulated rollout finds what would end a rollout, without an arm that moves."""
 
 from dataclasses import replace
 
@@ -8,8 +8,9 @@ import pytest
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.feasibility import rehearse
+from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.params.resources import share
 from wam_power_ros.rotations import quat_xyzw
 
@@ -45,45 +46,45 @@ def _late(arm: Arm) -> np.ndarray:
     return arm.tool_pose(START)[0] + np.outer([0, 0, 0, 1], [0.0, 0.0, 0.15])
 
 
-def test_a_gentle_movement_is_rehearsed_without_a_fault(arm: Arm) -> None:
-    rehearsal = rehearse(arm, ControllerSettings(), lift(arm, 0.1))
-    assert rehearsal.fault == ""
-    assert 0.1 < rehearsal.tool_peak < 1.0
-    assert (rehearsal.qd_peak < arm.qd_max).all()
-    assert f"elbow at most {rehearsal.elbow_peak:.2f} m/s" in str(rehearsal)
+def test_a_gentle_movement_is_simulated_without_a_fault(arm: Arm) -> None:
+    simulated = simulate_policy(arm, ControllerSettings(), lift(arm, 0.1))
+    assert simulated.fault is None
+    assert 0.1 < simulated.tool_peak < 1.0
+    assert (simulated.qd_peak < arm.qd_max).all()
+    assert f"elbow at most {simulated.elbow_peak:.2f} m/s" in str(simulated)
 
 
 @pytest.mark.requirement("S-31")
 def test_a_movement_that_is_too_fast_ends_in_the_fault_it_would_cause(arm: Arm) -> None:
-    rehearsal = rehearse(arm, ControllerSettings(), lift(arm, 0.9))
-    assert "limit" in rehearsal.fault
+    simulated = simulate_policy(arm, ControllerSettings(), lift(arm, 0.9))
+    assert simulated.fault.kind is FaultKind.GUARDED_SPEED and "limit" in simulated.fault.text
 
 
 def test_the_margin_decides_what_is_too_fast(arm: Arm) -> None:
     policy = lift(arm, 0.25)
-    free = rehearse(arm, ControllerSettings(), policy, margin=1.0)
+    free = simulate_policy(arm, ControllerSettings(), policy, margin=1.0)
     share_used = float((free.qd_peak / arm.qd_max).max())
-    assert free.fault == "" and share_used > 0.1
-    assert rehearse(arm, ControllerSettings(), policy, margin=0.8 * share_used).fault
+    assert free.fault is None and share_used > 0.1
+    assert simulate_policy(arm, ControllerSettings(), policy, margin=0.8 * share_used).fault
 
 
-def test_what_the_arm_does_while_it_settles_is_rehearsed_too(arm: Arm) -> None:
+def test_what_the_arm_does_while_it_settles_is_simulated_too(arm: Arm) -> None:
     late = replace(
         lift(arm, 0.0), basis=Basis(count=4, duration=0.1, variance=1e-5), attractors=_late(arm)
     )
-    whole = rehearse(arm, ControllerSettings(), late)
-    movement = rehearse(arm, ControllerSettings(settle_time=0.002), late)
-    assert movement.fault == "" and whole.fault == ""
+    whole = simulate_policy(arm, ControllerSettings(), late)
+    movement = simulate_policy(arm, ControllerSettings(settle_time=0.002), late)
+    assert movement.fault is None and whole.fault is None
     assert whole.tool_peak > 1.5 * movement.tool_peak
 
 
-def test_a_policy_the_controller_refuses_is_not_rehearsed(arm: Arm) -> None:
+def test_a_policy_the_controller_refuses_is_not_simulated(arm: Arm) -> None:
     stiff = replace(lift(arm, 0.1), stiffness=np.tile(9e4 * np.eye(3), (4, 1, 1)))
-    assert "stiffness" in rehearse(arm, ControllerSettings(), stiff).fault
+    assert "stiffness" in simulate_policy(arm, ControllerSettings(), stiff).fault.text
 
 
-def test_an_arm_whose_driver_compensates_gravity_is_rehearsed_alike(arm: Arm) -> None:
+def test_an_arm_whose_driver_compensates_gravity_is_simulated_alike(arm: Arm) -> None:
     policy = lift(arm, 0.2)
-    own = rehearse(arm, ControllerSettings(), policy)
-    driver = rehearse(arm, ControllerSettings(driver_compensates_gravity=True), policy)
+    own = simulate_policy(arm, ControllerSettings(), policy)
+    driver = simulate_policy(arm, ControllerSettings(driver_compensates_gravity=True), policy)
     assert np.array_equal(own.qd_peak, driver.qd_peak)

@@ -17,13 +17,14 @@ from scipy.interpolate import CubicSpline
 
 from wam_power_ros.bags import reader
 from wam_power_ros.cli import main
-from wam_power_ros.console.replay import of_recorded
+from wam_power_ros.console.replay import with_possible_speed
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.controller import Controller, ControllerError
-from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.replay_trajectory import EASE, movement
 from wam_power_ros.control.tracking_error import FollowingError
 from wam_power_ros.params.resources import share
+from wam_power_ros.ros.answers import Answer, Code
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
@@ -136,7 +137,8 @@ def test_too_fast_a_replay_is_refused_with_the_speed_that_is_possible() -> None:
 
     with pytest.raises(ControllerError) as refusal:
         begin(8.0)
-    said = of_recorded(str(refusal.value), 8.0)
+    answer = Answer(Code(refusal.value.refusal.value), "too fast", refusal.value.values)
+    said = with_possible_speed(answer, 8.0)
     possible = float(re.search(r"possible at --speed ([\d.]+)", said)[1])
     assert 1.0 < possible < 8.0
     begin(0.95 * possible)

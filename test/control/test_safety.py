@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.safety import Limits, Stamp
+from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
@@ -87,7 +88,7 @@ def test_teaching_damping_grows_with_the_square_of_the_speed() -> None:
     assert safety.teaching_damping(5.0, 1.0, 2.5) == 4.0
 
 
-def exceeded(q: np.ndarray, qd: np.ndarray, **settings: object) -> str | None:
+def exceeded(q: np.ndarray, qd: np.ndarray, **settings: object) -> Fault | None:
     limits = safety.limits_of(ARM, **settings)
     motion = ARM.motion(q, qd)
     return safety.exceeded(
@@ -102,13 +103,20 @@ def test_each_motion_limit_is_named_when_exceeded() -> None:
     for i in range(7):
         qd = still.copy()
         qd[i] = -1.01 * LIMITS.qd_max[i]
-        assert exceeded(Q, qd).startswith(f"joint {i + 1} at -")
+        assert exceeded(Q, qd).text.startswith(f"joint {i + 1} at -")
     slow = 0.5 * LIMITS.qd_max * np.array([0, 1, 0, 0, 0, 0, 0])
-    assert exceeded(Q, slow, tool_speed=0.5).startswith("tool at")
-    assert exceeded(Q, slow, elbow_speed=0.5).startswith("elbow at")
+    assert exceeded(Q, slow, tool_speed=0.5).text.startswith("tool at")
+    assert exceeded(Q, slow, elbow_speed=0.5).text.startswith("elbow at")
     elbow_only = np.array([0, 0, 0, 3.0, 0, 0, 0])
-    assert exceeded(Q, elbow_only, elbow_speed=0.5).startswith("forearm at")
-    assert "z =" in exceeded(Q, still, workspace_max=(1.5, 1.5, 0.3))
+    assert exceeded(Q, elbow_only, elbow_speed=0.5).text.startswith("forearm at")
+    assert "z =" in exceeded(Q, still, workspace_max=(1.5, 1.5, 0.3)).text
+    kinds = {
+        FaultKind.JOINT_SPEED: exceeded(Q, 9.0 * LIMITS.qd_max),
+        FaultKind.TOOL_SPEED: exceeded(Q, slow, tool_speed=0.5),
+        FaultKind.GUARDED_SPEED: exceeded(Q, slow, elbow_speed=0.5),
+        FaultKind.WORKSPACE: exceeded(Q, still, workspace_max=(1.5, 1.5, 0.3)),
+    }
+    assert all(fault.kind is kind and kind.of_policy for kind, fault in kinds.items())
     not_a_number = still.copy()
     not_a_number[2] = math.nan
     assert exceeded(Q, not_a_number) is not None
@@ -119,9 +127,11 @@ def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
     tilted = safety.limits_of(ARM, plane=(0.6, 0.0, 0.8, 0.5))
     before, behind = [0.5, 9.0, 0.3], [0.3, 0.0, 0.3]  # 0.54 and 0.42
     assert safety.behind_plane({"elbow": before, "tool": before}, tilted) is None
-    assert safety.behind_plane({"elbow": behind, "tool": before}, tilted).startswith(
+    assert safety.behind_plane({"elbow": behind, "tool": before}, tilted).text.startswith(
         "elbow is 0.080 m behind"
     )
+    fault = safety.behind_plane({"wrist": behind}, tilted)
+    assert fault.kind is FaultKind.PLANE and fault.kind.of_policy
     assert safety.behind_plane({"tool": [math.nan] * 3}, tilted) is not None
 
 
@@ -133,7 +143,8 @@ def test_a_joint_beyond_its_limit_may_move_back_but_not_on() -> None:
     qd[3] = -1.0
     assert exceeded(q, qd) is None
     qd[3] = 0.5
-    assert exceeded(q, qd).startswith("joint 4 at 3.19")
+    assert exceeded(q, qd).text.startswith("joint 4 at 3.19")
+    assert exceeded(q, qd).kind is FaultKind.JOINT_POSITION
 
 
 @given(st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -1e9]), st.integers(0, 6))

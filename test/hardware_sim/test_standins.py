@@ -26,6 +26,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Code, read
 
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
 TICK = 2_000_000  # [ns]
@@ -92,14 +93,15 @@ class Bench:
         answers = []
 
         def agreed() -> bool:
-            answers.append(self.probe.call(Trigger, name))
-            if "fault" in answers[-1].message and self.pace == "real_time":
+            response = self.probe.call(Trigger, name)
+            answers.append(read(response.success, response.message))
+            if answers[-1].code is Code.FAULT and self.pace == "real_time":
                 self.probe.call(Trigger, interface.RESET)
             self.probe.spin(0.0 if answers[-1].success else 0.05)
             return answers[-1].success
 
         self.probe.until(agreed, name)
-        return answers[-1].message
+        return answers[-1].values.get("policy", answers[-1].text)
 
     def rollout(
         self, policy: Policy, pauses: tuple[float, float]

@@ -25,6 +25,7 @@ from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import read
 
 IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # the machine may take its time
 
@@ -54,7 +55,8 @@ class Rehearsal:
             policies.publish(String(data=to_json(policy)))
             answer = self.probe.call(Trigger, name)
             self.probe.spin(0.0 if answer.success else 0.1)
-            return answer.success and answer.message == policy.id
+            said = read(answer.success, answer.message)
+            return said.success and said.values.get("policy", said.text) == policy.id
 
         self.probe.until(done, name)
 

@@ -24,7 +24,9 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import to_json, with_id
+from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code, read
 
 MODULE = "wam_power_ros.nodes.torque_controller"
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
@@ -207,7 +209,7 @@ def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
     arm.send()
     arm.answer()
     response = probe.call(Trigger, interface.EXECUTE)
-    assert (response.success, response.message) == (True, "good")
+    assert read(response.success, response.message) == Answer(Code.DONE, values={"policy": "good"})
 
 
 def test_the_life_cycle_decides_whether_torques_are_sent(
@@ -280,7 +282,7 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
     np.testing.assert_allclose(stale.tau, gravity, atol=1e-9)  # no velocity term
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
-    assert report["level"] == "2"
+    assert (report["level"], report["fault kind"]) == ("2", FaultKind.STATES_LOST.value)
     arm.send()
     probe.until(lambda: probe.call(Trigger, interface.RESET).success, "a person resets")
     probe.until(held, "the arm is held again")
@@ -313,6 +315,7 @@ def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
     other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "a fault")
     assert "publisher" in report["message"]
+    assert report["fault kind"] == FaultKind.SECOND_COMMANDER.value
     processes.end(arm.process)
 
     second = PlayedArm(probe, processes)
@@ -379,8 +382,7 @@ def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: 
     arm.send()
     assert arm.answer().label == "hold"
     refusal = probe.call(Trigger, interface.MOVE_TO_START)
-    assert not refusal.success
-    assert "policy" in refusal.message
+    assert read(refusal.success, refusal.message).code is Code.NOTHING
 
 
 def test_a_move_is_answered_for_the_policy_it_was_made_for(
@@ -402,7 +404,8 @@ def test_a_move_is_answered_for_the_policy_it_was_made_for(
         return moved.done()
 
     probe.until(answered, "the end of the move")
-    assert (moved.result().success, moved.result().message) == (True, "first")
+    answer = read(moved.result().success, moved.result().message)
+    assert answer == Answer(Code.DONE, values={"policy": "first"})
 
 
 def test_a_driver_may_name_its_joints_otherwise_than_the_model(
@@ -435,7 +438,8 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
     arm = PlayedArm(probe, processes)
     arm.activate()
     movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
-    assert "refused" in probe.call(Trigger, interface.REPLAY).message
+    refusal = probe.call(Trigger, interface.REPLAY)
+    assert read(refusal.success, refusal.message).code is Code.NOTHING
     t = np.linspace(0.0, 0.1, 6)
     still = interface.JointMovement(t, np.tile(HOME, (6, 1)))
     movements.publish(interface.joint_movement_message(NAMES[:6], still._replace(q=still.q[:, :6])))
@@ -536,7 +540,6 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
 
 BROKEN = """
 import sys
-from wam_power_ros import real_time
 from wam_power_ros.nodes import torque_controller
 
 class Broken(torque_controller.TorqueController):

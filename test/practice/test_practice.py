@@ -11,7 +11,7 @@ import pytest
 from toss_task import demonstrated_policy, learner_state, toss
 
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings, preset
@@ -375,7 +375,7 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     trial = practice.next_trial()
     frames = np.arange(0.01, 1.85, 1 / 30)
 
-    def why(end: float = 1.86, seen: np.ndarray = frames, fault: str = "") -> str:
+    def why(end: float = 1.86, seen: np.ndarray = frames, fault: Fault | None = None) -> str:
         pan, pancake = paths(trial, end, seen)
         assessment = assess(trial.policy, pan, pancake, practice.settings, fault)
         assert assessment.ret is None
@@ -388,7 +388,8 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     assert why(seen=frames[frames < 1.0]) == (
         "the pancake was lost from view at 0.98 s, not having fallen"
     )
-    assert why(fault="no joint state for 12 ms") == "no joint state for 12 ms"
+    lost = Fault(FaultKind.STATES_LOST, "no joint state for 12 ms")
+    assert why(fault=lost) == "no joint state for 12 ms"
 
 
 @pytest.mark.parametrize("name", ["paper", "flip"])
@@ -405,7 +406,7 @@ def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name:
 
     def judged(seen: np.ndarray) -> Assessment:
         pancake = BodyPath(trial.id, t[seen], position[seen], quat_xyzw[seen])
-        return assess(trial.policy, pan, pancake, practice.settings, "")
+        return assess(trial.policy, pan, pancake, practice.settings)
 
     whole = judged(t > 0.0).ret
     rng = np.random.default_rng(2)
@@ -418,24 +419,30 @@ def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name:
     np.testing.assert_allclose(usable, whole, atol=0.05)
 
 
-def test_motion_limits_are_the_policys_own_fault_and_nothing_else_is() -> None:
+@pytest.mark.parametrize(
+    ("kind", "text", "own"),
+    [
+        (FaultKind.JOINT_SPEED, "joint 4 at 5.20 rad/s, limit 5.00", True),
+        (FaultKind.JOINT_POSITION, "joint 4 at 3.200 rad, limits -0.900 to 3.100", True),
+        (FaultKind.TOOL_SPEED, "tool at 4.10 m/s, limit 4.00", True),
+        (FaultKind.GUARDED_SPEED, "wrist at 2.10 m/s, limit 2.00", True),
+        (FaultKind.WORKSPACE, "tool at x = 1.200 m, workspace 0.200 to 1.100", True),
+        (FaultKind.PLANE, "tool is 0.012 m behind the plane [0.0, 0.0, 1.0, 0.1]", True),
+        (FaultKind.STATES_LOST, "no joint state for 12 ms", False),
+        (FaultKind.TRACKING, "a joint is 0.310 rad away from where it should be", False),
+        (FaultKind.RELEASED, "tool at rest: the enabling switch was released, limit", False),
+    ],
+)
+def test_a_motion_limit_counts_as_return_0_and_any_other_fault_as_no_rollout(
+    kind: FaultKind, text: str, own: bool
+) -> None:
     practice = started("flip")
     trial = practice.next_trial()
     pan, pancake = paths(trial, 0.5, np.arange(0.0, 0.5, 1 / 30))
-    own = {
-        "joint 4 at 5.20 rad/s, limit 5.00": True,
-        "joint 4 at 3.200 rad, limits -0.900 to 3.100": True,
-        "fault: tool at 4.10 m/s, limit 4.00": True,
-        "elbow at 2.10 m/s, limit 2.00": True,
-        "forearm at 2.10 m/s, limit 2.00": True,
-        "tool at x = 1.200 m, workspace 0.200 to 1.100": True,
-        "joint states lost for 12 ms": False,
-        "stopped by a person": False,
-    }
-    for fault, expected in own.items():
-        assessment = assess(trial.policy, pan, pancake, practice.settings, fault)
-        assert (assessment.ret == 0.0) == expected, fault
-        assert fault in assessment.why
+    record = practice.learn(trial, pan, pancake, fault=Fault(kind, text))
+    assert (record.ret, record.learnt) == ((0.0, True) if own else (None, False))
+    assert record.fault == text and text in record.why
+    assert practice.used == own  # what counts is not tried again
 
 
 def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None:

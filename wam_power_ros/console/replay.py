@@ -7,7 +7,6 @@ limits and how far off it was.
 
 from __future__ import annotations
 
-import re
 import signal
 import sys
 from pathlib import Path
@@ -24,13 +23,13 @@ from wam_power_ros.bags import reader
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code, read
 from wam_power_ros.ros.node_runner import number_by_process
 from wam_power_ros.ros.service_client import ServiceCalls, ServiceError
 
 STOPPED = 130  # exit status
 LONGEST = 3600.0  # [s of wall time] of a replay
 SETTLING = 1.0  # [s of wall time] in which a stopped arm comes to rest, still recorded
-NOT_YET = "nothing valid has come"  # the movement is still on its way
 
 
 class ReplayingParams(Params):
@@ -81,7 +80,7 @@ class Replaying(Node):
             answer = self._follow()
         finally:
             path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False))
-        self._say(of_recorded(answer.message, self._params.speed))
+        self._say(with_possible_speed(answer, self._params.speed))
         self._say(f"recorded: {path}")
         if self._signals:
             self._say("Stopped: the arm holds.")
@@ -89,9 +88,9 @@ class Replaying(Node):
         self._ask("The arm holds. Support it, then press Enter to let it go: ")
         if answer.success:
             return 0
-        return STOPPED if answer.message.startswith("stopped") else 1
+        return STOPPED if answer.code is Code.STOPPED else 1
 
-    def _follow(self) -> Trigger.Response:
+    def _follow(self) -> Answer:
         """The controller's answer, when the movement is over or was stopped."""
         calls = self._calls
         while True:
@@ -99,8 +98,10 @@ class Replaying(Node):
             calls.until(lambda f=future: f.done() or bool(self._signals), LONGEST)
             if not future.done():
                 self._stop(future)
-            if self._signals or NOT_YET not in future.result().message:
-                return future.result()
+            response = future.result()
+            answer = read(response.success, response.message)
+            if self._signals or answer.code is not Code.NOTHING:  # it may still be on its way
+                return answer
 
     def _stop(self, future: Future) -> None:
         self._calls.insist(Trigger, interface.STOP)
@@ -119,15 +120,16 @@ class Replaying(Node):
         sys.stdout.flush()
 
 
-def of_recorded(text: str, speed: float) -> str:
-    """What the controller says of the speed of a movement, said of that of its bag.
+def with_possible_speed(answer: Answer, speed: float) -> str:
+    """Text of the controller's answer, with the --speed at which the replay would be possible.
 
     Args:
-        text: Of the controller.
-        speed: At which the movement was handed to it.
+        answer: Answer of the controller.
+        speed: --speed of the movement that it was given.
     """
-    possible = re.compile(r"possible at speed ([\d.]+)")
-    return possible.sub(lambda at: f"possible at --speed {float(at[1]) * speed:.2f}", text)
+    if answer.code is not Code.TOO_FAST:
+        return answer.text
+    return f"{answer.text}; possible at --speed {float(answer.values['speed']) * speed:.2f}"
 
 
 def main() -> int:

@@ -16,18 +16,23 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_references import Brake, Course, JointTrajectory, MinJerk, Sampled
-from wam_power_ros.control.modes import BOXED, HELD, MOVING, PASSIVE, REFERENCED, TRANSITIONS, Mode
+from wam_power_ros.control.modes import (
+    BOXED,
+    HELD,
+    MOVING,
+    PASSIVE,
+    REFERENCED,
+    TRANSITIONS,
+    ControllerError,
+    Mode,
+    Refusal,
+)
 from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.safety import Stamp
-from wam_power_ros.control.tracking_error import FollowingError
+from wam_power_ros.control.tracking_error import FollowingError, TrackingLost
 from wam_power_ros.learning import dmp
 from wam_power_ros.learning.policy import Policy, to_json, with_id
-from wam_power_ros.learning.rollout import EndEffectorPath
-
-
-class ControllerError(RuntimeError):
-    """A request that was refused; nothing has changed, and the message says why."""
-
+from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 
 _INTEGERS = (int, np.integer)
 
@@ -38,7 +43,7 @@ class Controller:
     Attributes:
         counters: How many states were `accepted`, `repeated`, `older`, `rejected`, `gaps`, `jumps`;
             torques `limited` and `stale`; `faults`.
-        fault_reason: Of the last fault, None before the first and after `reset`.
+        latched: Fault that is latched, None without.
         replay_error: Of the last replay so far; None before the first.
         rollout_stamp_ns: Stamp of the first state of the last rollout that began, or None [ns].
         enabled: Whether a person holds the enabling switch, where `hold_to_run` asks for one; set
@@ -73,7 +78,7 @@ class Controller:
         self._set(Mode.INACTIVE)
         self._label = self._mode_label
         self.counters: Counter[str] = Counter()
-        self.fault_reason: str | None = None
+        self.latched: Fault | None = None
         self.rollout_stamp_ns: int | None = None
         self.enabled = False
 
@@ -149,23 +154,27 @@ class Controller:
             ControllerError: During a rollout, or when the policy does not fit the arm.
         """
         if self._mode is Mode.ROLLOUT:
-            raise ControllerError(f"policy {policy.id} refused during a rollout")
+            text = f"policy {policy.id} refused during a rollout"
+            raise ControllerError(Refusal.BUSY, text)
         start, limits = policy.q_start, self.limits
         if start.shape != (self.arm.n,):
             raise ControllerError(
-                f"policy {policy.id} is for {start.size} joints, the arm has {self.arm.n}"
+                Refusal.REFUSED,
+                f"policy {policy.id} is for {start.size} joints, the arm has {self.arm.n}",
             )
         if np.any(start < limits.q_min) or np.any(start > limits.q_max):
             raise ControllerError(
+                Refusal.REFUSED,
                 f"q_start {start.round(3).tolist()} of policy {policy.id} is outside the limits "
-                f"{limits.q_min.tolist()} to {limits.q_max.tolist()}"
+                f"{limits.q_min.tolist()} to {limits.q_max.tolist()}",
             )
         stiffest = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
         stiffest = max(stiffest, policy.rotation_stiffness)
         if stiffest > self.settings.stiffness_max:
             raise ControllerError(
+                Refusal.REFUSED,
                 f"stiffness {stiffest:.0f} of policy {policy.id} is above the limit "
-                f"{self.settings.stiffness_max:.0f} 1/s^2"
+                f"{self.settings.stiffness_max:.0f} 1/s^2",
             )
         self._tables = dmp.tabulate(policy, self.settings.period)
         self._policy = policy
@@ -205,7 +214,7 @@ class Controller:
             ControllerError: Without a policy, while moving, or in a mode that does not allow it.
         """
         if self._policy is None:
-            raise ControllerError("move_to_start refused: no policy is loaded")
+            raise ControllerError(Refusal.NOTHING, "move_to_start refused: no policy is loaded")
         self._move(Mode.MOVE_TO_START, self._policy.q_start)
 
     def start_replay(self, trajectory: JointTrajectory, speed: float = 1.0) -> None:
@@ -223,19 +232,22 @@ class Controller:
         try:
             sampled = Sampled(trajectory.t, trajectory.q, speed, self.settings.period)
         except (ValueError, TypeError, AttributeError) as error:
-            raise ControllerError(f"replay refused: {error}") from None
+            raise ControllerError(Refusal.REFUSED, f"replay refused: {error}") from None
         limits = self.limits
         if sampled.q.shape[1] != self.arm.n:
             raise ControllerError(
-                f"replay refused: {sampled.q.shape[1]} joints, the arm has {self.arm.n}"
+                Refusal.REFUSED,
+                f"replay refused: {sampled.q.shape[1]} joints, the arm has {self.arm.n}",
             )
         if np.any(sampled.q < limits.q_min) or np.any(sampled.q > limits.q_max):
-            raise ControllerError("replay refused: the movement leaves the joint limits")
+            text = "replay refused: the movement leaves the joint limits"
+            raise ControllerError(Refusal.REFUSED, text)
         share = float(np.max(np.abs(sampled.qd) / limits.qd_max))
         if share > 1.0:
             raise ControllerError(
-                f"replay refused: {share:.2f} times a joint-speed limit; "
-                f"possible at speed {speed / share:.3f}"
+                Refusal.TOO_FAST,
+                f"replay refused: {share:.2f} times a joint-speed limit",
+                {"speed": f"{speed / share:.3f}"},
             )
         self._ask_for_hand(Mode.REPLAY)
         self._move(Mode.REPLAY, sampled.q[0], sampled)
@@ -247,20 +259,20 @@ class Controller:
         Raises:
             ControllerError: When not ready, with the reason.
         """
-        reason = self._unready()
-        if reason is not None or self._policy is None or self._tables is None:
-            raise ControllerError(f"rollout refused: {reason}")
+        unready = self._unready()
+        if unready is not None:
+            raise unready
         self._ask_for_hand(Mode.ROLLOUT)
         self._enter(Mode.ROLLOUT)
         self._finished = None
         self.rollout_stamp_ns = None
         self._rollout = Execution(self._policy, self._tables, self.settings)
 
-    def fault(self, reason: str) -> None:
-        """Latch a fault from outside (another commander, an overrun); aborts what is under way."""
+    def fault(self, fault: Fault) -> None:
+        """Latch a fault and abort what is under way; without effect when inactive or in a fault."""
         if self._mode in PASSIVE:
             return
-        self.fault_reason = reason
+        self.latched = fault
         self.counters["faults"] += 1
         self._enter(Mode.FAULT)
 
@@ -271,13 +283,14 @@ class Controller:
             ControllerError: Without a fault, while the arm moves, or without valid joint states.
         """
         if self._mode is not Mode.FAULT:
-            raise ControllerError(f"reset refused: no fault, mode is {self._mode.value}")
+            text = f"reset refused: no fault, mode is {self._mode.value}"
+            raise ControllerError(Refusal.REFUSED, text)
         if self._rejected_in_row:
-            raise ControllerError("reset refused: the last joint state was not valid")
-        if (unrest := self._unrest()) is not None:
-            raise ControllerError(f"reset refused: {unrest}")
+            text = "reset refused: the last joint state was not valid"
+            raise ControllerError(Refusal.REFUSED, text)
+        self._ask_for_rest("reset")
         self._enter(Mode.HOLD, reset=True)
-        self.fault_reason = None
+        self.latched = None
 
     def deactivate(self) -> None:
         """Abort what is under way; nothing may be sent any more. A fault stays latched."""
@@ -287,14 +300,19 @@ class Controller:
     def _enter(self, mode: Mode, reset: bool = False) -> None:
         """Change the mode, ending what the old one had under way."""
         if self._mode is Mode.FAULT and not reset:
-            raise ControllerError(f"{mode.value} refused: fault ({self.fault_reason}); reset first")
+            text = "" if self.latched is None else self.latched.text
+            raise ControllerError(
+                Refusal.FAULT, f"{mode.value} refused: fault ({text}); reset first"
+            )
         if mode not in TRANSITIONS[self._mode]:
             possible = sorted(other.value for other in TRANSITIONS[self._mode])
             raise ControllerError(
-                f"{mode.value} is not possible from {self._mode.value}; from there: {possible}"
+                Refusal.BUSY,
+                f"{mode.value} is not possible from {self._mode.value}; from there: {possible}",
             )
         if self._q is None and mode is not Mode.INACTIVE:
-            raise ControllerError(f"{mode.value} refused: no joint state has come yet")
+            text = f"{mode.value} refused: no joint state has come yet"
+            raise ControllerError(Refusal.NOTHING, text)
         self._end_rollout()
         if mode not in REFERENCED:
             self._ref = None
@@ -313,13 +331,18 @@ class Controller:
 
     def _ask_for_hand(self, mode: Mode) -> None:
         if self._lacks_hand(mode):
-            raise ControllerError(f"{mode.value} refused: the enabling switch is not held")
+            text = f"{mode.value} refused: the enabling switch is not held"
+            raise ControllerError(Refusal.REFUSED, text)
 
     def _move(self, mode: Mode, goal: np.ndarray, *then: Sampled) -> None:
-        if (unrest := self._unrest()) is not None:
-            raise ControllerError(f"{mode.value} refused: {unrest}")
+        self._ask_for_rest(mode.value)
         self._enter(mode)
         self._course.begin(lambda q: MinJerk(q, goal, self.settings.move_speed), *then)
+
+    def _ask_for_rest(self, request: str) -> None:
+        if (unrest := self._unrest()) is not None:
+            refusal = Refusal.NOTHING if self._q is None else Refusal.BUSY
+            raise ControllerError(refusal, f"{request} refused: {unrest}")
 
     def _unrest(self) -> str | None:
         if self._q is None:
@@ -333,18 +356,28 @@ class Controller:
             return f"the tool turns at {spin:.3f} rad/s, limit {4.0 * self.settings.rest_speed}"
         return None
 
-    def _unready(self) -> str | None:
+    def _unready(self) -> ControllerError | None:
+        """Why a rollout of the loaded policy cannot begin."""
+
+        def refused(refusal: Refusal, text: str, **values: str) -> ControllerError:
+            return ControllerError(refusal, f"rollout refused: {text}", values)
+
+        if self.latched is not None:
+            return refused(Refusal.FAULT, f"fault ({self.latched.text}); reset first")
         if self._policy is None:
-            return "no policy is loaded"
-        if self._mode is not Mode.HOLD:
-            return f"mode is {self._mode.value}, not hold"
-        if (unrest := self._unrest()) is not None or self._q is None:
-            return unrest
+            return refused(Refusal.NOTHING, "no policy is loaded")
+        if self._mode is not Mode.HOLD or self._q is None:
+            return refused(Refusal.BUSY, f"mode is {self._mode.value}, not hold")
+        if (unrest := self._unrest()) is not None:
+            return refused(Refusal.BUSY, unrest)
         error = np.abs(self._q - self._policy.q_start)
         worst = int(np.argmax(error))
         if error[worst] > self.settings.start_tolerance:
-            name = self.arm.joint_names[worst]
-            return f"{name} is {error[worst]:.3f} rad from the start of policy {self._policy.id}"
+            text = (
+                f"{self.arm.joint_names[worst]} is {error[worst]:.3f} rad from the start of policy"
+            )
+            policy = self._policy.id
+            return refused(Refusal.NOT_AT_START, f"{text} {policy}", policy=policy)
         return None
 
     # ----------------------------------------------------------------------------- every state
@@ -416,7 +449,7 @@ class Controller:
         self._rejected_in_row += 1
         self._rejections.append(self._steps)
         if len(self._rejections) == 5 and self._steps - self._rejections[0] < 50:
-            self.fault("five joint states refused within 50")
+            self.fault(Fault(FaultKind.STATES_REFUSED, "five joint states refused within 50"))
         return self._sent if self._rejected_in_row < 3 else self.stale_torque()
 
     def _velocity(self, stamp: Stamp, stamp_ns: int, q: np.ndarray) -> np.ndarray:
@@ -446,7 +479,7 @@ class Controller:
         self._stamp, self._q, self._qd = stamp_ns, q, qd
         self._check_motion(q, qd, motion)
         if self.settings.hold_to_run and self._lacks_hand(self._mode):
-            self.fault("the enabling switch was released")
+            self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
 
         tau = self._torque(stamp_ns, q, qd, motion)
         if self._mode is Mode.INACTIVE:  # nothing is sent, so nothing jumps
@@ -465,9 +498,13 @@ class Controller:
         """What the mode wants, before the limits; a fault when that cannot be computed."""
         try:
             tau = self._law(stamp_ns, q, qd, motion)
-            wrong = None if math.isfinite(sum(tau.tolist())) else "the torque was not finite"
+            wrong = None
+            if not math.isfinite(sum(tau.tolist())):
+                wrong = Fault(FaultKind.COMPUTATION, "the torque was not finite")
+        except TrackingLost as error:
+            wrong = Fault(FaultKind.TRACKING, str(error))
         except Exception as error:  # whatever it is, the arm needs a torque in this very tick
-            wrong = f"no torque: {error}"
+            wrong = Fault(FaultKind.COMPUTATION, f"no torque: {error}")
         if wrong is not None:
             self.fault(wrong)
             tau = self._rest_torque(stamp_ns, q, qd, motion)
@@ -482,7 +519,8 @@ class Controller:
         if stamp is Stamp.GAP:
             self.counters["gaps"] += 1
             if dt > self.settings.stale:
-                self.fault(f"no joint state for {dt * 1e3:.0f} ms")
+                text = f"no joint state for {dt * 1e3:.0f} ms"
+                self.fault(Fault(FaultKind.STATES_LOST, text))
         allowed = self.limits.q_jump * max(1.0, dt / self.settings.period)
         if math.dist(q.tolist(), self._q.tolist()) <= allowed:  # no joint went farther than that
             return
@@ -490,7 +528,8 @@ class Controller:
         if jump > allowed:
             self.counters["jumps"] += 1
             if self._mode is not Mode.GRAVITY_COMPENSATION:  # there nothing refers to a posture
-                self.fault(f"a joint jumped by {jump:.3f} rad from one state to the next")
+                text = f"a joint jumped by {jump:.3f} rad from one state to the next"
+                self.fault(Fault(FaultKind.JUMP, text))
 
     def _check_motion(self, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds) -> None:
         mode, limits = self._mode, self.limits
@@ -500,16 +539,14 @@ class Controller:
         tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
         boxed = mode in BOXED
         guarded = self.arm.guarded
-        reason = safety.exceeded(
-            q.tolist(), qd.tolist(), motion, guarded, limits, tool_speed, boxed
-        )
-        if reason is None and mode in MOVING:
+        fault = safety.exceeded(q.tolist(), qd.tolist(), motion, guarded, limits, tool_speed, boxed)
+        if fault is None and mode in MOVING:
             points = dict(zip(guarded, motion.guarded_positions, strict=True))
             points["tool"] = motion.position.tolist()
-            reason = safety.behind_plane(points, limits)
-        self._exceeded = 0 if reason is None else self._exceeded + 1
-        if reason is not None and self._exceeded >= limits.periods:
-            self.fault(reason)
+            fault = safety.behind_plane(points, limits)
+        self._exceeded = 0 if fault is None else self._exceeded + 1
+        if fault is not None and self._exceeded >= limits.periods:
+            self.fault(fault)
 
     # ------------------------------------------------------------------- the torque of each mode
 
@@ -540,7 +577,7 @@ class Controller:
         worst = max(map(abs, error))
         # An arm that was carried off while it held (idled by its board, say) must not spring back.
         if worst > self.settings.tracking_error and (self._mode is not Mode.HOLD or at_end):
-            raise ValueError(f"a joint is {worst:.3f} rad away from where it should be")
+            raise TrackingLost(f"a joint is {worst:.3f} rad away from where it should be")
         if self._mode is Mode.REPLAY and isinstance(self._course.reference, Sampled):
             self.replay_error.add(q_ref, q)
         bandwidth, ratio = self.settings.hold_bandwidth, self.settings.hold_damping_ratio

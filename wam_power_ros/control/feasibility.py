@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A policy rehearsed in the head before the arm tries it: the controller on a model of the arm.
+"""Simulate a policy on the rigid-body model of the arm before executing it.
 
-The same controller drives the rigid-body model with its friction; what would end the rollout by a
-limit of motion is found out without moving. No pancake: its weight is nothing to the arm.
+The controller drives the model with its friction: a motion limit that would end the rollout is
+found out without moving. A tracked body is left out: its weight is nothing to the arm.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.controller import Controller, ControllerError
+from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Fault, FaultKind
 
 _STILL_TICKS = 60  # control periods at rest, in which a controller comes to its fixed point
 _SUBSTEPS = 2  # of the model in a control period
@@ -24,42 +25,41 @@ _STICTION_SPEED = 0.01  # [rad/s] below it friction is not yet all there
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """What the arm would do.
+class Feasibility:
+    """Result of a simulated rollout.
 
     Attributes:
-        fault: Which limit would end the rollout, empty when none.
+        fault: Fault that would end the rollout, None without. Of a policy that the controller
+            refuses it is the refusal: no torque is computed for it.
         qd_peak: Highest joint speeds [rad/s]. Shape (n,).
         elbow_peak: Highest speed of the guarded points, elbow and forearm [m/s].
         tool_peak: Highest speed of the tool [m/s].
     """
 
-    fault: str
+    fault: Fault | None
     qd_peak: np.ndarray
     elbow_peak: float
     tool_peak: float
 
     def __str__(self) -> str:
-        """In a line; the elbow's peak is what the arm's safety board must allow."""
+        """One line; the elbow's peak is what the arm's safety board must allow."""
         peaks = f"elbow at most {self.elbow_peak:.2f} m/s, tool {self.tool_peak:.2f} m/s"
-        return f"{peaks}; would end in a fault: {self.fault}" if self.fault else peaks
+        return peaks if self.fault is None else f"{peaks}; would end in a fault: {self.fault.text}"
 
 
-def rehearse(
+def simulate_policy(
     arm: Arm,
     settings: ControllerSettings,
     policy: Policy,
     margin: float = 0.9,
-) -> Rehearsal:
-    """Execute a policy on the model, from its start until the arm has settled.
+) -> Feasibility:
+    """Execute a policy on the rigid-body model, from its start until the arm has settled.
 
     Args:
-        arm: The model; its buffers are used.
-        settings: Of the controller.
-        policy: To rehearse.
-        margin: Share of the limits of speed that the policy may use: the arm is not the model.
-
-    A policy that the controller would refuse has its refusal as the fault.
+        arm: Model of the arm; its buffers are used.
+        settings: Settings of the controller.
+        policy: Policy to simulate.
+        margin: Share of the speed limits that the policy may use: the arm is not the model.
     """
     limits = settings.limits or limits_of(arm)
     tight = replace(
@@ -86,7 +86,8 @@ def rehearse(
         controller.load(policy)
         controller.move_to_start()
     except ControllerError as error:
-        return Rehearsal(str(error), np.zeros(arm.n), 0.0, 0.0)
+        fault = Fault(FaultKind.COMPUTATION, str(error))
+        return Feasibility(fault, np.zeros(arm.n), 0.0, 0.0)
     while not controller.ready:
         rest()
     for _ in range(_STILL_TICKS):
@@ -105,4 +106,4 @@ def rehearse(
         *guarded, tool = arm.reference_point_speeds(q, qd)
         np.maximum(qd_peak, np.abs(qd), out=qd_peak)
         elbow_peak, tool_peak = max(elbow_peak, *guarded), max(tool_peak, tool)
-    return Rehearsal(controller.fault_reason or "", qd_peak, elbow_peak, tool_peak)
+    return Feasibility(controller.latched, qd_peak, elbow_peak, tool_peak)

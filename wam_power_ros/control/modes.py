@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the torque controller can be doing, and from what it may go to what."""
+"""Modes of the torque controller, the transitions between them, and refused requests."""
 
 import enum
+from collections.abc import Mapping
 
 
 class Mode(enum.Enum):
@@ -43,3 +44,32 @@ PASSIVE = (Mode.INACTIVE, Mode.FAULT)  # modes in which nothing can go wrong any
 MOVING = (Mode.MOVE_TO_START, Mode.ROLLOUT, Mode.REPLAY)  # modes in which the arm moves by itself
 HELD = (Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT)  # modes of `hold_to_run`
 BOXED = (Mode.ROLLOUT, Mode.REPLAY)  # modes in which the tool must stay in the workspace
+
+
+class Refusal(str, enum.Enum):
+    """Why a request to the controller was refused; machines decide by this, people read the text.
+
+    The values are those of `ros.answers.Code`.
+    """
+
+    FAULT = "fault"  # a fault is latched: reset first
+    BUSY = "busy"  # not from this mode, or the arm moves
+    NOTHING = "nothing"  # no policy, or no joint state, has come yet
+    NOT_AT_START = "not_at_start"  # value `policy`: the arm is not at the start of this policy
+    TOO_FAST = "too_fast"  # value `speed`: at which the replay would be possible
+    REFUSED = "refused"  # anything else, which only a person can mend
+
+
+class ControllerError(RuntimeError):
+    """A request that was refused; nothing has changed.
+
+    Attributes:
+        refusal: Why.
+        values: What belongs to it, by name; see `Refusal`.
+    """
+
+    def __init__(
+        self, refusal: Refusal, text: str, values: Mapping[str, str] | None = None
+    ) -> None:
+        super().__init__(text)
+        self.refusal, self.values = refusal, values or {}

@@ -8,6 +8,7 @@ import numpy as np
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Motion
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.tracking_error import TrackingLost
 from wam_power_ros.learning import dmp
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
@@ -64,13 +65,13 @@ class Execution:
             Linear [m/s^2] and angular [rad/s^2]. Shape (6,).
 
         Raises:
-            ValueError: The tool is turned too far from the reference.
+            TrackingLost: The tool is turned too far from the reference.
         """
         if k >= self._next_sample:
             self.sample(k, motion)
         vector = rotations.log(motion.rotation.dot(self._reference)).tolist()
         if math.hypot(*vector) > TURN_MAX:
-            raise ValueError(f"the tool is turned by more than {TURN_MAX} rad from the reference")
+            raise TrackingLost(f"the tool is turned by more than {TURN_MAX} rad from the reference")
         return dmp.acceleration(self._tables, k, motion.position, vector, motion.twist.tolist())
 
     def sample(self, k: int, motion: Motion) -> None:

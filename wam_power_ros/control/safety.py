@@ -17,6 +17,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from wam_power_ros.control.arm import Arm, Motion
+from wam_power_ros.learning.rollout import Fault, FaultKind
 
 _SHAPES = {"workspace_min": (3,), "workspace_max": (3,), "plane": (4,)}
 IMPLAUSIBLE_Q = 20.0  # [rad] no joint gets here: a reading beyond is refused
@@ -248,8 +249,8 @@ def exceeded(
     limits: Limits,
     tool_speed: float,
     boxed: bool,
-) -> str | None:
-    """Name the first motion limit a state exceeds, or None.
+) -> Fault | None:
+    """First motion limit that a state exceeds, or None.
 
     Beyond a position limit only moving further out counts, so that an arm parked at its stop can
     be moved away from it.
@@ -266,23 +267,29 @@ def exceeded(
     rows = zip(q, qd, limits._motions, strict=True)
     for i, (x, speed, (low, high, fastest)) in enumerate(rows, start=1):
         if not -fastest <= speed <= fastest:
-            return f"joint {i} at {speed:.2f} rad/s, limit {fastest:.2f}"
+            return Fault(
+                FaultKind.JOINT_SPEED, f"joint {i} at {speed:.2f} rad/s, limit {fastest:.2f}"
+            )
         if (x > high and speed > 0.05) or (x < low and speed < -0.05):
-            return f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
+            text = f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
+            return Fault(FaultKind.JOINT_POSITION, text)
     if motion.tool_speed > tool_speed:
-        return f"tool at {motion.tool_speed:.2f} m/s, limit {tool_speed:.2f}"
+        text = f"tool at {motion.tool_speed:.2f} m/s, limit {tool_speed:.2f}"
+        return Fault(FaultKind.TOOL_SPEED, text)
     for name, speed in zip(guarded, motion.guarded_speeds, strict=True):
         if speed > limits.elbow_speed:
-            return f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
+            text = f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
+            return Fault(FaultKind.GUARDED_SPEED, text)
     if boxed:
         for axis, x, (a, b) in zip("xyz", motion.position.tolist(), limits._box, strict=True):
             if not a <= x <= b:
-                return f"tool at {axis} = {x:.3f} m, workspace {a:.3f} to {b:.3f}"
+                text = f"tool at {axis} = {x:.3f} m, workspace {a:.3f} to {b:.3f}"
+                return Fault(FaultKind.WORKSPACE, text)
     return None
 
 
-def behind_plane(points: Mapping[str, Sequence[float]], limits: Limits) -> str | None:
-    """Name the first point that is behind the limits' plane, or None.
+def behind_plane(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault | None:
+    """First point that is behind the limits' plane, or None.
 
     Args:
         points: In the base frame [m], three numbers each.
@@ -292,7 +299,8 @@ def behind_plane(points: Mapping[str, Sequence[float]], limits: Limits) -> str |
     for name, (x, y, z) in points.items():
         if not nx * x + ny * y + nz * z >= least:
             depth = least - nx * x - ny * y - nz * z
-            return f"{name} is {depth:.3f} m behind the plane {limits._plane}"
+            text = f"{name} is {depth:.3f} m behind the plane {limits._plane}"
+            return Fault(FaultKind.PLANE, text)
     return None
 
 

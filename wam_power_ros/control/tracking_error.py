@@ -20,6 +20,10 @@ class ToolPose(Protocol):
         """Position [m] (3,) and rotation matrix (3, 3) of the tool frame in the base frame."""
 
 
+class TrackingLost(RuntimeError):
+    """The arm is too far from its reference to follow it."""
+
+
 class FollowingError:
     """How far the arm is from what it follows, told state by state.
 

@@ -17,10 +17,10 @@ from hardware_sim.ground_truth import Truth
 from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.feasibility import rehearse
+from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.tracking.tracker import Tracker, TrackerSettings
@@ -66,7 +66,8 @@ class Environment:
 
     def forbids(self, policy: Policy) -> str:
         """Why a rehearsal of this policy would end in a fault, empty when it would not."""
-        return rehearse(self.arm, self.controller.settings, policy).fault
+        fault = simulate_policy(self.arm, self.controller.settings, policy).fault
+        return "" if fault is None else fault.text
 
     def tick(self) -> None:
         """State to torque, torque to state."""
@@ -104,12 +105,12 @@ class Environment:
         controller.set_gravity_compensation(False)
         return np.array(stamps), np.array(q)
 
-    def run(self, policy: Policy) -> tuple[EndEffectorPath, BodyPath, Truth, str]:
+    def run(self, policy: Policy) -> tuple[EndEffectorPath, BodyPath, Truth, Fault | None]:
         """Execute a policy.
 
         Returns:
             The pan's path, the pancake's as the tracker saw it, what really happened, and the
-            controller's fault, empty when there was none.
+            controller's fault, None when there was none.
         """
         world = self.world
         self._place(policy.id, policy.q_start)
@@ -129,7 +130,7 @@ class Environment:
         start_ns = controller.rollout_stamp_ns
         if pan is None or start_ns is None or truth is None:
             raise RuntimeError(f"rollout {policy.id} left no path")
-        fault = controller.fault_reason or ""
+        fault = controller.latched
         end_ns = start_ns + round(float(pan.t[-1]) * 1e9)
         for _ in range(_LATE_TICKS):
             if self.tracker.latest_ns >= end_ns:

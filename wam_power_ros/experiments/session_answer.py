@@ -19,6 +19,7 @@ from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.filmstrip import TRACE_RATE
 from wam_power_ros.experiments.render import render
 from wam_power_ros.learning import policy
+from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.practice import session
 from wam_power_ros.reporting import figures, session_report
 from wam_power_ros.tasks.flip.flight import observe_flight
@@ -59,8 +60,10 @@ def run(folder: Path, film: bool) -> session_report.Exhibit:
     )
 
 
-def _outcome(truth: Truth, fault: str) -> str:
-    return fault or (
+def _outcome(truth: Truth, fault: Fault | None) -> str:
+    if fault is not None:
+        return fault.text
+    return (
         f"turned {abs(truth['angle_deg']):.0f}° until it came down, "
         f"{'flipped' if truth['flipped'] else 'not flipped'} and "
         f"{'caught' if truth['caught'] else 'dropped'}"

@@ -29,12 +29,12 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.feasibility import rehearse
+from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import PANCAKE, fit
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -44,6 +44,7 @@ from wam_power_ros.practice.session_log import Event, Record
 from wam_power_ros.practice.settings import PracticeSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.answers import Answer, Code, read
 from wam_power_ros.ros.node_runner import number_by_process
 from wam_power_ros.ros.scheduling import executor_for
 from wam_power_ros.ros.service_client import DISCOVERY
@@ -51,7 +52,6 @@ from wam_power_ros.ros.service_client import DISCOVERY
 T = TypeVar("T")
 STARTS = 5  # of a trial, when faults come before its rollout
 ANSWER = 10.0  # one that has not come by then is taken for lost [s of wall time]
-AWAY = "from the start"  # in a refusal: the arm is not where it was sent
 TELLING = 5.0  # what is waited for for so long is told [s of wall time]
 CLOCKS_APART = 0.2  # most that arm and motion capture may be [s]; the tracker scores no more
 FAULT_PATIENCE = 2.5  # for the diagnostics that name a fault, which come once a second [s]
@@ -112,7 +112,7 @@ class Learner(Node):
         self._pan: tuple[int, EndEffectorPath] | None = None
         self._pancake: tuple[int, BodyPath] | None = None
         self._truth: dict[str, Any] | None = None
-        self._fault = ""
+        self._fault: Fault | None = None
         self._mode = ""  # of the controller, as told once a second
         self._resting = 0  # frames in a row
         self._rested_ns = 0  # stamp of the last of them
@@ -187,8 +187,11 @@ class Learner(Node):
         for status in message.status:
             if status.name.startswith(CONTROLLER):
                 at_fault = status.level == DiagnosticStatus.ERROR
-                self._fault = status.message if at_fault else ""
-                self._mode = {each.key: each.value for each in status.values}.get("mode", "")
+                values = {each.key: each.value for each in status.values}
+                kind = values.get("fault kind", "")
+                known = at_fault and kind in [each.value for each in FaultKind]
+                self._fault = Fault(FaultKind(kind), status.message) if known else None
+                self._mode = values.get("mode", "")
 
     def _read(self, convert: Callable[[], T]) -> T | None:
         try:
@@ -267,11 +270,11 @@ class Learner(Node):
             self._executor.spin_once(timeout_sec=0.05)
         return True
 
-    def _call(self, name: str) -> tuple[bool | None, str]:
+    def _call(self, name: str) -> Answer | None:
         return self._ask(name, Trigger.Request())
 
-    def _ask(self, name: str, request: object) -> tuple[bool | None, str]:
-        """Whether a service agreed, and its words; None if no answer has come.
+    def _ask(self, name: str, request: object) -> Answer | None:
+        """Answer of a service, None if none has come.
 
         Questions and answers can be lost: the middleware drops an answer to a client that it has
         not discovered, and a node may be started again. So nothing waits long for one.
@@ -292,9 +295,9 @@ class Learner(Node):
         if not future.done():
             client.remove_pending_request(future)
             self.get_logger().warning(f"{name} does not answer")
-            return None, "no answer"
+            return None
         response = future.result()
-        return response.success, response.message
+        return read(response.success, response.message)
 
     # A session
 
@@ -345,9 +348,9 @@ class Learner(Node):
         """Why the arm must not try a policy: the fault in which its rehearsal ends."""
         movement = policies.to_json(policies.with_id(policy, "movement"))
         if movement not in self._verdicts:
-            rehearsal = rehearse(self._rehearsed.arm, self._rehearsed.settings, policy)
-            self.get_logger().info(f"{policy.id} rehearsed: {rehearsal}")
-            self._verdicts[movement] = rehearsal.fault
+            simulated = simulate_policy(self._rehearsed.arm, self._rehearsed.settings, policy)
+            self.get_logger().info(f"{policy.id} simulated: {simulated}")
+            self._verdicts[movement] = "" if simulated.fault is None else simulated.fault.text
         return self._verdicts[movement]
 
     def _fit_all(self, settings: PracticeSettings) -> tuple[list[str], list[policies.Policy]]:
@@ -433,7 +436,7 @@ class Learner(Node):
         if self.params.record_rollouts:
             self._begin_bag(trial)
         self._truth = None
-        self._fault = ""
+        self._fault = None
         self._insist(interface.EXECUTE, trial)
         return rested_ns
 
@@ -459,21 +462,21 @@ class Learner(Node):
         return pan, self._pancake[1]
 
     def _begin_bag(self, trial: Trial) -> None:
-        begun, why = self._ask(interface.RECORD, SetBool.Request(data=True))
-        if not begun and self._end_bag():  # left open by a learner that was killed
-            begun, why = self._ask(interface.RECORD, SetBool.Request(data=True))
-        if not begun:
-            self.get_logger().warning(f"{trial.id} is not recorded: {why}")
+        begun = self._ask(interface.RECORD, SetBool.Request(data=True))
+        if not _agreed(begun) and self._end_bag():  # left open by a learner that was killed
+            begun = self._ask(interface.RECORD, SetBool.Request(data=True))
+        if not _agreed(begun):
+            self.get_logger().warning(f"{trial.id} is not recorded: {_text(begun)}")
 
     def _end_bag(self) -> str:
         """Name of the bag that was being recorded, or nothing."""
-        ended, path = self._ask(interface.RECORD, SetBool.Request(data=False))
-        return FilePath(path).name if ended else ""
+        ended = self._ask(interface.RECORD, SetBool.Request(data=False))
+        return FilePath(ended.text).name if _agreed(ended) else ""
 
-    def _fault_of(self, pan: EndEffectorPath, whole: float) -> str:
+    def _fault_of(self, pan: EndEffectorPath, whole: float) -> Fault | None:
         """The controller's fault when it cut the rollout short, as its diagnostics tell it."""
         if pan.t[-1] > whole - 0.05:
-            return ""
+            return None
         end = time.monotonic() + FAULT_PATIENCE
         while not self._fault and time.monotonic() < end:
             self._executor.spin_once(timeout_sec=0.05)
@@ -488,14 +491,15 @@ class Learner(Node):
         end = time.monotonic() + self.params.patience
         while True:  # the policy each time: during a rollout, a killed learner's, it is refused
             self._policy_pub.publish(String(data=policies.to_json(trial.policy)))
-            done, why = self._call(interface.MOVE_TO_START)
-            if done and why == trial.id:
+            answer = self._call(interface.MOVE_TO_START)
+            if _is_done(answer, trial):
                 return
             if time.monotonic() > end:
-                raise Trouble(f"{interface.MOVE_TO_START} refused: {why}")
-            if "fault" in why and self.params.reset_faults:
+                raise Trouble(f"{interface.MOVE_TO_START} refused: {_text(answer)}")
+            if answer is not None and answer.code is Code.FAULT and self.params.reset_faults:
                 self._call(interface.RESET)
             else:
+                why = _text(answer)
                 self.get_logger().warning(f"the arm is not at its start: {why}", once=True)
             self._executor.spin_once(timeout_sec=0.1)
 
@@ -507,22 +511,34 @@ class Learner(Node):
         """
         end = time.monotonic() + self.params.service_timeout
         while True:
-            done, answer = self._call(name)
-            if done and answer == trial.id:
+            answer = self._call(name)
+            if _is_done(answer, trial):
                 return
-            if done is None:  # it may have begun: from the start again, rather than twice
-                raise NotBegun(f"{name}: {answer}")
-            if "fault" in answer:
-                raise NotBegun(f"{answer} ({self._fault or 'no reason told yet'})")
-            if AWAY in answer and answer.endswith(trial.id):  # what seemed lost has moved it
-                raise NotBegun(f"{name}: {answer}")
+            # No answer: it may have begun: from the start again, rather than twice.
+            if answer is None or answer.code is Code.FAULT:
+                raise NotBegun(f"{name}: {_text(answer)}")
+            if answer.code is Code.NOT_AT_START and answer.values.get("policy") == trial.id:
+                raise NotBegun(f"{name}: {answer.text}")  # a request whose answer was lost moved it
             if time.monotonic() > end:
-                raise Trouble(f"{name} for {trial.id} refused: {answer}")
+                raise Trouble(f"{name} for {trial.id} refused: {_text(answer)}")
             self._executor.spin_once(timeout_sec=0.05)
 
 
 def _is_of(arrived: tuple[int, Any] | None, trial: Trial) -> bool:
     return arrived is not None and arrived[1].id == trial.id
+
+
+def _agreed(answer: Answer | None) -> bool:
+    return answer is not None and answer.success
+
+
+def _is_done(answer: Answer | None, trial: Trial) -> bool:
+    """Whether the request was done for this trial."""
+    return _agreed(answer) and answer.values.get("policy", answer.text) == trial.id
+
+
+def _text(answer: Answer | None) -> str:
+    return "no answer" if answer is None else answer.text
 
 
 def _line(record: Record) -> str:

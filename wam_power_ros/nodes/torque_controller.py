@@ -24,12 +24,14 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from wam_power_ros.control.controller import Controller, ControllerError
-from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.learning import policy as policies
+from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import cdr, interface, scheduling, security
+from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.command_guard import SoleCommander
 from wam_power_ros.ros.deferred_service import LateTrigger
 from wam_power_ros.ros.loop_statistics import LoopStatistics
@@ -222,7 +224,7 @@ class TorqueController(LifecycleNode):
         self._refused["callback"] += 1
         self._trouble = f"callback failed: {error!r}"
         if self._active:
-            self._controller.fault(f"a callback failed: {error!r}")
+            self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
             self._send(self._controller.stale_torque(), Mode.FAULT.value)
 
     def _on_velocity(self, message: JointState) -> None:
@@ -257,7 +259,8 @@ class TorqueController(LifecycleNode):
             return
         age = now - self._arrived_ns
         if age > STALE_FAULT_NS:
-            core.fault(f"no joint state for {age // 1_000_000} ms")
+            text = f"no joint state for {age // 1_000_000} ms"
+            core.fault(Fault(FaultKind.STATES_LOST, text))
         if age > STALE_IDLE_NS and not self._idle_asked and self._params.idle_service:
             self._idle_asked = True
             self._idle.call_async(Trigger.Request())
@@ -288,57 +291,63 @@ class TorqueController(LifecycleNode):
         self._urdf = message.data
 
     def _on_execute(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._try(response, lambda core: core.execute())
+        return _fill(response, self._try(lambda core: core.execute()))
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._move.finish(False, "stopped")
-        self._replay.finish(False, f"stopped\n{self._followed()}".rstrip())
-        return self._try(response, lambda core: core.stop())
+        stopped = Answer(Code.STOPPED, "stopped")
+        self._move.finish(False, str(stopped))
+        self._replay.finish(
+            False, str(Answer(Code.STOPPED, f"stopped\n{self._followed()}".rstrip()))
+        )
+        return _fill(response, self._try(lambda core: core.stop()))
 
     def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return self._try(response, lambda core: core.reset())
+        return _fill(response, self._try(lambda core: core.reset()))
 
     def _on_gravity_compensation(
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
-        return self._try(response, lambda core: core.set_gravity_compensation(request.data))
+        on = request.data
+        return _fill(response, self._try(lambda core: core.set_gravity_compensation(on)))
 
-    def _try(
-        self, response: Trigger.Response, request: Callable[[Controller], None]
-    ) -> Trigger.Response:
-        """Success, with the loaded policy's id as the message; or why not."""
+    def _try(self, request: Callable[[Controller], None]) -> Answer:
+        """Answer to a request: the id of the loaded policy, or why it was refused."""
+        if not self._active:
+            return Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
         try:
-            if not self._active:
-                raise ControllerError("refused: the controller is not active")
             request(self._controller)
-            response.success, response.message = True, self._controller.policy_id or ""
         except ControllerError as error:
-            response.success, response.message = False, str(error)
-        return response
+            return Answer(Code(error.refusal.value), str(error), error.values)
+        return _done(self._controller.policy_id)
 
     def _begin_move(self) -> str | None:
-        answer = self._try(Trigger.Response(), lambda core: core.move_to_start())
-        self._moved_for = answer.message
-        return None if answer.success else answer.message
+        answer = self._try(lambda core: core.move_to_start())
+        self._moved_for = answer.values.get("policy", "")
+        return None if answer.success else str(answer)
 
     def _begin_replay(self) -> str | None:
         if self._movement is None:
-            return f"refused: nothing valid has come on {interface.REPLAY_TRAJECTORY}"
+            text = f"refused: nothing valid has come on {interface.REPLAY_TRAJECTORY}"
+            return str(Answer(Code.NOTHING, text))
         movement = self._movement
-        refusal = self._try(Trigger.Response(), lambda core: core.start_replay(movement))
-        return None if refusal.success else refusal.message
+        answer = self._try(lambda core: core.start_replay(movement))
+        return None if answer.success else str(answer)
 
     def _answer_moves(self) -> None:
         """Answer who asked for a movement, once the arm rests or the movement was broken off."""
         core, mode = self._controller, self._controller.mode
         if mode in MOVING or (mode is Mode.HOLD and not core.at_rest):
             return
-        reason = core.fault_reason or f"mode is {mode.value}"
+        if core.latched is not None:
+            failed = Answer(Code.FAULT, f"failed: {core.latched.text}")
+        else:
+            failed = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
         # Another policy may have come since; its start is near, but nobody has moved there.
-        self._move.finish(core.ready, self._moved_for if core.ready else f"failed: {reason}")
+        answer = _done(self._moved_for) if core.ready else failed
+        self._move.finish(answer.success, str(answer))
         if self._replay.pending:
-            done = mode is Mode.HOLD
-            self._replay.finish(done, self._followed() if done else f"failed: {reason}")
+            answer = Answer(Code.DONE, self._followed()) if mode is Mode.HOLD else failed
+            self._replay.finish(answer.success, str(answer))
 
     def _followed(self) -> str:
         """How well the last replay went."""
@@ -353,7 +362,7 @@ class TorqueController(LifecycleNode):
         if self._autostart and self._controller is not None and self._unfit() is None:
             self._autostart = self.trigger_activate() is not SUCCESS
         if self._active and (intruder := self._guard.intruder()):
-            self._controller.fault(intruder)
+            self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
         if self._move.pending or self._replay.pending:
             self._answer_moves()
 
@@ -364,6 +373,7 @@ class TorqueController(LifecycleNode):
         values = {
             "mode": "unconfigured" if core is None else core.mode.value,
             "policy": (core and core.policy_id) or "",
+            "fault kind": core.latched.kind.value if core and core.latched else "",
             **figures,
             **({} if core is None else core.counters),
             **{f"refused: {name}": count for name, count in self._refused.items()},
@@ -373,7 +383,7 @@ class TorqueController(LifecycleNode):
         }
         level, text = "ok", values["mode"]
         if core is not None and core.mode is Mode.FAULT:
-            level, text = "error", core.fault_reason or "fault"
+            level, text = "error", core.latched.text if core.latched else "fault"
         elif not self._active or self._unfit():
             level, text = "warn", self._unfit() or "not active"
         elif overload:
@@ -395,13 +405,22 @@ class TorqueController(LifecycleNode):
             return ""
         text = f"{100.0 * share:.1f} % of the periods of a second missed, {in_row} in a row"
         if share > MISSED_FAULT and self._active and not self._params.allow_no_realtime:
-            self._controller.fault(text)
+            self._controller.fault(Fault(FaultKind.OVERLOAD, text))
         return text
 
     def _refuse(self, what: str, reason: object) -> None:
         self._refused[what] += 1
         self._trouble = f"{what} refused: {reason}"
         self.get_logger().warning(self._trouble, throttle_duration_sec=1.0)
+
+
+def _done(policy_id: str | None) -> Answer:
+    return Answer(Code.DONE, values={"policy": policy_id} if policy_id else {})
+
+
+def _fill(response: Trigger.Response, answer: Answer) -> Trigger.Response:
+    response.success, response.message = answer.success, str(answer)
+    return response
 
 
 def main() -> int:

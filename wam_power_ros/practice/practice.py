@@ -20,7 +20,7 @@ from wam_power_ros.learning.learner import generator_state
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, check_id, to_json
 from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault
 from wam_power_ros.practice.best_policy import Best, evidence_of
 from wam_power_ros.practice.feasible_sampler import Permission
 from wam_power_ros.practice.session_log import Event, Given, Kind, Line, Rating, Record, plain
@@ -266,7 +266,7 @@ class Practice:
         pan: EndEffectorPath,
         pancake: BodyPath,
         *,
-        fault: str = "",
+        fault: Fault | None = None,
         bag: str = "",
         truth: Mapping[str, Any] | None = None,
         clock: Mapping[str, Any] | None = None,
@@ -277,7 +277,7 @@ class Practice:
             trial: what `next_trial` gave.
             pan: path of the pan in the base frame.
             pancake: path of the pancake in the base frame.
-            fault: the controller's fault if it ended the rollout, else empty.
+            fault: the controller's fault if it ended the rollout, else None.
             bag: name of the rollout's bag.
             truth: the stand-in's own account, logged only.
             clock: wall-clock figures, logged only.
@@ -292,7 +292,8 @@ class Practice:
             if path.id != trial.id:
                 raise ValueError(f"{name} path is of rollout {path.id!r}, expected {trial.id!r}")
         assessment = assess(trial.policy, pan, pancake, self.settings, fault)
-        return self.note(trial, assessment, fault=fault, bag=bag, truth=truth, clock=clock)
+        text = "" if fault is None else fault.text
+        return self.note(trial, assessment, fault=text, bag=bag, truth=truth, clock=clock)
 
     def note(
         self,

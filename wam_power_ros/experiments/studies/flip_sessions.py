@@ -211,7 +211,9 @@ def session(
         runs = [
             elsewhere.run(with_id(best.policy, f"carried-{place}-{k}"))[2:] for k in range(repeats)
         ]
-        result["carried"][where] = [_outcome(truth, fault) for truth, fault in runs]
+        result["carried"][where] = [
+            _outcome(truth, "" if fault is None else fault.text) for truth, fault in runs
+        ]
     if exhibited:
         result["exhibit"] = _exhibit(environment, seed, pitch_rate, parameters.policy0, best.policy)
     return result

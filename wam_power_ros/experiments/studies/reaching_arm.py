@@ -136,7 +136,8 @@ def _executed(
     """The tool's path (T, 3) [m] at the samples of the scenario, and the fault if any."""
     pan, _, _, fault = environment.run(policy)
     t = np.arange(scenario.steps) * scenario.period
-    return np.stack([np.interp(t, pan.t, x) for x in pan.position.T], axis=1), fault
+    path = np.stack([np.interp(t, pan.t, x) for x in pan.position.T], axis=1)
+    return path, "" if fault is None else fault.text
 
 
 @cache

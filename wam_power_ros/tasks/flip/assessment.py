@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault
 from wam_power_ros.practice.session_log import Record, plain
 from wam_power_ros.practice.settings import PracticeSettings
 from wam_power_ros.tasks.flip.flight import Flight, observe_flight
@@ -22,8 +21,6 @@ from wam_power_ros.tasks.flip.returns import landing_return, pancake_return
 _LONGEST_GAP = 0.2  # s without a frame after which a pancake counts as lost: six frames at 30 Hz
 _FALLEN = 0.05  # m under the pan's floor: a pancake last seen there was not lost but dropped
 _CUT_SHORT = 0.05  # s a path may be shorter than the rollout
-# Motion limits as `safety.exceeded` names them: a policy runs into these by itself.
-_OWN_FAULT = re.compile(r"\b(joint \d+|tool|elbow|forearm) at .*(limit|workspace)")
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ def assess(
     pan: EndEffectorPath,
     pancake: BodyPath,
     settings: PracticeSettings,
-    fault: str = "",
+    fault: Fault | None = None,
 ) -> Assessment:
     """Return and success of a rollout, or why nothing can be said about it.
 
@@ -59,12 +56,12 @@ def assess(
         pan: path of the pan in the base frame.
         pancake: path of the pancake in the base frame.
         settings: see there.
-        fault: the controller's fault if it ended the rollout, else empty.
+        fault: the controller's fault if it ended the rollout, else None.
     """
-    if fault:
-        if _OWN_FAULT.search(fault):
-            return Assessment(0.0, why=f"{fault}: counts as return 0")
-        return Assessment(None, why=fault)
+    if fault is not None:
+        if fault.kind.of_policy:
+            return Assessment(0.0, why=f"{fault.text}: counts as return 0")
+        return Assessment(None, why=fault.text)
     duration = policy.basis.duration + settings.settle_time
     if len(pan.t) == 0 or pan.t[-1] < duration - _CUT_SHORT:
         end = pan.t[-1] if len(pan.t) else 0.0
