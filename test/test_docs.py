@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The README names what there is, and what it names is there."""
+"""The documentation names what there is, and what it names is there."""
 
 import importlib
 import importlib.util
@@ -15,7 +15,16 @@ from wam_power_ros.ros import interface
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
-PAGES = ["README.md", "docs/method.md", "docs/hardware.md", "docs/safety.md", "SECURITY.md"]
+NODES_PAGE = (ROOT / "docs/nodes.md").read_text()
+METHOD = (ROOT / "docs/method.md").read_text()
+PAGES = ["README.md", "SECURITY.md", *(f"docs/{path.name}" for path in ROOT.glob("docs/*.md"))]
+CITATION = re.compile(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d)[],]")
+SOURCES = [
+    path
+    for folder in ("wam_power_ros", "hardware_sim", "benchmark", "docs", "config")
+    for path in (ROOT / folder).rglob("*")
+    if path.suffix in (".py", ".md", ".yaml")
+]
 NAMES = sorted(
     [
         *(
@@ -27,7 +36,7 @@ NAMES = sorted(
         interface.rollout_topic("pancake"),
     ]
 )
-PAPER = re.search(r"\| paper \| code \| test \|\n(.*?)\n\n", README, re.DOTALL)
+PAPER = re.search(r"\| paper \| code \| test \|\n(.*?)\n\n", METHOD, re.DOTALL)
 
 
 def rows(table: str) -> list[list[str]]:
@@ -41,13 +50,13 @@ def test_there_are_topics_and_a_paper_table_to_check() -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_topic_and_service_is_in_the_readme(name: str) -> None:
-    assert f"`{name}`" in README
+def test_every_topic_and_service_is_documented(name: str) -> None:
+    assert f"`{name}`" in NODES_PAGE
 
 
 @pytest.mark.parametrize("node", NODES)
-def test_every_node_has_a_row_in_the_readme(node: str) -> None:
-    assert f"\n| `{node}` |" in README
+def test_every_node_has_a_row_in_the_table(node: str) -> None:
+    assert f"\n| `{node}` |" in NODES_PAGE
 
 
 @pytest.mark.parametrize("row", rows(PAPER.group(1)) if PAPER else [], ids=lambda row: row[0])
@@ -79,7 +88,7 @@ def test_every_test_that_holds_a_promise_is_there(page: str) -> None:
     assert [name for name in named if f"def {name}(" not in tests] == []
 
 
-@pytest.mark.parametrize("page", PAGES[1:])
+@pytest.mark.parametrize("page", PAGES)
 def test_every_name_of_a_module_is_there(page: str) -> None:
     named = re.findall(r"`(?:wam_power_ros\.)?([a-z_.]+)\.(\w+)`", (ROOT / page).read_text())
     for module, name in named:
@@ -116,6 +125,13 @@ def test_the_method_tells_the_numbers_of_the_presets(name: str) -> None:
         ],
     }
     assert [words for words in told[name] if words not in text] == []
+
+
+def test_every_citation_is_in_the_references() -> None:
+    cited = {key for path in SOURCES for key in CITATION.findall(path.read_text())}
+    listed = set(re.findall(r"^\* \[(\w+)\]", (ROOT / "docs/references.md").read_text(), re.M))
+    assert {"Kormushev2010", "Hansen2016"} <= cited
+    assert cited - listed == set()
 
 
 @pytest.mark.parametrize("target", re.findall(r"^make (\w+)", README, re.MULTILINE))
