@@ -12,8 +12,9 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Code
 from wam_power_ros.ros.node_runner import number_by_process
-from wam_power_ros.ros.service_client import TIMEOUT, ServiceCalls, ServiceError
+from wam_power_ros.ros.service_client import TIMEOUT, ServiceClient, ServiceError
 
 REQUESTS = {
     "reward": (interface.LEARNER_REWARD, Trigger, Trigger.Request()),
@@ -48,7 +49,7 @@ def give(kind: str, bag: Path | None = None) -> tuple[bool, str]:
 
 def _give(node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:
     name, service, request = REQUESTS[kind]
-    calls = ServiceCalls(node)
+    calls = ServiceClient(node)
     if bag is not None:
         publisher = node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
         publisher.publish(String(data=str(bag.resolve())))
@@ -56,7 +57,9 @@ def _give(node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:
     while True:
         answer = calls.call(service, name, request)
         # topics and services are not ordered: the learner may not have received the bag yet
-        early = bag is not None and answer.message == interface.NO_BAG
+        if answer is None:
+            raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
+        early = bag is not None and (answer.code is Code.NOTHING or answer.text == interface.NO_BAG)
         if not early or time.monotonic() > end:
-            return answer.success, answer.message
-        calls.until(lambda: False, 0.05)
+            return answer.success, answer.text
+        calls.until(lambda: False, timeout=0.05)

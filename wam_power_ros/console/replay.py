@@ -23,9 +23,9 @@ from wam_power_ros.bags import reader
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.node_runner import number_by_process
-from wam_power_ros.ros.service_client import ServiceCalls, ServiceError
+from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
 STOPPED = 130  # exit status
 LONGEST = 3600.0  # [s of wall time] of a replay
@@ -56,7 +56,7 @@ class Replaying(Node):
         self._movements = self.create_publisher(
             JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED
         )
-        self._calls = ServiceCalls(self)
+        self._calls = ServiceClient(self)
         self._signals: list[int] = []
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda received, _: self._signals.append(received))
@@ -79,7 +79,7 @@ class Replaying(Node):
         try:
             answer = self._follow()
         finally:
-            path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False))
+            path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text
         self._say(with_possible_speed(answer, self._params.speed))
         self._say(f"recorded: {path}")
         if self._signals:
@@ -95,19 +95,18 @@ class Replaying(Node):
         calls = self._calls
         while True:
             future = calls.begin(Trigger, interface.REPLAY)
-            calls.until(lambda f=future: f.done() or bool(self._signals), LONGEST)
+            calls.until(lambda f=future: f.done() or self._signals, timeout=LONGEST)
             if not future.done():
                 self._stop(future)
-            response = future.result()
-            answer = read(response.success, response.message)
+            answer = calls.answer(future)
             if self._signals or answer.code is not Code.NOTHING:  # it may still be on its way
                 return answer
 
     def _stop(self, future: Future) -> None:
         self._calls.insist(Trigger, interface.STOP)
-        if not self._calls.until(future.done):
+        if not self._calls.until(future.done, "the end of the replay"):
             raise ServiceError(f"{interface.REPLAY} did not answer after {interface.STOP}")
-        self._calls.until(lambda: False, SETTLING)
+        self._calls.until(lambda: False, timeout=SETTLING)
 
     def _ask(self, text: str) -> None:
         if self._params.person and not self._signals:

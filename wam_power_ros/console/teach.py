@@ -22,7 +22,7 @@ from wam_power_ros.console.prompt import ask, say
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import number_by_process
-from wam_power_ros.ros.service_client import TIMEOUT, ServiceCalls, ServiceError
+from wam_power_ros.ros.service_client import TIMEOUT, ServiceClient, ServiceError
 
 RECORDER = "demonstration_recorder"
 
@@ -51,7 +51,7 @@ class Teach(Node):
     def __init__(self) -> None:
         super().__init__("teaching", automatically_declare_parameters_from_overrides=True)
         self._params = TeachParams.of(self)
-        self._calls = ServiceCalls(self)
+        self._calls = ServiceClient(self)
 
     def run(self) -> None:
         """Record the series; the arm holds its position afterwards.
@@ -74,7 +74,7 @@ class Teach(Node):
                 self._ask("press Enter when the movement is over ")
             else:
                 insist(Trigger, interface.HAND_DEMONSTRATE)
-            bags.append(insist(SetBool, interface.RECORD, SetBool.Request(data=False)))
+            bags.append(insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text)
             say(f"  {number} of {params.demonstrations}: {bags[-1]}")
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
         Path(params.series).write_text(json.dumps(bags))

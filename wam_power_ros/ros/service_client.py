@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calling services from a script that has nothing else to do meanwhile."""
+"""Calls of other nodes' services, with deadlines; the caller's callbacks go on while it waits."""
 
 from __future__ import annotations
 
@@ -7,82 +7,149 @@ import time
 from collections.abc import Callable
 
 from rclpy.client import Client
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
-from std_srvs.srv import SetBool, Trigger
 
-TIMEOUT = 60.0  # for a service to appear and to agree [s of wall time]
+from wam_power_ros.ros import answers
+from wam_power_ros.ros.answers import Answer
+
+TIMEOUT = 60.0  # [s of wall time] for a service to appear, to answer and to agree
 # A client knows that it sees the service, not that the service sees it: the middleware drops an
 # answer to a client that it has not discovered within 0.1 s.
 DISCOVERY = 0.3  # [s of wall time]
+LOG_AFTER = 5.0  # [s of wall time] of waiting, after which it is logged
+RETRY_PERIOD = 0.2  # [s of wall time] between a refusal and the next request
 
 
 class ServiceError(RuntimeError):
-    """It cannot go on; the message says which service did what."""
+    """A service did not appear, did not answer or refused; the message names it."""
 
 
-class ServiceCalls:
-    """Calls services for a node, and dispatches its callbacks while it waits."""
+class ServiceClient:
+    """Calls services for a node.
 
-    def __init__(self, node: Node) -> None:
+    Args:
+        node: Node that calls.
+        executor: Executor that has the node; one is made if omitted.
+        appear_timeout: Time for a service to appear [s of wall time].
+    """
+
+    def __init__(
+        self, node: Node, executor: Executor | None = None, appear_timeout: float = TIMEOUT
+    ) -> None:
         self._node = node
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(node)
+        if executor is None:
+            executor = SingleThreadedExecutor(context=node.context)
+            executor.add_node(node)
+        self._executor = executor
+        self._appear_timeout = appear_timeout
         self._clients: dict[str, Client] = {}
+        self._called: set[str] = set()
+        self._pending: dict[Future, Client] = {}
 
-    def begin(self, kind: type, name: str, request: object = None) -> Future:
-        """Call a service; its answer comes when it comes.
+    def prepare(self, kind: type, name: str) -> None:
+        """Make the client of a service ahead of its first call, so that it is discovered early."""
+        if name not in self._clients:
+            self._clients[name] = self._node.create_client(kind, name)
+
+    def until(
+        self, condition: Callable[[], object], what: str = "", timeout: float = TIMEOUT
+    ) -> bool:
+        """Dispatch callbacks until a condition holds or the timeout is over.
+
+        Args:
+            condition: Condition, checked after every callback and at least every 0.05 s.
+            what: What is waited for, for the log; nothing is logged if empty.
+            timeout: Longest wait [s of wall time].
+
+        Returns:
+            Whether the condition holds.
 
         Raises:
-            ServiceError: It does not appear in time.
+            ExternalShutdownException: When the process is being ended.
         """
-        known = name in self._clients
-        if not known:
-            self._clients[name] = self._node.create_client(kind, name)
-        client = self._clients[name]
-        if not client.wait_for_service(TIMEOUT):
-            raise ServiceError(f"{name} did not appear in {TIMEOUT:.0f} s")
-        if not known:
-            time.sleep(DISCOVERY)
-        return client.call_async(kind.Request() if request is None else request)
-
-    def until(self, condition: Callable[[], bool], patience: float = TIMEOUT) -> bool:
-        """Whether it came true within `patience` [s]."""
-        end = time.monotonic() + patience
+        begun, logged = time.monotonic(), not what
         while not condition():
-            if time.monotonic() > end:
+            if not self._node.context.ok():
+                raise ExternalShutdownException
+            waited = time.monotonic() - begun
+            if waited > timeout:
                 return False
-            self._executor.spin_once(timeout_sec=0.05)
+            if waited > LOG_AFTER and not logged:
+                self._node.get_logger().info(f"waiting: {what}")
+                logged = True
+            self._executor.spin_once(timeout_sec=min(0.05, timeout - waited))
         return True
 
-    def call(
-        self, kind: type, name: str, request: object = None, patience: float = TIMEOUT
-    ) -> Trigger.Response | SetBool.Response:
-        """Answer of a service, which may be a refusal.
+    def begin(self, kind: type, name: str, request: object = None) -> Future:
+        """Send a request; see `answer` for what to do with the future.
 
         Raises:
-            ServiceError: It does not appear, or does not answer within `patience` [s].
+            ServiceError: When the service does not appear in time.
+        """
+        self.prepare(kind, name)
+        client = self._clients[name]
+        if not self.until(client.service_is_ready, f"service {name}", self._appear_timeout):
+            raise ServiceError(f"{name} did not appear in {self._appear_timeout:.0f} s")
+        if name not in self._called:
+            self._called.add(name)
+            self.until(lambda: False, timeout=DISCOVERY)
+        future = client.call_async(kind.Request() if request is None else request)
+        self._pending[future] = client
+        return future
+
+    def answer(self, future: Future) -> Answer | None:
+        """Answer that has come, or None; the request is then given up and its answer ignored."""
+        client = self._pending.pop(future)
+        if not future.done():
+            client.remove_pending_request(future)
+            return None
+        response = future.result()
+        return answers.read(response.success, response.message)
+
+    def call(
+        self,
+        kind: type,
+        name: str,
+        request: object = None,
+        timeout: float = TIMEOUT,
+        abandon: Callable[[], bool] = lambda: False,
+    ) -> Answer | None:
+        """Call a service.
+
+        Args:
+            kind: Type of the service, of std_srvs.
+            name: Name of the service.
+            request: Request; an empty one if omitted.
+            timeout: Longest wait for the answer [s of wall time].
+            abandon: Whether to stop waiting earlier, asked after every callback.
+
+        Returns:
+            The answer, which may be a refusal; None when none has come: it may be lost, for a node
+            may be started again while it works on a request, which may have been done.
+
+        Raises:
+            ServiceError: When the service does not appear in time.
         """
         future = self.begin(kind, name, request)
-        if not self.until(future.done, patience):
-            raise ServiceError(f"{name} did not answer in {patience:.0f} s")
-        return future.result()
+        self.until(lambda: future.done() or abandon(), f"answer of {name}", timeout)
+        return self.answer(future)
 
-    def insist(self, kind: type, name: str, request: object = None) -> str:
-        """Message of a service that agreed.
-
-        A refusal is asked again until the time is up: a node that has just started may not have
-        seen a joint state yet.
+    def insist(self, kind: type, name: str, request: object = None) -> Answer:
+        """Call a service until it agrees; a node that has just started may lack its inputs yet.
 
         Raises:
-            ServiceError: It does not appear, does not answer in time, or refuses.
+            ServiceError: When the service does not appear, does not answer or refuses until the
+                time is up.
         """
         end = time.monotonic() + TIMEOUT
         while True:
             answer = self.call(kind, name, request, max(end - time.monotonic(), 1.0))
+            if answer is None:
+                raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
             if answer.success:
-                return str(answer.message)
+                return answer
             if time.monotonic() > end:
-                raise ServiceError(f"{name} refused: {answer.message}")
-            time.sleep(0.2)
+                raise ServiceError(f"{name} refused: {answer.text}")
+            self.until(lambda: False, timeout=RETRY_PERIOD)
