@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from wam_power_ros.experiments.jobs import Job
-from wam_power_ros.reporting import study_figures
+from wam_power_ros.reporting import figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
 
@@ -55,6 +55,6 @@ def chapter(results: dict[str, dict[str, dict[str, Any]]]) -> Chapter:
         met=abs(np.mean(means)) < 1.0,
     )
     rows = [[key, f"{mean:.3f}"] for key, mean in zip(results["draws"], means, strict=True)]
-    drawn = Figure.of("draws", "All of them.", study_figures.strips({"draws": means}))
+    drawn = Figure.of("draws", "All of them.", figures.learning_curve(means, paper=False))
     lost = Figure("film", "There is no OpenGL.", b"")
     return Chapter("Draws", ["Normal."], [claim], [Table("", ["", "mean"], rows)], [drawn, lost])

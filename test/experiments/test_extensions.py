@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the wish list buys, in little; and that the chapter says what the results say."""
+"""The extensions with small budgets; the chapter agrees with the results."""
 
 from pathlib import Path
 
@@ -7,23 +7,23 @@ import numpy as np
 import pytest
 
 from wam_power_ros.experiments import jobs
-from wam_power_ros.experiments.chapters.extensions_chapter import (
+from wam_power_ros.experiments.chapters.extensions_chapter import chapter
+from wam_power_ros.experiments.studies import extensions
+from wam_power_ros.experiments.studies.extensions import (
     AUTO,
     DEMONSTRATION,
     PERSON,
     REACHING,
     REACHING_NOISY,
     SIGMA,
-    chapter,
 )
-from wam_power_ros.experiments.studies import extensions
 from wam_power_ros.reporting.chapter import html
 
 
-def test_the_wishes_in_little_have_every_claim(tmp_path: Path) -> None:
+def test_the_quick_extensions_have_every_claim(tmp_path: Path) -> None:
     results = jobs.run(extensions.jobs("quick"), tmp_path)
-    told = chapter(results)
-    assert len(told.all_claims()) == 7 and "automatic" in html(told)
+    written = chapter(results)
+    assert len(written.all_claims()) == 7 and "automatic" in html(written)
     (person,) = results[PERSON].values()
     assert 0 <= person["rated"] <= 2 and person["used"] == 4
     (given,) = results[f"{DEMONSTRATION}with"].values()
@@ -40,9 +40,9 @@ def test_the_full_study_holds_seeds_that_nothing_was_tuned_on() -> None:
 
 def run(landed: float, used: int = 50, **other: object) -> dict[str, object]:
     flags = [k < round(10 * landed) for k in range(10)]
-    told = {"landed": flags, "true_flip": flags, "angle_deg": [100.0 + 80.0 * f for f in flags]}
-    told |= {"retests": [0.5 + 0.5 * landed] * 10, "used": used, "rated": 3, "refused": ""}
-    return {**told, "choice": "", "sigma": 6.0, **other}
+    outcomes = {"landed": flags, "true_flip": flags, "angle_deg": [100.0 + 80.0 * f for f in flags]}
+    outcomes |= {"retests": [0.5 + 0.5 * landed] * 10, "used": used, "rated": 3, "refused": ""}
+    return {**outcomes, "choice": "", "sigma": 6.0, **other}
 
 
 @pytest.mark.parametrize("better", [True, False])

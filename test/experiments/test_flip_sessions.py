@@ -42,13 +42,13 @@ def test_the_papers_rule_fires_at_the_third_good_return_in_a_row() -> None:
 @pytest.mark.parametrize("scale", ["quick", "full"])
 def test_what_is_ablated_stands_beside_the_papers_own_session_of_its_seed(scale: str) -> None:
     jobs = flip_sessions.jobs(scale)
-    ablated = [job for job in jobs if job.study.startswith(flip_chapter.ABLATION)]
-    papers = {job.key: job.arguments for job in jobs if job.study == flip_chapter.PAPER}
+    ablated = [job for job in jobs if job.study.startswith(flip_sessions.ABLATION)]
+    papers = {job.key: job.arguments for job in jobs if job.study == flip_sessions.PAPER}
     assert ablated
     for job in ablated:
         changes = {key: x for key, x in job.arguments["changes"].items() if key != "variant"}
         session = {**job.arguments, "changes": changes}
-        paper = {key: x for key, x in papers[job.key].items() if key != "exhibited"}
+        paper = {key: x for key, x in papers[job.key].items() if key != "keep_paths"}
         assert session == paper
 
 
@@ -93,7 +93,7 @@ def held(seed: int, landed: bool = True, angle: float = 175.0) -> dict[str, Any]
         "fires": 33,
         "carried": {"wind 0.2 m/s": retests, "80 V": retests},
         "k33": {"demonstrated": [300.0] * 41, "learnt": [290.0, *[300.0] * 40], "duration": 0.8},
-        "exhibit": None,
+        "shown": None,
     }
 
 
@@ -122,6 +122,6 @@ def test_the_chapter_meets_what_is_met_and_says_what_is_missed() -> None:
     assert claim(chapter, true).ours == "9 of 10 sessions"
     assert claim(chapter, "gain of the mean return").ours == "0.45"
     assert {figure.name for figure in chapter.all_figures()} >= {"fig5-learning-curve"}
-    bad = flip_chapter._default([*good[:5], *[held(9, landed=False)] * 5])
+    bad = flip_chapter._default(flip_chapter.Sessions([*good[:5], *[held(9, landed=False)] * 5]))
     assert claim(bad, landed).met is False
     assert claim(bad, true).met is False

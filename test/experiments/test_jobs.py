@@ -18,6 +18,7 @@ from wam_power_ros.experiments import jobs as job_cache
 from wam_power_ros.experiments.jobs import Job, JobError, run
 
 ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = ROOT / "wam_power_ros"
 
 
 def draws(count: int = 6, seconds: float = 0.0) -> list[Job]:
@@ -84,7 +85,7 @@ def test_a_result_that_is_no_plain_number_is_refused(tmp_path: Path, what: str) 
 
 def test_names_that_are_no_files_and_arguments_that_are_no_data_are_refused() -> None:
     for name in ("", "../up", "a/b", ".hidden"):
-        with pytest.raises(ValueError, match="no name of a file"):
+        with pytest.raises(ValueError, match="is no file name"):
             Job("study", name, study_jobs.draw)
     with pytest.raises(ValueError, match="arguments of study/key"):
         Job("study", "key", study_jobs.draw, {"seed": float("inf")})
@@ -92,46 +93,53 @@ def test_names_that_are_no_files_and_arguments_that_are_no_data_are_refused() ->
         run([draws()[0], draws()[0]], Path("nowhere"))
 
 
-def test_a_digest_knows_the_sources_a_job_depends_on_and_only_those(
+def digest_of(job: Job) -> str:
+    """Digest as a new process would compute it."""
+    for cached in (job_cache.sources, job_cache._code):
+        cached.cache_clear()
+    return job_cache.digest(job)
+
+
+def test_a_digest_changes_with_code_that_numbers_depend_on_and_not_with_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    job = Job("study", "key", study_jobs.draw, {"seed": 1})
+    package = tmp_path / "made_up"
+    (package / "reporting").mkdir(parents=True)
+    (package / "__init__.py").touch()
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(job_cache, "OURS", (*job_cache.OURS, "made_up"))
-    (tmp_path / "made_up").mkdir()
-    helper, told, job = (tmp_path / "made_up" / f"{n}.py" for n in ("helper", "report", "job"))
-    (tmp_path / "made_up/__init__.py").touch()
-    job.write_text("from made_up import helper, report\n\ndef f():\n    'Words.'\n    return 1\n")
-    told.write_text("")
+    monkeypatch.setattr(job_cache, "PACKAGES", (*job_cache.PACKAGES, "made_up"))
+    monkeypatch.setattr(job_cache, "NOT_HASHED", (*job_cache.NOT_HASHED, "made_up/reporting"))
+    model, report = package / "model.py", package / "reporting/report.py"
     seen = []
-    for text in ("A = 1\n", "# why\nA =  1\n", "A = 2\n"):
-        helper.write_text(text)
-        job_cache.sources.cache_clear()
-        seen.append(job_cache.sources("made_up.job"))
-    assert seen[0] == seen[1] != seen[2]  # a comment is no change
-    told.write_text("B = 1\n")
-    job.write_text(job.read_text().replace("Words.", "Others."))
-    job_cache.sources.cache_clear()
-    assert job_cache.sources("made_up.job") == seen[2]
-    job_cache.sources.cache_clear()
+    for text in ("def f():\n    'Words.'\n    return 1\n", "# why\ndef f(): return  1\n", "A = 2"):
+        model.write_text(text)
+        seen.append(digest_of(job))
+    assert seen[0] == seen[1] != seen[2]  # comments, docstrings and layout are no change
+    report.write_text("B = 1\n")
+    assert digest_of(job) == seen[2]
+    monkeypatch.undo()
+    assert digest_of(job) not in seen
 
 
-def test_the_sources_of_a_session_are_found_down_to_the_motors() -> None:
-    files = job_cache.sources.__wrapped__
-    assert files("wam_power_ros.experiments.studies.flip_sessions") != files(
-        "wam_power_ros.experiments.environment"
+def test_a_digest_changes_with_the_arguments_and_with_the_function_itself(tmp_path: Path) -> None:
+    one, other = (Job("s", "k", study_jobs.draw, {"seed": seed}) for seed in (1, 2))
+    assert len({*map(job_cache.digest, (one, other, Job("s", "k", study_jobs.fail)))}) == 3
+
+
+def test_whatever_the_studies_import_is_hashed() -> None:
+    names = [module.stem for module in (PACKAGE / "experiments/studies").glob("[a-z]*.py")]
+    code = (
+        f"import importlib, sys\nfor name in {names}:\n"
+        "    importlib.import_module(f'wam_power_ros.experiments.studies.{name}')\n"
+        "print(*[m.__file__ for n, m in sys.modules.items() if n.startswith(('wam_power_ros', "
+        "'hardware_sim')) and getattr(m, '__file__', None)], sep='\\n')"
     )
-    reached, waiting = set(), ["wam_power_ros.experiments.studies.flip_sessions"]
-    while waiting:
-        name = waiting.pop()
-        if name not in reached and (path := job_cache._file(name)):
-            reached.add(name)
-            waiting += [other for other in job_cache._imports(path) if job_cache._counts(other)]
-    assert {
-        "hardware_sim.motors",
-        "wam_power_ros.learning.power",
-        "wam_power_ros.params.resources",
-    } <= reached
-    assert not {name.rpartition(".")[2] for name in reached} & job_cache.TELLING
+    asked = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    imported = {Path(line) for line in asked.stdout.splitlines()}
+    hashed = {path for _, path in job_cache.hashed_sources()}
+    assert {PACKAGE / "learning/power.py", ROOT / "hardware_sim/motors.py"} <= imported
+    assert imported - hashed <= {PACKAGE / "experiments/jobs.py"}
 
 
 def test_interrupted_and_begun_again_it_ends_with_the_same_files(tmp_path: Path) -> None:

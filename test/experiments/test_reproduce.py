@@ -26,7 +26,7 @@ PYTHONPATH = os.pathsep.join([str(ROOT), str(ROOT / "test"), os.environ.get("PYT
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """One study, "draws", in place of those of the paper."""
-    monkeypatch.setattr(reproduce, "STUDIES", ("draws",))
+    monkeypatch.setattr(reproduce, "STUDIES", {"draws": ("draws", "draws")})
     monkeypatch.setitem(sys.modules, "wam_power_ros.experiments.draws", study_jobs)
 
 
@@ -52,7 +52,7 @@ def test_a_reproduction_writes_a_page_that_needs_no_other_file_and_its_figures(
 
 
 @pytest.mark.usefixtures("made_up")
-def test_a_run_that_fails_is_told_and_ends_the_reproduction_with_an_error(
+def test_a_run_that_fails_is_reported_and_ends_the_reproduction_with_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bad = job_cache.Job("bad", "apple", study_jobs.fail, {"why": "a worm"})
@@ -70,16 +70,16 @@ def test_a_study_that_is_not_there_is_refused_with_those_that_are(
 
 
 def test_two_figures_of_one_name_are_refused(tmp_path: Path) -> None:
-    told = study_jobs.chapter(job_cache.run(study_jobs.jobs("quick"), tmp_path))
+    chapter = study_jobs.chapter(job_cache.run(study_jobs.jobs("quick"), tmp_path))
     with pytest.raises(ValueError, match="two figures of one name: draws"):
-        reproduce.write(tmp_path, "quick", [told, told], [], "")
+        reproduce.write(tmp_path, "quick", [chapter, chapter], [], "")
 
 
-def test_seeds_and_times_are_told_in_short() -> None:
+def test_seeds_and_times_are_written_in_short() -> None:
     assert reproduce.ranges({301, 302, 303, 7}) == "7, 301–303"
     times = [0.123, 9.7, 45.2, 99.6, 3600.0, 7500.0]
-    told = ["0.12 s", "9.7 s", "45 s", "2 min", "60 min", "2 h 5 min"]
-    assert [reproduce.duration(seconds) for seconds in times] == told
+    written = ["0.12 s", "9.7 s", "45 s", "2 min", "60 min", "2 h 5 min"]
+    assert [reproduce.duration(seconds) for seconds in times] == written
 
 
 def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_numbers(

@@ -10,7 +10,7 @@ CLAIM = Claim("return <after> 100", "0.73", "0.754", "sd 0.08", "40 seeds", True
 
 
 def test_a_chapter_shows_text_tables_figures_and_parts_in_this_order() -> None:
-    drawn = Figure.of("a", "A figure.", figures.learning_curve([[0.5, 0.7]]))
+    drawn = Figure.of("a", "A figure.", figures.learning_curve([0.5, 0.7], paper=False))
     missing = Figure("b", "No picture: there is no OpenGL.", b"")
     part = Chapter("A part", ["Words & more."], [CLAIM], figures=[missing])
     table = Table("A table.", ["who", "return"], [["PoWER", "0.7"], ["none", "0.5"]], {(0, 1)})
@@ -48,5 +48,5 @@ def test_a_row_of_another_width_than_the_head_is_refused() -> None:
 
 
 def test_the_same_figure_gives_the_same_bytes() -> None:
-    one, two = (figures.png(figures.learning_curve([[0.5, 0.7]])) for _ in range(2))
+    one, two = (figures.png(figures.learning_curve([0.5, 0.7], paper=False)) for _ in range(2))
     assert one == two

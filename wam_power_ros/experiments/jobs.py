@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many independent runs spread over cores or machines, each kept in a file as soon as it is done.
+"""Many independent runs spread over cores or machines, each result kept in a file of its own.
 
-A study is a list of jobs. What is in its folder already is not computed again, so one that was
-interrupted goes on, and ends with the numbers it would have had: a job knows nothing of the
-others, of their order, or of how many run at a time.
+A study is a list of jobs. A result that is in its folder already is not computed again, so an
+interrupted study goes on, and ends with the numbers it would have had: a job depends neither on
+the others nor on their order nor on how many run at a time.
 
     pancake-default/seed-301.json      {"digest": ..., "result": {...}}
-    times.jsonl                        a line a computed job: wall and processor time, where
+    times.jsonl                        one line per computed job: wall and processor time, host
 
-A result is used only if its digest fits: of the job's function and arguments, the Python sources
-that function depends on (found by their imports, without comments and docstrings), the files under
-config/, urdf/ and bags/ if these sources can read them, and the versions of the numerical
-libraries. Modules that only tell (`TELLING`, and every `*_chapter.py`) do not count: words and
-figures can be changed without computing anything again.
+A result is used only if its digest fits: that of the job's function and arguments, of all Python
+sources of this project that numbers can depend on (everything but `NOT_HASHED`; comments,
+docstrings and layout are ignored), of the files under config/, urdf/ and bags/, and of the versions
+of the numerical libraries. Reports can be reworded without computing anything again.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ import functools
 import hashlib
 import importlib.metadata
 import importlib.util
+import inspect
 import json
 import os
 import platform
@@ -36,7 +36,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from joblib import Parallel, delayed, parallel_config
 from rich.console import Console
@@ -44,7 +44,6 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
-    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -52,20 +51,23 @@ from rich.progress import (
 
 from wam_power_ros.params.resources import share
 
-TELLING = {
-    "chapters",
-    "cli",
-    "figures",
-    "film",
-    "page",
-    "report",
-    "reproduce",
-    "studies",
-    "study_figures",
-}
-OURS = ("wam_power_ros", "hardware_sim")
-NUMERICAL = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # their versions move last digits
+PACKAGES = ("wam_power_ros", "hardware_sim")
+NOT_HASHED = (  # sources without influence on a result; the studies run without ROS
+    "wam_power_ros/cli",
+    "wam_power_ros/conformance",
+    "wam_power_ros/console",
+    "wam_power_ros/experiments/chapters",
+    "wam_power_ros/experiments/filmstrip.py",
+    "wam_power_ros/experiments/jobs.py",
+    "wam_power_ros/experiments/render.py",
+    "wam_power_ros/experiments/reproduce.py",
+    "wam_power_ros/experiments/session_answer.py",
+    "wam_power_ros/nodes",
+    "wam_power_ros/reporting",
+    "wam_power_ros/ros",
+)
 DATA = ("config", "urdf", "bags")
+LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # another version may move last digits
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 CLUSTER_TIMEOUT = 120.0  # [s]
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
@@ -76,14 +78,14 @@ class Job:
     """One run of a study.
 
     Attributes:
-        study: Folder it is kept in, such as "pancake-default".
-        key: Its name there, such as "seed-301".
-        function: Of a module that can be imported; the same arguments give the same result, in
-            plain JSON data of finite numbers.
-        arguments: By name, plain JSON data.
+        study: Folder of its result, such as "pancake-default".
+        key: Name of its file there, such as "seed-301".
+        function: Function of an importable module; the same arguments give the same result, which
+            is plain JSON data of finite numbers.
+        arguments: Keyword arguments, plain JSON data.
 
     Raises:
-        ValueError: A name that is no file name, or arguments that are not plain finite JSON data.
+        ValueError: `study` or `key` is no file name, or `arguments` are no finite JSON data.
     """
 
     study: str
@@ -94,7 +96,7 @@ class Job:
     def __post_init__(self) -> None:
         for name in (self.study, self.key):
             if not NAME.fullmatch(name):
-                raise ValueError(f"{name!r} is no name of a file: letters, digits, '.', '_', '-'")
+                raise ValueError(f"{name!r} is no file name: letters, digits, '.', '_', '-'")
         try:
             _json(self.arguments)
         except (TypeError, ValueError) as error:
@@ -105,21 +107,24 @@ class Job:
         """Study and key."""
         return f"{self.study}/{self.key}"
 
+    def path(self, folder: Path) -> Path:
+        """File of its result in a folder of results."""
+        return folder / self.study / f"{self.key}.json"
+
 
 class JobError(Exception):
-    """Some jobs could not be done; the message names each of them and says why."""
+    """Some jobs failed; the message names each of them with its traceback."""
 
 
-@dataclass(frozen=True)
-class _Done:
-    """What a worker hands back: a result as JSON, or what went wrong."""
+class _Computed(NamedTuple):
+    """What a worker returns: the result as JSON text, or the traceback; times in seconds."""
 
-    place: int  # of the job
+    index: int  # of the job in the list
     digest: str
     text: str
     error: str
-    wall: float  # [s]
-    cpu: float  # [s]
+    wall: float
+    cpu: float
     host: str
 
 
@@ -130,24 +135,24 @@ def run(
     scheduler: str | None = None,
     console: Console | None = None,
 ) -> Results:
-    """Results of all jobs; those that are not in the folder yet are computed and put there.
+    """Return the results of all jobs; those not in the folder yet are computed and written there.
 
     Ctrl-C (KeyboardInterrupt) and errors lose nothing that was finished.
 
     Args:
-        jobs: No two of one study and key.
-        folder: Of the results; made if it is not there.
-        workers: Processes of this machine.
-        scheduler: Address of a Dask scheduler; its workers compute then, not this machine. They
+        jobs: Jobs of different names.
+        folder: Folder of the results; made if missing.
+        workers: Number of processes on this machine.
+        scheduler: Address of a Dask scheduler whose workers compute instead of this machine. They
             need the same sources and libraries, and OMP_NUM_THREADS=1 as Dask's nannies set it.
-        console: For progress, standard error if omitted.
+        console: Console for progress; standard error if omitted.
 
     Returns:
         Study -> key -> result, in the order of `jobs`, each as it was read from JSON.
 
     Raises:
-        JobError: Some jobs failed; the others were done and kept.
-        ValueError: Two jobs of one name, workers < 1, or `scheduler` without Dask.
+        JobError: Some jobs failed; the others are finished and written.
+        ValueError: Two jobs have one name, workers < 1, or Dask is missing.
     """
     twice = [name for name, count in Counter(job.name for job in jobs).items() if count > 1]
     if twice:
@@ -156,21 +161,19 @@ def run(
         raise ValueError(f"workers = {workers} must be at least 1")
     console = console or Console(stderr=True)
     results = found(jobs, folder)
-    stale = sum(_path(folder, job).exists() for job in jobs) - len(results)
-    if stale:
+    if stale := sum(job.path(folder).exists() for job in jobs) - len(results):
         console.print(f"{stale} results of other sources, arguments or versions are not used.")
     if results:
         console.print(f"{len(results)} of {len(jobs)} results are there already.")
     failed: list[str] = []
     with _progress(jobs, results, console) as advance, contextlib.ExitStack() as stack:
         left = [job for job in jobs if job.name not in results]
-        for done in _computed(left, workers, scheduler, stack):
-            job = left[done.place]
+        for done in _compute(left, workers, scheduler, stack):
+            job = left[done.index]
             if done.error:
                 failed.append(f"{job.name}: {done.error}")
             else:
-                _write(_path(folder, job), done.digest, done.text)
-                _note(folder, job, done)
+                _write(job, folder, done)
                 results[job.name] = json.loads(done.text)
             advance(job)
     if failed:
@@ -182,13 +185,18 @@ def run(
 
 
 def found(jobs: Sequence[Job], folder: Path) -> dict[str, dict[str, Any]]:
-    """Results that are in the folder and may be used, by the names of their jobs."""
-    read = {job.name: _read(_path(folder, job), job) for job in jobs}
-    return {name: result for name, result in read.items() if result is not None}
+    """Usable results that are in the folder, by the names of their jobs."""
+    results = {}
+    for job in jobs:
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # none, or a broken one
+            kept = json.loads(job.path(folder).read_text(encoding="utf-8"))
+            if kept["digest"] == digest(job):
+                results[job.name] = kept["result"]
+    return results
 
 
 def spent(jobs: Sequence[Job], folder: Path) -> tuple[float, float]:
-    """Sums of wall and processor time [s] it took to compute these jobs, whenever that was."""
+    """Total wall and processor time [s] of computing these jobs, in whichever run that was."""
     times = {}
     with contextlib.suppress(FileNotFoundError):
         for line in (folder / "times.jsonl").read_text().splitlines():
@@ -199,80 +207,48 @@ def spent(jobs: Sequence[Job], folder: Path) -> tuple[float, float]:
     return sum(wall for wall, _ in known), sum(cpu for _, cpu in known)
 
 
+# Digest
+
+
 def digest(job: Job) -> str:
-    """Of all that a result depends on, see the module."""
+    """Digest of all that a job's result depends on, see the module."""
     function = job.function
-    parts = [function.__module__, function.__qualname__, _json(job.arguments)]
-    return _hash([*parts, sources(function.__module__)])
+    own = Path(inspect.getfile(function))
+    parts = [function.__module__, function.__qualname__, _json(job.arguments), _code(own)]
+    return _hash([*parts, sources()])
 
 
 @functools.cache
-def sources(module: str) -> str:
-    """Digest of a module, of ours it imports, and of the data and libraries these may use.
-
-    Raises:
-        ValueError: There is no such module to import.
-    """
-    files: dict[str, Path] = {}
-    waiting = [module]
-    while waiting:
-        name = waiting.pop()
-        if name in files or (path := _file(name)) is None:
-            continue
-        files[name] = path
-        waiting += [other for other in _imports(path) if _counts(other)]
-    if module not in files:
-        raise ValueError(f"a job's function is in {module!r}, which cannot be imported")
-    parts = [platform.python_version()]
-    parts += [f"{name} {_version(name)}" for name in NUMERICAL]
-    parts += [f"{name}: {_code(path)}" for name, path in sorted(files.items())]
-    if "wam_power_ros.params.resources" in files:
-        for top in DATA:
-            parts += [
-                f"{path.relative_to(share(top))}: {hashlib.sha256(path.read_bytes()).hexdigest()}"
-                for path in sorted(share(top).rglob("*"))
-                if path.is_file()
-            ]
+def sources() -> str:
+    """Digest of the sources, data files and library versions that numbers can depend on."""
+    parts = [f"Python {platform.python_version()}"]
+    for library in LIBRARIES:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # ROS renames some
+            parts.append(f"{library} {importlib.metadata.version(library)}")
+    parts += [f"{name}: {_code(path)}" for name, path in hashed_sources()]
+    for top in DATA:
+        for path in sorted(path for path in share(top).rglob("*") if path.is_file()):
+            content = hashlib.sha256(path.read_bytes()).hexdigest()
+            parts.append(f"{path.relative_to(share(top))}: {content}")
     return _hash(parts)
 
 
-def _counts(name: str) -> bool:
-    """Whether a name may be a module of ours that results depend on."""
-    root, _, _ = name.partition(".")
-    last = name.rpartition(".")[2]
-    return root in OURS and last not in TELLING and not last.endswith("_chapter")
+def hashed_sources() -> Iterator[tuple[str, Path]]:
+    """Python files that numbers can depend on, each with its name from the package on."""
+    for package in PACKAGES:
+        spec = importlib.util.find_spec(package)
+        if spec is None or spec.origin is None:
+            raise ValueError(f"the package {package} cannot be imported")
+        root = Path(spec.origin).parent
+        for path in sorted(root.rglob("*.py")):
+            name = f"{package}/{path.relative_to(root).as_posix()}"
+            if not any(name == other or name.startswith(f"{other}/") for other in NOT_HASHED):
+                yield name, path
 
 
-def _file(name: str) -> Path | None:
-    """Source of a module, which is not imported for it; None when the name is something else."""
-    root, *rest = name.split(".")
-    if root == "__main__" or (spec := importlib.util.find_spec(root)) is None:
-        return None
-    if spec.origin is None or not spec.origin.endswith(".py"):
-        return None
-    if not rest:
-        return Path(spec.origin)
-    within = Path(spec.origin).parent.joinpath(*rest)
-    places = (within.with_name(f"{within.name}.py"), within / "__init__.py")
-    return next((path for path in places if path.is_file()), None)
-
-
-def _imports(path: Path) -> Iterator[str]:
-    """Names a module imports, anywhere in it, and the packages they are in."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        else:
-            continue
-        for name in names:
-            parts = name.split(".")
-            yield from (".".join(parts[: k + 1]) for k in range(len(parts)))
-
-
+@functools.cache
 def _code(path: Path) -> str:
-    """A module's code, whatever its comments, docstrings and layout."""
+    """The code of a module without comments, docstrings and layout."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
@@ -282,39 +258,30 @@ def _code(path: Path) -> str:
     return ast.dump(tree)
 
 
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:  # ROS brings some under other names
-        return "?"
-
-
 def _hash(parts: Sequence[str]) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
 
 
 def _json(data: object) -> str:
-    """Floats come back bit for bit; NaN and infinity are no JSON."""
+    """JSON text; floats come back bit for bit, NaN and infinity are refused."""
     return json.dumps(data, allow_nan=False, sort_keys=True)
 
 
 # Computing
 
 
-def _computed(
+def _compute(
     jobs: Sequence[Job], workers: int, scheduler: str | None, stack: contextlib.ExitStack
-) -> Iterator[_Done]:
-    """Compute jobs, each handed out as soon as it is finished."""
+) -> Iterator[_Computed]:
+    """Compute jobs and yield each as soon as it is finished."""
     if not jobs:
         return
-    here = None
     if scheduler is None:
-        config = parallel_config("loky", inner_max_num_threads=1)
-        here = os.getpid()
+        config, here = parallel_config("loky", inner_max_num_threads=1), os.getpid()
     else:
         config = parallel_config("dask", client=stack.enter_context(_cluster(scheduler)))
-        workers = -1  # all that the cluster has
-    calls = (delayed(_execute)(place, job, digest(job), here) for place, job in enumerate(jobs))
+        workers, here = -1, None  # all that the cluster has
+    calls = (delayed(_execute)(index, job, digest(job), here) for index, job in enumerate(jobs))
     with config:
         done = Parallel(n_jobs=workers, batch_size=1, return_as="generator_unordered")(calls)
     stack.callback(done.close)
@@ -323,7 +290,7 @@ def _computed(
             warnings.filterwarnings("ignore", message="A worker stopped", category=UserWarning)
             yield from done
     except BrokenExecutor as error:
-        raise JobError(f"a process that computed is gone, out of memory perhaps: {error}") from None
+        raise JobError(f"a worker process is gone, out of memory perhaps: {error}") from None
 
 
 def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if that is installed)
@@ -341,11 +308,11 @@ def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if tha
     return client
 
 
-def _execute(place: int, job: Job, expected: str, here: int | None) -> _Done:
-    """Do a job wherever this is; what goes wrong is handed back, not raised."""
+def _execute(index: int, job: Job, expected: str, here: int | None) -> _Computed:
+    """Run a job wherever this is; an error is returned, not raised."""
     if here not in (None, os.getpid()):
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asked
-    began, cpu = time.perf_counter(), time.thread_time()
+    wall, cpu = time.perf_counter(), time.thread_time()
     text = error = ""
     try:
         if digest(job) != expected:
@@ -355,45 +322,20 @@ def _execute(place: int, job: Job, expected: str, here: int | None) -> _Done:
         text = _json(job.function(**job.arguments))
     except Exception:
         error = traceback.format_exc()
-    return _Done(
-        place,
-        expected,
-        text,
-        error,
-        time.perf_counter() - began,
-        time.thread_time() - cpu,
-        platform.node(),
-    )
+    wall, cpu = time.perf_counter() - wall, time.thread_time() - cpu
+    return _Computed(index, expected, text, error, wall, cpu, platform.node())
 
 
-# Files
-
-
-def _path(folder: Path, job: Job) -> Path:
-    return folder / job.study / f"{job.key}.json"
-
-
-def _read(path: Path, job: Job) -> dict[str, Any] | None:
-    """A result, None when there is none or one of another digest."""
-    try:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        return kept["result"] if kept["digest"] == digest(job) else None
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-
-
-def _write(path: Path, digest: str, text: str) -> None:
-    """Whole or not at all, whenever this is interrupted."""
+def _write(job: Job, folder: Path, done: _Computed) -> None:
+    """Write a result, whole or not at all whenever this is interrupted, and note its time."""
+    path = job.path(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(".part")
     with part.open("w", encoding="utf-8") as file:
-        file.write(f'{{"digest": "{digest}", "result": {text}}}\n')
+        file.write(f'{{"digest": "{done.digest}", "result": {done.text}}}\n')
         file.flush()
         os.fsync(file.fileno())
     part.replace(path)
-
-
-def _note(folder: Path, job: Job, done: _Done) -> None:
     note = {"job": job.name, "wall": done.wall, "cpu": done.cpu, "host": done.host}
     with (folder / "times.jsonl").open("a", encoding="utf-8") as file:
         file.write(json.dumps(note) + "\n")
@@ -403,34 +345,18 @@ def _note(folder: Path, job: Job, done: _Done) -> None:
 def _progress(
     jobs: Sequence[Job], results: dict[str, Any], console: Console
 ) -> Iterator[Callable[[Job], None]]:
-    """Bars of all jobs and of each study under way, on a terminal; a line as a study is done."""
-    total = Counter(job.study for job in jobs)
-    done = Counter(job.study for job in jobs if job.name in results)
-    bars: dict[str, TaskID] = {}
-    progress = Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=30),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=not console.is_terminal,
-        speed_estimate_period=600.0,
-    )
+    """A progress bar on a terminal; a line for each study that is finished."""
+    left = Counter(job.study for job in jobs if job.name not in results)
+    bar = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn())
+    remaining = (TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}"))
+    hidden = not console.is_terminal
+    with Progress(*bar, *remaining, console=console, disable=hidden) as progress:
+        task = progress.add_task("", total=len(jobs), completed=len(results))
 
-    def advance(job: Job) -> None:
-        study = job.study
-        done[study] += 1
-        progress.advance(everything)
-        progress.update(bars[study], advance=1, visible=done[study] < total[study])
-        if done[study] == total[study]:
-            console.print(f"{study}: {total[study]} done", highlight=False)
+        def advance(job: Job) -> None:
+            left[job.study] -= 1
+            progress.update(task, advance=1, description=job.study)
+            if not left[job.study]:
+                console.print(f"{job.study}: done", highlight=False)
 
-    with progress:
-        everything = progress.add_task("all", total=len(jobs), completed=len(results))
-        for study, count in total.items():  # shown from its first result to its last
-            bars[study] = progress.add_task(
-                f"  {study}", total=count, completed=done[study], visible=False
-            )
         yield advance

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's results from scratch: every study's runs, and one report of what came out.
+"""Reproduce the paper's results: the runs of every study, and one report of their results.
 
-<folder>/results/<study>/<key>.json      what has been computed, see `studies`
-<folder>/report.html, figures/*.png      what it says; written again at every end
+<folder>/results/<study>/<key>.json      results of the runs, see `jobs`
+<folder>/report.html, figures/*.png      the report; written again at the end of every call
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from rich.text import Text
 
 from wam_power_ros.experiments import jobs as job_cache
 from wam_power_ros.experiments.jobs import Job
-from wam_power_ros.reporting import chapter as chapters
+from wam_power_ros.reporting import chapter as chapter_html
 from wam_power_ros.reporting import html_page
 from wam_power_ros.reporting.chapter import Chapter, Claim
 
-STUDIES = {  # name -> module of experiments/studies, in the order of the paper
-    "reaching": "reaching",
-    "comparison": "comparison",
-    "pancake": "flip_sessions",
-    "wishes": "extensions",
+STUDIES = {  # name -> modules of its jobs and of its chapter, in the order of the paper
+    "reaching": ("studies.reaching", "chapters.reaching_chapter"),
+    "comparison": ("studies.comparison", "chapters.comparison_chapter"),
+    "pancake": ("studies.flip_sessions", "chapters.flip_chapter"),
+    "wishes": ("studies.extensions", "chapters.extensions_chapter"),
 }
 PAPER = (
     "P. Kormushev, S. Calinon, D. G. Caldwell: Robot Motor Skill Coordination with EM-based "
@@ -51,40 +51,40 @@ def run(
     scheduler: str | None = None,
     only: Collection[str] = STUDIES,
 ) -> Path:
-    """Compute what is not there yet, then write the report.
+    """Compute the results that are missing, then write the report.
 
     Args:
-        folder: Of results, report and figures.
-        scale: "quick" runs the same code with a few seeds, to see that it works.
-        workers: Processes of this machine.
+        folder: Folder of results, report and figures.
+        scale: "quick" runs the same code with a few seeds and small budgets, as a check.
+        workers: Number of processes on this machine.
         scheduler: Address of a Dask scheduler whose workers compute instead.
-        only: Which studies.
+        only: Names of the studies to run.
 
     Returns:
         Path of the report.
 
     Raises:
-        studies.JobError: Some runs failed; the others are kept.
-        ValueError: A name that is no study, or `scheduler` without Dask.
-        KeyboardInterrupt: All finished runs are kept.
+        jobs.JobError: Some runs failed; the others are kept.
+        ValueError: `only` names no study, or Dask is missing.
+        KeyboardInterrupt: The user stopped it; all finished runs are kept.
     """
     unknown = [name for name in only if name not in STUDIES]
     if unknown:
         raise ValueError(f"{', '.join(unknown)}: no such study; there are {', '.join(STUDIES)}")
     began = time.monotonic()
-    modules = {
-        name: importlib.import_module(f"wam_power_ros.experiments.studies.{STUDIES[name]}")
-        for name in STUDIES
+    modules = [
+        [importlib.import_module(f"wam_power_ros.experiments.{module}") for module in pair]
+        for name, pair in STUDIES.items()
         if name in only
-    }
-    wanted = {name: module.jobs(scale) for name, module in modules.items()}
-    jobs = [job for some in wanted.values() for job in some]
+    ]
+    wanted = [study.jobs(scale) for study, _ in modules]
+    jobs = [job for some in wanted for job in some]
     kept = folder / "results"
     there = len(job_cache.found(jobs, kept))
     results = job_cache.run(jobs, kept, workers, scheduler)
-    told = [
-        module.chapter({job.study: results[job.study] for job in wanted[name]})
-        for name, module in modules.items()
+    chapters = [
+        module.chapter({job.study: results[job.study] for job in some})
+        for (_, module), some in zip(modules, wanted, strict=True)
     ]
     took = time.monotonic() - began
     here = f"{workers} processes" if scheduler is None else f"the Dask cluster at {scheduler}"
@@ -94,27 +94,29 @@ def run(
         f"another. This time {there} of them had been computed before; the rest and the report "
         f"took {duration(took)} with {here}."
     )
-    path = write(folder, scale, told, jobs, time_it_took)
-    _say(told, time_it_took)
+    path = write(folder, scale, chapters, jobs, time_it_took)
+    console = Console(file=sys.stdout)
+    console.print(overview(chapters))
+    console.print(f"\n{time_it_took}", highlight=False)
     return path
 
 
 def write(
-    folder: Path, scale: Scale, told: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str
+    folder: Path, scale: Scale, chapters: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str
 ) -> Path:
-    """Write `report.html` and the figures it holds.
+    """Write `report.html` and its figures.
 
     Args:
-        folder: Where to.
-        scale: Of the studies.
-        told: Chapters, in order.
+        folder: Folder to write to; the results are in its folder `results`.
+        scale: Scale of the studies.
+        chapters: Chapters, in order.
         jobs: All runs the chapters are about.
-        time_it_took: A sentence.
+        time_it_took: Sentence on the computing time.
 
     Raises:
-        ValueError: Two figures of one name.
+        ValueError: Two figures have one name.
     """
-    drawn = [figure for chapter in told for figure in chapter.all_figures() if figure.png]
+    drawn = [figure for chapter in chapters for figure in chapter.all_figures() if figure.png]
     names = [figure.name for figure in drawn]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"two figures of one name: {', '.join(twice)}")
@@ -123,38 +125,40 @@ def write(
         (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
     path = folder / "report.html"
     part = path.with_suffix(".part")
-    part.write_text(render(scale, told, jobs, time_it_took, folder / "results"), encoding="utf-8")
+    part.write_text(
+        render(scale, chapters, jobs, time_it_took, folder / "results"), encoding="utf-8"
+    )
     part.replace(path)
     return path
 
 
 def render(
-    scale: Scale, told: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str, kept: Path
+    scale: Scale, chapters: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str, kept: Path
 ) -> str:
-    """The report as HTML; see `write`; `kept` is the folder of the results."""
-    claims = [claim for chapter in told for claim in chapter.all_claims()]
+    """The report as HTML; `kept` is the folder of the results, for the rest see `write`."""
+    claims = [claim for chapter in chapters for claim in chapter.all_claims()]
     judged = [claim for claim in claims if claim.met is not None]
     met = sum(bool(claim.met) for claim in judged)
     _, cpu = job_cache.spent(jobs, kept)
     introduction = [
         PAPER,
         f"{len(jobs)} runs of {len({job.study for job in jobs})} studies, all in simulation; every "
-        "figure, table and sentence below is computed from them. The overview says what the paper "
-        "has, what was measured here, over how many runs and with what spread, and what the paper "
-        "leaves open and had to be decided. The verdict is about our own measurement: a number "
-        "without a yardstick is only reported.",
+        "figure, table and sentence below is computed from them. The overview lists what the paper "
+        "reports, what was measured here, over how many runs and with what spread, and what the "
+        "paper leaves open and had to be decided. The verdict is about our own measurement: a "
+        "number without a criterion is only reported.",
     ]
     if scale == "quick":
         introduction.append(
             "This is the quick version, a few seeds and small budgets to see that everything "
-            "works: its numbers say nothing about the paper."
+            "works: its numbers are no evidence about the paper."
         )
-    sections = [chapter.title for chapter in told] + [MACHINE]
+    sections = [chapter.title for chapter in chapters] + [MACHINE]
     links = "".join(
         f'<a href="#{html_page.anchor(title)}">{escape(title)}</a>' for title in sections
     )
     values = [
-        ("claims with a yardstick met", f"{met} of {len(judged)}"),
+        ("claims with a criterion met", f"{met} of {len(judged)}"),
         ("runs", str(len(jobs))),
         ("processor time", duration(cpu)),
     ]
@@ -164,8 +168,8 @@ def render(
             html_page.paragraphs(introduction),
             html_page.cards(values),
             f"<nav>{links}</nav>",
-            html_page.section("Overview", _verdicts(judged), chapters.overview(told)),
-            *(chapters.html(chapter) for chapter in told),
+            html_page.section("Overview", _verdicts(judged), chapter_html.overview(chapters)),
+            *(chapter_html.html(chapter) for chapter in chapters),
             _machine(jobs, time_it_took, kept),
         ],
     )
@@ -174,9 +178,9 @@ def render(
 def _verdicts(judged: Sequence[Claim]) -> list[str]:
     missed = [claim for claim in judged if not claim.met]
     if not missed:
-        return [f"All {len(judged)} claims with a yardstick are met."] if judged else []
+        return [f"All {len(judged)} claims with a criterion are met."] if judged else []
     names = "; ".join(f"{claim.what}: {claim.ours}" for claim in missed)
-    return [f"Not met, of {len(judged)} claims with a yardstick: {names}."]
+    return [f"Not met, of {len(judged)} claims with a criterion: {names}."]
 
 
 def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
@@ -195,8 +199,8 @@ def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
         "or versions of these libraries may move last digits, and learning makes them grow.",
     ]
     rows = []
-    for study, some in groupby(jobs, key=lambda job: job.study):
-        own = list(some)
+    for study in dict.fromkeys(job.study for job in jobs):
+        own = [job for job in jobs if job.study == study]
         wall, cpu = job_cache.spent(own, kept)
         seeds = ranges({seed for job in own for seed in _seeds(job.arguments)})
         rows.append([study, str(len(own)), seeds or "–", duration(cpu), duration(wall)])
@@ -214,7 +218,7 @@ def _processor() -> str:
 
 
 def _seeds(arguments: dict[str, Any]) -> Iterator[int]:
-    """Seeds among the arguments of a job."""
+    """Seeds in the arguments of a job."""
     for name, value in arguments.items():
         if name == "seed":
             yield value
@@ -223,41 +227,35 @@ def _seeds(arguments: dict[str, Any]) -> Iterator[int]:
 
 
 def ranges(numbers: set[int]) -> str:
-    """Whole numbers in short: "1-3, 7"."""
+    """Whole numbers as ranges, such as "1–3, 7"."""
     runs = groupby(enumerate(sorted(numbers)), key=lambda pair: pair[1] - pair[0])
     ends = [(some[0][1], some[-1][1]) for some in (list(run) for _, run in runs)]
     return ", ".join(str(first) if first == last else f"{first}–{last}" for first, last in ends)
 
 
 def duration(seconds: float) -> str:
-    """A time in words, to about two digits."""
+    """A time with its unit, to about two digits."""
     if seconds < 99.5:
         return f"{seconds:.2g} s" if seconds < 9.95 else f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def overview(told: Sequence[Chapter]) -> Table:
-    """Claims of the chapters as a table for the terminal."""
+def overview(chapters: Sequence[Chapter]) -> Table:
+    """Table of the claims of all chapters for the terminal."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("", ratio=5)
     table.add_column("paper", ratio=2)
     table.add_column("measured", ratio=4)
     table.add_column("verdict", no_wrap=True)
     styles = {True: "green", False: "red", None: "dim"}
-    for chapter in told:
+    for chapter in chapters:
         table.add_row(Text(chapter.title, style="bold"))
         for claim in chapter.all_claims():
             measured = Text(claim.ours)
-            about = ", ".join(words for words in (claim.spread, claim.count) if words)
+            about = ", ".join(text for text in (claim.spread, claim.count) if text)
             measured.append(f"\n{about}" if about else "", style="dim")
             verdict = Text(claim.verdict, style=styles[claim.met])
             table.add_row(Text(claim.what), Text(claim.paper), measured, verdict)
         table.add_row()
     return table
-
-
-def _say(told: Sequence[Chapter], time_it_took: str) -> None:
-    console = Console(file=sys.stdout)
-    console.print(overview(told))
-    console.print(f"\n{time_it_took}", highlight=False)

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a study has to say, as data, and its HTML: claims, tables and figures under a title.
-
-Every word that depends on a result is computed from it by the study's own `chapter`.
-"""
+"""A chapter of a report as data, and its HTML: claims, tables and figures under a title."""
 
 from __future__ import annotations
 
@@ -17,16 +14,16 @@ from wam_power_ros.reporting import figures, html_page
 
 @dataclass(frozen=True)
 class Claim:
-    """A row of the overview: something the paper or this project says, and what was measured.
+    """A row of the overview: a claim of the paper or of this project, and the measurement.
 
     Attributes:
-        what: That is claimed, in a few words: "Reaching, full stiffness, return after 100".
-        paper: What the paper has, such as "0.73"; empty when it has nothing on it.
-        ours: What was measured, such as "0.754".
-        spread: Such as "sd 0.08" or "0.61 to 0.83"; may be empty.
-        count: Over what, such as "40 seeds".
-        met: Whether it holds; None where there is nothing to hold to, only to be reported.
-        left_open: What the paper does not say and had to be decided; may be empty.
+        what: The claim in short, such as "Reaching, full stiffness, return after 100".
+        paper: Value in the paper, such as "0.73"; empty if it has none.
+        ours: Measured value, such as "0.754".
+        spread: Its spread, such as "sd 0.08" or "0.61 to 0.83"; may be empty.
+        count: Sample size, such as "40 seeds".
+        met: Whether the claim holds; None if there is no criterion and the value is only reported.
+        left_open: What the paper leaves open and had to be decided; may be empty.
     """
 
     what: str
@@ -39,7 +36,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """In a word."""
+        """Verdict: "met", "not met" or "reported"."""
         return {True: "met", False: "not met", None: "reported"}[self.met]
 
 
@@ -48,10 +45,10 @@ class Table:
     """A table of texts.
 
     Attributes:
-        caption: What it shows, one or two sentences.
-        head: Of the columns.
-        rows: As many cells in each as the head has.
-        best: Cells (row, column) to be set off, counted from 0.
+        caption: Description, one or two sentences.
+        head: Names of the columns.
+        rows: Cells; each row as long as the head.
+        best: Highlighted cells (row, column), counted from 0.
     """
 
     caption: str
@@ -65,9 +62,9 @@ class Figure:
     """A picture.
 
     Attributes:
-        name: Of its file without suffix, unique in a report, such as "fig5-learning-curve".
-        caption: What it shows, one or two sentences.
-        png: Its bytes; empty when it could not be drawn, and `caption` says why.
+        name: Name of its file without suffix, unique in a report, such as "fig5-learning-curve".
+        caption: Description, one or two sentences.
+        png: Content of the file; empty if it could not be drawn, `caption` then gives the reason.
     """
 
     name: str
@@ -76,21 +73,21 @@ class Figure:
 
     @classmethod
     def of(cls, name: str, caption: str, drawn: MatplotlibFigure) -> Figure:
-        """From a matplotlib figure, such as those of `wam_power_ros.reporting.figures`."""
+        """Figure drawn by matplotlib, such as those of `wam_power_ros.reporting.figures`."""
         return cls(name, caption, figures.png(drawn))
 
 
 @dataclass(frozen=True)
 class Chapter:
-    """A chapter of the report; read in the order text, tables, figures, parts.
+    """A chapter of the report, shown in the order text, tables, figures, parts.
 
     Attributes:
-        title: Its heading.
+        title: Heading.
         text: Paragraphs.
-        claims: Its rows of the overview.
-        tables: See `Table`.
-        figures: See `Figure`.
-        parts: Sub-chapters, each with text, tables and figures of its own.
+        claims: Rows of the overview.
+        tables: Tables.
+        figures: Figures.
+        parts: Sub-chapters.
     """
 
     title: str
@@ -115,7 +112,7 @@ class Chapter:
 
 
 def html(chapter: Chapter, level: int = 2) -> str:
-    """A chapter with its parts; `level` is that of its heading."""
+    """HTML of a chapter with its parts; `level` is that of its heading."""
     content = "".join(
         html_page.table(t.head, t.rows, t.caption, best=t.best) for t in chapter.tables
     )
@@ -126,11 +123,11 @@ def html(chapter: Chapter, level: int = 2) -> str:
     return html_page.section(chapter.title, chapter.text, content, level)
 
 
-def overview(told: Sequence[Chapter]) -> str:
+def overview(chapters: Sequence[Chapter]) -> str:
     """HTML table of the claims of chapters; on a phone each becomes a card."""
     head = ("", "paper", "measured", "spread", "over", "verdict")
     rows = []
-    for chapter in told:
+    for chapter in chapters:
         if claims := chapter.all_claims():
             rows.append(f'<tr><th colspan="{len(head)}">{escape(chapter.title)}</th></tr>')
             rows += [_row(claim, head) for claim in claims]
@@ -139,7 +136,7 @@ def overview(told: Sequence[Chapter]) -> str:
 
 
 def _row(claim: Claim, head: Sequence[str]) -> str:
-    style = {True: "met", False: "missed", None: "told"}[claim.met]
+    style = {True: "met", False: "missed", None: "reported"}[claim.met]
     opened = f"<small>left open: {escape(claim.left_open)}</small>" if claim.left_open else ""
     values = (claim.paper, claim.ours, claim.spread, claim.count)
     cells = "".join(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -16,84 +16,47 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wam_power_ros import rotations
-from wam_power_ros.learning.dmp import activations
-from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-
-INK, GRID, PAPER = "#24292f", "#e3e6ea", "#8b949e"
+INK, GRID, PAPER, STEEL = "#24292f", "#e3e6ea", "#8b949e", "#5b6570"
 PAN, PANCAKE, ACCENT = "#3b6ea5", "#d98324", "#2f855a"
 CYCLE = (PAN, PANCAKE, ACCENT, "#8057a8", "#b4455a")
-NORMAL = 0.06  # drawn length of a normal [m]
 
 
 def paper_table(name: str) -> np.ndarray:
-    """Figures of the paper, read off its plots. Shape (n, 2).
+    """Curve digitised from a plot of the paper. Shape (n, 2).
 
     Args:
         name: `"fig5"`, rollout and mean return of six sessions (Fig. 5); or `"k33"`, time [s] and
             vertical stiffness [1/s^2] of the learnt policy.
 
     Raises:
-        FileNotFoundError: There is no such table.
+        FileNotFoundError: `name` is another one.
     """
     text = (resources.files("wam_power_ros") / "data" / f"{name}.csv").read_text()
     return np.array(list(csv.reader(io.StringIO(text)))[1:], dtype=float)
 
 
 def learning_curve(
-    sessions: Sequence[np.ndarray],
-    marks: Mapping[int, str] | None = None,
-    *,
-    paper: bool = True,
+    returns: Sequence[float], marks: Mapping[int, str] | None = None, *, paper: bool
 ) -> Figure:
-    """Return over rollouts.
+    """Return over the rollouts of a session, with a running mean of five.
 
     Args:
-        sessions: Returns of each session, NaN where a rollout was not usable. Shapes (n_k,).
-        marks: Rollout number -> a word to be written above it, such as "first flip".
+        returns: Return of each rollout, NaN where it was not usable. Length n.
+        marks: Rollout number -> text above it, such as "first success".
         paper: Draw Fig. 5 of the paper behind it: returns must be those of Eq. 5.
-
-    Returns:
-        With several sessions their mean and standard deviation per rollout, else every rollout and
-        a running mean of five.
-
-    Raises:
-        ValueError: No session.
     """
-    if not sessions:
-        raise ValueError("a learning curve needs at least one session")
     figure, axes = _figure(7.2, 3.8)
     if paper:
         mean_of_six = paper_table("fig5").T
         axes.plot(*mean_of_six, color=PAPER, lw=1.2, label="paper, Fig. 5 (mean of 6 sessions)")
-    longest = max(len(returns) for returns in sessions)
-    stacked = np.full((len(sessions), longest), np.nan)
-    for row, returns in zip(stacked, sessions, strict=True):
-        row[: len(returns)] = returns
-    rollout = np.arange(1, longest + 1)
-    if len(sessions) == 1:
-        axes.plot(rollout, stacked[0], "o", ms=3.5, color=PAN, alpha=0.55, label="rollouts")
-        axes.plot(rollout, _running_mean(stacked[0], 5), color=PAN, lw=2, label="mean of five")
-    else:
-        some = np.isfinite(stacked).any(axis=0)
-        mean, spread = (np.full(longest, np.nan) for _ in range(2))
-        mean[some] = np.nanmean(stacked[:, some], axis=0)
-        spread[some] = np.nanstd(stacked[:, some], axis=0)
-        axes.plot(rollout, mean, color=PAN, lw=2, label=f"mean of {len(sessions)} sessions")
-        axes.fill_between(rollout, mean - spread, mean + spread, color=PAN, alpha=0.18, lw=0)
-    for number, word in (marks or {}).items():
+    values = np.asarray(returns, dtype=float)
+    rollout = np.arange(1, len(values) + 1)
+    axes.plot(rollout, values, "o", ms=3.5, color=PAN, alpha=0.55, label="rollouts")
+    axes.plot(rollout, _running_mean(values, 5), color=PAN, lw=2, label="mean of five")
+    top = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
+    for number, text in (marks or {}).items():
         axes.axvline(number, color=ACCENT, lw=0.8, ls=":")
-        axes.annotate(
-            word,
-            (number, 1.0),
-            xycoords=("data", "axes fraction"),
-            xytext=(3, -4),
-            textcoords="offset points",
-            va="top",
-            fontsize=8,
-            color=ACCENT,
-        )
+        axes.annotate(text, (number, 1.0), xytext=(3, -4), fontsize=8, color=ACCENT, **top)
     axes.set(xlabel="rollout", ylabel="return")
     _from_zero(axes)
     legend(axes)
@@ -101,10 +64,10 @@ def learning_curve(
 
 
 def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) -> Figure:
-    """What each return consisted of, one stacked bar a rollout.
+    """Terms of the returns, one stacked bar per rollout.
 
     Args:
-        numbers: Of the rollouts. Length n.
+        numbers: Numbers of the rollouts. Length n.
         values: Term -> its share of the return, None where unknown. Lengths n.
     """
     figure, axes = _figure(7.2, 2.8)
@@ -119,84 +82,49 @@ def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) 
     return figure
 
 
-def rollout(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None) -> Figure:
-    """A rollout seen from the side, as in Figs. 3-4 of the paper, and its heights over time.
-
-    Arrows are the normals of pan and pancake; the pancake's is the direction fixed in it that
-    pointed along the pan's normal in its first frame.
+def stiffness(profiles: Mapping[str, np.ndarray]) -> Figure:
+    """Vertical stiffness K33 over the movement, absolute and about its own mean, and the paper's.
 
     Args:
-        pan: Path of the pan.
-        pancake: Path of the pancake; may be empty.
-        t_f: When the fall was judged [s], marked when given.
+        profiles: Name -> K33 of one policy, or of several, evenly in time [1/s^2]. Shapes (T,) or
+            (n, T), of which median and the middle 80 % are drawn.
     """
-    figure = Figure(figsize=(8.6, 4.0), layout="constrained")
-    side, height = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    dress(side)
-    dress(height)
-    every = max(1, round(len(pan.t) / 18))
-    pan_normals = rotations.matrix(pan.quat_xyzw)[:, :, 2]  # (T, 3)
-    side.plot(pan.position[:, 0], pan.position[:, 2], color=PAN, lw=1.5, label="pan")
-    _arrows(side, pan.position[::every], pan_normals[::every], PAN)
-    height.plot(pan.t, pan.position[:, 2], color=PAN, lw=1.5, label="pan")
-    if len(pancake.t):
-        turns = rotations.matrix(pancake.quat_xyzw)  # (M, 3, 3)
-        start = pan_normals[np.abs(pan.t - pancake.t[0]).argmin()]
-        normals = turns @ (turns[0].T @ start)
-        side.plot(
-            pancake.position[:, 0],
-            pancake.position[:, 2],
-            "o--",
-            ms=2.5,
-            lw=0.8,
-            color=PANCAKE,
-            label="pancake",
-        )
-        _arrows(side, pancake.position, normals, PANCAKE)
-        height.plot(
-            pancake.t, pancake.position[:, 2], "o", ms=2.5, color=PANCAKE, label="pancake (camera)"
-        )
-    if t_f is not None:
-        height.axvline(t_f, color=ACCENT, lw=0.8, ls=":", label="$t_f$")
-    side.set_aspect("equal", adjustable="datalim")
-    side.set(xlabel="x, outward [m]", ylabel="z, up [m]")
-    height.set(xlabel="time [s]", ylabel="z, up [m]")
-    legend(side)
-    legend(height)
-    return figure
-
-
-def stiffness(policies: Mapping[str, Policy]) -> Figure:
-    """Vertical stiffness K33(t) = sum_i h_i(t) K_i,33 of each policy, beside the paper's.
-
-    Args:
-        policies: Name -> policy, such as the start and the learnt one.
-    """
-    figure, axes = _figure(7.2, 3.0)
+    figure = Figure(figsize=(9.4, 3.6), layout="constrained")
+    absolute, relative = figure.subplots(1, 2)
+    dress(absolute)
+    dress(relative)
     paper = paper_table("k33")
-    axes.plot(
-        paper[:, 0] / paper[-1, 0], paper[:, 1], "s--", ms=3, color=PAPER, label="paper, learnt"
-    )
-    for color, (name, policy) in zip(CYCLE, policies.items(), strict=False):
-        t = np.linspace(0.0, policy.basis.duration, 200)
-        vertical = activations(policy.basis, t) @ policy.stiffness[:, 2, 2]
-        axes.plot(t / policy.basis.duration, vertical, color=color, lw=1.8, label=name)
-    axes.set(xlabel="part of the movement", ylabel="$K_{33}$ [1/s$^2$]")
-    _from_zero(axes)
-    legend(axes)
+    part = paper[:, 0] / paper[-1, 0]
+    own = np.interp(np.linspace(0.0, 1.0, 101), part, paper[:, 1]).mean()  # not evenly sampled
+    absolute.plot(part, paper[:, 1], "s--", ms=3, lw=1.2, color=PAPER, label="paper, learnt")
+    relative.plot(part, 100.0 * (paper[:, 1] / own - 1.0), "s--", ms=3, lw=1.2, color=PAPER)
+    for color, (name, given) in zip(CYCLE, profiles.items(), strict=False):
+        rows = np.atleast_2d(np.asarray(given, dtype=float))
+        t = np.linspace(0.0, 1.0, rows.shape[1])
+        about = 100.0 * (rows / rows.mean(axis=1, keepdims=True) - 1.0)
+        count = f", {len(rows)} policies" if len(rows) > 1 else ""
+        for axes, values in ((absolute, rows), (relative, about)):
+            low, middle, high = np.quantile(values, (0.1, 0.5, 0.9), axis=0)
+            axes.plot(t, middle, color=color, lw=2, label=f"{name}{count}")
+            if len(rows) > 1:
+                axes.fill_between(t, low, high, color=color, alpha=0.15, lw=0)
+    absolute.set(xlabel="part of the movement", ylabel="$K_{33}$ [1/s$^2$]")
+    absolute.set_ylim(0.0, None)
+    relative.set(xlabel="part of the movement", ylabel="$K_{33}$ about its mean [%]")
+    shared_legend(figure, [absolute], 4)
     return figure
 
 
 def filmstrip(frames: Sequence[np.ndarray], count: int = 8, times: Sequence[float] = ()) -> Figure:
-    """Some frames of a film side by side, evenly picked from first to last.
+    """Frames of a film side by side, evenly picked from first to last.
 
     Args:
         frames: RGB images. Shapes (h, w, 3), uint8.
-        count: At most so many are shown.
-        times: Of the frames [s], written below each; may be left out.
+        count: Largest number of frames shown.
+        times: Times of the frames [s], written below each; may be empty.
 
     Raises:
-        ValueError: No frames.
+        ValueError: There are no frames.
     """
     if not frames:
         raise ValueError("a filmstrip needs at least one frame")
@@ -216,31 +144,23 @@ def filmstrip(frames: Sequence[np.ndarray], count: int = 8, times: Sequence[floa
 
 
 def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
-    """Write frames as an animated image, .webp (small) or .gif, by the path's suffix.
+    """Write frames as an animated .webp image.
 
     Args:
         frames: RGB images. Shapes (h, w, 3), uint8.
-        path: Where to.
+        path: File to write.
         rate: Frames per second.
 
     Raises:
-        ValueError: No frames, or another suffix.
+        ValueError: There are no frames.
     """
     from PIL import Image
 
     if not frames:
         raise ValueError("a film needs at least one frame")
-    if path.suffix not in (".webp", ".gif"):
-        raise ValueError(f"a film is .webp or .gif, not {path.suffix!r}")
     first, *others = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
-    first.save(
-        path,
-        save_all=True,
-        append_images=others,
-        duration=round(1000 / rate),
-        loop=0,
-        **({"quality": 70, "method": 4} if path.suffix == ".webp" else {}),
-    )
+    settings = {"duration": round(1000 / rate), "loop": 0, "quality": 70, "method": 4}
+    first.save(path, format="WEBP", save_all=True, append_images=others, **settings)
 
 
 def svg(figure: Figure) -> bytes:
@@ -268,7 +188,7 @@ def _figure(width: float, height: float) -> tuple[Figure, Axes]:
 
 
 def dress(axes: Axes) -> None:
-    """The look all figures share."""
+    """Give axes the common style."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(GRID)
     axes.grid(color=GRID, lw=0.7)
@@ -279,28 +199,22 @@ def dress(axes: Axes) -> None:
 
 
 def legend(axes: Axes) -> None:
-    """Legend above the axes, where it hides nothing."""
+    """Legend above the axes, where it hides no data."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
+
+
+def shared_legend(figure: Figure, many: Iterable[Axes], columns: int) -> None:
+    """Legend below a figure, each label of its axes once."""
+    found = {}
+    for axes in many:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(label, handle)
+    place = {"loc": "outside lower center", "frameon": False, "fontsize": 8}
+    figure.legend(list(found.values()), list(found), ncols=columns, **place)
 
 
 def _from_zero(axes: Axes) -> None:
     axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
-
-
-def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> None:
-    """Normals (m, 3) at places (m, 3), in the x-z plane."""
-    axes.quiver(
-        places[:, 0],
-        places[:, 2],
-        NORMAL * normals[:, 0],
-        NORMAL * normals[:, 2],
-        color=color,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.004,
-        alpha=0.8,
-    )
 
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:

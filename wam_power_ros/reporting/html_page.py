@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One HTML page that needs no other file, light or dark, wide or on a phone: what reports share.
+"""Self-contained HTML page of a report, light or dark, wide or on a phone.
 
-Every text given here is escaped; functions that return HTML say so.
+Text arguments are escaped here; arguments that are HTML already are named so.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 from html import escape
 from string import Template
 
-WORDS = re.compile(r"\W*[^\W\d]")  # a cell that does not begin with a number
+TEXT = re.compile(r"\W*[^\W\d]")  # a cell that does not begin with a number
 
 
 def page(title: str, body: Sequence[str]) -> str:
@@ -29,17 +29,17 @@ def section(title: str, text: Sequence[str] = (), content: str = "", level: int 
 
 
 def anchor(title: str) -> str:
-    """Name by which a section of this title is linked to."""
+    """Anchor of the section of this title."""
     return "-".join("".join(c if c.isalnum() else " " for c in title.lower()).split())
 
 
 def paragraphs(text: Sequence[str]) -> str:
     """HTML of paragraphs; empty ones are left out."""
-    return "".join(f"<p>{escape(words)}</p>" for words in text if words)
+    return "".join(f"<p>{escape(part)}</p>" for part in text if part)
 
 
 def image(data: bytes, kind: str = "image/svg+xml", alt: str = "") -> str:
-    """HTML of a picture that is inside the page."""
+    """HTML of a picture embedded in the page."""
     coded = base64.b64encode(data).decode()
     return f'<img alt="{escape(alt)}" src="data:{kind};base64,{coded}">'
 
@@ -50,7 +50,7 @@ def figure(content: str, caption: str) -> str:
 
 
 def cards(values: Sequence[tuple[str, str]]) -> str:
-    """HTML of a row of large values, each with what it is: (what, value)."""
+    """HTML of a row of large values with their labels: (label, value)."""
     items = "".join(f"<div><b>{escape(v)}</b><span>{escape(k)}</span></div>" for k, v in values)
     return f'<div class="cards">{items}</div>'
 
@@ -65,28 +65,28 @@ def table(
     """HTML of a table that scrolls sideways where it is too wide; numbers go to the right.
 
     Args:
-        head: Of the columns.
-        rows: Cells, as many as the head has in every row.
-        caption: Above it.
-        good: Rows to be tinted.
-        best: Cells (row, column) to be set off.
+        head: Names of the columns.
+        rows: Cells; each row as long as the head.
+        caption: Text above the table.
+        good: Indices of tinted rows.
+        best: Highlighted cells (row, column).
 
     Raises:
-        ValueError: A row of another length than the head.
+        ValueError: A row and the head differ in length.
     """
     for row in rows:
         if len(row) != len(head):
             raise ValueError(f"a row of {len(row)} cells under a head of {len(head)}: {row}")
-    words = [any(WORDS.match(row[k]) for row in rows) for k in range(len(head))]
+    text = [any(TEXT.match(row[k]) for row in rows) for k in range(len(head))]
 
-    def cell(kind: str, text: str, column: int, marked: bool = False) -> str:
-        style = " ".join(["words"] * words[column] + ["best"] * marked)
-        return f"<{kind}{_class(style)}>{escape(text)}</{kind}>"
+    def cell(kind: str, content: str, column: int, marked: bool = False) -> str:
+        style = " ".join(["text"] * text[column] + ["best"] * marked)
+        return f"<{kind}{_class(style)}>{escape(content)}</{kind}>"
 
     top = "".join(cell("th", name, k) for k, name in enumerate(head))
     body = "".join(
         f"<tr{_class('good' if r in good else '')}>"
-        + "".join(cell("td", text, k, (r, k) in best) for k, text in enumerate(row))
+        + "".join(cell("td", content, k, (r, k) in best) for k, content in enumerate(row))
         + "</tr>"
         for r, row in enumerate(rows)
     )
@@ -136,7 +136,7 @@ PAGE = Template("""<!doctype html>
   th, td { text-align: right; padding: .26rem .7rem; border-bottom: 1px solid var(--line); }
   th:first-child, td:first-child { padding-left: .2rem; }
   th { color: var(--quiet); font-weight: 600; vertical-align: bottom; }
-  .words { text-align: left; }
+  .text { text-align: left; }
   .best { font-weight: 700; color: var(--green); }
   .good td { background: var(--good); }
   .claims { width: 100%; white-space: normal; font-size: .86rem; }
@@ -145,7 +145,7 @@ PAGE = Template("""<!doctype html>
   .claims small { display: block; color: var(--quiet); margin-top: .2rem; }
   .met { color: var(--green); font-weight: 700; white-space: nowrap; }
   .missed { color: var(--red); font-weight: 700; white-space: nowrap; }
-  .told { color: var(--quiet); white-space: nowrap; }
+  .reported { color: var(--quiet); white-space: nowrap; }
   @media (max-width: 46rem) {
     body { margin-top: 1.2rem; }
     .claims thead { display: none; }

@@ -19,11 +19,12 @@ import numpy as np
 import yaml
 
 from wam_power_ros.learning import policy
+from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.practice import session
 from wam_power_ros.practice.session import SessionHeader
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.reporting import figures, html_page
+from wam_power_ros.reporting import figures, flip_figures, html_page
 from wam_power_ros.reporting.terminal import angle, outcome, paper_return, returned
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
@@ -72,7 +73,8 @@ def render(
     if records:
         parts.append(_curves(header, records))
     if answer is not None:
-        policies = {"start": start} if start is not None else {}
+        policies = [] if start is None else [("start", start)]
+        profiles = {name: vertical_stiffness(one) for name, one in [*policies, (answer.id, answer)]}
         parts.append(
             html_page.section(
                 "Stiffness",
@@ -80,7 +82,7 @@ def render(
                     f"Vertical stiffness over the movement: the demonstration's and that of "
                     f"{answer.id}. The paper's policy changed by a few percent."
                 ],
-                html_page.image(figures.svg(figures.stiffness({**policies, answer.id: answer}))),
+                html_page.image(figures.svg(figures.stiffness(profiles))),
             )
         )
     parts += [_speeds(records), _table(records), _settings(header)]
@@ -172,7 +174,7 @@ def _exhibit(exhibit: Exhibit, why_no_film: str) -> str:
         film = html_page.image(exhibit.film, "image/webp")
     else:
         film = f'<p class="quiet">No film: {escape(why_no_film)}</p>'
-    figure = figures.rollout(exhibit.pan, exhibit.pancake, exhibit.t_f)
+    figure = flip_figures.rollout(exhibit.pan, exhibit.pancake, exhibit.t_f)
     return html_page.section(
         f"The answer, {exhibit.pan.id}",
         [
@@ -190,14 +192,14 @@ def _curves(header: SessionHeader, records: Sequence[Record]) -> str:
     html = html_page.section(
         "Learning curve",
         ["The return of Eq. 5 in every rollout. The paper's curve is the mean of six sessions."],
-        html_page.image(figures.svg(figures.learning_curve([eq5], marks))),
+        html_page.image(figures.svg(figures.learning_curve(eq5, marks, paper=True))),
     )
     if header.settings.ret != "eq5":
         own = np.array([math.nan if r.ret is None else r.ret for r in records])
         html += html_page.section(
             "What was learnt from",
             [f"The session's own return, {header.settings.ret!r}."],
-            html_page.image(figures.svg(figures.learning_curve([own], marks, paper=False))),
+            html_page.image(figures.svg(figures.learning_curve(own, marks, paper=False))),
         )
     names = list(dict.fromkeys(name for record in records for name in record.terms))
     values = {name: [record.terms.get(name) for record in records] for name in names}
@@ -255,6 +257,12 @@ def _settings(header: SessionHeader) -> str:
     data: dict[str, Any] = header.model_dump(mode="json", by_alias=True)
     text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
     return f"<details><summary>session.yaml</summary><pre>{escape(text)}</pre></details>"
+
+
+def vertical_stiffness(of: policy.Policy) -> np.ndarray:
+    """K33 = sum_i h_i K_i,33 of a policy, evenly in time [1/s^2]. Shape (200,)."""
+    t = np.linspace(0.0, of.basis.duration, 200)
+    return activations(of.basis, t) @ of.stiffness[:, 2, 2]
 
 
 def _number(value: float | None) -> str:

@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the comparison of learners has to say: every word and figure is made of its results."""
+"""Chapter of the comparison of learners; every number and figure follows from its results."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.stats import ranksums
 
+from wam_power_ros.experiments.jobs import Results
+from wam_power_ros.experiments.studies.comparison import FOILS, REFINED
 from wam_power_ros.reporting import study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
-Results = Mapping[str, Mapping[str, Mapping[str, Any]]]
 TASKS = {
     "reaching": "Reaching (Eq. 4): return of the noise-free mean",
     "pancake": "Pancake (Eq. 5): mean return of noisy repeats of the final mean",
@@ -29,90 +31,119 @@ LEARNERS = {
     "screened": "screened PoWER (ours)",
 }
 OURS = "screened"
-NOT_THE_PAPERS = (OURS, "shaped")  # ours and PoWER refined, each against the foils
-FOILS = ("power", "cma", "pi2")
+
+
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """All runs of a learner on a task.
+
+    Attributes:
+        final: Return of the answer of each run. Shape (runs,).
+        returns: Returns of the rollouts. Shape (runs, rollouts).
+    """
+
+    final: np.ndarray
+    returns: np.ndarray
+
+    @classmethod
+    def of(cls, results: list[Mapping[str, Any]]) -> Runs:
+        """Join jobs: one of reaching is of several seeds, one of the pancake of one."""
+        final, returns = [], []
+        for job in results:
+            several = "final" in job
+            final += job["final"] if several else [float(np.mean(job["repeats"]))]
+            returns += job["returns"] if several else [job["returns"]]
+        return cls(np.array(final), np.array(returns))
+
+    @property
+    def practised(self) -> np.ndarray:
+        """Mean return of all rollouts of each run. Shape (runs,)."""
+        return self.returns.mean(axis=1)
+
+    @property
+    def best_so_far(self) -> np.ndarray:
+        """Highest return up to each rollout. Shape (runs, rollouts)."""
+        return np.maximum.accumulate(self.returns, axis=1)
+
+    def needed(self, level: float) -> str:
+        """Median number of rollouts until one returned at least `level`."""
+        reached = self.best_so_far >= level
+        first = np.where(reached.any(axis=1), reached.argmax(axis=1) + 1.0, np.inf)
+        median = float(np.median(first))
+        return f"{median:.0f}" if np.isfinite(median) else f"over {self.returns.shape[1]}"
 
 
 def chapter(results: Results) -> Chapter:
     """The chapter of `comparison.jobs`.
 
     Args:
-        results: Study -> key -> result; other studies are not looked at.
+        results: Study -> key -> result; other studies are ignored.
     """
     return Chapter(
-        title="Learners side by side",
-        text=[
+        "Learners side by side",
+        [
             "All learners have the same rollouts, start at the same demonstration and learn full "
             "matrices and attractors. Settings and exploration of each were chosen on other seeds: "
             "on reaching two settings with twelve explorations, on 10 seeds and the best of them "
             "on 60 more; on the pancake little more than the better of two explorations, on 2 "
-            "seeds. Screened PoWER draws candidates from PoWER's own distribution and tries the "
-            "one a model promises most of; of ever fewer candidates, so that the rollouts have the "
-            "last word. The model of reaching is Eq. 1's free path and Eq. 4, and the places where "
-            "rollouts were stopped; that of the pancake is the toss Eq. 1 plans, flying freely, "
-            "put right by the returns. It is told no more than the others are, but it is given "
-            "these models, which the others are not.",
+            "seeds. Screened PoWER draws candidates from PoWER's own distribution and executes the "
+            "one of highest predicted return; of ever fewer candidates, so that the rollouts "
+            "decide in the end. The model of reaching is Eq. 1's free path and Eq. 4, and the "
+            "places where rollouts were stopped; that of the pancake is the toss Eq. 1 plans, in "
+            "free flight, corrected by the returns. It receives the same returns as the others, "
+            "but it is given these models, which the others are not.",
         ],
         parts=[_task(task, results[f"comparison-{task}"]) for task in TASKS],
     )
 
 
 def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
-    final, returns = _gather(study)
-    rollouts = next(iter(returns.values())).shape[1]
-    curves = {name: np.maximum.accumulate(runs, axis=1) for name, runs in returns.items()}
-    practised = {name: runs.mean(axis=1) for name, runs in returns.items()}
-    ours = final[OURS]
-    level = float(np.median(final["power"]))
+    jobs: dict[str, list[Mapping[str, Any]]] = {}
+    for key, job in study.items():
+        jobs.setdefault(key.split("-")[0], []).append(job)
+    runs = {name: Runs.of(some) for name, some in jobs.items()}
+    ours, power = runs[OURS], runs["power"]
+    level = float(np.median(power.final))
+    over = "{} runs of {} rollouts".format(*ours.returns.shape)
     rows = []
-    for name, values in final.items():
+    for name, some in runs.items():
+        final = some.final
+        numbers = (final.mean(), np.median(final), final.std(ddof=1), some.practised.mean())
+        p = (_p_greater(ours.final, final), _p_greater(ours.practised, some.practised))
         rows.append(
             [
                 LEARNERS[name],
-                str(len(values)),
-                f"{values.mean():.3f}",
-                f"{np.median(values):.3f}",
-                f"{values.std(ddof=1):.3f}",
-                f"{practised[name].mean():.3f}",
-                _needed(curves[name], level),
-                "" if name == OURS else f"{_p_greater(ours, values):.1g}",
-                "" if name == OURS else f"{_p_greater(practised[OURS], practised[name]):.1g}",
+                str(len(final)),
+                *(f"{number:.3f}" for number in numbers),
+                some.needed(level),
+                *("" if name == OURS else f"{value:.1g}" for value in p),
             ]
         )
     best = max(range(len(rows)), key=lambda row: float(rows[row][2]))
-    over = f"{len(ours)} runs of {rollouts} rollouts"
+    measured = {
+        "its answer": {name: some.final for name, some in runs.items()},
+        "its rollouts, all while it learns": {name: r.practised for name, r in runs.items()},
+    }
+    numbers = ("mean", "median", "sd", "mean of all rollouts", "rollouts")
     return Chapter(
         TASKS[task],
         [
             f"{over} where the table does not say fewer. PoWER's median answer returns "
             f"{level:.3f}; a rollout of that return came after "
-            f"{_needed(curves['power'], level)} rollouts with PoWER and "
-            f"{_needed(curves[OURS], level)} with ours (median)."
+            f"{power.needed(level)} rollouts with PoWER and {ours.needed(level)} with ours "
+            "(median)."
         ],
         [
-            _ahead(name, measured, f"{TASKS[task]}; {what}", over)
-            for name in NOT_THE_PAPERS
-            if name in final
-            for what, measured in (
-                ("its answer", final),
-                ("its rollouts, all while it learns", practised),
-            )
+            _ahead(name, returns, f"{TASKS[task]}; {what}", over)
+            for name in REFINED
+            if name in runs
+            for what, returns in measured.items()
         ],
         [
             Table(
                 f"{TASKS[task]}. Rollouts: until one returned {level:.3f}, median over runs. "
                 "p: ours greater, rank-sum, one-sided, of the answer and of all rollouts.",
-                (
-                    "learner",
-                    "runs",
-                    "mean",
-                    "median",
-                    "sd",
-                    "mean of all rollouts",
-                    "rollouts",
-                    "p answer",
-                    "p rollouts",
-                ),
+                ("learner", "runs", *numbers, "p answer", "p rollouts"),
                 rows,
                 [(best, 2)],
             )
@@ -122,7 +153,7 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
                 f"learners-{task}",
                 "Best return so far, median over runs; ours with its quartiles.",
                 study_figures.learner_curves(
-                    {LEARNERS[name]: runs.tolist() for name, runs in curves.items()},
+                    {LEARNERS[name]: some.best_so_far.tolist() for name, some in runs.items()},
                     ours=[LEARNERS[OURS]],
                     ylabel="best return so far",
                 ),
@@ -131,17 +162,17 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
     )
 
 
-def _ahead(name: str, measured: Mapping[str, np.ndarray], what: str, over: str) -> Claim:
-    ours, others = measured[name], {foil: measured[foil] for foil in FOILS if foil in measured}
+def _ahead(name: str, returns: Mapping[str, np.ndarray], what: str, over: str) -> Claim:
+    """Claim that a learner is ahead of all FOILS."""
+    ours, others = returns[name], {foil: returns[foil] for foil in FOILS if foil in returns}
     p_values = [_p_greater(ours, values) for values in others.values()]
     ahead = all(ours.mean() > values.mean() for values in others.values())
     return Claim(
         f"{LEARNERS[name]} ahead of {', '.join(LEARNERS[foil] for foil in others)}: {what} "
         "(rank-sum p < 0.01)",
         "",
-        f"{ours.mean():.3f} against "
-        + ", ".join(f"{values.mean():.3f}" for values in others.values()),
-        "p = " + ", ".join(f"{p:.1g}" for p in p_values),
+        f"{ours.mean():.3f} against {', '.join(f'{v.mean():.3f}' for v in others.values())}",
+        f"p = {', '.join(f'{p:.1g}' for p in p_values)}",
         over,
         ahead and max(p_values) < 0.01,
     )
@@ -149,29 +180,3 @@ def _ahead(name: str, measured: Mapping[str, np.ndarray], what: str, over: str) 
 
 def _p_greater(ours: np.ndarray, others: np.ndarray) -> float:
     return float(ranksums(ours, others, alternative="greater").pvalue)
-
-
-def _gather(
-    study: Mapping[str, Mapping[str, Any]],
-) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
-    """Final returns (runs,) and returns of rollouts (runs, rollouts) of each learner."""
-    final: dict[str, list[float]] = {}
-    returns: dict[str, list[list[float]]] = {}
-    for key, part in study.items():
-        name = key.split("-")[0]
-        many = "final" in part  # a job of reaching is of several seeds
-        finals = part["final"] if many else [float(np.mean(part["repeats"]))]
-        final.setdefault(name, []).extend(finals)
-        returns.setdefault(name, []).extend(part["returns"] if many else [part["returns"]])
-    return (
-        {name: np.array(values) for name, values in final.items()},
-        {name: np.array(values) for name, values in returns.items()},
-    )
-
-
-def _needed(curves: np.ndarray, level: float) -> str:
-    """Median number of rollouts until a curve is at the level, in words if it mostly never is."""
-    reached = curves >= level
-    first = np.where(reached.any(axis=1), reached.argmax(axis=1) + 1.0, np.inf)
-    median = float(np.median(first))
-    return f"{median:.0f}" if np.isfinite(median) else f"over {curves.shape[1]}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the wish list buys: every word and figure is made of the results of `wishes`."""
+"""Chapter of the extensions the paper asks for; every number follows from their results."""
 
 from __future__ import annotations
 
@@ -9,30 +9,35 @@ from typing import Any
 import numpy as np
 from scipy.stats import ranksums
 
+from wam_power_ros.experiments.jobs import Results
+from wam_power_ros.experiments.studies.extensions import (
+    AUTO,
+    DEMONSTRATION,
+    LATER,
+    PERSON,
+    REACHING,
+    REACHING_NOISY,
+    SIGMA,
+)
 from wam_power_ros.reporting.chapter import Chapter, Claim, Table
 
-Results = Mapping[str, Mapping[str, Mapping[str, Any]]]  # study -> key -> result
-REACHING, REACHING_NOISY = "wishes-sigma-reaching", "wishes-sigma-reaching-noisy"
-SIGMA, PERSON = "wishes-sigma-pancake-", "wishes-person"
-DEMONSTRATION = "wishes-demonstration-"
-AUTO = "auto"
-LEVEL = 0.05
-PAPERS = "6"  # size of the elite
+LEVEL = 0.05  # of significance
+PAPERS = "6"  # size of the elite in the paper
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `wishes.jobs`.
+    """The chapter of `extensions.jobs`.
 
     Args:
-        results: Study -> key -> result; other studies are not looked at.
+        results: Study -> key -> result; other studies are ignored.
     """
     return Chapter(
-        title="The paper's wish list (Sec. IV)",
+        title="Extensions the paper asks for (Sec. IV)",
         text=[
-            "The paper sets the size of the elite by hand and wishes for a mechanism that selects "
+            "The paper sets the size of the elite by hand and asks for a mechanism that selects "
             "it automatically, and for a person who rewards, punishes, or provides new examples "
-            "while the robot learns. These are features of the learner node; here is what each "
-            "buys. p is of a two-sided rank-sum test."
+            "while the robot learns. These are features of the learner node; this chapter measures "
+            "the effect of each. p is of a two-sided rank-sum test."
         ],
         parts=[_sigma(results), _person(results), _demonstration(results)],
     )
@@ -54,7 +59,7 @@ def _sigma(results: Results) -> Chapter:
         "pancake, Eq. 5": [run["sigma"] for run in results[f"{SIGMA}{AUTO}"].values()],
     }
     names = list(dict.fromkeys(name for values in tasks.values() for name in values))
-    rows, best, claims, said = [], [], [], []
+    rows, best, claims, sentences = [], [], [], []
     for task, values in tasks.items():
         medians = {name: float(np.median(values[name])) for name in values}
         rows.append([task, *(_spread(values[name]) if name in values else "–" for name in names)])
@@ -67,7 +72,7 @@ def _sigma(results: Results) -> Chapter:
         claims.append(
             Claim(
                 f"Automatic elite no worse than the best fixed one: {task}",
-                "wished for",
+                "proposed",
                 f"{medians[AUTO]:.3f} against {medians[good]:.3f} (σ = {good})",
                 f"p = {p_good:.2g}; worst fixed one {medians[bad]:.3f} (σ = {bad}), "
                 f"p = {p_bad:.2g}",
@@ -76,14 +81,15 @@ def _sigma(results: Results) -> Chapter:
             )
         )
         chosen = np.array([size for size in sizes[task] if size is not None])
-        said.append(
+        sentences.append(
             f"{task}: median {np.median(chosen):.0f} ({chosen.min():.0f} to {chosen.max():.0f})"
         )
     return Chapter(
-        "An elite whose size chooses itself",
+        "Automatic size of the elite",
         [
-            "After every rollout the size is taken that promises most, judged by rollouts that are "
-            f"left out of the elite in turn. It chose, over a run, {'; '.join(said)}."
+            "After every rollout the size of highest expected return is taken, as estimated by "
+            "leaving rollouts out of the elite in turn. Over a run it chose "
+            f"{'; '.join(sentences)}."
         ],
         claims,
         [
@@ -102,7 +108,7 @@ def _person(results: Results) -> Chapter:
     alone, helped = results[f"{SIGMA}{PAPERS}"], results[PERSON]
     count = [run["rated"] for run in helped.values()]
     return Chapter(
-        "A person's rewards and punishments",
+        "Rewards and punishments by a person",
         [
             "A simulated person sees what really happened: it rewards true flips that are caught "
             "and punishes rollouts that are not caught, "
@@ -116,14 +122,13 @@ def _person(results: Results) -> Chapter:
 
 def _demonstration(results: Results) -> Chapter:
     alone, helped = (results[f"{DEMONSTRATION}{which}"] for which in ("without", "with"))
-    taken = sum("demonstration-later" in run["choice"] for run in helped.values())
+    taken = sum(LATER in run["choice"] for run in helped.values())
     refused = sum(bool(run["refused"]) for run in helped.values())
     return Chapter(
         "A demonstration in the middle of learning",
         [
             "Sessions of the shipped default begin with demonstrations of a hand that hardly turns "
-            "the pancake; in half of them the usual hand gives one more when some rollouts are "
-            "over. "
+            "the pancake; in half of them the usual hand gives one more after some rollouts. "
             f"It was learnt from in {taken} of {len(helped)} sessions and refused in {refused}."
         ],
         *_compared("A later demonstration", alone, helped),
@@ -148,7 +153,7 @@ def _compared(
             claims.append(
                 Claim(
                     f"{what}: {name}",
-                    "wished for",
+                    "proposed",
                     f"mean {np.mean(with_):.0%} against {np.mean(without):.0%} without",
                     f"p = {p:.2g}",
                     f"{len(with_)} sessions each",

@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the reaching study has to say: every word and figure is made of its results."""
+"""Chapter of the reaching study; every number, figure and verdict follows from its results."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from scipy.stats import ranksums
 
-from wam_power_ros.reporting import study_figures
+from wam_power_ros.experiments.jobs import Results
+from wam_power_ros.experiments.studies.reaching import SYNTHETIC
+from wam_power_ros.experiments.studies.reaching_arm import EXECUTED, PRACTISED, TAUGHT
+from wam_power_ros.experiments.studies.reaching_runs import VARIANTS
+from wam_power_ros.reporting import reach_figures, study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
-Results = Mapping[str, Mapping[str, Mapping[str, Any]]]
-SYNTHETIC, TAUGHT = "reaching-synthetic", "reaching-taught"
-EXECUTED, PRACTISED = "reaching-executed", "reaching-practised"
-VARIANTS = ("full", "diagonal")
 PAPER = {"full": 0.73, "diagonal": 0.61}  # after 100 rollouts, mean of 10 experiments
 FIRST = 10  # runs, as many as the paper's
 LEVEL = 0.73
@@ -25,17 +26,64 @@ GEOMETRY = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class Runs:
+    """All runs of one variant on one scenario.
+
+    Attributes:
+        means: Return of the noise-free mean after each rollout. Shape (runs, rollouts).
+        best: Highest return of a rollout of each run.
+        stuck: Whether the last mean of each run meets the obstacle.
+        paths: Path of the last mean of each run [m]. Shapes (T, 3).
+        start: Return of the demonstration.
+        panel: Demonstrations and obstacle for the figure of the paths.
+    """
+
+    means: np.ndarray
+    best: Sequence[float]
+    stuck: Sequence[bool]
+    paths: Sequence[np.ndarray]
+    start: float
+    panel: reach_figures.Panel
+
+    @classmethod
+    def of(cls, study: Mapping[str, Mapping[str, Any]], variant: str) -> Runs:
+        """Join the jobs of a variant."""
+        parts = [part for part in study.values() if part["variant"] == variant]
+        best, stuck, paths, means = (
+            [value for part in parts for value in part[name]]
+            for name in ("best", "stuck", "paths", "means")
+        )
+        first = parts[0]
+        demonstrations = [np.array(path) for path in first["demonstrations"]]
+        panel = reach_figures.Panel(demonstrations, np.array(first["obstacle"]), first["radius"])
+        arrays = [np.array(path) for path in paths]
+        return cls(np.array(means), best, stuck, arrays, first["start"], panel)
+
+    @property
+    def final(self) -> np.ndarray:
+        """Return of the last mean of each run. Shape (runs,)."""
+        return self.means[:, -1]
+
+    @property
+    def over(self) -> str:
+        """Number of runs and rollouts."""
+        return "{} runs, {} rollouts".format(*self.means.shape)
+
+
 def chapter(results: Results) -> Chapter:
     """The chapter of `reaching.jobs`.
 
     Args:
-        results: Study -> key -> result; other studies are not looked at.
+        results: Study -> key -> result; other studies are ignored.
     """
-    synthetic = {variant: _runs(results[SYNTHETIC], variant) for variant in VARIANTS}
-    taught = {variant: _runs(results[TAUGHT], variant) for variant in VARIANTS}
+    synthetic, taught = (
+        {variant: Runs.of(results[study], variant) for variant in VARIANTS}
+        for study in (SYNTHETIC, TAUGHT)
+    )
     return Chapter(
-        title="Reaching past an obstacle (Sec. III-A, Fig. 2)",
-        text=[
+        "Reaching past an obstacle (Sec. III-A, Fig. 2)",
+        [
             "Four demonstrations are fitted by two primitives; a sphere lies on their mean. A "
             "rollout that meets it stays where it is; the return is Eq. 4. PoWER (sigma 3, noise "
             "times 0.965 a rollout, as in the authors' scripts) learns full matrices or only their "
@@ -46,25 +94,27 @@ def chapter(results: Results) -> Chapter:
     )
 
 
-def _synthetic(runs: Mapping[str, Mapping[str, Any]]) -> Chapter:
-    final = {variant: run["means"][:, -1] for variant, run in runs.items()}
-    full, diagonal = final["full"], final["diagonal"]
-    count, rollouts = runs["full"]["means"].shape
-    p = float(ranksums(full, diagonal, alternative="greater").pvalue)
+def _synthetic(runs: Mapping[str, Runs]) -> Chapter:
+    full, diagonal = (runs[variant].final for variant in VARIANTS)
+    over = runs["full"].over
+    count, rollouts = runs["full"].means.shape
+    p = _p_greater(full, diagonal)
     apart = float(full.mean() - diagonal.mean())
-    stuck = float(np.mean(runs["full"]["stuck"]))
-    over = f"{count} runs, {rollouts} rollouts"
+    stuck = float(np.mean(runs["full"].stuck))
+    hit = runs["full"].means >= LEVEL  # (runs, rollouts)
+    needed = float(np.median(np.where(hit.any(axis=1), hit.argmax(axis=1) + 1.0, np.inf)))
+    reached = f"in a median of {needed:.0f}" if np.isfinite(needed) else "not in half of the runs"
     claims = [
         Claim(
             f"Reaching, {variant} matrices: mean return of {min(FIRST, count)} experiments",
             f"{PAPER[variant]:.2f}",
-            f"{values[:FIRST].mean():.3f}",
-            f"all {count}: {values.mean():.3f}, sd {values.std(ddof=1):.3f}",
+            f"{final[:FIRST].mean():.3f}",
+            f"all {count}: {final.mean():.3f}, sd {final.std(ddof=1):.3f}",
             over,
             None,
             GEOMETRY,
         )
-        for variant, values in final.items()
+        for variant, final in (("full", full), ("diagonal", diagonal))
     ]
     claims += [
         Claim(
@@ -87,85 +137,77 @@ def _synthetic(runs: Mapping[str, Mapping[str, Any]]) -> Chapter:
             "Reaching, full matrices: at most 10 % of runs stuck at the obstacle",
             "",
             f"{stuck:.0%}",
-            f"diagonal {np.mean(runs['diagonal']['stuck']):.0%}",
+            f"diagonal {np.mean(runs['diagonal'].stuck):.0%}",
             over,
             stuck <= 0.1,
         ),
-        _stretch(runs["full"]["means"], over),
+        Claim(
+            f"Reaching, full, PoWER, stretch: mean 0.77, and {LEVEL} in a median of 45 rollouts",
+            "",
+            f"mean {full.mean():.3f}; {LEVEL} {reached}",
+            f"{hit.any(axis=1).sum()} of {count} runs reached it",
+            over,
+            bool(full.mean() >= 0.77 and needed <= 45),
+        ),
     ]
+    learnt = {}
+    for variant, some in runs.items():
+        best = some.paths[int(np.argmax(some.final[:FIRST]))]
+        learnt[variant] = some.panel.with_paths(best, some.paths[:FIRST])
     return Chapter(
         "Synthetic demonstrations",
         [
-            f"The demonstration itself returns {runs['full']['start']:.3f}. After {rollouts} "
+            f"The demonstration itself returns {runs['full'].start:.3f}. After {rollouts} "
             f"rollouts the noise-free mean returns {full.mean():.3f} with full matrices and "
             f"{diagonal.mean():.3f} with diagonal ones ({count} runs each, p = {p:.2g})."
         ],
         claims,
-        [_table(runs, f"{over} of each variant; returns of the noise-free mean")],
+        [_table(runs, f"{over} of each variant; returns of the noise-free mean.")],
         [
             Figure.of(
                 "reaching-curves",
                 "Return of the noise-free mean over rollouts, median and quartiles, with the "
                 "paper's figures after 100 rollouts (of its own, unknown geometry).",
                 study_figures.learner_curves(
-                    {variant: run["means"].tolist() for variant, run in runs.items()},
+                    {variant: some.means.tolist() for variant, some in runs.items()},
                     ylabel="return (Eq. 4)",
                     marks={f"paper, {name}": value for name, value in PAPER.items()},
                 ),
             ),
-            _paths("fig2-reaching", "What was learnt in the first ten runs of each variant.", runs),
+            Figure.of(
+                "fig2-reaching",
+                "Paths learnt in the first ten runs of each variant. The best of them is set off.",
+                reach_figures.paths(learnt),
+            ),
         ],
     )
 
 
-def _stretch(means: np.ndarray, over: str) -> Claim:
-    reached = [_reached(curve) for curve in means]
-    median = float(np.median([np.inf if at is None else at for at in reached]))
-    final = float(means[:, -1].mean())
-    return Claim(
-        f"Reaching, full, PoWER, stretch: mean 0.77, and {LEVEL} in a median of 45 rollouts",
-        "",
-        f"mean {final:.3f}; {LEVEL} "
-        + (f"in a median of {median:.0f}" if np.isfinite(median) else "not in half of the runs"),
-        f"{sum(at is not None for at in reached)} of {len(reached)} runs reached it",
-        over,
-        final >= 0.77 and median <= 45,
-    )
-
-
 def _taught(
-    runs: Mapping[str, Mapping[str, Any]],
-    executed: Mapping[str, Any],
-    practised: Mapping[str, Any],
+    runs: Mapping[str, Runs], executed: Mapping[str, Any], practised: Mapping[str, Any]
 ) -> Chapter:
-    full, diagonal = (runs[variant]["means"][:, -1] for variant in VARIANTS)
-    p = float(ranksums(full, diagonal, alternative="greater").pvalue)
-    count, rollouts = runs["full"]["means"].shape
-    rows = []
+    full, diagonal = (runs[variant].final for variant in VARIANTS)
+    over = runs["full"].over
+    rows, panels = [], {}
     for variant in VARIANTS:
         one = executed[variant]
-        rows.append(
-            [
-                variant,
-                f"{1e3 * one['rms']:.1f} mm",
-                f"{1e3 * one['largest']:.1f} mm",
-                f"{1e3 * one['planned_clearance']:+.1f} mm",
-                f"{1e3 * one['clearance']:+.1f} mm",
-                f"{one['planned_return']:.3f}",
-                f"{one['executed_return']:.3f}",
-                one["fault"] or "none",
-            ]
-        )
+        lengths = (f"{1e3 * one[name]:.1f} mm" for name in ("rms", "largest"))
+        clearances = (f"{1e3 * one[name]:+.1f} mm" for name in ("planned_clearance", "clearance"))
+        returns = (f"{one[name]:.3f}" for name in ("planned_return", "executed_return"))
+        rows.append([variant, *lengths, *clearances, *returns, one["fault"] or "none"])
+        paths = np.array(one["planned"]), [], np.array(one["executed"])
+        panels[variant] = runs[variant].panel.with_paths(*paths)
     clear = sum(executed[variant]["clearance"] > 0.0 for variant in VARIANTS)
+    distances = ("rms deviation", "largest", "planned clearance", "executed clearance")
     return Chapter(
         "Taught on the arm, and executed by it",
         [
-            "The same with the four demonstrations of bags/reach_*, shown to the simulated arm in "
-            "gravity compensation. Learning tries policies on Eq. 1; the learnt one is then "
+            "The same with the four demonstrations of bags/reach_*, given to the simulated arm in "
+            "gravity compensation. Learning simulates Eq. 1; the learnt policy is then "
             "executed by the torque controller on the simulated arm, which follows Eq. 1 in closed "
             "loop, with friction, delay and filtered velocities. There is no sphere in its world: "
             f"{clear} of {len(VARIANTS)} executed paths stay clear of where it would be. The arm "
-            "is compliant and does not do quite what Eq. 1 plans, so it practises as well: PoWER "
+            "is compliant and deviates from the plan of Eq. 1, so it practises as well: PoWER "
             "on the returns of executed paths.",
         ],
         [
@@ -173,25 +215,16 @@ def _taught(
                 "Reaching taught on the arm: full against diagonal, mean return",
                 "",
                 f"{full.mean():.3f} against {diagonal.mean():.3f}",
-                f"p = {p:.2g}, one-sided",
-                f"{count} runs, {rollouts} rollouts",
+                f"p = {_p_greater(full, diagonal):.2g}, one-sided",
+                over,
             )
         ],
         [
-            _table(runs, f"{count} runs, {rollouts} rollouts; returns of the noise-free mean"),
+            _table(runs, f"{over}; returns of the noise-free mean."),
             Table(
                 "The learnt policy on the arm: deviation of the executed path from the planned "
                 "one, least distance to the sphere, return of both paths.",
-                (
-                    "variant",
-                    "rms deviation",
-                    "largest",
-                    "planned clearance",
-                    "executed clearance",
-                    "planned return",
-                    "executed return",
-                    "fault",
-                ),
+                ("variant", *distances, "planned return", "executed return", "fault"),
                 rows,
             ),
             _practice(practised),
@@ -200,17 +233,7 @@ def _taught(
             Figure.of(
                 "reaching-executed",
                 "The learnt path as Eq. 1 plans it, and as the arm executed it.",
-                study_figures.reaching(
-                    {
-                        variant: _panel(
-                            runs[variant],
-                            [],
-                            np.array(executed[variant]["planned"]),
-                            np.array(executed[variant]["executed"]),
-                        )
-                        for variant in VARIANTS
-                    }
-                ),
+                reach_figures.paths(panels),
             )
         ],
     )
@@ -232,71 +255,22 @@ def _practice(runs: Mapping[str, Any]) -> Table:
         )
     return Table(
         "Practised on the arm: runs and rollouts, return of the first rollout and of the learnt "
-        "policy, both executed, means over the runs; how far each learnt policy stays from the "
+        "policy, both executed, means over the runs; distance of each learnt policy from the "
         "sphere; rollouts that the controller ended.",
         ("variant", "runs", "first", "learnt", "clearance", "faults"),
         rows,
     )
 
 
-def _table(runs: Mapping[str, Mapping[str, Any]], caption: str) -> Table:
+def _table(runs: Mapping[str, Runs], caption: str) -> Table:
     rows = []
-    for variant, run in runs.items():
-        final = run["means"][:, -1]
-        rows.append(
-            [
-                variant,
-                f"{final.mean():.3f}",
-                f"{np.median(final):.3f}",
-                f"{final.std(ddof=1):.3f}",
-                f"{np.mean(run['best']):.3f}",
-                f"{np.mean(run['stuck']):.0%}",
-            ]
-        )
+    for variant, some in runs.items():
+        final = some.final
+        returns = (final.mean(), np.median(final), final.std(ddof=1), np.mean(some.best))
+        rows.append([variant, *(f"{value:.3f}" for value in returns), f"{np.mean(some.stuck):.0%}"])
     head = ("matrices", "mean", "median", "sd", "best rollout, mean", "stuck")
-    return Table(f"{caption}.", head, rows, [(0, 1)] if rows[0][1] >= rows[1][1] else [(1, 1)])
+    return Table(caption, head, rows, [(0, 1)] if rows[0][1] >= rows[1][1] else [(1, 1)])
 
 
-def _paths(name: str, caption: str, runs: Mapping[str, Mapping[str, Any]]) -> Figure:
-    panels = {}
-    for variant, run in runs.items():
-        paths = [np.array(path) for path in run["paths"][:FIRST]]
-        best = int(np.argmax(run["means"][:FIRST, -1]))
-        panels[variant] = _panel(run, paths, paths[best])
-    return Figure.of(
-        name, f"{caption} The best of them is set off.", study_figures.reaching(panels)
-    )
-
-
-def _panel(
-    run: Mapping[str, Any],
-    rollouts: list[np.ndarray],
-    learnt: np.ndarray,
-    executed: np.ndarray | None = None,
-) -> study_figures.Reaching:
-    demonstrations = [np.array(path) for path in run["demonstrations"]]
-    return study_figures.Reaching(
-        demonstrations=demonstrations,
-        rollouts=rollouts,
-        learnt=learnt,
-        obstacle=np.array(run["obstacle"]),
-        radius=run["radius"],
-        goal=np.mean([path[-1] for path in demonstrations], axis=0),
-        executed=executed,
-    )
-
-
-def _reached(curve: np.ndarray) -> int | None:
-    """Rollout after which a curve is first at LEVEL."""
-    at = np.flatnonzero(curve >= LEVEL)
-    return int(at[0]) + 1 if len(at) else None
-
-
-def _runs(study: Mapping[str, Mapping[str, Any]], variant: str) -> dict[str, Any]:
-    """The jobs of a variant put together."""
-    parts = [part for part in study.values() if part["variant"] == variant]
-    joined = dict(parts[0])
-    for name in ("best", "stuck", "paths"):
-        joined[name] = [value for part in parts for value in part[name]]
-    joined["means"] = np.concatenate([np.array(part["means"]) for part in parts])
-    return joined
+def _p_greater(one: np.ndarray, other: np.ndarray) -> float:
+    return float(ranksums(one, other, alternative="greater").pvalue)

@@ -18,17 +18,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from wam_power_ros.experiments import jobs as job_cache
-from wam_power_ros.experiments.chapters.comparison_chapter import (
-    FOILS,
-    LEARNERS,
-    NOT_THE_PAPERS,
-    TASKS,
-    chapter,
-)
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies.comparison_runs import pancake_run, reaching_runs
 
-__all__ = ["chapter", "jobs", "tune"]
+FOILS = ("power", "cma", "pi2")  # learners of the literature that a claim is made against
+REFINED = ("screened", "shaped")  # learners that claims are made of: ours, and PoWER refined
 
 
 class Choice(NamedTuple):
@@ -117,11 +111,11 @@ CHUNK = 10  # reaching runs of a job
 def jobs(scale: Literal["full", "quick"]) -> list[Job]:
     """Held-out runs of every learner on both tasks; a few short ones on tuning seeds in "quick"."""
     found = []
-    for task in TASKS:
+    for task in ROLLOUTS:
         seeds = HELD_OUT[task] if scale == "full" else EFFORT[task].few[:2]
         rollouts = ROLLOUTS[task] if scale == "full" else 3
-        for name in LEARNERS if scale == "full" else ("power", "cma", "pi2", "screened"):
-            beside = task == "pancake" and name not in (*FOILS, *NOT_THE_PAPERS)
+        for name in GRID if scale == "full" else ("power", "cma", "pi2", "screened"):
+            beside = task == "pancake" and name not in (*FOILS, *REFINED)
             some = seeds[:BESIDE] if beside else seeds
             found += _runs(task, f"comparison-{task}", name, TUNED[task][name], some, rollouts)
     return found
@@ -184,12 +178,12 @@ def _runs(
 def main(argv: Sequence[str] | None = None) -> None:
     """Tune."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tune", choices=TASKS, required=True, help="task to tune for")
-    parser.add_argument("--learner", choices=LEARNERS, help="only this one")
+    parser.add_argument("--tune", choices=ROLLOUTS, required=True, help="task to tune for")
+    parser.add_argument("--learner", choices=GRID, help="only this one")
     parser.add_argument("--folder", type=Path, default=Path("tuning"), help="where runs are kept")
     parser.add_argument("--workers", type=int, default=2, help="processes")
     args = parser.parse_args(argv)
-    for name in [args.learner] if args.learner else LEARNERS:
+    for name in [args.learner] if args.learner else GRID:
         for score, choice in tune(args.tune, name, args.folder, args.workers):
             sys.stdout.write(f"{name:10} {score:.3f} {choice}\n")
             sys.stdout.flush()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the paper wishes for in its Sec. IV, each with and without it.
+"""Extensions the paper proposes in its Sec. IV, each with and without it.
 
-An elite whose size chooses itself, against fixed ones, where returns have noise and where they have
-none; a person who rewards and punishes; a demonstration given in the middle of learning.
+An elite of automatic size against fixed ones, with and without noise of the returns; a person who
+rewards and punishes; a demonstration given while the robot learns.
 """
 
 from __future__ import annotations
@@ -13,14 +13,6 @@ from typing import Any, Literal
 import numpy as np
 
 from hardware_sim.scenes.flip import PITCH_RATE
-from wam_power_ros.experiments.chapters.extensions_chapter import (
-    DEMONSTRATION,
-    PERSON,
-    REACHING,
-    REACHING_NOISY,
-    SIGMA,
-    chapter,
-)
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies.flip_sessions import NOVICE, stand_in, teach
 from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evaluate, generator
@@ -31,12 +23,14 @@ from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 
-__all__ = ["chapter", "jobs", "search", "session"]
-
+REACHING, REACHING_NOISY = "wishes-sigma-reaching", "wishes-sigma-reaching-noisy"  # studies
+SIGMA, PERSON, DEMONSTRATION = "wishes-sigma-pancake-", "wishes-person", "wishes-demonstration-"
+AUTO = "auto"
+LATER = "demonstration-later"  # id of the policy of a demonstration given while learning
 HELD_OUT = range(501, 509)  # seeds nothing was tuned on
 HELD_OUT_REACHING = range(501, 531)
 TUNING = range(21, 22)  # for "quick"
-SIZES: tuple[int | str, ...] = ("auto", 3, 6, 10, 20)
+SIZES: tuple[int | str, ...] = (AUTO, 3, 6, 10, 20)
 RETURN_NOISE = 0.1  # standard deviation; what returns of one pancake policy have
 RATING, RATINGS_MAX = 0.3, 20  # of the simulated person
 POOR = 4.0  # [rad/s] pitch rate of a hand that hardly turns the pancake
@@ -112,7 +106,7 @@ def session(
         if record.number == given_after:
             (later,) = teach(environment, seed + 10_000, 1)  # another throw of the same hand
             try:
-                practice.give(with_id(later, "demonstration-later"))
+                practice.give(with_id(later, LATER))
             except ValueError as error:
                 refused = str(error)
     retests = [record for record in practice.records if record.kind == "retest"]
@@ -163,7 +157,7 @@ def jobs(scale: Scale) -> list[Job]:
                 session,
                 {**novice, "changes": {**paper, "power": {"sigma": s}}},
             )
-            for s in ("auto", 6, *([] if quick else [20]))  # a session takes half a minute
+            for s in (AUTO, 6, *([] if quick else [20]))  # a session takes half a minute
         ]
         person = {**novice, "changes": paper, "ratings": 2 if quick else RATINGS_MAX}
         wanted.append(Job(PERSON, f"seed-{seed}", session, person))

@@ -19,14 +19,6 @@ from hardware_sim.scenes.flip import PITCH_RATE, wrist_flick
 from hardware_sim.settings import SceneSettings, WorldSettings
 from hardware_sim.world import World
 from wam_power_ros import rotations
-from wam_power_ros.experiments.chapters.flip_chapter import (
-    ABLATION,
-    DEFAULT,
-    LEARNT,
-    LONG,
-    PAPER,
-    chapter,
-)
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.learning.demonstration import from_joint_samples
@@ -38,8 +30,8 @@ from wam_power_ros.practice.settings import PracticeSettings, preset
 from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.returns import pancake_return
 
-__all__ = ["chapter", "jobs", "practise", "session", "teach"]
-
+DEFAULT, PAPER, LONG = "pancake-default", "pancake-paper", "pancake-paper-100"  # studies
+LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
 HELD_OUT = range(301, 331)  # seeds nothing was tuned on
 TUNING = range(21, 23)  # for "quick"
 NOVICE = 5.0  # [rad/s] intended pitch rate of the hand that teaches for Fig. 5
@@ -163,7 +155,7 @@ def session(
     condition: Mapping[str, Any] | None = None,
     carried: Mapping[str, Mapping[str, Any]] | None = None,
     repeats: int = 3,
-    exhibited: bool = False,
+    keep_paths: bool = False,
 ) -> dict[str, Any]:
     """One session from its first demonstration to the last re-test, as plain data.
 
@@ -176,7 +168,7 @@ def session(
         condition: of the bench it is taught and practised on, arguments of `stand_in`.
         carried: name -> other condition in which the answer is run again.
         repeats: of the answer in each of these.
-        exhibited: keep the paths of the demonstration, its reproduction and the answer.
+        keep_paths: keep the paths of the demonstration, its reproduction and the answer.
     """
     environment = stand_in(seed, **(condition or {}))
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
@@ -191,13 +183,13 @@ def session(
         "stopped": practice.stopped,
         "choice": practice.choice,
         "used": practice.used,
-        "trials": [_told(record) for record in trials],
-        "retests": [_told(record) for record in records if record.kind == "retest"],
+        "trials": [_kept(record) for record in trials],
+        "retests": [_kept(record) for record in records if record.kind == "retest"],
         "curve": curve,  # of the chosen demonstration, its reproduction first
         "fires": _fires(curve),
         "carried": {},
         "k33": {},
-        "exhibit": None,
+        "shown": None,
     }
     if best is None or parameters is None:  # nothing could be reproduced
         return result
@@ -214,13 +206,15 @@ def session(
         result["carried"][where] = [
             _outcome(truth, "" if fault is None else fault.text) for truth, fault in runs
         ]
-    if exhibited:
-        result["exhibit"] = _exhibit(environment, seed, pitch_rate, parameters.policy0, best.policy)
+    if keep_paths:
+        result["shown"] = _shown_paths(
+            environment, seed, pitch_rate, parameters.policy0, best.policy
+        )
     return result
 
 
-def _told(record: Record) -> dict[str, Any]:
-    """What is kept of a rollout."""
+def _kept(record: Record) -> dict[str, Any]:
+    """The part of a record that is kept."""
     flight, truth = record.flight, record.truth or {}
     return {
         "kind": record.kind,
@@ -264,7 +258,7 @@ def _k33(policy: Policy) -> list[float]:
     return (activations(policy.basis, t) @ policy.stiffness[:, 2, 2]).tolist()
 
 
-def _exhibit(
+def _shown_paths(
     environment: Environment, seed: int, pitch_rate: float, demonstrated: Policy, answer: Policy
 ) -> dict[str, Any]:
     """Paths of demonstration, reproduction and answer for the figures, and the answer's trace."""
@@ -327,7 +321,7 @@ def jobs(scale: Scale) -> list[Job]:
     paper = {**common, "name": "paper", "pitch_rate": NOVICE}
     conditions = dict(list(CONDITIONS.items())[one])
     wanted = [
-        (DEFAULT, seed, {**default, "carried": conditions, "exhibited": seed == seeds[0]})
+        (DEFAULT, seed, {**default, "carried": conditions, "keep_paths": seed == seeds[0]})
         for seed in seeds
     ]
     wanted += [
@@ -341,7 +335,7 @@ def jobs(scale: Scale) -> list[Job]:
     ]
     changes = {count: {**fewer, "budget": budgets[count], "confirm": 0} for count in budgets}
     wanted += [
-        (PAPER, seed, {**paper, "changes": changes[50], "exhibited": seed == seeds[0]})
+        (PAPER, seed, {**paper, "changes": changes[50], "keep_paths": seed == seeds[0]})
         for seed in seeds[one]
     ]
     wanted += [(LONG, seed, {**paper, "changes": changes[100]}) for seed in seeds[:4][one]]

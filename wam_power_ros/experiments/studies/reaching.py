@@ -20,12 +20,12 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import ranksums
 
-from wam_power_ros.experiments.chapters.reaching_chapter import SYNTHETIC, VARIANTS, chapter
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies import reaching_arm
 from wam_power_ros.experiments.studies.reaching_runs import (
     CHUNK,
     NOISE,
+    VARIANTS,
     as_data,
     evaluate,
     scales,
@@ -37,8 +37,7 @@ from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.tasks.reach.scenario import Scenario
 
-__all__ = ["chapter", "jobs", "tune"]
-
+SYNTHETIC = "reaching-synthetic"  # study
 GRID = [
     scales(stiffness, attractor)
     for stiffness in (0.3, 0.6, 1.0)

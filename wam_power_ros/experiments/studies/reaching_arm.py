@@ -17,18 +17,13 @@ import numpy as np
 from hardware_sim.settings import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.bags.reader import read_demonstration
-from wam_power_ros.experiments.chapters.reaching_chapter import (
-    EXECUTED,
-    PRACTISED,
-    TAUGHT,
-    VARIANTS,
-)
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies.reaching_runs import (
     DRAWN,
     NOISE,
     POWER,
+    VARIANTS,
     as_data,
     generator,
     study,
@@ -40,6 +35,11 @@ from wam_power_ros.learning.power import Power
 from wam_power_ros.params.resources import share
 from wam_power_ros.tasks.reach.scenario import Scenario, taught
 
+TAUGHT, EXECUTED, PRACTISED = (
+    "reaching-taught",
+    "reaching-executed",
+    "reaching-practised",
+)  # studies
 NOISE_SEED = 7  # of the stand-in
 PRACTICE = 60  # rollouts on the arm, at most
 APPRENTICES = 3  # seeds that practise on the arm

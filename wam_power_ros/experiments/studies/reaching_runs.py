@@ -21,6 +21,7 @@ def scales(stiffness: float, attractor: float) -> NoiseScales:
     return NoiseScales(stiffness=stiffness, attractor=attractor, rotation=0.1)
 
 
+VARIANTS = ("full", "diagonal")
 # Near the best of `reaching.tune` for each variant on the 60 tuning seeds: full .765, and within
 # .003 of it at twice the noise of either; diagonal .598.
 NOISE = {"full": scales(0.6, 0.00625), "diagonal": scales(0.6, 0.1)}

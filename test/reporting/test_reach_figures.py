@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of the reaching task show paths and obstacle along the movement."""
+
+import numpy as np
+import pytest
+
+from wam_power_ros.reporting import reach_figures
+from wam_power_ros.reporting.reach_figures import Panel
+
+
+def a_panel(executed: np.ndarray | None = None) -> Panel:
+    """Half a metre along y, with a sphere half way."""
+    path = np.linspace([0.4, -0.25, 0.3], [0.4, 0.25, 0.3], 21)
+    demonstrations = [path, path + np.array([0.0, 0.0, 0.01])]
+    panel = Panel(demonstrations, np.array([0.4, 0.0, 0.3]), 0.09)
+    return panel.with_paths(path + np.array([0.0, 0.0, 0.1]), [path], executed)
+
+
+def test_reaching_is_drawn_along_the_movement_with_the_obstacle_half_way() -> None:
+    figure = reach_figures.paths({"diagonal": a_panel(), "full": a_panel(np.zeros((5, 3)))})
+    side = figure.axes[0]
+    (sphere,) = side.patches
+    assert sphere.center[0] == pytest.approx(0.25) and sphere.radius == 0.09
+    learnt = next(line for line in side.lines if line.get_label() == "learnt")
+    np.testing.assert_allclose(learnt.get_xdata(), np.linspace(0.0, 0.5, 21))
+    labels = [{line.get_label() for line in axes.lines} for axes in figure.axes]
+    assert ["executed" in names for names in labels] == [False, True, False, True]
+
+
+def test_a_panel_without_a_learnt_path_shows_the_demonstrations() -> None:
+    panel = a_panel()
+    bare = Panel(panel.demonstrations, panel.obstacle, panel.radius)
+    labels = {line.get_label() for line in reach_figures.paths({"": bare}).axes[0].lines}
+    assert {"demonstrations", "start", "goal"} <= labels and "learnt" not in labels
+
+
+def test_a_figure_without_a_panel_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one"):
+        reach_figures.paths({})

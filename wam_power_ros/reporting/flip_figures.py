@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of the pancake task: pan and pancake from the side, with their normals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.reporting.figures import (
+    ACCENT,
+    INK,
+    PAN,
+    PANCAKE,
+    STEEL,
+    dress,
+    legend,
+    shared_legend,
+)
+
+YELLOW, BROWN = "#e3a72f", "#7a4a1c"
+PANCAKE_RADIUS, PAN_RADIUS = 0.09, 0.14  # as drawn [m]
+MARGIN = 0.03  # around what is drawn [m]
+NORMAL = 0.06  # drawn length of a normal [m]
+
+
+def rollout(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None) -> Figure:
+    """A rollout seen from the side, as in Figs. 3-4 of the paper, and its heights over time.
+
+    Arrows are the normals of pan and pancake; the pancake's is the direction fixed in it that
+    pointed along the pan's normal in its first frame.
+
+    Args:
+        pan: Path of the pan.
+        pancake: Path of the pancake; may be empty.
+        t_f: Time at which the fall was judged [s], marked if given.
+    """
+    figure = Figure(figsize=(8.6, 4.0), layout="constrained")
+    side, height = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
+    dress(side)
+    dress(height)
+    every = max(1, round(len(pan.t) / 18))
+    pan_normals = rotations.matrix(pan.quat_xyzw)[:, :, 2]  # (T, 3)
+    side.plot(pan.position[:, 0], pan.position[:, 2], color=PAN, lw=1.5, label="pan")
+    _arrows(side, pan.position[::every], pan_normals[::every], PAN)
+    height.plot(pan.t, pan.position[:, 2], color=PAN, lw=1.5, label="pan")
+    if len(pancake.t):
+        dots = {"ms": 2.5, "color": PANCAKE}
+        x, _, z = pancake.position.T
+        side.plot(x, z, "o--", lw=0.8, label="pancake", **dots)
+        first = np.abs(pan.t - pancake.t[0]).argmin()
+        _arrows(side, pancake.position, _normals(pancake, pan_normals[first]), PANCAKE)
+        height.plot(pancake.t, z, "o", label="pancake (camera)", **dots)
+    if t_f is not None:
+        height.axvline(t_f, color=ACCENT, lw=0.8, ls=":", label="$t_f$")
+    side.set_aspect("equal", adjustable="datalim")
+    side.set(xlabel="x, outward [m]", ylabel="z, up [m]")
+    height.set(xlabel="time [s]", ylabel="z, up [m]")
+    legend(side)
+    legend(height)
+    return figure
+
+
+def flights(rollouts: Mapping[str, tuple[EndEffectorPath, BodyPath, float | None]]) -> Figure:
+    """Figs. 3 and 4 of the paper: pan and pancake seen from the side, with their normals.
+
+    The pancake is drawn edge-on at every camera frame, its two sides in two colours; the side
+    that lay in the pan at first is brown. The pan is drawn at the same times.
+
+    Args:
+        rollouts: Title -> paths of pan and pancake, and t_f [s] or None.
+
+    Raises:
+        ValueError: There is no rollout.
+    """
+    if not rollouts:
+        raise ValueError("a figure of flights needs at least one rollout")
+    pans = np.concatenate([pan.position[:, [0, 2]] for pan, _, _ in rollouts.values()])
+    pancakes = [pancake.position[:, [0, 2]] for _, pancake, _ in rollouts.values()]
+    drawn = np.concatenate([pans, *pancakes])
+    margin = MARGIN + 0.8 * PAN_RADIUS
+    low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin
+    lowest = pans[:, 1].min() - MARGIN - 2.0 * PAN_RADIUS
+    low[1] = max(low[1], lowest)  # a pancake that is dropped leaves the view
+    width = 4.2
+    height = width * (high[1] - low[1]) / (high[0] - low[0])
+    figure = Figure(figsize=(width * len(rollouts) + 0.6, height + 1.1), layout="compressed")
+    row = figure.subplots(1, len(rollouts), squeeze=False)[0]
+    for axes, (title, (pan, pancake, t_f)) in zip(row, rollouts.items(), strict=True):
+        dress(axes)
+        axes.set_title(title, fontsize=10, color=INK)
+        axes.plot(pan.position[:, 0], pan.position[:, 2], color=STEEL, lw=0.9, ls=":", label="pan")
+        pan_normals = rotations.matrix(pan.quat_xyzw)[:, :, 2]  # (T, 3)
+        times = pancake.t if len(pancake.t) else pan.t[:: max(1, len(pan.t) // 20)]
+        nearest = np.clip(np.searchsorted(pan.t, times), 0, len(pan.t) - 1)
+        for k in nearest[_apart(pan.position[nearest], 0.02)]:
+            _disc(axes, pan.position[k], pan_normals[k], PAN_RADIUS, (STEEL, STEEL), 0.45)
+        if len(pancake.t):
+            x, _, z = pancake.position.T
+            axes.plot(x, z, color=BROWN, lw=0.7, ls=":", label="pancake")
+            normals = _normals(pancake, pan_normals[nearest[0]])
+            for k in _apart(pancake.position, 0.025):
+                place = pancake.position[k]
+                _disc(axes, place, normals[k], PANCAKE_RADIUS, (YELLOW, BROWN), 0.95)
+            if t_f is not None:
+                at = [np.interp(t_f, pancake.t, values) for values in (x, z)]
+                axes.plot(*at, "o", ms=9, mfc="none", mec=ACCENT, mew=1.4, label="$t_f$")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, outward [m]")
+        axes.set_aspect("equal")
+    row[0].set_ylabel("z, up [m]")
+    shared_legend(figure, row, 3)
+    return figure
+
+
+def _normals(pancake: BodyPath, first: np.ndarray) -> np.ndarray:
+    """Direction fixed in the pancake that is `first` (3,) in its first frame. Shape (M, 3)."""
+    turns = rotations.matrix(pancake.quat_xyzw)  # (M, 3, 3)
+    return turns @ (turns[0].T @ first)
+
+
+def _apart(positions: np.ndarray, distance: float) -> list[int]:
+    """Indices of positions (n, 3) farther than `distance` [m] from the one taken before."""
+    taken = [0]
+    for k in range(len(positions)):
+        if np.linalg.norm(positions[k] - positions[taken[-1]]) > distance:
+            taken.append(k)
+    return taken
+
+
+def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> None:
+    """Draw normals (m, 3) at places (m, 3), in the x-z plane."""
+    (x, _, z), (u, _, w) = places.T, NORMAL * normals.T
+    as_data = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+    axes.quiver(x, z, u, w, color=color, width=0.004, alpha=0.8, **as_data)
+
+
+def _disc(
+    axes: Axes,
+    place: np.ndarray,
+    normal: np.ndarray,
+    radius: float,
+    colors: tuple[str, str],
+    alpha: float,
+) -> None:
+    """Draw a disc edge-on, the side its normal points to in the first colour, with the normal."""
+    n = normal[[0, 2]]
+    along = np.array([n[1], -n[0]])
+    centre = place[[0, 2]]
+    for side, color in zip((0.002, -0.002), colors, strict=True):
+        ends = np.stack([centre + side * n - radius * along, centre + side * n + radius * along])
+        axes.plot(*ends.T, color=color, lw=1.5, alpha=alpha, solid_capstyle="butt")
+    tip = centre + 0.05 * n
+    axes.plot(*np.stack([centre, tip]).T, color=PAN, lw=0.8, alpha=alpha)
+    axes.plot(*tip, marker=".", ms=2.5, color=PAN, alpha=alpha)

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of the reaching task: paths around the obstacle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from wam_power_ros.reporting.figures import INK, PAN, dress, shared_legend
+
+OBSTACLE, GOAL, LEARNT, ROLLOUT, EXECUTED = "#c8504f", "#2f855a", "#1d5c3a", "#8fc3a5", "#e3a72f"
+MARGIN = 0.03  # around the paths [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """A panel of Fig. 2.
+
+    Attributes:
+        demonstrations: Demonstrated positions [m]. Shapes (T, 3).
+        obstacle: Centre of the sphere [m]. Shape (3,).
+        radius: Radius of the sphere [m].
+        learnt: Path of the learnt policy [m], drawn bold. Shape (T, 3); may be empty.
+        rollouts: Further paths [m]. Shapes (T, 3); may be empty.
+        executed: Path the arm executed [m]. Shape (M, 3), None where none was.
+    """
+
+    demonstrations: Sequence[np.ndarray]
+    obstacle: np.ndarray
+    radius: float
+    learnt: np.ndarray | None = None
+    rollouts: Sequence[np.ndarray] = ()
+    executed: np.ndarray | None = None
+
+    def with_paths(
+        self,
+        learnt: np.ndarray,
+        rollouts: Sequence[np.ndarray] = (),
+        executed: np.ndarray | None = None,
+    ) -> Panel:
+        """The same scene with other paths."""
+        return replace(self, learnt=learnt, rollouts=rollouts, executed=executed)
+
+    @property
+    def start(self) -> np.ndarray:
+        """Mean first position of the demonstrations [m]. Shape (3,)."""
+        return np.mean([path[0] for path in self.demonstrations], axis=0)
+
+    @property
+    def goal(self) -> np.ndarray:
+        """Mean last position of the demonstrations [m]. Shape (3,)."""
+        return np.mean([path[-1] for path in self.demonstrations], axis=0)
+
+
+def paths(panels: Mapping[str, Panel]) -> Figure:
+    """Fig. 2 of the paper: paths around the obstacle, each from the side and from above.
+
+    The axes are along the line from the mean start of the demonstrations to their mean end, to its
+    left, and up.
+
+    Args:
+        panels: Title -> panel, such as "diagonal" and "full".
+
+    Raises:
+        ValueError: There is no panel.
+    """
+    if not panels:
+        raise ValueError("a figure of reaching needs at least one panel")
+    boxes = []  # of each panel and view: lowest and highest drawn coordinates
+    for panel in panels.values():
+        corners = panel.obstacle + panel.radius * np.array([[-1.0] * 3, [1.0] * 3])
+        learnt = [] if panel.learnt is None else [panel.learnt]
+        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *learnt, corners])
+        for view in _views(panel):
+            seen = (drawn - panel.start) @ view.T
+            boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))
+    low, high = (  # (2 views, 2 axes)
+        np.stack([edge([box[k] for box in boxes[row::2]], axis=0) for row in (0, 1)])
+        for k, edge in enumerate((np.min, np.max))
+    )
+    low[:, 0], high[:, 0] = low[:, 0].min(), high[:, 0].max()
+    width = 4.4
+    heights = width * (high - low)[:, 1] / (high - low)[:, 0]
+    figure = Figure(figsize=(width * len(panels) + 0.6, heights.sum() + 1.4), layout="compressed")
+    grid = figure.subplots(2, len(panels), squeeze=False, height_ratios=heights)
+    for column, (title, panel) in zip(grid.T, panels.items(), strict=True):
+        for row, (axes, view) in enumerate(zip(column, _views(panel), strict=True)):
+            _draw(axes, panel, view)
+            axes.set(xlim=(low[row, 0], high[row, 0]), ylim=(low[row, 1], high[row, 1]))
+            axes.set_aspect("equal")
+        column[0].set_title(title, fontsize=10, color=INK)
+        column[0].tick_params(labelbottom=False)
+        column[1].set_xlabel("along the movement [m]")
+    grid[0, 0].set_ylabel("up [m]")
+    grid[1, 0].set_ylabel("aside [m]")
+    shared_legend(figure, grid[0], 4)
+    return figure
+
+
+def _views(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
+    """Rows along and up, and along and left of the movement. Shapes (2, 3)."""
+    level = (panel.goal - panel.start) * np.array([1.0, 1.0, 0.0])
+    length = float(np.linalg.norm(level))
+    level = level / length if length > 0.0 else np.array([1.0, 0.0, 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    return np.stack([level, up]), np.stack([level, np.cross(up, level)])
+
+
+def _draw(axes: Axes, panel: Panel, view: np.ndarray) -> None:
+    def plot(path: np.ndarray, *style: str, **other: object) -> None:
+        axes.plot(*(view @ (np.atleast_2d(path) - panel.start).T), *style, **other)
+
+    dress(axes)
+    centre = view @ (panel.obstacle - panel.start)
+    axes.add_patch(Circle(centre, panel.radius, color=OBSTACLE, alpha=0.28, lw=0, label="obstacle"))
+    for path in panel.rollouts:
+        plot(path, color=ROLLOUT, lw=0.6, alpha=0.8, label="rollouts while learning")
+    for path in panel.demonstrations:
+        plot(path, color=PAN, lw=1.1, label="demonstrations")
+    if panel.learnt is not None:
+        plot(panel.learnt, color=LEARNT, lw=2.6, label="learnt")
+    if panel.executed is not None:
+        plot(panel.executed, color=EXECUTED, lw=1.2, ls="--", label="executed")
+    start = panel.start if panel.learnt is None else panel.learnt[0]
+    plot(start, "o", color=GOAL, ms=6, label="start")
+    plot(panel.goal, "s", color=GOAL, ms=8, label="goal")
