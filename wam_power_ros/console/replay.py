@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recorded movement replayed by the arm, and recorded again; Ctrl-C stops the arm.
+"""Replay a recorded movement with the arm and record it again; Ctrl-C stops the arm.
 
-The controller moves to the start of it, follows it at the wanted speed and holds; it knows the
-limits and how far off it was.
+The controller moves to its start, follows it at the given speed and holds. It checks the limits and
+computes the tracking error.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.bags import reader
+from wam_power_ros.console.prompt import ask, say
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
@@ -28,25 +29,32 @@ from wam_power_ros.ros.node_runner import number_by_process
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
 STOPPED = 130  # exit status
-LONGEST = 3600.0  # [s of wall time] of a replay
-SETTLING = 1.0  # [s of wall time] in which a stopped arm comes to rest, still recorded
+REPLAY_TIMEOUT = 3600.0  # [s of wall time]
+SETTLE_TIME = 1.0  # [s of wall time] in which a stopped arm comes to rest, still recorded
 
 
-class ReplayingParams(Params):
-    """Parameters of a replay."""
+class ReplayParams(Params):
+    """Parameters of a replay.
+
+    Attributes:
+        bag: Path of the bag.
+        speed: Speed relative to the recording; 1 is as recorded.
+        joint_names: Joint names of the driver.
+        person: Whether a person beside a real arm is asked before it moves.
+    """
 
     bag: str
-    speed: float = Field(gt=0.0)  # 1 for as recorded
-    joint_names: tuple[str, ...] = Field(min_length=1)  # of the driver
-    person: bool  # somebody is beside a real arm and is asked first
+    speed: float = Field(gt=0.0)
+    joint_names: tuple[str, ...] = Field(min_length=1)
+    person: bool
 
 
-class Replaying(Node):
-    """Hands a movement to the controller and waits for the end of it."""
+class Replay(Node):
+    """Passes a movement to the controller and waits until it is over."""
 
     def __init__(self) -> None:
         super().__init__("replaying", automatically_declare_parameters_from_overrides=True)
-        self._params = params = ReplayingParams.of(self)
+        self._params = params = ReplayParams.of(self)
         names = params.joint_names
         t, q = replay_trajectory.movement(
             *reader.read_demonstration(params.bag, names), params.speed
@@ -61,29 +69,29 @@ class Replaying(Node):
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda received, _: self._signals.append(received))
 
-    def replay(self) -> int:
-        """Replay once; the exit status.
+    def run(self) -> int:
+        """Replay once; returns the exit status.
 
         Raises:
             ServiceError: A service does not appear, does not answer in time, or refuses.
         """
         calls, name = self._calls, Path(self._params.bag).name
-        calls.insist(Trigger, interface.STOP)  # which agrees once the controller is active
+        calls.insist(Trigger, interface.STOP)  # succeeds once the controller is active
         self._movements.publish(self._message)
         how = f"{name} at {self._params.speed:g} of its speed: {self._duration:.1f} s"
         self._ask(f"The arm will move to the start of {how}. Press Enter: ")
         if self._signals:
             return STOPPED
-        self._say(f"Replaying {how}; Ctrl-C stops the arm")
+        say(f"Replaying {how}; Ctrl-C stops the arm")
         calls.insist(SetBool, interface.RECORD, SetBool.Request(data=True))
         try:
             answer = self._follow()
         finally:
             path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text
-        self._say(with_possible_speed(answer, self._params.speed))
-        self._say(f"recorded: {path}")
+        say(with_possible_speed(answer, self._params.speed))
+        say(f"recorded: {path}")
         if self._signals:
-            self._say("Stopped: the arm holds.")
+            say("Stopped: the arm holds.")
         self._signals.clear()
         self._ask("The arm holds. Support it, then press Enter to let it go: ")
         if answer.success:
@@ -91,32 +99,26 @@ class Replaying(Node):
         return STOPPED if answer.code is Code.STOPPED else 1
 
     def _follow(self) -> Answer:
-        """The controller's answer, when the movement is over or was stopped."""
+        """Answer of the controller when the movement is over or was stopped."""
         calls = self._calls
         while True:
             future = calls.begin(Trigger, interface.REPLAY)
-            calls.until(lambda f=future: f.done() or self._signals, timeout=LONGEST)
+            calls.until(lambda f=future: f.done() or self._signals, timeout=REPLAY_TIMEOUT)
             if not future.done():
                 self._stop(future)
             answer = calls.answer(future)
-            if self._signals or answer.code is not Code.NOTHING:  # it may still be on its way
+            if self._signals or answer.code is not Code.NOTHING:  # not received yet
                 return answer
 
     def _stop(self, future: Future) -> None:
         self._calls.insist(Trigger, interface.STOP)
         if not self._calls.until(future.done, "the end of the replay"):
             raise ServiceError(f"{interface.REPLAY} did not answer after {interface.STOP}")
-        self._calls.until(lambda: False, timeout=SETTLING)
+        self._calls.until(lambda: False, timeout=SETTLE_TIME)
 
     def _ask(self, text: str) -> None:
         if self._params.person and not self._signals:
-            sys.stderr.write(text)
-            sys.stderr.flush()
-            sys.stdin.readline()
-
-    def _say(self, text: str) -> None:
-        sys.stdout.write(f"{text}\n")
-        sys.stdout.flush()
+            ask(text)
 
 
 def with_possible_speed(answer: Answer, speed: float) -> str:
@@ -136,8 +138,8 @@ def main() -> int:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         with number_by_process():
-            replaying = Replaying()
-        return replaying.replay()
+            node = Replay()
+        return node.run()
     except (ServiceError, ValueError) as error:
         sys.stderr.write(f"wam-power: {error}\n")
         return 2
