@@ -9,7 +9,7 @@ import pytest
 
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.tasks.flip.flight import DELTA_H, Flight, FlightSettings, observe_flight
+from wam_power_ros.tasks.flip.flight import DELTA_H, Flight, observe_flight
 
 STEP = 0.0005  # [s]
 END = 2.0  # [s]
@@ -422,7 +422,7 @@ def test_the_result_is_the_same_every_time() -> None:
         assert np.array_equal(value, getattr(two, name)), name
 
 
-def test_paths_of_different_rollouts_and_senseless_settings_are_refused() -> None:
+def test_paths_of_different_rollouts_and_a_height_that_is_not_positive_are_refused() -> None:
     rng = np.random.default_rng(1)
     truth = toss(rng)
     path = frames(truth, rng)
@@ -430,5 +430,3 @@ def test_paths_of_different_rollouts_and_senseless_settings_are_refused() -> Non
         observe_flight(truth.pan, replace(path, id="other"))
     with pytest.raises(ValueError, match="delta_h"):
         observe_flight(truth.pan, path, delta_h=math.nan)
-    with pytest.raises(ValueError, match="tilt_noise"):
-        FlightSettings(tilt_noise=0.0)

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parabola with drag through the frames of a flight: release, apex and crossing of a height.
+
+    p(t) = p0 + v s + (g + a) s^2/2 + j s^3/6 + c w(s),   s = t - origin
+
+w is the double integral of -|v| v along the plain parabola, c the drag of a disc of middling
+attitude; a and j, both small, are the effect of the true attitude and of draught. p0, v, a and j
+are fitted to all frames by robust weighted least squares, with covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.tasks.flip.frames import POSITION_NOISE, Frames, interpolate, pan_normal
+
+HUBER_THRESHOLD = 2.5  # [standard deviations] beyond which a frame counts less
+_GRAVITY = 9.81  # [m/s^2]
+_DRAG = 0.3  # [1/m] c in xdd = g - c |v| v, of a middling attitude
+_ACCELERATION_STD = 0.5  # [m/s^2] of what attitude and draught add to that, at mid-flight
+_JERK_STD = 5.0  # [m/s^3] of its rate of change
+_INLIER_DISTANCE = 0.025  # [m] from a plain parabola within which a frame belongs to the flight
+_RELEASE_HEIGHT = 0.01  # [m] of the centre above the pan's floor, below which both are in contact
+_GRID_STEP = 0.001  # [s]
+_DRAG_GRID_STEP = 0.002  # [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Arc:
+    """Fitted path of the pancake's centre.
+
+    Attributes:
+        t: Times of the frames used [s]. Shape (m,).
+        used: Indices of these frames. Shape (m,).
+        origin: Mean time of these frames, s = 0 [s].
+        theta: p0 [m], v [m/s], a [m/s^2], j [m/s^3]. Shape (12,).
+        covariance: Covariance of theta. Shape (12, 12).
+        drag_velocity: Velocity at the origin of the plain parabola along which w is integrated
+            [m/s]. Shape (3,).
+    """
+
+    t: np.ndarray
+    used: np.ndarray
+    origin: float
+    theta: np.ndarray
+    covariance: np.ndarray
+    drag_velocity: np.ndarray
+
+    def position(self, t: np.ndarray) -> np.ndarray:
+        """Position at times t (m,) [s], base frame [m]. Shape (m, 3)."""
+        s = np.atleast_1d(t) - self.origin
+        return _powers(s) @ self.theta + _fall(s) + _drag(s, self.drag_velocity)
+
+
+@dataclass(frozen=True, eq=False)
+class Crossing:
+    """Downward crossing of a height above the pan.
+
+    Attributes:
+        t: Time of the crossing [s].
+        t_std: Standard deviation of that [s].
+        position: Position at that time, base frame [m]. Shape (3,).
+        position_std: Standard deviation of that [m]. Shape (3,).
+        apex: Greatest height of the arc, base frame [m].
+    """
+
+    t: float
+    t_std: float
+    position: np.ndarray
+    position_std: np.ndarray
+    apex: float
+
+
+def fit_arc(frames: Frames) -> Arc | None:
+    """Arc through the frames of the flight, by robust weighted least squares.
+
+    Returns:
+        The arc; None with fewer than two frames in flight, or none at rest before.
+    """
+    run = _highest_run(frames)
+    if len(run) < 2:
+        return None
+    used = run[_consensus(frames.t[run], frames.position[run])]
+    t, position = frames.t[used], frames.position[used]
+    origin = float(t.mean())
+    s = t - origin
+    target = position - _fall(s)
+    velocity = np.polyfit(s, target, 1)[0]
+    design = _powers(s)  # (m, 3, 12)
+    prior = np.diag(np.repeat([0.0, 0.0, _ACCELERATION_STD**-2, _JERK_STD**-2], 3))
+    weights = np.ones(len(t))
+    for _ in range(8):
+        drag = _drag(s, velocity)
+        scale = weights / POSITION_NOISE**2
+        information = np.einsum("m,mij,mik->jk", scale, design, design) + prior
+        covariance = np.linalg.inv(information)
+        theta = covariance @ np.einsum("m,mij,mi->j", scale, design, target - drag)
+        distance = np.linalg.norm(target - drag - design @ theta, axis=1)
+        residual = distance / POSITION_NOISE
+        weights = np.minimum(1.0, HUBER_THRESHOLD / np.maximum(residual, 1e-9))
+        velocity = theta[3:6]
+    # Frames that scatter more than the cameras do: the covariance grows with the scatter.
+    freedom = 3 * len(t) - 12
+    if freedom > 0:
+        excess = float(np.sum(weights * residual**2)) / freedom
+        covariance = covariance * max(1.0, excess)
+    return Arc(t, used, origin, theta, covariance, velocity)
+
+
+def find_crossing(arc: Arc, pan: EndEffectorPath, delta_h: float) -> Crossing | None:
+    """First time after the apex at which the arc falls through a height above the pan.
+
+    Args:
+        arc: Fitted arc; it is evaluated from 0.1 s before its frames to 0.5 s after them.
+        pan: Path of the pan.
+        delta_h: Height above the pan [m].
+
+    Returns:
+        The crossing; None when the arc stays below that height, or above it.
+    """
+    start = max(arc.t[0] - 0.1, pan.t[0])
+    end = min(arc.t[-1] + 0.5, pan.t[-1])
+    grid = start + _GRID_STEP * np.arange(max(int((end - start) / _GRID_STEP), 1) + 1)
+    height = arc.position(grid)[:, 2]
+    above = height - np.interp(grid, pan.t, pan.position[:, 2]) - delta_h
+    if above.max() <= 0.0:
+        return None
+    apex = int(np.argmax(height))
+    if above[apex] <= 0.0:
+        apex = int(np.argmax(above))
+    below = np.flatnonzero(above[apex:] <= 0.0)
+    if len(below) == 0:
+        return None
+    k = apex + int(below[0])
+    slope = float((above[k] - above[k - 1]) / (grid[k] - grid[k - 1]))
+    t = float(grid[k] - above[k] / slope)
+    position, position_std, t_std = _at_crossing(arc, t, slope)
+    return Crossing(t, t_std, position, position_std, float(height.max()))
+
+
+def release_time(frames: Frames, arc: Arc, pan: EndEffectorPath) -> float:
+    """Time at which pancake and pan parted [s]: the last one with the arc down at the pan's floor.
+
+    Args:
+        frames: Frames that the arc was fitted to.
+        arc: Fitted arc.
+        pan: Path of the pan.
+    """
+    before = frames.t[: arc.used[0]][~frames.flying[: arc.used[0]]]
+    earliest = float(before[-1]) if len(before) else float(pan.t[0])
+    count = max(int((arc.t[0] - earliest) / _GRID_STEP), 1)
+    times = np.linspace(earliest, arc.t[0], count + 1)
+    offset = arc.position(times) - interpolate(times, pan.t, pan.position)
+    height = np.sum(offset * pan_normal(pan, times), axis=1)
+    low = np.flatnonzero(height < _RELEASE_HEIGHT)
+    return float(times[low[-1]]) if len(low) else earliest
+
+
+def _highest_run(frames: Frames) -> np.ndarray:
+    """Indices of the flying frames in a row around the highest of them."""
+    if not frames.flying.any() or not frames.resting_frames:
+        return np.zeros(0, dtype=int)
+    flying = np.flatnonzero(frames.flying)
+    top = flying[np.argmax(frames.position[flying, 2])]
+    runs = np.split(flying, np.flatnonzero(np.diff(flying) > 1) + 1)
+    return next(run for run in runs if top in run)
+
+
+def _consensus(t: np.ndarray, position: np.ndarray) -> np.ndarray:
+    """Frames near the parabola, through two of them, that most agree with. Shape (m,), bool."""
+    lifted = position + 0.5 * _GRAVITY * np.outer(t**2, [0.0, 0.0, 1.0])  # straight lines
+    picks = np.unique(np.linspace(0, len(t) - 1, min(len(t), 25)).round().astype(int))
+    first, second = (picks[index] for index in np.triu_indices(len(picks), 1))
+    slope = (lifted[second] - lifted[first]) / (t[second] - t[first])[:, None]
+    line = lifted[first][:, None] + (t[None] - t[first][:, None])[:, :, None] * slope[:, None]
+    distance = np.linalg.norm(line - lifted[None], axis=2)  # (pairs, m)
+    near = distance < _INLIER_DISTANCE
+    score = near.sum(axis=1) - np.minimum(distance, _INLIER_DISTANCE).mean(axis=1)
+    return near[int(np.argmax(score))]
+
+
+def _at_crossing(arc: Arc, t: float, slope: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Position at t, its standard deviation, and that of t: the crossing moves with the fit.
+
+    `slope` is the rate at which the height above the pan changes there [m/s].
+    """
+    step = 1e-4
+    before, now, after = arc.position(t + step * np.array([-1.0, 0.0, 1.0]))
+    velocity = (after - before) / (2.0 * step)
+    jacobian = _powers(np.array([t - arc.origin]))[0]  # (3, 12)
+    dt = -jacobian[2] / slope  # (12,)
+    moved = jacobian + np.outer(velocity, dt)
+    variance = np.einsum("ij,jk,ik->i", moved, arc.covariance, moved) + POSITION_NOISE**2
+    t_std = math.sqrt(dt @ arc.covariance @ dt + (POSITION_NOISE / slope) ** 2)
+    return now, np.sqrt(variance), t_std
+
+
+def _powers(s: np.ndarray) -> np.ndarray:
+    """Design matrix of p0 + v s + a s^2/2 + j s^3/6. Shape (m, 3, 12)."""
+    powers = np.stack([np.ones_like(s), s, s**2 / 2.0, s**3 / 6.0], axis=1)  # (m, 4)
+    return np.einsum("mk,ij->mikj", powers, np.eye(3)).reshape(-1, 3, 12)
+
+
+def _fall(s: np.ndarray) -> np.ndarray:
+    """Free fall g s^2/2 [m]. Shape (m, 3)."""
+    return np.outer(-0.5 * _GRAVITY * s * s, [0.0, 0.0, 1.0])
+
+
+def _drag(s: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Double integral c w(s) of -c |v| v from s = 0 along a parabola [m]. Shape (m, 3)."""
+    low, high = min(float(s.min()), 0.0) - _GRID_STEP, max(float(s.max()), 0.0) + _GRID_STEP
+    grid = np.linspace(low, high, max(int((high - low) / _DRAG_GRID_STEP), 8))
+    v = velocity + np.outer(grid, [0.0, 0.0, -_GRAVITY])
+    rate = _integral(-_DRAG * np.linalg.norm(v, axis=1, keepdims=True) * v, grid)
+    return interpolate(s, grid, _integral(rate, grid))
+
+
+def _integral(values: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """Running trapezium integral from s = 0. Shape (m, 3)."""
+    steps = 0.5 * (values[1:] + values[:-1]) * np.diff(grid)[:, None]
+    total = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
+    return total - interpolate(np.zeros(1), grid, total)

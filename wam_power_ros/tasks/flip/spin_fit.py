@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Constant spin of the pancake's normal through the frames of a flight: axis, rate, angle turned.
+
+    n(t) = exp(Omega ln(1 + d s) / d) n0,   s = t - origin
+
+The spin Omega / (1 + d s) is that of a drag which grows with its square. A disc turning freely is
+a symmetric top: its normal moves on a cone about a constant axis at a constant rate, whatever its
+angular velocity, so "constant spin of the normal" is exact in vacuum. n0, Omega and d are fitted
+to all frames by robust weighted least squares, with covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.tasks.flip.ballistic_fit import HUBER_THRESHOLD, Arc, release_time
+from wam_power_ros.tasks.flip.frames import TILT_NOISE, Frames, pan_normal, unit
+
+_DECAY = 0.8  # [1/s] prior mean of the relative decay of the spin at mid-flight
+_DECAY_STD = 0.8  # [1/s]
+# Prior of the angular velocity, each way; decides only where the frames are too far apart to count
+# the turns.
+_SPIN_STD = 12.0  # [rad/s]
+_PRECESSION_STD = 3.0  # [rad/s] of the spin about the disc's own normal, seen in the normal's path
+_RELEASE_STD = 0.35  # [rad] of the pancake's normal against the pan's when they part
+_SLOWING_MIN = 0.2  # [1] 1 + d s below which the spin is not extrapolated
+_SPARSE_INTERVAL = 0.07  # [s] between frames, from which on they may hide a larger turn
+_AXIS_ANGLE_MIN = 0.2  # [rad] turned in flight, below which the spin axis means nothing
+_AMBIGUOUS_COST = 6.0  # [1] above the least cost, up to which another spin is as plausible
+_OTHER_SPIN_MIN = 1.0  # [rad/s] from the best spin, from which on another one is not the same
+_DIFFERENCE_STEP = math.sqrt(float(np.finfo(float).eps))  # [1] share of a parameter
+
+
+@dataclass(frozen=True, eq=False)
+class Spin:
+    """Fitted motion of the pancake's normal.
+
+    Attributes:
+        origin: Time at which s = 0 [s].
+        release: Time at which pancake and pan parted [s].
+        normal0: Unit vector that the first two parameters turn into n0. Shape (3,).
+        theta: Turn of normal0 about its two tangents [rad], Omega [rad/s], d [1/s]. Shape (6,).
+        covariance: Covariance of theta. Shape (6, 6).
+        ambiguous: Another number of turns fits the frames almost as well.
+    """
+
+    origin: float
+    release: float
+    normal0: np.ndarray
+    theta: np.ndarray
+    covariance: np.ndarray
+    ambiguous: bool
+
+    def normal(self, t: np.ndarray) -> np.ndarray:
+        """Normal at times t (m,) [s], base frame. Shape (m, 3)."""
+        return _spun(self.theta, np.atleast_1d(t) - self.origin, self.normal0)
+
+    def rate(self, t: float) -> float:
+        """Spin rate at time t [rad/s]."""
+        slowing = 1.0 + self.theta[5] * (t - self.origin)
+        return float(np.linalg.norm(self.theta[2:5]) / max(slowing, _SLOWING_MIN))
+
+    def normal_with_covariance(self, t: float, t_std: float) -> tuple[np.ndarray, np.ndarray]:
+        """Normal at time t [s] and its covariance, that of t included. Shapes (3,), (3, 3)."""
+        step = 1e-5
+        columns = [
+            _spun(self.theta + step * row, np.array([t - self.origin]), self.normal0)[0]
+            - _spun(self.theta - step * row, np.array([t - self.origin]), self.normal0)[0]
+            for row in np.eye(6)
+        ]
+        jacobian = np.array(columns).T / (2.0 * step)  # (3, 6)
+        later, earlier = self.normal(np.array([t + step, t - step]))
+        moved = (later - earlier) / (2.0 * step) * t_std
+        covariance = jacobian @ self.covariance @ jacobian.T + np.outer(moved, moved)
+        return self.normal(np.array([t]))[0], covariance
+
+    def turned(self, start: np.ndarray, t: float) -> tuple[np.ndarray, float]:
+        """Rotation of the normal from rest to time t.
+
+        Args:
+            start: Normal at rest. Shape (3,).
+            t: Time after the release [s].
+
+        Returns:
+            Spin axis, unit, shape (3,), and the angle between `start` and the normal at t,
+            unfolded by the half turns made about that axis [rad].
+        """
+        omega = self.theta[2:5]
+        speed = float(np.linalg.norm(omega))
+        end = self.normal(np.array([t]))[0]
+        folded = angle_between(start, end)
+        if speed * (t - self.release) < _AXIS_ANGLE_MIN:
+            return axis_between(start, end), folded
+        axis = omega / speed
+        path = self.normal(np.linspace(self.release, t, 200))
+        sine = np.cross(start, path) @ axis
+        cosine = path @ start - (path @ axis) * (start @ axis)
+        half_turns = math.floor(abs(np.unwrap(np.arctan2(sine, cosine))[-1]) / math.pi)
+        if half_turns % 2:
+            return axis, (half_turns + 1) * math.pi - folded
+        return axis, half_turns * math.pi + folded
+
+
+def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:
+    """Spin through the normals of the flight, by robust weighted least squares.
+
+    Args:
+        frames: Frames of the pancake.
+        arc: Arc fitted to them; its frames are used.
+        pan: Path of the pan, whose normal at the release is the pancake's, roughly.
+    """
+    normals = frames.normal[arc.used]
+    t, origin = arc.t, arc.origin
+    release = release_time(frames, arc, pan)
+    release_normal = pan_normal(pan, np.array([release]))[0]
+    problem = _SpinProblem(
+        s=np.append(t, release) - origin,
+        targets=np.vstack([normals, release_normal]),
+        noise=np.append(np.full(len(t), TILT_NOISE), _RELEASE_STD)[:, None],
+        normal0=normals[int(np.argmin(np.abs(t - origin)))],
+    )
+    fits = []
+    for omega in _spin_guesses(np.append(release, t), np.vstack([release_normal, normals])):
+        turn = _turn_guess(problem.normal0, omega, t, origin, normals)
+        fits.append(
+            least_squares(
+                problem.residuals,
+                np.concatenate([turn, omega, [_DECAY]]),
+                problem.jacobian,
+                loss="huber",
+                f_scale=HUBER_THRESHOLD,
+                max_nfev=60,
+            )
+        )
+    fits.sort(key=lambda fitted: fitted.cost)
+    best = fits[0]
+    information = best.jac.T @ best.jac
+    freedom = 2 * len(t) - 5
+    excess = 2.0 * best.cost / freedom if freedom > 0 else 1.0
+    covariance = np.linalg.pinv(information) * max(1.0, excess)
+    ambiguous = any(
+        fitted.cost < best.cost + _AMBIGUOUS_COST
+        and np.linalg.norm(fitted.x[2:5] - best.x[2:5]) > _OTHER_SPIN_MIN
+        for fitted in fits
+    )
+    return Spin(origin, release, problem.normal0, best.x, covariance, ambiguous)
+
+
+@dataclass(frozen=True, eq=False)
+class _SpinProblem:
+    """Least-squares problem of the spin.
+
+    Attributes:
+        s: Times of the targets since the origin [s]. Shape (m,).
+        targets: Normals seen, and the pan's at the release. Shape (m, 3).
+        noise: Standard deviation of each target, each way. Shape (m, 1).
+        normal0: As in `Spin`. Shape (3,).
+    """
+
+    s: np.ndarray
+    targets: np.ndarray
+    noise: np.ndarray
+    normal0: np.ndarray
+
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        """Residuals in standard deviations, of theta (6,)."""
+        return self._residuals_of_many(theta[np.newaxis])[0]
+
+    def jacobian(self, theta: np.ndarray) -> np.ndarray:
+        """Derivatives of the residuals: forward differences, all in one go. Shape (n, 6)."""
+        steps = _DIFFERENCE_STEP * np.maximum(1.0, np.abs(theta))
+        rows = self._residuals_of_many(np.vstack([theta, theta + np.diag(steps)]))
+        return (rows[1:] - rows[0]).T / steps
+
+    def _residuals_of_many(self, thetas: np.ndarray) -> np.ndarray:  # (B, 6) -> (B, n)
+        modelled = _spun(thetas, np.append(self.s, 0.0), self.normal0)  # (B, m + 1, 3)
+        along = np.sum(thetas[:, 2:5] * modelled[:, -1], axis=1)
+        priors = (
+            thetas[:, 2:5] / _SPIN_STD,
+            (thetas[:, 5:] - _DECAY) / _DECAY_STD,
+            along[:, None] / _PRECESSION_STD,
+        )
+        misses = (modelled[:, :-1] - self.targets) / self.noise
+        return np.concatenate([misses.reshape(len(thetas), -1), *priors], axis=1)
+
+
+def angle_between(a: np.ndarray, b: np.ndarray) -> float:
+    """Angle between unit vectors [rad]."""
+    return math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b))
+
+
+def axis_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Unit axis that turns unit vector a into b; any axis across `a` when they are parallel."""
+    axis = np.cross(a, b)
+    length = float(np.linalg.norm(axis))
+    return axis / length if length > 1e-9 else _tangents(a)[0]
+
+
+def _spun(theta: np.ndarray, s: np.ndarray, normal0: np.ndarray) -> np.ndarray:
+    """Normals n(t) for parameters theta (..., 6), as in `Spin`. Shape (..., m, 3)."""
+    start = rotations.exp(theta[..., :2] @ np.array(_tangents(normal0))) @ normal0
+    decay = theta[..., 5:] * s  # (..., m)
+    small = np.abs(decay) < 1e-6
+    safe = np.where(small, 1.0, np.maximum(decay, _SLOWING_MIN - 1.0))
+    elapsed = s * np.where(small, 1.0 - 0.5 * decay, np.log1p(safe) / safe)
+    turns = rotations.exp(elapsed[..., None] * theta[..., None, 2:5])  # (..., m, 3, 3)
+    return (turns @ start[..., None, :, None])[..., 0]
+
+
+def _turn_guess(
+    normal0: np.ndarray, omega: np.ndarray, t: np.ndarray, origin: float, normals: np.ndarray
+) -> np.ndarray:
+    """First guess of the turn of normal0: the frame nearest the origin, spun to it. Shape (2,)."""
+    nearest = int(np.argmin(np.abs(t - origin)))
+    at_origin = rotations.exp(omega * (origin - t[nearest])) @ normals[nearest]
+    turn = np.cross(normal0, at_origin)
+    return np.array(_tangents(normal0)) @ turn
+
+
+def _spin_guesses(t: np.ndarray, normals: np.ndarray) -> list[np.ndarray]:
+    """Angular velocities [rad/s] between frames in succession; the first entry is the release."""
+    turn = np.cross(normals[:-1], normals[1:])
+    sine = np.linalg.norm(turn, axis=1)
+    angle = np.arctan2(sine, np.sum(normals[:-1] * normals[1:], axis=1))
+    gaps = np.maximum(np.diff(t), 1e-6)
+    rates = turn / np.maximum(sine, 1e-12)[:, None] * (angle / gaps)[:, None]
+    shortest = float(gaps[1:].min())
+    close = np.append(False, gaps[1:] < 1.5 * shortest)
+    omega = np.median(rates[close], axis=0)
+    speed = float(np.linalg.norm(omega))
+    if shortest < _SPARSE_INTERVAL or speed < 1e-6:
+        return [omega]
+    # Frames this far apart may hide a larger turn, or one the other way.
+    axis = omega / speed
+    return [omega, omega - 2.0 * math.pi / shortest * axis, omega + 2.0 * math.pi / shortest * axis]
+
+
+def _tangents(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors perpendicular to a unit vector and to each other."""
+    helper = np.eye(3)[int(np.argmin(np.abs(normal)))]
+    first = unit(np.cross(normal, helper))
+    return first, np.cross(normal, first)
