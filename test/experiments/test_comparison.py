@@ -6,9 +6,9 @@ import json
 import numpy as np
 import pytest
 
-from wam_power_ros.experiments.chapters import comparison_chapter, reaching_chapter
+from wam_power_ros.experiments.chapters import comparison_chapter
 from wam_power_ros.experiments.chapters.comparison_chapter import LEARNERS, TASKS
-from wam_power_ros.experiments.studies import comparison, reaching
+from wam_power_ros.experiments.studies import comparison
 from wam_power_ros.experiments.studies.comparison import (
     BESIDE,
     EFFORT,
@@ -108,13 +108,3 @@ def test_a_learner_is_judged_by_its_rollouts_apart_from_its_answer() -> None:
     claims = comparison_chapter.chapter(results).all_claims()
     met = [claim.what for claim in claims if claim.met]
     assert len(met) == 1 and "Pancake" in met[0] and "while it learns" in met[0]
-
-
-def test_the_reaching_chapter_is_made_of_its_quick_jobs() -> None:
-    results: dict = {}
-    for job in reaching.jobs("quick"):
-        results.setdefault(job.study, {})[job.key] = job.function(**job.arguments)
-    chapter = reaching_chapter.chapter(json.loads(json.dumps(results)))
-    assert len(chapter.all_figures()) == 3
-    words = [claim.what for claim in chapter.all_claims()]
-    assert any("stuck" in what for what in words) and any("taught" in what for what in words)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A reach past an obstacle: where paths stop, and what they return (Sec. III-A, Eq. 4)."""
+
+import numpy as np
+import pytest
+
+from wam_power_ros.experiments.studies.reaching import plain_path
+from wam_power_ros.experiments.studies.reaching_runs import NOISE
+from wam_power_ros.experiments.studies.synthetic_reach import synthetic
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.policy import Policy
+
+SCENARIO = synthetic()
+FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
+
+
+def drawn(count: int, seed: int = 0) -> list[Policy]:
+    rng = np.random.default_rng(seed)
+    return [FULL.policy(3.0 * rng.standard_normal(24), f"p{k}")[0] for k in range(count)]
+
+
+def arrays(policies: list[Policy]) -> tuple[np.ndarray, np.ndarray]:
+    return (
+        np.stack([policy.stiffness for policy in policies]),
+        np.stack([policy.attractors for policy in policies]),
+    )
+
+
+def paths(policies: list[Policy]) -> tuple[np.ndarray, np.ndarray]:
+    return SCENARIO.stopped(SCENARIO.free(*arrays(policies)))
+
+
+def test_the_demonstrations_are_those_of_the_scenario() -> None:
+    assert SCENARIO.demonstrations.shape == (4, 200, 3)
+    np.testing.assert_allclose(SCENARIO.demonstrated[0], SCENARIO.start, atol=1e-12)
+    np.testing.assert_allclose(SCENARIO.demonstrated[-1], SCENARIO.goal, atol=1e-12)
+    assert np.linalg.norm(SCENARIO.goal - SCENARIO.start) == pytest.approx(0.5)
+    rise = SCENARIO.demonstrated[:, 2].max() - SCENARIO.start[2]
+    assert rise == pytest.approx(0.06, abs=1e-4)
+    assert SCENARIO.policy.basis.count == 2
+
+
+def test_the_demonstrated_policy_meets_the_obstacle_and_stays_there() -> None:
+    path, collided = paths([SCENARIO.policy])
+    assert collided[0]
+    at = np.flatnonzero((path[0] == path[0, -1]).all(axis=1))[0]
+    assert 0 < at < 150
+    np.testing.assert_array_equal(path[0, at:], np.tile(path[0, at], (200 - at, 1)))
+    assert np.linalg.norm(path[0, -1] - SCENARIO.obstacle) == pytest.approx(0.09, abs=0.01)
+
+
+def test_without_the_obstacle_the_demonstrated_policy_follows_the_demonstration() -> None:
+    path = plain_path(SCENARIO.policy, SCENARIO)
+    # Two primitives, started at rest, lag behind half a metre of minimum jerk by a decimetre.
+    assert np.linalg.norm(path - SCENARIO.demonstrated, axis=1).max() < 0.12
+    assert np.linalg.norm(path[-1] - SCENARIO.goal) < 0.03
+
+
+def test_no_sample_of_a_path_is_inside_the_obstacle() -> None:
+    path, _ = paths(drawn(50))
+    distance = np.linalg.norm(path - SCENARIO.obstacle, axis=-1)
+    assert distance.min() >= SCENARIO.radius
+
+
+def test_a_path_that_jumps_over_the_obstacle_between_two_samples_collides() -> None:
+    side = np.where(np.arange(200) < 100, -0.2, 0.2)
+    path = SCENARIO.obstacle + np.outer(side, [1.0, 0.0, 0.0])
+    stopped, collided = SCENARIO.stopped(path[None])
+    assert collided[0]
+    np.testing.assert_array_equal(stopped[0], np.tile(path[0], (200, 1)))
+
+
+def test_a_path_that_passes_the_obstacle_is_unchanged() -> None:
+    path = SCENARIO.demonstrated + np.array([0.1, 0.0, 0.0])
+    stopped, collided = SCENARIO.stopped(path[None])
+    assert not collided[0]
+    np.testing.assert_array_equal(stopped[0], path)
+
+
+def test_returns_are_in_the_unit_interval() -> None:
+    returns, _ = SCENARIO.evaluate(*arrays(drawn(100)))
+    assert (returns >= 0.0).all() and (returns <= 1.0).all()
+
+
+def test_a_return_is_that_of_the_policy_alone_and_of_equation_1_as_written() -> None:
+    policies = drawn(8)
+    returns, collided = SCENARIO.evaluate(*arrays(policies))
+    alone = [SCENARIO.evaluate(*arrays([policy]))[0][0] for policy in policies]
+    np.testing.assert_allclose(returns, alone, rtol=1e-9)
+    plain = np.stack([plain_path(policy, SCENARIO) for policy in policies])
+    path, plain_collided = SCENARIO.stopped(plain)
+    np.testing.assert_allclose(path, paths(policies)[0], atol=1e-9)
+    np.testing.assert_array_equal(collided, plain_collided)
+
+
+@pytest.mark.parametrize("change", [{"radius": -0.1}, {"duration": 0.0}, {"count": 0}])
+def test_a_scenario_out_of_range_is_refused(change: dict) -> None:
+    with pytest.raises(ValueError, match=next(iter(change))):
+        synthetic(**change)
