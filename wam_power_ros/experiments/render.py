@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of the arm, rendered by MuJoCo; it needs OpenGL, which MUJOCO_GL selects at import."""
+"""Images of the arm, rendered by MuJoCo; needs OpenGL, which MUJOCO_GL selects at import."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ BACKGROUND = (246, 247, 249)
 def render(
     world: World, poses: Sequence[np.ndarray], size: tuple[int, int] = (480, 480)
 ) -> list[np.ndarray]:
-    """Pictures of arm and pancake.
+    """Images of arm and scene.
 
     Args:
-        world: Whose they are; its state is not touched.
-        poses: Joint positions of arm and pancake, such as those of `World.trace`. Shapes (nq,).
+        world: World to render; its state is not modified.
+        poses: Joint positions of arm and bodies, such as those of `World.trace`. Shapes (nq,).
         size: Width and height [pixel].
 
     Returns:
@@ -54,7 +54,7 @@ def render(
 
 
 def _lit(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
-    """A copy for looking at: even light, a floor without end."""
+    """A copy for rendering: even light, an infinite floor."""
     model = copy.copy(model)
     visual = model.vis
     visual.global_.offwidth, visual.global_.offheight = width, height

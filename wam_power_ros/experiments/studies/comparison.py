@@ -3,8 +3,8 @@
 
     python -m wam_power_ros.experiments.studies.comparison --tune pancake [--learner pi2]
 
-tunes one learner or all on a task: every settings of GRID with every noise of NOISE on a few tuning
-seeds, then the best of these on more of them. What it finds goes into TUNED by hand.
+tunes one learner or all on a task: all settings of GRID with all noises of NOISE on a few tuning
+seeds, then the best of these on more of them. The result is written into TUNED by hand.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Choice(NamedTuple):
     """A learner's settings as data, and its exploration.
 
     Attributes:
-        settings: Of the learner.
+        settings: Settings of the learner.
         stiffness: Standard deviation of stiffness, as a share of the mean stiffness.
         attractor: Standard deviation of attractors [m].
     """
@@ -40,7 +40,7 @@ class Choice(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """Seeds to tune a learner on: `few` for all choices, `many` for the best `kept`, if any."""
+    """Tuning seeds of a learner: `few` for all choices, `many` for the best `kept` ones, if any."""
 
     few: Sequence[int]
     many: Sequence[int]
@@ -48,10 +48,10 @@ class Effort(NamedTuple):
 
 
 ROLLOUTS = {"reaching": 100, "pancake": 40}
-# 401-440 served to find out what to measure; what is claimed is measured on others.
+# 401-440 served to decide what to measure; claims are measured on others.
 HELD_OUT = {"reaching": range(441, 481), "pancake": range(417, 433)}
-# A run on the pancake takes a quarter of a minute: so many of a learner that nothing is claimed of.
-BESIDE = 8
+# Runs on the pancake (15 s each) of a learner without a claim.
+UNCLAIMED_SEEDS = 8
 EFFORT = {
     "reaching": Effort(range(1_000_000, 1_000_010), range(1_000_010, 1_000_070), 4),
     "pancake": Effort(range(21, 23), range(0), 0),
@@ -79,7 +79,7 @@ GRID: dict[str, list[dict[str, Any]]] = {
     "random": [{"kind": "random"}],
     "screened": [{"kind": "screened", "half_life": half_life} for half_life in (4, 16)],
 }
-# What `tune` found best: on reaching among all of GRID and NOISE; on the pancake among the two
+# The best choices by `tune`: on reaching among all of GRID and NOISE; on the pancake among the two
 # noises, for one setting of each learner (both of PoWER and of ours), which is little.
 TUNED: dict[str, dict[str, Choice]] = {
     "reaching": {
@@ -116,19 +116,19 @@ def jobs(scale: Literal["full", "quick"]) -> list[Job]:
         rollouts = ROLLOUTS[task] if scale == "full" else 3
         for name in GRID if scale == "full" else ("power", "cma", "pi2", "screened"):
             beside = task == "pancake" and name not in (*FOILS, *REFINED)
-            some = seeds[:BESIDE] if beside else seeds
+            some = seeds[:UNCLAIMED_SEEDS] if beside else seeds
             found += _runs(task, f"comparison-{task}", name, TUNED[task][name], some, rollouts)
     return found
 
 
 def tune(task: str, name: str, folder: Path, workers: int = 1) -> list[tuple[float, Choice]]:
-    """Choices for a learner with their mean final return on the many seeds, the best first.
+    """Choices for a learner with their mean final return on the many seeds, best first.
 
     Args:
         task: "reaching" or "pancake".
-        name: Of the learner, a key of GRID.
-        folder: Where runs are kept; those that are there are not repeated.
-        workers: Processes.
+        name: Name of the learner, a key of GRID.
+        folder: Folder of the results; those that are there are not computed again.
+        workers: Number of processes.
     """
     effort = EFFORT[task]
     choices = [Choice(settings, *noise) for settings in GRID[name] for noise in NOISE[task]]
@@ -176,12 +176,12 @@ def _runs(
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Tune."""
+    """Tune learners and print the scores."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tune", choices=ROLLOUTS, required=True, help="task to tune for")
-    parser.add_argument("--learner", choices=GRID, help="only this one")
-    parser.add_argument("--folder", type=Path, default=Path("tuning"), help="where runs are kept")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--tune", choices=ROLLOUTS, required=True, help="task to tune on")
+    parser.add_argument("--learner", choices=GRID, help="tune only this learner")
+    parser.add_argument("--folder", type=Path, default=Path("tuning"), help="folder of the results")
+    parser.add_argument("--workers", type=int, default=2, help="number of processes")
     args = parser.parse_args(argv)
     for name in [args.learner] if args.learner else GRID:
         for score, choice in tune(args.tune, name, args.folder, args.workers):

@@ -3,10 +3,10 @@
 
     python -m wam_power_ros.experiments.studies.reaching --first 0 --runs 10   timed
     python -m wam_power_ros.experiments.studies.reaching --tune full        noise scales
-    python -m wam_power_ros.experiments.studies.reaching --speed            rollouts a second
+    python -m wam_power_ros.experiments.studies.reaching --speed            rollouts per second
 
-The paper gives neither its demonstrations nor its obstacle. Ours are synthetic here
-(`scenario.synthetic`), and taught on the simulated arm in `reaching_arm`. No ROS, no physics.
+The paper gives neither its demonstrations nor its obstacle. Ours are random here
+(`synthetic_reach`), and taught on the simulated arm in `reaching_arm`. No ROS, no physics.
 """
 
 from __future__ import annotations
@@ -50,13 +50,14 @@ HELD_OUT = range(401, 441)
 def tune(
     variant: str, seeds: Sequence[int] = TUNING, rollouts: int = 100, workers: int = 1
 ) -> list[tuple[float, NoiseScales]]:
-    """Mean final return for a grid of noise scales, the same for both variants; the best first.
+    """Mean final return for a grid of noise scales, the same for both variants; best first.
 
     Args:
-        variant: Of the parameters.
-        seeds: None of those the study is to use; fewer than 60 pick settings that fail elsewhere.
-        rollouts: Of each run.
-        workers: Processes of joblib.
+        variant: Variant of the parametrization.
+        seeds: Tuning seeds, disjoint from those of the study; fewer than 60 select settings that
+            fail on others.
+        rollouts: Number of rollouts of each run.
+        workers: Number of processes.
     """
     scenario = synthetic()
     scores = []
@@ -88,7 +89,7 @@ def synthetic_runs(variant: str, seeds: list[int], rollouts: int) -> dict[str, A
 
 
 def plain_path(policy: Policy, scenario: Scenario) -> np.ndarray:
-    """Eq. 1 as it is written, one policy and one step at a time: what batching is measured by.
+    """Path of Eq. 1 computed literally, one policy and one step at a time: reference for batching.
 
     Returns:
         Positions without the obstacle [m]. Shape (T, 3).
@@ -127,22 +128,22 @@ def rollouts_per_second(scenario: Scenario, count: int = 500) -> tuple[float, fl
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Compare full with diagonal stiffness and tell the figures."""
+    """Compare full with diagonal stiffness and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=10, help="runs of each variant")
     parser.add_argument("--rollouts", type=int, default=100, help="rollouts of each run")
     parser.add_argument("--first", type=int, default=TUNING[0], help="first seed")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--tune", choices=VARIANTS, help="tell a grid of noise scales instead")
-    parser.add_argument("--speed", action="store_true", help="tell rollouts a second instead")
+    parser.add_argument("--workers", type=int, default=2, help="number of processes")
+    parser.add_argument("--tune", choices=VARIANTS, help="print a grid of noise scales instead")
+    parser.add_argument("--speed", action="store_true", help="print rollouts per second instead")
     args = parser.parse_args(argv)
     if args.tune:
         for score, noise in tune(args.tune, workers=args.workers):
-            _say(f"{args.tune:9} {score:.3f}  K {noise.stiffness:4}  mu {noise.attractor:7} m")
+            _print(f"{args.tune:9} {score:.3f}  K {noise.stiffness:4}  mu {noise.attractor:7} m")
         return
     if args.speed:
         batched, plain = rollouts_per_second(synthetic())
-        _say(f"rollouts/s: batched {batched:.0f}, plain {plain:.0f}, ratio {batched / plain:.0f}")
+        _print(f"rollouts/s: batched {batched:.0f}, plain {plain:.0f}, ratio {batched / plain:.0f}")
         return
     scenario = synthetic()
     seeds = range(args.first, args.first + args.runs)
@@ -151,7 +152,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     for variant in VARIANTS:
         runs = study(variant, seeds, args.rollouts, scenario, workers=args.workers)
         final[variant] = np.array([run.final for run in runs])
-        _say(
+        _print(
             f"{variant:9} final mean {final[variant].mean():.3f} "
             f"median {np.median(final[variant]):.3f} sd {final[variant].std(ddof=1):.3f} "
             f"best rollout {np.mean([run.best for run in runs]):.3f} "
@@ -159,11 +160,11 @@ def main(argv: Sequence[str] | None = None) -> None:
         )
     took = time.perf_counter() - began
     p = ranksums(final["full"], final["diagonal"], alternative="greater").pvalue
-    _say(f"full > diagonal: rank-sum p = {p:.2g} (one-sided)")
-    _say(f"{args.runs} x {args.rollouts} x {len(VARIANTS)} rollouts in {took:.1f} s")
+    _print(f"full > diagonal: rank-sum p = {p:.2g} (one-sided)")
+    _print(f"{args.runs} x {args.rollouts} x {len(VARIANTS)} rollouts in {took:.1f} s")
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     sys.stdout.write(text + "\n")
     sys.stdout.flush()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of learners on a reaching scenario, many together: so are their rollouts reproduced."""
+"""Runs of learners on a reaching scenario, many at a time with their rollouts in one batch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wam_power_ros.tasks.reach.scenario import Scenario
 
 
 def scales(stiffness: float, attractor: float) -> NoiseScales:
-    """Noise of a reach; what it does not learn has none that matters."""
+    """Exploration scales of a reach; rotation is not learnt by it."""
     return NoiseScales(stiffness=stiffness, attractor=attractor, rotation=0.1)
 
 
@@ -32,13 +32,13 @@ DRAWN = 50  # samples of a path that are kept for a figure
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What one learner did.
+    """One run of a learner.
 
     Attributes:
-        returns: Of its rollouts, in order. Shape (rollouts,).
+        returns: Returns of its rollouts, in order. Shape (rollouts,).
         means: Return of the mean, without exploration, after each of them. Shape (rollouts,).
-        stuck: The last mean still meets the obstacle.
-        mean: Its coordinates, as executed. Shape (size,).
+        stuck: Whether the last mean still meets the obstacle.
+        mean: Coordinates of the last mean, as executed. Shape (size,).
     """
 
     returns: np.ndarray
@@ -48,7 +48,7 @@ class Run:
 
     @property
     def best(self) -> float:
-        """The highest return of a rollout; Eq. 4 has no noise here."""
+        """Highest return of a rollout; Eq. 4 has no noise here."""
         return float(self.returns.max())
 
     @property
@@ -60,14 +60,14 @@ class Run:
 def learn_many(
     learners: Sequence[Learner], parameters: Parametrization, scenario: Scenario, rollouts: int
 ) -> list[Run]:
-    """Practise; each learner is told what was executed, positive-definite stiffness included.
+    """Run learners; each learns from the executed policies, with positive-definite stiffness.
 
     Args:
         learners: Of `parameters.size` coordinates, which know nothing of each other; they have
             learnt when this returns.
         parameters: Around `scenario.policy`.
-        scenario: See there.
-        rollouts: How many, of each.
+        scenario: Reaching scenario.
+        rollouts: Number of rollouts of each.
     """
     returns, means = np.empty((2, rollouts, len(learners)))
     for k in range(rollouts):
@@ -95,11 +95,11 @@ def study(
 
     Args:
         variant: Of the parameters, "full" or "diagonal".
-        seeds: Of the exploration.
-        rollouts: Of each run.
-        scenario: See there.
-        noise: NOISE of the variant when omitted.
-        workers: Processes of joblib; changes nothing in the result.
+        seeds: Seeds of the exploration.
+        rollouts: Number of rollouts of each run.
+        scenario: Reaching scenario.
+        noise: Exploration scales; NOISE of the variant if omitted.
+        workers: Number of processes; the result does not depend on it.
     """
     parameters = Parametrization(scenario.policy, variant, noise or NOISE[variant])
 
@@ -110,7 +110,7 @@ def study(
 
 
 def generator(seed: int) -> np.random.Generator:
-    """The generator of a run."""
+    """Random generator of a run."""
     return np.random.Generator(np.random.PCG64(seed))
 
 
@@ -122,7 +122,7 @@ def in_chunks(
     rollouts: int,
     workers: int = 1,
 ) -> list[Run]:
-    """`learn_many` for the learner of every seed."""
+    """`learn_many` for the learners of all seeds, in chunks of fixed size."""
 
     def runs(chunk: Sequence[int]) -> list[Run]:
         return learn_many([learner(seed) for seed in chunk], parameters, scenario, rollouts)
@@ -160,6 +160,6 @@ def as_data(
 def evaluate(
     z: np.ndarray, parameters: Parametrization, scenario: Scenario
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns (Eq. 4) of policies at z (B, size), and who collided; (B,) each."""
+    """Returns (Eq. 4) of policies at z (B, size), and which collided. Shapes (B,)."""
     stiffness, attractors, _ = parameters.arrays(z)
     return scenario.evaluate(stiffness, attractors)
