@@ -10,13 +10,13 @@ from wam_power_ros.experiments.chapters import comparison_chapter
 from wam_power_ros.experiments.chapters.comparison_chapter import LEARNERS, TASKS
 from wam_power_ros.experiments.studies import comparison
 from wam_power_ros.experiments.studies.comparison import (
-    UNCLAIMED_SEEDS,
     EFFORT,
     FOILS,
     GRID,
     HELD_OUT,
     REFINED,
     TUNED,
+    UNCLAIMED_SEEDS,
 )
 from wam_power_ros.experiments.studies.comparison_runs import learner_of, reaching_runs
 
