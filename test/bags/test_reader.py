@@ -10,6 +10,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from open_loop import reproduced
 from rosbags.rosbag2 import StoragePlugin, Writer
 from scipy.interpolate import CubicSpline
 
@@ -17,7 +18,7 @@ from wam_power_ros.bags import reader
 from wam_power_ros.bags.reader import TYPES, BagWriter, read_demonstration, unfinished
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import REACHING, fit, reproduce, tabulate
+from wam_power_ros.learning.dmp import REACHING, fit
 from wam_power_ros.params.resources import share
 
 NAMES = ("wam_j1", "wam_j2", "wam_j3")
@@ -302,7 +303,7 @@ def test_the_shipped_reaches_are_half_a_metre_in_an_arc_and_two_primitives_follo
     assert all(np.linalg.norm(d.rotation_vector, axis=1).max() < np.deg2rad(10.0) for d in taught)
 
     policy = fit(taught, REACHING, "reach")
-    followed, _ = reproduce(tabulate(policy), mean[0], np.zeros(3))
+    followed, _ = reproduced(policy, mean[0])
     beside = np.linalg.norm(mean[None] - followed[:, None], axis=2).min(axis=1)
     assert np.sqrt(np.mean(beside**2)) < 0.015  # where it goes; when, two primitives cannot tell
     assert np.linalg.norm(followed[-1] - mean[-1]) < 0.04

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from open_loop import reproduced
 
 from wam_power_ros import rotations
 from wam_power_ros.control import safety
@@ -370,7 +371,7 @@ def deviation(result: SimpleNamespace, policy: Policy) -> tuple[float, float]:
     """Rms of position [m] and angle [deg] against Eq. 1 as it would run on an ideal arm."""
     tables = dmp.tabulate(policy)
     steps = tables.rows
-    x, _ = dmp.reproduce(tables, result.position[0], np.zeros(3), steps)
+    x, _ = reproduced(policy, result.position[0])
     reference = rotations.matrix(policy.orientation_reference)
     vector, omega = rotations.log(result.rotation[0] @ reference.T), np.zeros(3)
     angles = []
@@ -794,7 +795,7 @@ def test_without_a_velocity_from_the_driver_positions_are_differentiated() -> No
         positions.append(tool(plant))
         plant.step(controller.step(stamp, q, None))
     assert controller.mode is Mode.HOLD, controller.latched
-    x, _ = dmp.reproduce(dmp.tabulate(POLICY), positions[0], np.zeros(3))
+    x, _ = reproduced(POLICY, positions[0])
     assert np.linalg.norm(np.array(positions)[: len(x)] - x, axis=1).max() < 0.02
 
 

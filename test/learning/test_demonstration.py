@@ -8,7 +8,12 @@ import pytest
 
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples, from_positions
+from wam_power_ros.learning.demonstration import (
+    Demonstration,
+    from_joint_samples,
+    from_positions,
+    smooth_joints,
+)
 from wam_power_ros.params.resources import share
 
 HOME = np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
@@ -173,20 +178,6 @@ def test_a_wrong_recording_is_refused_and_the_fault_named(arm: Arm, name: str, w
         from_joint_samples(arm, *wrong(name))
 
 
-@pytest.mark.parametrize(
-    ("setting", "words"),
-    [
-        ({"cutoff": 0.0}, "cutoff"),
-        ({"period": 0.0}, "period"),
-        ({"trim_start": 1.0}, "trim_start"),
-        ({"trim_end": 0.0}, "trim_end"),
-    ],
-)
-def test_a_senseless_setting_is_refused(arm: Arm, setting: dict[str, float], words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        from_joint_samples(arm, *recording(), **setting)
-
-
 def test_nothing_given_is_modified(arm: Arm) -> None:
     stamps, q = recording(seed=5)
     kept = stamps.copy(), q.copy()
@@ -202,3 +193,15 @@ def test_positions_alone_make_a_demonstration() -> None:
     assert made.acceleration == pytest.approx(np.tile([2.0, 0.0, 0.0], (100, 1)), abs=1e-6)
     with pytest.raises(ValueError, match="at least 3"):
         from_positions(np.zeros((2, 3)), 0.01)
+
+
+def test_a_whole_recording_is_smoothed_without_trimming(arm: Arm) -> None:
+    t, q = smooth_joints(*recording(seed=1))
+    whole = from_joint_samples(arm, *recording(seed=1), trim=False)
+    np.testing.assert_array_equal(t, whole.t)
+    np.testing.assert_array_equal(q, whole.q)
+    still = np.tile(HOME, (100, 1))  # nothing needs to move
+    _, q = smooth_joints(np.arange(100) * 2_000_000, still)
+    assert q == pytest.approx(still)
+    with pytest.raises(ValueError, match="20 samples"):
+        smooth_joints(*wrong("short"))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from open_loop import reproduced
 
 from wam_power_ros import rotations
 from wam_power_ros.learning import dmp
@@ -16,12 +17,9 @@ from wam_power_ros.learning.dmp import (
     FitSettings,
     activations,
     fit,
-    phase,
     positive_definite,
-    reproduce,
     reproduce_many,
     tabulate,
-    time_of_phase,
 )
 from wam_power_ros.learning.policy import Basis, Policy, from_json, to_json
 
@@ -81,17 +79,6 @@ def test_time_is_clamped_to_the_movement() -> None:
     assert np.array_equal(h[2], h[3])
 
 
-def test_the_canonical_system_gives_back_the_time() -> None:
-    t = np.linspace(0.0, 2.0, 50)
-    s = phase(t, 4.0 / 2.0)
-    assert s[0] == 1.0
-    assert np.all(np.diff(s) < 0.0)
-    assert time_of_phase(s, 2.0) == pytest.approx(t, abs=1e-12)
-    assert np.gradient(s, t, edge_order=2) == pytest.approx(-2.0 * s, abs=5e-3)
-    with pytest.raises(ValueError, match="positive"):
-        time_of_phase(np.array([0.5, 0.0]), 2.0)
-
-
 def linear_acceleration(tables: dmp.Tables, k: int, x: np.ndarray, xd: np.ndarray) -> np.ndarray:
     return dmp.acceleration(tables, k, x, np.zeros(3), [*xd, 0.0, 0.0, 0.0])[:3]
 
@@ -129,53 +116,45 @@ def test_tables_cannot_be_written() -> None:
         tabulate(fit([toss()], PANCAKE, "p")).a[0, 0, 0] = 1.0
 
 
-def test_reproduction_is_the_acceleration_integrated_velocity_first() -> None:
-    tables = tabulate(fit([toss()], PANCAKE, "p"))
-    x, xd = np.array([0.7, 0.0, 0.9]), np.array([0.1, 0.0, -0.2])
-    path, speed = reproduce(tables, x, xd, steps=500)
-    assert path.shape == speed.shape == (500, 3)
-    for k in range(500):
-        assert path[k] == pytest.approx(x, abs=1e-10)
-        assert speed[k] == pytest.approx(xd, abs=1e-9)
-        xd = xd + DT * linear_acceleration(tables, k, x, xd)
-        x = x + DT * xd
-
-
-def test_many_reproductions_at_once_are_the_single_ones() -> None:
+def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> None:
     policies = [fit([toss(seed=seed)], PANCAKE, "p") for seed in range(5)]
     policies = [replace(policy, basis=policies[0].basis) for policy in policies]
     x0, xd0 = np.array([0.7, 0.0, 0.9]), np.array([0.1, 0.0, -0.2])
-    x, xd = reproduce_many(
+    paths, speeds = reproduce_many(
         policies[0].basis,
         np.stack([policy.stiffness for policy in policies]),
         np.stack([policy.attractors for policy in policies]),
         policies[0].damping,
         x0,
         xd0,
-        steps=600,
+        steps=600,  # 426 of the movement, then the last weights hold
         dt=DT,
     )
-    for i, policy in enumerate(policies):
-        one, speed = reproduce(tabulate(policy), x0, xd0, steps=600)
-        assert x[i] == pytest.approx(one, abs=1e-9)
-        assert xd[i] == pytest.approx(speed, abs=1e-8)
+    for policy, path, speed in zip(policies, paths, speeds, strict=True):
+        tables, x, xd = tabulate(policy), x0, xd0
+        for k in range(600):
+            assert path[k] == pytest.approx(x, abs=1e-9)
+            assert speed[k] == pytest.approx(xd, abs=1e-8)
+            xd = xd + DT * linear_acceleration(tables, k, x, xd)
+            x = x + DT * xd
 
 
 def test_a_movement_made_by_equation_1_gives_back_its_attractors() -> None:
     truth = fit([toss()], PANCAKE, "p")
     tables = tabulate(truth)
-    x, xd = reproduce(tables, np.array([0.7, 0.0, 0.9]), np.zeros(3))
+    x, xd = reproduced(truth, np.array([0.7, 0.0, 0.9]))
     states = enumerate(zip(x, xd, strict=True))
     xdd = np.array([linear_acceleration(tables, k, *state) for k, state in states])
     h = activations(truth.basis, np.arange(len(x)) * DT)
-    found = dmp._attractors(h, truth.stiffness, xdd + truth.damping * xd, x)
+    found = dmp._fitted_attractors(h, truth.stiffness, xdd + truth.damping * xd, x)
     assert found == pytest.approx(truth.attractors, abs=1e-6)
 
 
 def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     demonstration = toss()
-    tables = tabulate(fit([demonstration], PANCAKE, "p"))
-    x, _ = reproduce(tables, demonstration.position[0], demonstration.velocity[0])
+    policy = fit([demonstration], PANCAKE, "p")
+    tables = tabulate(policy)
+    x, _ = reproduced(policy, demonstration.position[0], demonstration.velocity[0])
     assert rmse(x, demonstration.position) < 0.005
     r, omega, path = demonstration.rotation_vector[0], np.zeros(3), []
     for k in range(tables.rows):
@@ -199,8 +178,8 @@ def test_solving_the_attractors_again_beats_the_plain_method() -> None:
     found = {}
     for refit in (True, False):
         policy = fit(demonstrations, replace(REACHING, count=6, width=0.5, refit=refit), "p")
-        tables = tabulate(policy, policy.basis.duration / 199)
-        found[refit] = rmse(reproduce(tables, mean[0], np.zeros(3))[0], mean)
+        path, _ = reproduced(policy, mean[0], dt=policy.basis.duration / 199)
+        found[refit] = rmse(path, mean)
     assert found[True] < 0.5 * found[False]
     assert found[True] < 0.02
 
@@ -290,7 +269,7 @@ def test_demonstrations_of_different_length_share_one_duration() -> None:
     demonstrations = [toss(n) for n in (400, 426, 452)]
     policy = fit(demonstrations, PANCAKE, "p")
     assert policy.basis.duration == pytest.approx(425 * DT)
-    x, _ = reproduce(tabulate(policy), demonstrations[1].position[0], np.zeros(3))
+    x, _ = reproduced(policy, demonstrations[1].position[0])
     assert rmse(x, demonstrations[1].position) < 0.01
 
 

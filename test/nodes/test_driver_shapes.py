@@ -11,6 +11,7 @@ import pytest
 from conftest import Probe, Processes, diagnosis, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
+from open_loop import reproduced
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
@@ -19,7 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import REACHING, fit, reproduce, tabulate
+from wam_power_ros.learning.dmp import REACHING, fit
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params import overlay
@@ -176,7 +177,7 @@ def test_another_arm_reaches_by_urdf_and_yaml_alone(
     policy = fit([taught], REACHING, "reach")
     path = bench.execute(policy)
     assert {tuple(state.name) for state in bench.states} == {tuple(set_up["joint_names"])}
-    planned, _ = reproduce(tabulate(policy), taught.position[0], np.zeros(3))
+    planned, _ = reproduced(policy, taught.position[0])
     t = 0.002 * np.arange(len(planned))
     within = path.t <= t[-1]
     wanted = np.stack([np.interp(path.t[within], t, axis) for axis in planned.T], axis=1)

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The movement primitive: a mixture of spring-dampers with full coordination matrices (Eq. 1).
+"""Dynamic movement primitive: a mixture of spring-dampers with full stiffness matrices (Eq. 1).
 
     xdd = sum_i h_i(t) [K_i (mu_i - x) - kappa_V xd]
 
-is affine in x, so A(t) = sum h_i K_i and b(t) = sum h_i K_i mu_i are tabulated once on the
-control grid; a step then costs microseconds.
+is affine in x, so A(t) = sum h_i K_i and b(t) = sum h_i K_i mu_i are tabulated once on the control
+grid; a step then takes microseconds. The canonical system s = exp(-alpha t) is a function of t
+alone, so that time itself, clamped to the movement, is the phase.
 """
 
 from collections.abc import Sequence
@@ -13,52 +14,27 @@ from dataclasses import dataclass
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration, rotation_from
-from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.learning.policy import PERIOD, Basis, Policy
 
-PERIOD = 0.002  # [s] of the control loop
+ROTATION_STIFFNESS = 400.0  # stiffness of the orientation [1/s^2]
+ROTATION_DAMPING = 36.0  # damping of the orientation [1/s]
 
 
 def activations(basis: Basis, t: np.ndarray) -> np.ndarray:
-    """Weights h_i(t) of the primitives (Eq. 1); each row sums to one.
+    """Weights h_i(t) of the spring-dampers (Eq. 1); each row sums to one.
 
     Args:
-        basis: Count, duration and variance.
-        t: Time since the start [s], clamped to [0, duration]. Shape (T,).
+        basis: Number, duration and variance of the Gaussians.
+        t: Time since the start, clamped to [0, duration] [s]. Shape (T,).
 
     Returns:
-        Shape (T, n).
+        Weights. Shape (T, n).
     """
     t = np.clip(np.asarray(t, dtype=float), 0.0, basis.duration)
     exponent = -0.5 * (t[:, None] - basis.centres) ** 2 / basis.variance  # (T, n)
     # The largest is shifted to exp(0): however narrow the basis, no row underflows to 0/0.
     weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     return weights / weights.sum(axis=1, keepdims=True)
-
-
-def phase(t: np.ndarray, alpha: float) -> np.ndarray:
-    """Canonical system sdot = -alpha s, s(0) = 1, solved exactly.
-
-    Args:
-        t: [s].
-        alpha: Decay [1/s], about 4 / duration.
-    """
-    return np.exp(-alpha * np.asarray(t, dtype=float))
-
-
-def time_of_phase(s: np.ndarray, alpha: float) -> np.ndarray:
-    """Time at which the canonical system has reached s: t = -ln(s) / alpha.
-
-    Args:
-        s: In (0, 1].
-        alpha: Decay [1/s].
-
-    Raises:
-        ValueError: s is not positive.
-    """
-    s = np.asarray(s, dtype=float)
-    if not np.all(s > 0.0):
-        raise ValueError(f"phase {s} must be positive")
-    return -np.log(s) / alpha
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +45,10 @@ class Tables:
         a: sum_i h_i K_i [1/s^2]. Shape (T, 3, 3).
         b: sum_i h_i K_i mu_i [m/s^2]. Shape (T, 3).
         rotation_b: rotation_stiffness * sum_i h_i r_i [rad/s^2]. Shape (T, 3).
-        damping: kappa_V [1/s].
-        rotation_stiffness: [1/s^2].
-        rotation_damping: [1/s].
-        dt: [s].
+        damping: Damping kappa_V [1/s].
+        rotation_stiffness: Stiffness of the orientation [1/s^2].
+        rotation_damping: Damping of the orientation [1/s].
+        dt: Control period [s].
     """
 
     a: np.ndarray
@@ -85,7 +61,7 @@ class Tables:
 
     @property
     def rows(self) -> int:
-        """Number of rows T; the last one is used ever after."""
+        """Number of rows T; after the movement the last one holds."""
         return len(self.b)
 
 
@@ -93,11 +69,11 @@ def tabulate(policy: Policy, dt: float = PERIOD) -> Tables:
     """Tabulate Eq. 1 on the control grid 0, dt, ... duration.
 
     Args:
-        policy: To execute.
+        policy: Policy to execute.
         dt: Control period [s].
 
     Raises:
-        ValueError: dt is not positive.
+        ValueError: If dt is not positive.
     """
     if not dt > 0.0:
         raise ValueError(f"dt = {dt} must be positive")
@@ -128,17 +104,17 @@ def acceleration(
     rotation: Sequence[float],
     twist: Sequence[float],
 ) -> np.ndarray:
-    """Wanted acceleration of the tool at tick k: Eq. 1, and the same law on the rotation vector.
+    """Reference acceleration of the tool at tick k: Eq. 1, and the same law for the rotation.
 
     Args:
-        tables: From `tabulate`.
-        k: Tick since the start, not negative; beyond the last row the last row holds.
-        position: x [m]. Shape (3,).
-        rotation: r of R = exp(r) R_ref, in the base frame [rad]; three.
-        twist: Linear [m/s] and angular [rad/s] velocity in the base frame; six.
+        tables: Tables of the policy.
+        k: Tick since the start, >= 0; after the last row the last row holds.
+        position: Position x of the tool [m]. Shape (3,).
+        rotation: Rotation vector r of R = exp(r) R_ref, in the base frame [rad]; three numbers.
+        twist: Linear [m/s] and angular [rad/s] velocity in the base frame; six numbers.
 
     Returns:
-        Linear [m/s^2] and angular [rad/s^2]. Shape (6,).
+        Linear [m/s^2] and angular [rad/s^2] acceleration. Shape (6,).
     """
     if k >= len(tables.b):
         k = -1
@@ -162,38 +138,6 @@ def acceleration(
     )
 
 
-def reproduce(
-    tables: Tables, x0: np.ndarray, xd0: np.ndarray, steps: int | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Follow Eq. 1 open loop by semi-implicit Euler: velocity first, then position with it.
-
-    Args:
-        tables: From `tabulate`.
-        x0: Position at the first tick [m]. Shape (3,).
-        xd0: Velocity at the first tick [m/s]. Shape (3,).
-        steps: Rows of the result, the start being the first; `tables.rows` when omitted.
-
-    Returns:
-        Positions [m] and velocities [m/s], each of shape (steps, 3).
-    """
-    steps = tables.rows if steps is None else steps
-    rows = min(tables.rows, max(steps - 1, 1))
-    dt = tables.dt
-    # One step is z' = M z with z = (x, xd, 1): xd' = xd + dt (b - A x - kappa_V xd).
-    matrices = np.zeros((rows, 7, 7))
-    matrices[:, 3:6, :3] = -dt * tables.a[:rows]
-    matrices[:, 3:6, 3:6] = (1.0 - dt * tables.damping) * np.eye(3)
-    matrices[:, 3:6, 6] = dt * tables.b[:rows]
-    matrices[:, :3] = dt * matrices[:, 3:6]
-    matrices[:, [0, 1, 2], [0, 1, 2]] += 1.0
-    matrices[:, 6, 6] = 1.0
-    states = np.empty((steps, 7))
-    states[0] = (*x0, *xd0, 1.0)
-    for k in range(steps - 1):
-        np.dot(matrices[min(k, rows - 1)], states[k], out=states[k + 1])
-    return states[:, :3].copy(), states[:, 3:6].copy()
-
-
 def reproduce_many(
     basis: Basis,
     stiffness: np.ndarray,
@@ -204,18 +148,20 @@ def reproduce_many(
     steps: int,
     dt: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`reproduce` for many policies of one basis and damping at once.
+    """Integrate Eq. 1 open loop for many policies of one basis and damping at once.
+
+    Semi-implicit Euler: the velocity first, then the position with the new velocity.
 
     Args:
-        basis: Shared by all.
-        stiffness: K_i of each policy [1/s^2]. Shape (B, n, 3, 3).
-        attractors: mu_i of each policy [m]. Shape (B, n, 3).
-        damping: kappa_V [1/s].
-        x0: First position [m]. Shape (3,) or (B, 3).
-        xd0: First velocity [m/s]. Shape (3,) or (B, 3).
-        steps: Rows of the result, the start being the first; beyond the duration the last
-            weights hold.
-        dt: [s].
+        basis: Basis shared by all policies.
+        stiffness: Stiffness K_i of each policy [1/s^2]. Shape (B, n, 3, 3).
+        attractors: Attractors mu_i of each policy [m]. Shape (B, n, 3).
+        damping: Damping kappa_V of all policies [1/s].
+        x0: Initial position [m]. Shape (3,) or (B, 3).
+        xd0: Initial velocity [m/s]. Shape (3,) or (B, 3).
+        steps: Number of samples, the initial one included; after the duration the last weights
+            hold.
+        dt: Time between samples [s].
 
     Returns:
         Positions [m] and velocities [m/s], each of shape (B, steps, 3).
@@ -246,21 +192,19 @@ def reproduce_many(
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How a demonstration becomes a policy.
+    """Settings of the fit of a policy to demonstrations.
 
     Attributes:
-        count: Number of primitives.
-        width: Standard deviation of each Gaussian, in units of duration / count.
+        count: Number of spring-dampers.
+        width: Standard deviation of each Gaussian, in units of duration / count [1].
         k_min: Smallest eigenvalue of the K_i [1/s^2].
         k_max: Largest eigenvalue of the K_i [1/s^2].
-        damping: kappa_V [1/s].
-        refit: Solve the attractors again for the fitted K_i; False is the plain method of the
-            paper's reference [21], whose attractors belong to the mean stiffness instead.
-        rotation_stiffness: Of the orientation [1/s^2].
-        rotation_damping: Of the orientation [1/s].
+        damping: Damping kappa_V [1/s].
+        refit: Whether the attractors are solved again for the fitted K_i; without it, as in the
+            paper's reference [21], they belong to the mean stiffness.
 
     Raises:
-        ValueError: A value out of range.
+        ValueError: If a value is out of range.
     """
 
     count: int
@@ -269,46 +213,45 @@ class FitSettings:
     k_max: float
     damping: float
     refit: bool = True
-    rotation_stiffness: float = 400.0
-    rotation_damping: float = 36.0
 
     def __post_init__(self) -> None:
         if not 0.0 < self.k_min <= self.k_max < np.inf:
             raise ValueError(f"k_min = {self.k_min}, k_max = {self.k_max}: 0 < k_min <= k_max")
-        for name in ("count", "width", "damping", "rotation_stiffness", "rotation_damping"):
+        for name in ("count", "width", "damping"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} = {getattr(self, name)} must be positive")
 
 
-# The toss: 8 primitives as in the paper; the rest tuned for a movement of about 0.85 s.
+# Flip: 8 spring-dampers as in the paper; the rest is tuned for a movement of about 0.85 s.
 PANCAKE = FitSettings(count=8, width=0.5, k_min=150.0, k_max=500.0, damping=32.0)
-# Reaching: 2 primitives as in the paper; stiffness and damping of Calinon's public example code.
+# Reach: 2 spring-dampers as in the paper; stiffness and damping of Calinon's public example code.
 # Its variance of 0.08 duration / count is a width of 0.28 for a movement of 2 s. With 0.5, as for
-# the toss, PoWER ends higher on tuning seeds, with full and with diagonal matrices.
+# the flip, PoWER ends higher on tuning seeds, with full and with diagonal matrices.
 REACHING = FitSettings(count=2, width=0.5, k_min=100.0, k_max=200.0, damping=20.0)
 
 
-def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, id: str) -> Policy:
-    """Initialise a policy from demonstrations by least squares (paper Sec. II-A, its ref. [21]).
+def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_id: str) -> Policy:
+    """Fit a policy to demonstrations by least squares (paper Sec. II-A and its reference [21]).
 
     1. With one mean stiffness k: mu = pinv(H) Y with Y = xdd/k + xd kappa_V/k + x.
     2. S_i: covariance over the samples of h_i (Y - mu_i).
     3. K_i: the eigenvalues of S_i^-1 rescaled linearly to [k_min, k_max], over all i and axes.
     4. With `refit`: the attractors are solved again, all together, for these K_i.
 
-    The orientation attractors come from the same least squares on the rotation vectors.
+    The rotation attractors come from the same least squares on the rotation vectors.
     Demonstrations of different length are stretched in time to their mean duration.
 
     Args:
-        demonstrations: At least one; q_start and R_ref are those of the first.
-        settings: See PANCAKE and REACHING.
-        id: Of the policy.
+        demonstrations: One or more demonstrations; q_start and R_ref are those of the first.
+        settings: Settings of the fit.
+        policy_id: Id of the policy.
 
     Returns:
         The policy; its K_i are symmetric.
 
     Raises:
-        ValueError: No demonstration, too few samples, or a policy out of range.
+        ValueError: If there is no demonstration, there are too few samples, or a value of the
+            policy is out of range.
     """
     if not demonstrations:
         raise ValueError("no demonstration to fit; at least one is needed")
@@ -321,42 +264,42 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, id: str)
         np.concatenate(column) for column in zip(*samples, strict=True)
     )
     if len(t) < 3 * n:
-        raise ValueError(f"{len(t)} samples for {n} primitives; at least {3 * n} are needed")
+        raise ValueError(f"{len(t)} samples for {n} spring-dampers; at least {3 * n} are needed")
     h = activations(basis, t)  # (N, n)
     mean_stiffness = 0.5 * (settings.k_min + settings.k_max)
     y = xdd / mean_stiffness + xd * (settings.damping / mean_stiffness) + x
     attractors = np.linalg.lstsq(h, y, rcond=None)[0]  # (n, 3)
-    stiffness = _coordination(h, y, attractors, settings)
+    stiffness = _fitted_stiffness(h, y, attractors, settings)
     if settings.refit:
-        attractors = _attractors(h, stiffness, xdd + settings.damping * xd, x)
-    torque = omegad + settings.rotation_damping * omega + settings.rotation_stiffness * r
-    rotation = np.linalg.lstsq(h, torque / settings.rotation_stiffness, rcond=None)[0]
+        attractors = _fitted_attractors(h, stiffness, xdd + settings.damping * xd, x)
+    target = omegad + ROTATION_DAMPING * omega + ROTATION_STIFFNESS * r
+    rotation = np.linalg.lstsq(h, target / ROTATION_STIFFNESS, rcond=None)[0]
     return Policy(
-        id=id,
+        id=policy_id,
         basis=basis,
         stiffness=stiffness,
         attractors=attractors,
         damping=settings.damping,
         orientation_reference=reference,
         rotation_attractors=rotation,
-        rotation_stiffness=settings.rotation_stiffness,
-        rotation_damping=settings.rotation_damping,
+        rotation_stiffness=ROTATION_STIFFNESS,
+        rotation_damping=ROTATION_DAMPING,
         q_start=demonstrations[0].q[0],
     )
 
 
 def positive_definite(stiffness: np.ndarray, k_min: float) -> np.ndarray:
-    """Clip the eigenvalues of the symmetric part from below; the skew part is kept.
+    """Raise the eigenvalues of the symmetric parts to at least k_min; the skew parts are kept.
 
     Args:
-        stiffness: [1/s^2]. Shape (n, 3, 3).
+        stiffness: Stiffness matrices [1/s^2]. Shape (n, 3, 3).
         k_min: Smallest eigenvalue allowed [1/s^2].
 
     Returns:
-        [1/s^2]; matrices that obey already are unchanged. Shape (n, 3, 3).
+        Stiffness matrices [1/s^2]; those within the limit are unchanged. Shape (n, 3, 3).
 
     Raises:
-        ValueError: k_min is not positive.
+        ValueError: If k_min is not positive.
     """
     if not k_min > 0.0:
         raise ValueError(f"k_min = {k_min} must be positive")
@@ -372,7 +315,7 @@ def positive_definite(stiffness: np.ndarray, k_min: float) -> np.ndarray:
 def _samples(
     demonstration: Demonstration, duration: float, reference: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """t, x, xd, xdd, r, omega, omegad of one demonstration, stretched to `duration`."""
+    """Samples t, x, xd, xdd, r, omega, omegad of a demonstration, stretched to `duration`."""
     stretch = duration / demonstration.duration
     r = rotation_from(demonstration.quat_xyzw, reference)
     omega = _angular_velocity(r, np.gradient(r, demonstration.period, axis=0, edge_order=2))
@@ -399,16 +342,16 @@ def _angular_velocity(r: np.ndarray, rd: np.ndarray) -> np.ndarray:
     return rd + versine * turned + cubic * np.cross(r, turned)
 
 
-def _coordination(
+def _fitted_stiffness(
     h: np.ndarray, y: np.ndarray, attractors: np.ndarray, settings: FitSettings
 ) -> np.ndarray:
     """Steps 2 and 3 of `fit`. Shape (n, 3, 3)."""
     residuals = h.T[:, :, None] * (y[None] - attractors[:, None])  # (n, N, 3)
     residuals -= residuals.mean(axis=1, keepdims=True)
     covariance = np.matmul(np.swapaxes(residuals, 1, 2), residuals) / (len(y) - 1)
-    # Relative, not absolute: in SI 1e-3 would be (3 cm)^2, more than the movement itself.
+    # Relative, not absolute: 1e-3 m^2 is (3 cm)^2, more than the movement itself.
     trace = np.trace(covariance, axis1=1, axis2=2)
-    smallest = max(float(trace.max()) * 1e-9, 1e-15)  # an axis or state that never moved
+    smallest = max(float(trace.max()) * 1e-9, 1e-15)  # for an axis or Gaussian without movement
     covariance += (1e-3 * trace / 3.0 + smallest)[:, None, None] * np.eye(3)
     values, vectors = np.linalg.eigh(covariance)
     values = 1.0 / values  # of the inverse
@@ -419,7 +362,7 @@ def _coordination(
     return 0.5 * (stiffness + np.swapaxes(stiffness, 1, 2))
 
 
-def _attractors(
+def _fitted_attractors(
     h: np.ndarray, stiffness: np.ndarray, damped: np.ndarray, x: np.ndarray
 ) -> np.ndarray:
     """Least squares in mu of sum_i h_i K_i mu_i = damped + sum_i h_i K_i x. Shape (n, 3)."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A policy: everything needed to execute a movement, as data and as JSON text.
+"""Policy: everything needed to execute a movement, as data and as JSON text.
 
-The same text is saved on disk and published on `/policy`. Reading is strict: a key too many or
-too few, a number that is not finite, a wrong shape or a stiffness that is not positive definite
-is refused with a ValueError that names it. Floats survive the round trip bit for bit.
+The same text is saved on disk and published on `/policy`. Parsing is strict: an unknown or missing
+key, a number that is not finite, a wrong shape or a stiffness that is not positive definite raises
+a ValueError that names it. Floats survive the round trip bit for bit.
 """
 
 import json
@@ -16,26 +16,28 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 SCHEMA = "wam_power_ros/policy/1"
-SIZE_MAX = 1_000_000  # [byte] of JSON text
-COUNT_MAX = 200  # primitives
-JOINTS_MAX = 16
-DURATION_MAX = 60.0  # [s]
-STIFFNESS_MAX = 1e5  # [1/s^2] any element, translation or rotation
-DAMPING_MAX = 1e3  # [1/s] with 2 ms steps the damping is stable below 1000
-POSITION_MAX = 10.0  # [m]
-ANGLE_MAX = 30.0  # [rad]
+PERIOD = 0.002  # control period [s]
+SIZE_MAX = 1_000_000  # size of the JSON text [byte]
+COUNT_MAX = 200  # number of spring-dampers
+JOINTS_MAX = 16  # number of joints
+DURATION_MAX = 60.0  # duration of a movement [s]
+STIFFNESS_MAX = 1e5  # any element of a stiffness, translation or rotation [1/s^2]
+DAMPING_MAX = 1e3  # damping that is stable at the control period is below 1000 [1/s]
+POSITION_MAX = 10.0  # coordinate of an attractor [m]
+ANGLE_MAX = 30.0  # element of a rotation vector or a joint angle [rad]
 
 _ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
-def check_id(id: str) -> None:
-    """Refuse an id that could not be a file name or a word of a message.
+def check_id(policy_id: str) -> None:
+    """Check that an id can be a file name and part of a message.
 
     Raises:
-        ValueError: The id does not match [A-Za-z0-9_.-]{1,64}.
+        ValueError: If the id does not match [A-Za-z0-9_.-]{1,64}.
     """
-    if not isinstance(id, str) or not _ID.fullmatch(id):
-        shown = repr(id) if len(repr(id)) <= 100 else repr(id)[:100] + "..."
+    if not isinstance(policy_id, str) or not _ID.fullmatch(policy_id):
+        shown = repr(policy_id)
+        shown = shown if len(shown) <= 100 else shown[:100] + "..."
         raise ValueError(f"id {shown} must match [A-Za-z0-9_.-]{{1,64}}")
 
 
@@ -45,16 +47,17 @@ def read_only(
     shape: tuple[int, ...],
     limit: float = np.inf,
 ) -> np.ndarray:
-    """A read-only float copy of an array, checked.
+    """Return a read-only float copy of an array, checked.
 
     Args:
-        name: For the error.
+        name: Name of the value in the error.
         value: Array or nested sequence.
-        shape: Wanted.
+        shape: Expected shape.
         limit: Largest absolute value allowed.
 
     Raises:
-        ValueError: Not numbers, another shape, not finite, or beyond the limit.
+        ValueError: If an element is not a number, not finite or beyond the limit, or the shape
+            differs.
     """
     try:
         array = np.array(value, dtype=float)
@@ -83,12 +86,12 @@ class Basis:
     """Normalised Gaussians in time, h_i(t) of Eq. 1, with centres spread evenly over [0, duration].
 
     Attributes:
-        count: Number of primitives.
-        duration: Of the movement [s].
-        variance: Of each Gaussian [s^2].
+        count: Number of Gaussians.
+        duration: Duration of the movement [s].
+        variance: Variance of each Gaussian [s^2].
 
     Raises:
-        ValueError: A value out of range.
+        ValueError: If a value is out of range.
     """
 
     count: int
@@ -116,26 +119,26 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """Mixture of spring-dampers (Eq. 1) for the pan's position, with its orientation profile.
+    """Mixture of n spring-dampers (Eq. 1) for the tool's position, with its orientation profile.
 
-    Arrays are copied and read-only. n is the number of primitives, nj of joints.
+    Arrays are copied and read-only.
 
     Attributes:
-        id: Name of the rollout it is meant for, [A-Za-z0-9_.-]{1,64}.
-        basis: h_i(t).
+        id: Name of the policy and of its rollout, [A-Za-z0-9_.-]{1,64}.
+        basis: Weights h_i(t).
         stiffness: Coordination matrices K_i [1/s^2], symmetric part positive definite.
             Shape (n, 3, 3).
-        attractors: mu_i in the base frame [m]. Shape (n, 3).
-        damping: kappa_V [1/s].
-        orientation_reference: R_ref as unit xyzw. Shape (4,).
-        rotation_attractors: Rotation vectors r_i [rad] in the base frame, R = exp(r) R_ref.
+        attractors: Attractors mu_i in the base frame [m]. Shape (n, 3).
+        damping: Damping kappa_V [1/s].
+        orientation_reference: R_ref as a unit quaternion xyzw. Shape (4,).
+        rotation_attractors: Rotation vectors r_i in the base frame, R = exp(r) R_ref [rad].
             Shape (n, 3).
-        rotation_stiffness: [1/s^2].
-        rotation_damping: [1/s].
+        rotation_stiffness: Stiffness of the orientation [1/s^2].
+        rotation_damping: Damping of the orientation [1/s].
         q_start: Joint angles at the start of the demonstration [rad]. Shape (nj,).
 
     Raises:
-        ValueError: Names the value and the rule.
+        ValueError: If a value is out of range; names the value and the rule.
     """
 
     id: str
@@ -183,13 +186,13 @@ class Policy:
             )
 
 
-def with_id(policy: Policy, id: str) -> Policy:
-    """The same policy under another id.
+def with_id(policy: Policy, policy_id: str) -> Policy:
+    """Return the same policy under another id.
 
     Raises:
-        ValueError: The id is not allowed.
+        ValueError: If the id is not allowed.
     """
-    return replace(policy, id=id)
+    return replace(policy, id=policy_id)
 
 
 _Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -198,7 +201,7 @@ _Matrix = Annotated[list[_Vector], Field(min_length=3, max_length=3)]
 
 
 class _Text(BaseModel):
-    """The JSON text, key by key."""
+    """Keys of the JSON text."""
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
@@ -218,7 +221,7 @@ class _Text(BaseModel):
 
 
 def to_json(policy: Policy) -> str:
-    """The policy as one line of JSON, the same text for equal policies."""
+    """Return the policy as one line of JSON, the same text for equal policies."""
     return json.dumps(
         {
             "schema": SCHEMA,
@@ -240,13 +243,13 @@ def to_json(policy: Policy) -> str:
 
 
 def from_json(text: str) -> Policy:
-    """The policy of a JSON text.
+    """Parse a policy.
 
     Args:
-        text: As `to_json` writes it; at most SIZE_MAX bytes.
+        text: JSON text as `to_json` writes it, at most SIZE_MAX bytes.
 
     Raises:
-        ValueError: Anything wrong with the text, named.
+        ValueError: If anything is wrong with the text; names it.
     """
     if not isinstance(text, str):
         raise ValueError(f"a policy is JSON text, not {type(text).__name__}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A finished rollout: path of the tool, path of the tracked body, and the fault that ended it."""
+"""Finished rollouts: path of the tool, path of the tracked body, and the fault that ended one."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from wam_power_ros.learning.policy import check_id, read_only
 
 
 class FaultKind(str, enum.Enum):
-    """What a fault of the controller is about; machines decide by this and never by its text."""
+    """Kind of a fault of the controller; decisions depend on it and never on the fault's text."""
 
-    # The policy brought these about by itself: its return is 0, and it is not tried again.
+    # Caused by the policy: the rollout's return is 0, and it is not tried again.
     JOINT_POSITION = "joint_position"  # beyond a joint's limit
     JOINT_SPEED = "joint_speed"
     GUARDED_SPEED = "guarded_speed"  # of a guarded point, such as elbow or forearm
     TOOL_SPEED = "tool_speed"
     WORKSPACE = "workspace"  # the tool left its box
     PLANE = "plane"  # a guarded point or the tool is behind the keep-out plane
-    # These say nothing about the policy.
+    # Not caused by the policy: the rollout is not learnt from.
     TRACKING = "tracking"  # a joint is far from its reference
     COMPUTATION = "computation"  # a torque that is not finite, or none
     STATES_LOST = "states_lost"  # no joint state for too long
@@ -46,7 +46,7 @@ class Fault:
     """A latched fault of the controller.
 
     Attributes:
-        kind: What it is about.
+        kind: Kind of the fault.
         text: Sentence for a person, with the value and the limit.
     """
 
@@ -56,16 +56,17 @@ class Fault:
 
 @dataclass(frozen=True, eq=False)
 class EndEffectorPath:
-    """Pan frame in the base frame through one rollout.
+    """Path of the tool frame in the base frame during one rollout.
 
     Attributes:
-        id: Of the policy that was executed.
-        t: Strictly increasing [s] since the start of the rollout. Shape (T,), T >= 1.
-        position: Centre of the pan's floor [m]. Shape (T, 3).
-        quat_xyzw: Orientation, unit. Shape (T, 4).
+        id: Id of the policy that was executed.
+        t: Time since the start of the rollout, strictly increasing [s]. Shape (T,), T >= 1.
+        position: Origin of the tool frame [m]. Shape (T, 3).
+        quat_xyzw: Orientation, unit quaternions. Shape (T, 4).
 
     Raises:
-        ValueError: A shape, a non-finite value, time going back, or a quaternion off unit length.
+        ValueError: If a shape is wrong, a value is not finite, time does not increase or a
+            quaternion is not of unit length.
     """
 
     id: str
@@ -81,17 +82,18 @@ class EndEffectorPath:
 
 @dataclass(frozen=True, eq=False)
 class BodyPath:
-    """Tracked body in the base frame through one rollout, as motion capture saw it.
+    """Measured path of the tracked body in the base frame during one rollout.
 
     Attributes:
-        id: Of the policy that was executed.
-        t: Strictly increasing [s] since the start of the rollout; gaps where the view was lost.
-            Shape (M,); M may be 0.
+        id: Id of the policy that was executed.
+        t: Time since the start of the rollout, strictly increasing, with gaps where the body was
+            hidden [s]. Shape (M,); M may be 0.
         position: Centre of the body [m]. Shape (M, 3).
-        quat_xyzw: Orientation, unit. Shape (M, 4).
+        quat_xyzw: Orientation, unit quaternions. Shape (M, 4).
 
     Raises:
-        ValueError: A shape, a non-finite value, time going back, or a quaternion off unit length.
+        ValueError: If a shape is wrong, a value is not finite, time does not increase or a
+            quaternion is not of unit length.
     """
 
     id: str
