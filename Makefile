@@ -29,7 +29,7 @@ help:
 	@echo 'make learn [ARGS="--seed 3"]   the arm learns to flip a pancake, in simulation'
 	@echo 'make reproduce                 the paper from scratch, with a report (about an hour on 2 cores: 2 h of processor time)'
 	@echo 'make test  [ARGS="-k power"]   the tests'
-	@echo 'make lint                      ruff: rules and format'
+	@echo 'make lint                      ruff: rules and format; mypy: types'
 	@echo 'make build                     colcon build, with colcon from PyPI'
 	@echo 'make venv                      only the set-up'
 
@@ -60,6 +60,7 @@ test: $(READY)
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 
 format: $(READY)
 	$(BIN)/ruff check --fix .

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pancake's pose from an unlabelled cloud."""
+"""Pose of a rigid body from an unlabelled marker cloud."""
 
 import itertools
 
@@ -33,7 +33,7 @@ def test_no_two_distances_of_the_layout_are_alike() -> None:
     pairs = itertools.combinations(marker_fit.LAYOUT, 2)
     distances = np.sort([np.linalg.norm(a - b) for a, b in pairs])
     assert np.diff(distances).min() > 2.0 * marker_fit.TOLERANCE
-    assert np.linalg.norm(marker_fit.LAYOUT, axis=1).max() < 0.09  # on the pancake
+    assert np.linalg.norm(marker_fit.LAYOUT, axis=1).max() < 0.09  # on a pancake of 0.18 m
 
 
 @given(seed=seeds)
@@ -41,7 +41,7 @@ def test_no_two_distances_of_the_layout_are_alike() -> None:
 def test_a_cloud_in_any_order_gives_the_pose(seed: int) -> None:
     points, vector = cloud(np.random.default_rng(seed))
     found = marker_fit.fit(points)
-    assert found.count == 4
+    assert found.markers == 4
     np.testing.assert_allclose(found.position, POSITION, atol=1e-9)
     assert angle_between(found, vector) < 1e-9
 
@@ -51,7 +51,7 @@ def test_a_cloud_in_any_order_gives_the_pose(seed: int) -> None:
 def test_a_hidden_marker_leaves_the_pose_as_it_is(seed: int) -> None:
     points, vector = cloud(np.random.default_rng(seed))
     found = marker_fit.fit(points[:3])
-    assert found.count == 3
+    assert found.markers == 3
     np.testing.assert_allclose(found.position, POSITION, atol=1e-9)
     assert angle_between(found, vector) < 1e-9
 

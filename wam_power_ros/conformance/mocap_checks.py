@@ -19,7 +19,7 @@ from wam_power_ros.conformance.topic_checks import PAIR, Row, Verdict
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
 from wam_power_ros.tracking.tracker import (
-    FROZEN_FRAMES,
+    FROZEN_COUNT,
     FROZEN_TIME,
     Y_UP,
     Tracker,
@@ -132,7 +132,7 @@ def _frozen(frames: Sequence[FrameSample]) -> Row:
     if not frames:
         return Row("mocap frozen", expected, "no frame", Verdict.UNCHECKED)
     text = f"the same pose, bit for bit, {most} times in a row ({longest:.2f} s)"
-    if most >= FROZEN_FRAMES and longest >= FROZEN_TIME * 1e-9:
+    if most >= FROZEN_COUNT and longest >= FROZEN_TIME * 1e-9:
         advice = "frozen: the driver repeats its last pose. Is the body in view, Motive streaming?"
         return Row("mocap frozen", expected, text, Verdict.FAIL, advice)
     found = "no pose twice" if most == 1 else text

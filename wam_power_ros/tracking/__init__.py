@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rigid body in motion capture: filter, marker fit. Pure."""
+"""Tracking of a rigid body in motion capture: frame checks, state, marker fit. Pure."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pancake as motion capture sees it: every frame checked, the bad ones refused by name.
+"""Tracking of a rigid body in motion capture: every frame is checked, a bad one refused by name.
 
-A real system loses sight, repeats its last pose as if it were new, sends zeros, swaps bodies and
-stamps late. A frame that is any of these is counted under its fault and becomes neither state nor
-path. Stamps are `int` nanoseconds and never added up, so results do not depend on absolute time.
+A motion capture loses sight of a body, repeats its last pose as if it were new, sends zeros, swaps
+bodies and stamps late. Such a frame is counted under its fault and becomes neither state nor path.
+Stamps are `int` nanoseconds and never summed, so results do not depend on absolute time.
 """
 
 from __future__ import annotations
@@ -22,41 +22,43 @@ from wam_power_ros.tracking import marker_fit
 
 SECOND = 1_000_000_000  # [ns]
 GRAVITY = 9.81  # [m/s^2]
-HISTORY = 20 * SECOND  # kept for paths
-INTERVAL_MIN = SECOND // 1000  # stamps nearer are of receipt: frames that were delivered together
-FROZEN_FRAMES, FROZEN_TIME = 10, 3 * SECOND // 10  # of bit-identical poses
-REJECTS = 5  # jumps in a row that lose the pancake
-REACQUIRE = 5  # frames that agree with each other, and are the pancake again
-SET_BACK = 10  # frames in a row from the past: the clock was set back
-COAST = SECOND // 10  # how long a hidden pancake is taken to fly on
-WINDOW = SECOND // 10  # of the velocity, or two periods if that is longer
-OFFSET_WINDOW = 5 * SECOND  # of the frames that tell how far clocks are apart
-UNIT = 1e-3  # how far from 1 the length of a quaternion may be
+HISTORY = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
+INTERVAL_MIN = SECOND // 1000  # frames stamped closer together were stamped on delivery [ns]
+FROZEN_COUNT = 10  # bit-identical poses in a row that count as frozen, if over FROZEN_TIME
+FROZEN_TIME = 3 * SECOND // 10  # [ns]
+JUMP_COUNT = 5  # jumps in a row after which the body is lost
+REACQUIRE_COUNT = 5  # frames that agree with each other after which the body is found again
+SET_BACK_COUNT = 10  # frames in a row from the past after which the clock was set back
+COAST_TIME = SECOND // 10  # extrapolation of a hidden body at constant velocity [ns]
+VELOCITY_WINDOW = SECOND // 10  # [ns], or two periods if that is longer
+OFFSET_WINDOW = 5 * SECOND  # frames from which the offset of two clocks is estimated [ns]
+FALL_SPAN = 0.2  # time over which a parabola is fitted [s]
+UNIT_TOLERANCE = 1e-3  # deviation of a quaternion's length from 1 [1]
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # (x, y, z) -> (x, -z, y)
 
 
 class Validity(Enum):
-    """What the newest frames are worth."""
+    """Validity of the state, by the newest frames."""
 
     OK = "ok"
-    OCCLUDED = "occluded"  # no frame for more than two periods: coasting
-    FROZEN = "frozen"  # the same pose, bit for bit, again and again
-    JUMP = "jump"  # farther from the last pose than the pancake can fly
-    LOST = "lost"  # not seen yet, or nothing usable for too long
+    OCCLUDED = "occluded"  # no frame for more than two periods: extrapolated
+    FROZEN = "frozen"  # the same pose, bit for bit, for too long
+    JUMP = "jump"  # farther from the last pose than the body can move
+    LOST = "lost"  # no valid frame yet, or none for too long
 
 
 class TrackedState(NamedTuple):
-    """The pancake at one time; everything, the twist too, in the base frame.
+    """State of the body at one time; all of it, the twist too, in the base frame.
 
     Attributes:
-        stamp_ns: Of the exposure [ns].
-        position: As measured [m], or coasted. Shape (3,).
-        quat_xyzw: As measured, or coasted. Shape (4,).
-        velocity: Least squares over the frames of the last 0.1 s, no gravity assumed [m/s]: in free
-            flight it lags by 0.05 s. Shape (3,).
-        angular_velocity: As the velocity [rad/s]. Shape (3,).
-        variance: Of the position along an axis [m^2]; grows while coasting.
-        validity: OK, or OCCLUDED while coasting.
+        stamp_ns: Time of the exposure [ns].
+        position: Position, measured or extrapolated [m]. Shape (3,).
+        quat_xyzw: Orientation, measured or extrapolated. Shape (4,).
+        velocity: Slope of the positions of the last 0.1 s by least squares, without gravity: in
+            free flight it lags by 0.05 s [m/s]. Shape (3,).
+        angular_velocity: Slope of the rotations, likewise [rad/s]. Shape (3,).
+        variance: Variance of the position along an axis, which grows while occluded [m^2].
+        validity: OK, or OCCLUDED when extrapolated.
     """
 
     stamp_ns: int
@@ -70,21 +72,21 @@ class TrackedState(NamedTuple):
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """What the tracker has to know about the motion capture.
+    """Settings of the tracker, about the motion capture and the body.
 
     Attributes:
-        rate: Frames a second [Hz].
-        up_axis: Which axis of the motion capture points up, "z" or "y".
+        rate: Frame rate [Hz].
+        up_axis: Vertical axis of the motion capture, "z" or "y".
         world_to_base: Pose of the motion capture's origin, z up, in the arm's base frame:
             x, y, z [m] and quaternion xyzw.
-        latency_offset: By how much the stamps are later than the exposure [s].
-        workspace_low: Smallest believable position in the base frame [m].
-        workspace_high: Largest believable position [m].
-        speed_max: Fastest believable pancake [m/s].
+        latency_offset: Delay of the stamps after the exposure [s].
+        workspace_low: Smallest plausible position in the base frame [m].
+        workspace_high: Largest plausible position in the base frame [m].
+        speed_max: Largest plausible speed of the body [m/s].
         noise: Standard deviation of a position along an axis [m].
 
     Raises:
-        ValueError: Naming the value that is out of its range.
+        ValueError: If a value is out of its range; names it.
     """
 
     rate: float
@@ -105,7 +107,7 @@ class TrackerSettings:
         pose = np.array(self.world_to_base, dtype=float)
         if pose.shape != (7,) or not np.isfinite(pose).all():
             raise ValueError(f"world_to_base {self.world_to_base} must be 7 numbers: xyz, xyzw")
-        if abs(np.linalg.norm(pose[3:]) - 1.0) > UNIT:
+        if abs(np.linalg.norm(pose[3:]) - 1.0) > UNIT_TOLERANCE:
             raise ValueError(
                 f"quaternion of world_to_base {self.world_to_base} must be of length 1"
             )
@@ -117,19 +119,21 @@ class TrackerSettings:
 
 
 class _Frame(NamedTuple):
+    """A pose in the base frame: stamp [ns], position [m] (3,) and orientation (4,)."""
+
     stamp_ns: int
-    position: np.ndarray  # (3,) [m] in the base frame
-    quat_xyzw: np.ndarray  # (4,)
+    position: np.ndarray
+    quat_xyzw: np.ndarray
 
 
 class Tracker:
-    """Raw frames in, the state of the pancake and its path out.
+    """State and path of one rigid body, from the raw frames of a motion capture.
 
     Attributes:
-        validity: Of the newest frame.
-        counts: Frames by what became of them: "accepted", or the fault they were refused for.
-        fault: Of the newest frame, "" when it was accepted.
-        latest_ns: Newest stamp of any frame, less the latency offset; 0 before the first.
+        validity: Validity of the state.
+        counts: Number of frames by outcome: "accepted", or the fault they were refused for.
+        fault: Fault of the newest frame, "" if it was accepted.
+        latest_ns: Newest stamp of any frame, less the latency offset; 0 before the first [ns].
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -138,8 +142,8 @@ class Tracker:
         matrix = rotations.matrix(pose[3:]) @ (Y_UP if settings.up_axis == "y" else np.eye(3))
         self._rotation, self._quat, self._origin = matrix, rotations.quat_xyzw(matrix), pose[:3]
         self._latency = round(settings.latency_offset * 1e9)
-        self._patience = round(2e9 / settings.rate)  # [ns] without a frame
-        self._window = max(WINDOW, self._patience) + INTERVAL_MIN
+        self._patience = round(2e9 / settings.rate)  # time without a frame before an occlusion [ns]
+        self._window = max(VELOCITY_WINDOW, self._patience) + INTERVAL_MIN
         self.counts: Counter[str] = Counter()
         self.fault = ""
         self._restart()
@@ -148,75 +152,83 @@ class Tracker:
         self.validity = Validity.LOST
         self.latest_ns = 0
         self._frames: deque[_Frame] = deque()
-        self._since = 0  # stamp from which on the frames are one movement
+        self._since = 0  # stamp since which the frames are one continuous movement [ns]
         self._state: TrackedState | None = None
-        self._raw, self._raw_since, self._repeats = b"", 0, 0  # last pose, its first stamp
-        self._behind = self._rejects = self._agree = 0
+        self._raw, self._raw_since, self._repeats = b"", 0, 0  # last pose, its first stamp, count
+        self._behind = self._jumps = self._agree = 0
         self._candidate: _Frame | None = None
 
     def add(
         self, stamp_ns: int, position: np.ndarray, quat_xyzw: np.ndarray
     ) -> TrackedState | None:
-        """Take one frame of the motion capture, in its own frame and with its own stamp.
+        """Add one frame, in the coordinates and with the stamp of the motion capture.
 
         Args:
-            stamp_ns: As sent [ns].
-            position: [m]. Shape (3,).
-            quat_xyzw: Unit. Shape (4,).
+            stamp_ns: Stamp of the message [ns].
+            position: Position of the body [m]. Shape (3,).
+            quat_xyzw: Orientation of the body, unit quaternion. Shape (4,).
 
         Returns:
-            The state, or None: the frame was refused (`fault` says why), or it is the first after a
-            gap, with no velocity yet.
+            The state; None if the frame was refused (see `fault`), or if it is the first one after
+            a gap, which has no velocity yet.
 
         Raises:
-            ValueError: An array of another shape.
+            ValueError: If an array has another shape.
         """
         position, quat_xyzw = np.asarray(position, dtype=float), np.asarray(quat_xyzw, dtype=float)
         fault = _pose_fault(position, quat_xyzw) or self._stamp_fault(stamp_ns - self._latency)
         if fault:
-            return self._refuse(fault)
+            self.refuse(fault)
+            return None
         frame = self._in_base(stamp_ns - self._latency, position, quat_xyzw)
         self.latest_ns = frame.stamp_ns
         if self._is_repeated(frame.stamp_ns, position.tobytes() + quat_xyzw.tobytes()):
             held = frame.stamp_ns - self._raw_since
-            frozen = self._repeats >= FROZEN_FRAMES and held >= FROZEN_TIME
-            return self._refuse("pose repeated", Validity.FROZEN if frozen else None)
+            frozen = self._repeats >= FROZEN_COUNT and held >= FROZEN_TIME
+            self.refuse("pose repeated", Validity.FROZEN if frozen else None)
+            return None
         low, high = self._settings.workspace_low, self._settings.workspace_high
-        place = zip(low, frame.position.tolist(), high, strict=True)
-        if not all(least <= x <= most for least, x, most in place):
-            return self._refuse("out of workspace")
-        # Of frames delivered together only the last one is as old as its stamp says.
+        bounds = zip(low, frame.position.tolist(), high, strict=True)
+        if not all(least <= x <= most for least, x, most in bounds):
+            self.refuse("out of workspace")
+            return None
+        # Of frames delivered together only the stamp of the last one is right.
         pair = self._frames and frame.stamp_ns - self._frames[-1].stamp_ns < INTERVAL_MIN
         older = [self._frames.pop()] if pair else []
         if not self._is_reachable(frame):
             self._frames.extend(older)
-            self._rejects += 1
-            lost = self._rejects >= REJECTS
-            return self._refuse("jump", Validity.LOST if lost else Validity.JUMP)
+            self._jumps += 1
+            lost = self._jumps >= JUMP_COUNT
+            self.refuse("jump", Validity.LOST if lost else Validity.JUMP)
+            return None
         if older:
             self.counts["accepted"] -= 1
             self.counts["older of a pair"] += 1
         return self._accept(frame)
 
     def add_markers(self, stamp_ns: int, points: np.ndarray) -> TrackedState | None:
-        """Take one unlabelled cloud (m, 3) [m]; see `add`. The pose is that of the layout."""
+        """Add one unlabelled marker cloud (m, 3) [m], by the pose of the layout; see `add`."""
         try:
             pose = marker_fit.fit(points)
         except ValueError:
             self.latest_ns = max(self.latest_ns, stamp_ns - self._latency)
-            return self._refuse("markers not clear")
+            self.refuse("markers not clear")
+            return None
         return self.add(stamp_ns, pose.position, pose.quat_xyzw)
 
-    def refuse(self, fault: str) -> None:
-        """Count a frame that was refused before it got here."""
-        self._refuse(fault)
+    def refuse(self, fault: str, validity: Validity | None = None) -> None:
+        """Count a refused frame under its fault; `validity` stays as it is if omitted."""
+        self.counts[fault] += 1
+        self.fault = fault
+        if validity is not None:
+            self.validity = validity
 
     def at(self, stamp_ns: int) -> TrackedState | None:
-        """The state at a time [ns] not before the newest frame; keeps `validity` up to date.
+        """State at a time [ns] not before the newest frame; updates `validity`.
 
         Returns:
-            The last state; flown on at constant velocity when no frame has come for two periods;
-            None when the pancake is frozen, jumping or lost.
+            The last state, extrapolated at constant velocity if there was no frame for two periods;
+            None while the body is frozen, jumping or lost.
         """
         state = self._state
         if state is None or self.validity not in (Validity.OK, Validity.OCCLUDED):
@@ -224,7 +236,7 @@ class Tracker:
         age = stamp_ns - state.stamp_ns
         if age <= self._patience:
             return state
-        if age > self._patience + COAST:
+        if age > self._patience + COAST_TIME:
             self.validity = Validity.LOST
             return None
         self.validity = Validity.OCCLUDED
@@ -238,11 +250,11 @@ class Tracker:
             validity=Validity.OCCLUDED,
         )
 
-    def path(self, id: str, t0_ns: int, t1_ns: int) -> BodyPath:
-        """The accepted frames from `t0_ns` to `t1_ns`, both included, with times since `t0_ns`."""
+    def path(self, rollout_id: str, t0_ns: int, t1_ns: int) -> BodyPath:
+        """Path of the accepted frames from `t0_ns` to `t1_ns`, inclusive; t is since `t0_ns`."""
         frames = [frame for frame in self._frames if t0_ns <= frame.stamp_ns <= t1_ns]
         return BodyPath(
-            id=id,
+            id=rollout_id,
             t=np.array([(frame.stamp_ns - t0_ns) * 1e-9 for frame in frames]),
             position=np.array([frame.position for frame in frames]).reshape(-1, 3),
             quat_xyzw=np.array([frame.quat_xyzw for frame in frames]).reshape(-1, 4),
@@ -252,17 +264,11 @@ class Tracker:
         quat = rotations.normalised(rotations.multiply(self._quat, quat_xyzw))
         return _Frame(stamp_ns, self._rotation @ position + self._origin, quat)
 
-    def _refuse(self, fault: str, validity: Validity | None = None) -> None:
-        self.counts[fault] += 1
-        self.fault = fault
-        if validity is not None:
-            self.validity = validity
-
     def _stamp_fault(self, stamp_ns: int) -> str:
-        """Why a stamp is not the next one, or ""; starts again when the clock was set back."""
+        """Fault of a stamp, or ""; restarts the track when the clock was set back."""
         if stamp_ns < self.latest_ns:
             self._behind += 1
-            if self._behind < SET_BACK:
+            if self._behind < SET_BACK_COUNT:
                 return "stamp goes back"
             self.counts["clock set back"] += 1
             self._restart()
@@ -271,7 +277,7 @@ class Tracker:
         return "stamp repeated" if stamp_ns == self.latest_ns else ""
 
     def _is_repeated(self, stamp_ns: int, raw: bytes) -> bool:
-        """Whether a pose is the last one, bit for bit, which no measurement with noise ever is."""
+        """Whether a pose is the last one bit for bit, which no measurement with noise is."""
         if raw == self._raw:
             self._repeats += 1
             return True
@@ -279,28 +285,29 @@ class Tracker:
         return False
 
     def _is_reachable(self, frame: _Frame) -> bool:
-        """Whether the pancake could have flown here, or has been around here for some frames."""
+        """Whether the body could have moved here, or was near here for several frames."""
         if not self._frames:
             return True
-        patience = self._patience if self._rejects else HISTORY  # doubt does not fade with time
+        patience = self._patience if self._jumps else HISTORY  # after a jump the gate stops growing
         if self._gate(self._frames[-1], frame, patience):
             return True
         agrees = self._candidate is not None and self._gate(self._candidate, frame, HISTORY)
         self._agree = self._agree + 1 if agrees else 1
         self._candidate = frame
-        if self._agree < REACQUIRE:
+        if self._agree < REACQUIRE_COUNT:
             return False
         self.counts["found again"] += 1
         self._since = frame.stamp_ns
         return True
 
     def _gate(self, last: _Frame, frame: _Frame, patience: int) -> bool:
+        """Whether the body can have moved from one frame to another; time counts up to patience."""
         dt = min(frame.stamp_ns - last.stamp_ns, patience) * 1e-9
         step = math.dist(frame.position, last.position)
         return step <= self._settings.speed_max * dt + 5.0 * self._settings.noise
 
     def _accept(self, frame: _Frame) -> TrackedState | None:
-        self._rejects = self._agree = 0
+        self._jumps = self._agree = 0
         self._candidate = None
         self._frames.append(frame)
         while frame.stamp_ns - self._frames[0].stamp_ns > HISTORY:
@@ -320,12 +327,14 @@ class Tracker:
             return None
         t = np.array([(frame.stamp_ns - last.stamp_ns) * 1e-9 for frame in recent])  # (n,)
         t -= t.mean()
-        slope = t / t.dot(t)  # (n,) of the line least squares fits
+        slope = t / t.dot(t)  # (n,) slope of a least-squares line
         inverse = last.quat_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
-        turns = [
-            rotations.rotation_vector(rotations.multiply(frame.quat_xyzw, inverse))
-            for frame in recent
-        ]  # (n, 3)
+        turns = np.array(  # (n, 3)
+            [
+                rotations.rotation_vector(rotations.multiply(frame.quat_xyzw, inverse))
+                for frame in recent
+            ]
+        )
         return TrackedState(
             last.stamp_ns,
             last.position,
@@ -338,7 +347,7 @@ class Tracker:
 
 
 def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> str:
-    """Why a pose cannot be one, or ""."""
+    """Fault of a pose, or ""."""
     if position.shape != (3,) or quat_xyzw.shape != (4,):
         raise ValueError(f"pose of shapes {position.shape}, {quat_xyzw.shape}, not (3,), (4,)")
     place, turn = position.tolist(), quat_xyzw.tolist()
@@ -346,23 +355,23 @@ def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> str:
         return "not finite"
     if not any(place):
         return "zero pose"
-    if abs(math.hypot(*turn) - 1.0) > UNIT:
+    if abs(math.hypot(*turn) - 1.0) > UNIT_TOLERANCE:
         return "quaternion not of unit length"
     return ""
 
 
 class ClockOffset:
-    """How late frames come after their stamps: their latency, and how far two clocks are apart.
+    """Delay of frames after their stamps: their latency, and the offset between two clocks.
 
-    Over the frames of the last 5 s, however many a second: a tracker that has to wait for its turn
-    finds seconds of frames that are all late, and must not take that for the clocks.
+    Estimated over the frames of the last 5 s at any rate: a tracker that was not scheduled finds
+    seconds of frames that are all late, which must not count as an offset of the clocks.
     """
 
     def __init__(self) -> None:
-        self._frames: deque[tuple[int, int]] = deque()  # receipt, age
+        self._frames: deque[tuple[int, int]] = deque()  # receipt, age [ns]
 
     def add(self, stamp_ns: int, received_ns: int) -> None:
-        """Take a frame with its stamp and, by this machine's clock, its receipt [ns]."""
+        """Add a frame with its stamp and its time of receipt by this machine's clock [ns]."""
         frames = self._frames
         frames.append((received_ns, received_ns - stamp_ns))
         while not 0 <= received_ns - frames[0][0] <= OFFSET_WINDOW:
@@ -370,28 +379,27 @@ class ClockOffset:
 
     @property
     def seconds(self) -> float:
-        """The age nearest to 0 [s]: what is left of it is not jitter."""
+        """Age nearest to 0 on receipt, which jitter does not change [s]."""
         return min((age for _, age in self._frames), key=abs, default=0) * 1e-9
 
 
-def falling(path: BodyPath, span: float = 0.2) -> np.ndarray | None:
-    """Acceleration of the pancake where its path is clearly a free fall.
+def falling(path: BodyPath) -> np.ndarray | None:
+    """Acceleration of a body where its path is clearly a free fall.
 
     It must be along -z: if not, `up_axis` or `world_to_base` is wrong.
 
     Args:
-        path: Of a rollout.
-        span: Length of a parabola fitted through the frames [s].
+        path: Path of a rollout.
 
     Returns:
-        Mean over all parabolas with an acceleration within 1 m/s^2 of gravity and frames within
-        2 mm rms of it [m/s^2], shape (3,); None when there are fewer than two.
+        Mean over all fitted parabolas with an acceleration within 1 m/s^2 of gravity and an rms
+        residual below 2 mm [m/s^2], shape (3,); None if there are fewer than two.
     """
     found = []
     for start in path.t:
-        inside = (path.t >= start) & (path.t <= start + span + 1e-6)
+        inside = (path.t >= start) & (path.t <= start + FALL_SPAN + 1e-6)
         t = path.t[inside] - start
-        if len(t) < 5 or t[-1] < 0.8 * span or np.diff(t).max() > 0.5 * span:
+        if len(t) < 5 or t[-1] < 0.8 * FALL_SPAN or np.diff(t).max() > 0.5 * FALL_SPAN:
             continue
         terms = np.stack([np.ones_like(t), t, 0.5 * t**2], axis=1)  # (m, 3)
         solution, *_ = np.linalg.lstsq(terms, path.position[inside], rcond=None)
