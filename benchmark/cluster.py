@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The quick reproduction here and on a Dask cluster of two worker processes: the same files?
+"""Compare the quick reproduction on this machine with one on a Dask cluster, file by file.
 
     python -m benchmark.cluster --only reaching
 
@@ -19,25 +19,26 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-DEADLINE = 600.0  # [s] for the scheduler to be there
+from benchmark.nodes import ROOT
+
+START_TIMEOUT = 600.0  # [s]
 WORKERS = 2
 
 
 @contextmanager
 def local_cluster(folder: Path, path: str = str(ROOT)) -> Iterator[str]:
-    """Address of a Dask scheduler with `WORKERS` workers, each a process; ended on leaving.
+    """Start a Dask scheduler with `WORKERS` workers, each a process; yields its address.
 
     Args:
-        folder: where they work and log.
-        path: their PYTHONPATH.
+        folder: Working directory and place of the log.
+        path: PYTHONPATH of the processes.
 
     Raises:
-        TimeoutError: no scheduler within `DEADLINE`; with what it said.
+        TimeoutError: When no scheduler is there within `START_TIMEOUT`; holds its output.
     """
     environment = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
-    told = folder / "dask.log"
-    with ExitStack() as stack, told.open("wb") as log:
+    output = folder / "dask.log"
+    with ExitStack() as stack, output.open("wb") as log:
 
         def start(*command: str) -> None:
             process = subprocess.Popen(
@@ -51,10 +52,10 @@ def local_cluster(folder: Path, path: str = str(ROOT)) -> Iterator[str]:
             stack.callback(process.kill)
 
         start("scheduler", "--host", "127.0.0.1", "--port", "0")
-        end = time.monotonic() + DEADLINE
-        while not (found := re.search(r"tcp://127\.0\.0\.1:\d+", told.read_text())):
+        end = time.monotonic() + START_TIMEOUT
+        while not (found := re.search(r"tcp://127\.0\.0\.1:\d+", output.read_text())):
             if time.monotonic() > end:
-                raise TimeoutError(told.read_text())
+                raise TimeoutError(output.read_text())
             time.sleep(0.05)
         alone = ("--nthreads", "1", "--no-nanny", "--local-directory", ".")
         for _ in range(WORKERS):
@@ -63,9 +64,9 @@ def local_cluster(folder: Path, path: str = str(ROOT)) -> Iterator[str]:
 
 
 def main() -> int:
-    """Run both, compare, tell."""
+    """Run both, compare them and print the result."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", metavar="STUDY", help="of these studies alone")
+    parser.add_argument("--only", nargs="+", metavar="STUDY", help="only these studies")
     only = parser.parse_args().only
     arguments = ["--quick", *(["--only", *only] if only else [])]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One seed, three times: over DDS, over DDS on a busy machine, and in one process.
+"""One seed, three sessions: over DDS, over DDS on a busy machine, and in one process.
 
     python -m benchmark.determinism [--seed 41] [--trials 8] [--demonstrations 4]
 
 Each teaches its own demonstrations, fits, practises and re-tests. Compared are the fitted policies
-and every field of `rollouts.jsonl` but `clock`, all that tells of the wall clock. (A rollout's bag
-is named after its trial; the bench records none, so the name is left out there.)
+and every field of `rollouts.jsonl` except `clock`, which holds the wall-clock times. (A rollout's
+bag is named after its trial; the session in one process records none, so `bag` is left out there.)
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from benchmark.sessions import candidates, differences, learn, records, verdict
 
 @contextmanager
 def busy(processes: int) -> Iterator[None]:
-    """Keep as many cores busy meanwhile."""
+    """Run this number of busy processes meanwhile."""
     command = [sys.executable, "-c", "while True: pass"]
     started = [subprocess.Popen(command) for _ in range(processes)]
     try:
@@ -37,7 +37,9 @@ def busy(processes: int) -> Iterator[None]:
             process.wait()
 
 
-def on_the_bench(seed: int, trials: int, demonstrations: int) -> tuple[list[object], list[object]]:
+def in_one_process(
+    seed: int, trials: int, demonstrations: int
+) -> tuple[list[object], list[object]]:
     """Fitted policies and records of the session in one process."""
     from hardware_sim.settings import WorldSettings
     from hardware_sim.world import World
@@ -46,11 +48,11 @@ def on_the_bench(seed: int, trials: int, demonstrations: int) -> tuple[list[obje
     from wam_power_ros.learning.policy import to_json
     from wam_power_ros.practice.settings import preset
 
-    bench = Environment(World(WorldSettings(), seed))
-    policies = teach(bench, seed, demonstrations)
+    environment = Environment(World(WorldSettings(), seed))
+    policies = teach(environment, seed, demonstrations)
     kept: list[object] = []
     practise(
-        bench,
+        environment,
         policies,
         preset("flip", budget=trials),
         seed,
@@ -62,7 +64,7 @@ def on_the_bench(seed: int, trials: int, demonstrations: int) -> tuple[list[obje
 
 
 def main() -> int:
-    """Run the three, print what differs; status 1 if anything does."""
+    """Run the three sessions and print the differences; status 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=41)
     parser.add_argument("--trials", type=int, default=8)
@@ -80,13 +82,13 @@ def main() -> int:
         with busy(cores):
             longer = learn(loaded, *arguments)
         begun = time.monotonic()
-        fitted, practised = on_the_bench(options.seed, options.trials, options.demonstrations)
-        bench = time.monotonic() - begun
+        fitted, practised = in_one_process(options.seed, options.trials, options.demonstrations)
+        alone = time.monotonic() - begun
         count = len(records(quiet))
         say = sys.stdout.write
         say(
             f"seed {options.seed}, {count} rollouts: {took:.0f} s over DDS, {longer:.0f} s beside "
-            f"{cores} busy processes, {bench:.0f} s in one process\n"
+            f"{cores} busy processes, {alone:.0f} s in one process\n"
         )
         found = []
         for what, pair in {

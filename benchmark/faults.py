@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults, again and again: what docs/safety.md promises beside the worst that was seen.
+"""Fault injection: the requirements of docs/safety.md beside the worst that was seen.
 
     python -m benchmark.faults [--rows stale kill ...] [--repeats 5] [--json FILE]
 
@@ -29,7 +29,8 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from benchmark.fuzz import bombard, spoilt, states
-from benchmark.lab import ARM, HOME, NAMES, ROOT, WATCHER, Lab, core
+from benchmark.lab import ARM, HOME, WATCHER, Lab, core
+from benchmark.nodes import JOINTS, ROOT
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, scheduling
@@ -38,7 +39,7 @@ from wam_power_ros.rotations import quat_xyzw
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table."""
+    """One row of the table, see docs/safety.md."""
 
     requirement: str
     promise: str
@@ -48,7 +49,7 @@ class Row:
 
 
 def stale(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """States stay away at any moment of the period."""
+    """States stop at a random moment of the period."""
     lab.controller()
     first, latched = [], 0
     for _ in range(repeats):
@@ -83,7 +84,7 @@ def settled(lab: Lab, begun: int, seconds: float) -> tuple[float, float]:
 
 
 def falling(lab: Lab) -> None:
-    """The stand-in's arm, held by a controller."""
+    """Start the stand-in as the arm."""
     lab.arm = core().controller(share("urdf/wam7.urdf").read_text()).arm
     lab.stand_in()
     lab.wait(lambda: bool(lab.readings), "the stand-in")
@@ -143,12 +144,12 @@ def stopped(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def intruder(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """A second publisher on the command topic."""
+    """A second publisher appears on the command topic."""
     lab.controller()
     taken = []
     for _ in range(repeats):
         lab.played()
-        lab.play(rng.uniform(1.0, 1.2))  # the last one is forgotten
+        lab.play(rng.uniform(1.0, 1.2))  # until the previous one is forgotten
         begun = time.monotonic()
         other = lab.node.create_publisher(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
@@ -219,7 +220,7 @@ def restart(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def fuzz_policy() -> Policy:
-    """A policy for the fuzz to spoil: the pan is kept where it is."""
+    """Policy that keeps the pan in place, to be corrupted."""
     arm = core().controller(share("urdf/wam7.urdf").read_text()).arm
     position, rotation = arm.tool_pose(HOME)
     return Policy(
@@ -237,7 +238,7 @@ def fuzz_policy() -> Policy:
 
 
 def fuzz(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """Messages through conversion and controller, in this process."""
+    """Fuzzed messages to conversion and controller, in this process."""
     controller = core().controller(share("urdf/wam7.urdf").read_text())
     found = bombard(controller, fuzz_policy(), repeats, int(rng.integers(2**32)))
     wrong = sum(found[kind] for kind in ("not finite", "over", "jumps"))
@@ -252,14 +253,14 @@ def fuzz(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def fuzz_over_dds(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """The same messages over DDS to the node."""
+    """The same messages to the node over DDS."""
     from std_msgs.msg import String
 
     running = lab.controller()
     lab.played()
     policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
     limit = core().controller(share("urdf/wam7.urdf").read_text()).limits.torque
-    policy, source, count, wrong = fuzz_policy(), states(NAMES, HOME, rng), 0, 0
+    policy, source, count, wrong = fuzz_policy(), states(JOINTS, HOME, rng), 0, 0
     reset = lab.node.create_client(Trigger, interface.RESET)
     for number in range(repeats):
         lab._states.publish(next(source))
@@ -281,14 +282,14 @@ def fuzz_over_dds(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def starved(fifo: bool) -> Callable[[Lab, int, np.random.Generator], Row]:
-    """Four busy processes beside the loop, for some seconds."""
+    """Four busy processes beside the control loop, for some seconds."""
 
     def row(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         from benchmark.latency import measure
 
         figures = measure(float(repeats), fifo, 4)
         missed = 100.0 - figures["controller"]["met"]
-        how = "SCHED_FIFO" if fifo else "plain scheduling (nothing promised)"
+        how = "SCHED_FIFO" if fifo else "plain scheduling (no requirement)"
         return Row(
             "S-50",
             f"four busy processes, {how}: at most 0.1 % of the periods missed",
@@ -340,11 +341,11 @@ def learner(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         kills += int(killed[1]) if killed else 0
         ran = killed is not None and int(killed[1]) > 0
         if done.returncode:
-            last = (done.stdout.strip() or done.stderr.strip() or "no word").splitlines()[-1]
+            last = (done.stdout.strip() or done.stderr.strip() or "no output").splitlines()[-1]
             differing.append(f"seed {seed}: {last}")
     return Row(
         "S-61",
-        "learner killed (-9): no acknowledged rollout lost, the same records in the end",
+        "learner killed (-9): no acknowledged rollout lost, the same records at the end",
         "; ".join(differing) or f"none lost, all the same in {kills} kills",
         kills,
         not differing and kills >= repeats,
@@ -356,11 +357,13 @@ def recorder(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     command = [sys.executable, "-m", "benchmark.recover", "--cuts", "0", "--kills", str(repeats)]
     command += ["--seed", str(rng.integers(21, 100))]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
-    told = [line for line in done.stdout.splitlines() if line.startswith(("killed", "disk", "WR"))]
+    reported = [
+        line for line in done.stdout.splitlines() if line.startswith(("killed", "disk", "WR"))
+    ]
     return Row(
         "S-65",
-        "recorder killed (-9), or its disk full: a second lost at most, all before it recovered",
-        "; ".join(told) or "nothing was printed",
+        "recorder killed (-9), or its disk full: one second lost at most, the rest recovered",
+        "; ".join(reported) or "nothing was printed",
         repeats,
         done.returncode == 0,
     )
@@ -377,13 +380,13 @@ def disk(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     return Row(
         "S-66",
         "full disk: the recording ends, the arm goes on",
-        f"{passed} of {repeats} as promised",
+        f"{passed} of {repeats} as required",
         repeats,
         passed == repeats,
     )
 
 
-ROWS = {  # name -> what it does, and how often
+ROWS = {  # name -> function and number of repeats
     "stale": (stale, 200),
     "kill": (kill, 50),
     "stop": (stopped, 20),
@@ -401,12 +404,12 @@ ROWS = {  # name -> what it does, and how often
 }
 
 
-PLAYED = (stale, intruder, clock, fuzz_over_dds)  # we are the arm
+PLAYED = (stale, intruder, clock, fuzz_over_dds)  # this process plays the arm
 WATCHED = (kill, stopped, restart, network)  # the stand-in is the arm
 
 
 def alone(function: Callable, scratch: Path, repeats: int, rng: np.random.Generator) -> Row | None:
-    """A row in a process of its own, for priorities are for keeps; None when it fails."""
+    """Run a row in its own process, as priorities are not revocable; None when it fails."""
     kept = scratch / "row.json"
     child = os.fork()
     if child == 0:
@@ -426,7 +429,7 @@ def alone(function: Callable, scratch: Path, repeats: int, rng: np.random.Genera
 
 
 def isolated(name: str, repeats: int, scratch: Path) -> Row | None:
-    """A row in a network namespace, where the network may be cut; None when it fails."""
+    """Run a row in a network namespace, where the network can be cut; None when it fails."""
     report = scratch / "isolated.json"
     inside = [sys.executable, "-m", "benchmark.faults", "--inside", "--rows", name]
     inside += ["--repeats", str(repeats), "--json", str(report)]
@@ -434,7 +437,7 @@ def isolated(name: str, repeats: int, scratch: Path) -> Row | None:
         "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && "
         f"exec {' '.join(inside)}"
     )
-    environment = os.environ | {  # no shared memory, which no cut of a network would stop
+    environment = os.environ | {  # no shared memory: cutting the network would not stop it
         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
     }
@@ -445,8 +448,8 @@ def isolated(name: str, repeats: int, scratch: Path) -> Row | None:
 
 
 def table(rows: list[Row]) -> str:
-    """The rows as a table of docs/safety.md."""
-    lines = ["| id | promise | worst seen | repeats | |", "|---|---|---|---|---|"]
+    """Rows as a table in Markdown."""
+    lines = ["| id | requirement | worst seen | repeats | |", "|---|---|---|---|---|"]
     for row in rows:
         verdict = "pass" if row.passed else "**FAIL**"
         lines.append(
@@ -456,12 +459,12 @@ def table(rows: list[Row]) -> str:
 
 
 def main() -> int:
-    """Run the rows; status 1 when one fails."""
+    """Run the rows; returns 1 when one fails."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
-    parser.add_argument("--repeats", type=int, help="of every row, instead of its own")
+    parser.add_argument("--repeats", type=int, help="number for every row instead of its own")
     parser.add_argument("--seed", type=int, default=21)
-    parser.add_argument("--json", type=Path, help="write the figures there too")
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     rows: list[Row] = []

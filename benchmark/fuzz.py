@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as a broken driver, a broken learner or an enemy might send them, from a seed.
+"""Random messages as a broken driver, a broken learner or an attacker might send them.
 
-Most joint states are those of an arm that drifts about, so that the controller is at work; into
-them come wrong stamps, values, lengths and names, bytes spoilt or cut off, policies with a value
-spoilt, and calls.
+Most joint states are those of a slowly drifting arm, so that the controller is active. Mixed into
+them are wrong stamps, values, lengths and names, corrupted or truncated bytes, corrupted policies,
+and service calls.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ CALLS = (
 
 
 def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iterator[JointState]:
-    """Joint states without end; about one in eight is not as it should be."""
+    """Endless joint states, about one in eight of them invalid."""
     n, stamp_ns = len(names), 10**12
     q, qd = home.copy(), np.zeros(n)
     while True:
-        qd = 0.98 * qd + 0.002 * rng.standard_normal(n)  # at rest, mostly: so that it may go on
+        qd = 0.98 * qd + 0.002 * rng.standard_normal(n)  # mostly at rest, so that a reset succeeds
         q = home + 0.999 * (q - home) + 0.002 * qd
         stamp_ns += PERIOD_NS
         values = [q.tolist(), qd.tolist(), [0.0] * n]
@@ -73,7 +73,7 @@ def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iter
 
 
 def garbled(data: bytes, rng: np.random.Generator) -> bytes:
-    """The bytes of a message; of one in 64 some are spoilt or missing."""
+    """Bytes of a message; in one of 64 some are corrupted or missing."""
     if rng.random() > 1.0 / 64.0:
         return data
     spoilt, at = bytearray(data), int(rng.integers(len(data)))
@@ -84,7 +84,7 @@ def garbled(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def spoilt(policy: Policy, rng: np.random.Generator) -> str:
-    """The text of a policy, most often with something wrong in it."""
+    """Text of a policy, usually corrupted."""
     text = policies.to_json(policy)
     kind, at = int(rng.integers(5)), int(rng.integers(len(text)))
     if kind == 0:
@@ -99,11 +99,11 @@ def spoilt(policy: Policy, rng: np.random.Generator) -> str:
 
 
 def bombard(controller: Controller, policy: Policy, messages: int, seed: int) -> dict[str, float]:
-    """Put messages through reading, controller and writing, as the node does, in one process.
+    """Pass messages through reader, controller and writer, as the node does, in one process.
 
     Returns:
-        How many torques came out, and of these not finite, over a limit, or with a change over the
-        limit of two periods; the largest share of a limit that was reached.
+        Number of torques, and of those not finite, over a limit, or changing by more than the
+        limit of two periods; largest share of a limit that was reached.
     """
     rng, arm = np.random.default_rng(seed), controller.arm
     names = list(arm.joint_names)
@@ -119,10 +119,10 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
         if chance < 0.01:
             try:
                 torque = CALLS[int(rng.integers(len(CALLS)))](controller)
-                before = before if torque is None else torque  # sent, where no state had come
+                before = before if torque is None else torque  # sent although no state had arrived
             except ControllerError:
                 found["refused"] += 1
-        elif chance < 0.06:  # a person is patient
+        elif chance < 0.06:  # a person resets faults
             try:
                 controller.reset()
             except ControllerError:
@@ -137,7 +137,7 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
         except ValueError:
             found["refused"] += 1
             continue
-        if reading is None:  # no name of ours is left
+        if reading is None:  # none of the joint names is left
             continue
         active = controller.mode.value != "inactive"
         sent = write(reading[0], controller.label, controller.step(*reading))

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learner is killed (-9) again and again; its session ends as if nothing had happened.
+"""Kill the learner (-9) repeatedly: its session must end with the records of an undisturbed one.
 
     python -m benchmark.kill [--seed 42] [--kills 10] [--trials 8] [--demonstrations 4]
 
 An undisturbed session comes first. Then another learns from the same bags, on nodes that keep
 running: its learner is killed at random moments (of the seed), up to five seconds after its start
 or after its first rollout, and started again with the same folder. No line of `rollouts.jsonl`
-that was there before a kill may change, and in the end all must be equal but `clock` and `bag`: a
-recording that a kill cut short keeps its name, so the rollout run again is in rollout_<id>_2.
+that was there before a kill may change, and in the end all fields must be equal except `clock` and
+`bag`: a recording that a kill cut short keeps its name, so the repeated rollout is in
+rollout_<id>_2.
 """
 
 from __future__ import annotations
@@ -21,35 +22,25 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.sessions import ENVIRONMENT, ROOT, differences, learn, lines, records, verdict
+from benchmark.nodes import environment, node_command
+from benchmark.sessions import differences, learn, lines, records, verdict
 from wam_power_ros.bags.reader import UNFINISHED
 from wam_power_ros.cli.processes import Processes, private_domain
 
-PATIENCE = 120.0  # for a rollout [s]
-
-
-def node(name: str, *configs: str, **parameters: object) -> list[str]:
-    """Command that runs a node with its own parameters and more."""
-    command = [sys.executable, "-m", "wam_power_ros.cli", "run", name, "--ros-args"]
-    for config in (name, *configs):
-        command += ["--params-file", f"{ROOT}/config/{config}.yaml"]
-    for key, value in parameters.items():
-        text = value if isinstance(value, str) else json.dumps(value)
-        command += ["-p", f"{name}:{key}:={text}"]
-    return command
+ROLLOUT_TIMEOUT = 120.0  # [s]
 
 
 def learn_killed(
     folder: Path, bags: list[str], seed: int, trials: int, kills: int
 ) -> tuple[list[str], list[str]]:
-    """A session whose learner is killed, so often or until it is over.
+    """Run a session whose learner is killed `kills` times, or until the session is over.
 
     Returns:
-        What was lost, and a line about every kill.
+        Lines that were lost, and one line about every kill.
     """
     rng = np.random.default_rng(seed)
     lost, report, kept = [], [], []
-    command = node(
+    command = node_command(
         "learner",
         use_sim_time=True,
         session=str(folder),
@@ -58,24 +49,24 @@ def learn_killed(
         demonstrations=bags,
     )
     with private_domain() as domain:
-        environment = ENVIRONMENT | {"ROS_DOMAIN_ID": str(domain)}
-        others = Processes(folder / "logs", environment)
-        learners = Processes(folder / "logs", environment)
+        others = Processes(folder / "logs", environment(domain))
+        learners = Processes(folder / "logs", environment(domain))
         with others, learners:
-            others.start("wam_sim", node("wam_sim", "optitrack_sim", seed=seed))
+            others.start("wam_sim", node_command("wam_sim", "optitrack_sim", seed=seed))
             for name in ("torque_controller", "pancake_tracker"):
-                others.start(name, node(name, use_sim_time=True))
+                others.start(name, node_command(name, use_sim_time=True))
             directory = str(folder / "bags")
-            recorder = node("demonstration_recorder", use_sim_time=True, directory=directory)
-            others.start("demonstration_recorder", recorder)
+            recorder = "demonstration_recorder"
+            given = {"use_sim_time": True, "directory": directory}
+            others.start(recorder, node_command(recorder, **given))
             for kill in range(1, kills + 1):
                 rollouts, life = int(rng.integers(2)), float(rng.uniform(0.2, 5.0))
                 learner = learners.start("learner", command)
-                end = time.monotonic() + PATIENCE
+                end = time.monotonic() + ROLLOUT_TIMEOUT
                 while len(lines(folder)) < len(kept) + rollouts and time.monotonic() < end:
                     time.sleep(0.01)
                 time.sleep(life)
-                if learner.process.poll() == 0:  # it has finished: nothing is left to kill
+                if learner.process.poll() == 0:  # finished before it was killed
                     report.append(f"  the session was over after {kill - 1} kills")
                     break
                 if learner.process.poll() is not None or time.monotonic() > end:
@@ -91,9 +82,9 @@ def learn_killed(
                 kept = lines(folder)
                 report.append(
                     f"  {kill:2d}: {life:3.1f} s after its {('start', 'first rollout')[rollouts]}, "
-                    f"{len(kept)} on record{', recording' * recording}"
+                    f"{len(kept)} records{', recording' * recording}"
                 )
-            last = Processes(folder / "logs", environment)
+            last = Processes(folder / "logs", environment(domain))
             with last:
                 last.finish(last.start("learner", command))
             others.check()
@@ -103,7 +94,7 @@ def learn_killed(
 
 
 def main() -> int:
-    """Run both sessions, print what differs; status 1 if anything does."""
+    """Run both sessions and print the differences; status 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=42)
     parser.add_argument("--kills", type=int, default=10)
@@ -132,9 +123,9 @@ def main() -> int:
                 found.append(f"{record['id']}: no bag {record['bag']!r}")
         bags_left = sorted(path.name for path in (killed / "bags").iterdir())
         say(f"seed {seed}, {len(lines(undisturbed))} rollouts: {took:.0f} s undisturbed, ")
-        kills = sum("on record" in line for line in report)
+        kills = sum(" records" in line for line in report)
         say(f"{longer:.0f} s with {kills} kills\n" + "\n".join(report) + "\n")
-        say(f"bags: {len(bags_left)}, of rollouts cut short as well\n")
+        say(f"bags: {len(bags_left)}, including rollouts that a kill cut short\n")
         say(verdict("rollouts, undisturbed and killed", found) + "\n")
     return int(bool(found))
 

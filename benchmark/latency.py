@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State to torque in real time: the controller beside a bare echo of the same messages.
+"""Latency from state to torque in real time: the controller beside a bare echo node.
 
     python -m benchmark.latency [--seconds 60] [--load 0] [--stages]
 
@@ -27,24 +27,23 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from benchmark.nodes import JOINTS, environment, ros_arguments
 from benchmark.stages import table as table_of_stages
 from wam_power_ros.cli.processes import Processes, Running, private_domain
 from wam_power_ros.ros import interface, scheduling
 
-NAMES = [f"wam_j{i}" for i in range(1, 8)]
 ECHO = "/echo/commands"
 PERIOD_NS = 2_000_000
 PRIORITY = {"stand-in": 70, "controller": 60, "echo": 60}
-ROOT = Path(__file__).resolve().parents[1]
 
 
 class Echo(Node):
-    """The least a node can do at 500 Hz: message in, message out."""
+    """The least a node can do at 500 Hz: receive a message, send a message."""
 
     def __init__(self, priority: int) -> None:
         super().__init__("echo")
-        self._write = interface.TorqueWriter(NAMES, "multiarray")
-        self._zero = np.zeros(len(NAMES))
+        self._write = interface.TorqueWriter(JOINTS, "multiarray")
+        self._zero = np.zeros(len(JOINTS))
         self._out = self.create_publisher(Float64MultiArray, ECHO, interface.COMMAND)
         self.create_subscription(
             JointState, interface.JOINT_STATES, self._on_state, interface.STATE_IN
@@ -57,7 +56,7 @@ class Echo(Node):
 
 
 def stand_in(report: Path) -> int:
-    """Run the stand-ins, timing each state's answers; the figures go to `report` at the end."""
+    """Run the stand-ins and time the answers to each state; writes the times to `report`."""
     from hardware_sim.main import StandIns
     from hardware_sim.wam_node import WamSim
 
@@ -75,7 +74,7 @@ def stand_in(report: Path) -> int:
         on_answer(interface.EFFORT_COMMANDS, message)
         take(wam, message)
 
-    WamSim._on_torque = taken  # a reader more would make the controller's topic the dearer one
+    WamSim._on_torque = taken  # a second subscription would slow down the controller's topic
 
     def make() -> StandIns:
         bench = StandIns()
@@ -103,29 +102,25 @@ def stand_in(report: Path) -> int:
 def measure(
     seconds: float, fifo: bool, load: int, say: Callable[[str], object] | None = None
 ) -> dict[str, dict[str, float]]:
-    """One run; figures of the controller and of the echo, and CPU of each process [%].
+    """Latency figures of controller and echo in one run, and CPU of each process [%].
 
-    With `say`, the controller times its stages, which costs it a little, and they are told.
+    With `say`, the controller also times its stages, at a small cost, and they are printed.
     """
     module = [sys.executable, "-m"]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
         report = Path(folder) / "times.npy"
-        environment = {
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-        }
         priority = {name: value if fifo else 0 for name, value in PRIORITY.items()}
-        configs = []
-        for name in ("wam_sim", "optitrack_sim"):
-            configs += ["--params-file", f"{ROOT}/config/{name}.yaml"]
-        with Processes(Path(folder), environment) as processes:
+        with Processes(Path(folder), environment(domain)) as processes:
             arm = processes.start(
                 "stand-in",
                 [
-                    *(*module, "benchmark.latency", "--role", str(report), "--ros-args", *configs),
-                    *("-p", "wam_sim:pace:=real_time"),
-                    *("-p", f"wam_sim:realtime_priority:={priority['stand-in']}"),
+                    *(*module, "benchmark.latency", "--role", str(report)),
+                    *ros_arguments(
+                        "wam_sim",
+                        "optitrack_sim",
+                        pace="real_time",
+                        realtime_priority=priority["stand-in"],
+                    ),
                 ],
             )
             controller = processes.start(
@@ -137,9 +132,7 @@ def measure(
                         if say
                         else ["wam_power_ros.nodes.torque_controller"]
                     ),
-                    "--ros-args",
-                    *("--params-file", f"{ROOT}/config/torque_controller.yaml"),
-                    *("-p", f"realtime_priority:={priority['controller']}"),
+                    *ros_arguments("torque_controller", realtime_priority=priority["controller"]),
                 ],
             )
             echo = processes.start(
@@ -147,7 +140,7 @@ def measure(
             )
             for i in range(load):
                 processes.start(f"load {i}", [sys.executable, "-c", "while True: pass"])
-            time.sleep(10.0)  # discovery, and imports
+            time.sleep(10.0)  # for imports and discovery
             begun_ns, before = time.monotonic_ns(), _cpu([arm, controller, echo])
             time.sleep(seconds)
             ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
@@ -167,7 +160,7 @@ def measure(
 
 
 def _figures(rows: np.ndarray, column: int) -> dict[str, float]:
-    """Share of periods met [%], quantiles of the latency [us]; a lost answer counts as missed."""
+    """Periods met [%] and quantiles of the latency [us]; a lost answer counts as missed."""
     answered = rows[rows[:, column] > 0]
     latency = (answered[:, column] - answered[:, 0]) * 1e-3
     met = 100.0 * np.count_nonzero(latency <= PERIOD_NS * 1e-3) / max(len(rows), 1)
@@ -192,7 +185,7 @@ def may_schedule() -> bool:
 
 
 def table(title: str, figures: dict[str, dict[str, float]]) -> str:
-    """The figures of one run, readable."""
+    """Figures of one run as text."""
     controller, echo, arm = figures["controller"], figures["echo"], figures["stand-in"]
     lines = [
         f"{title} (stand-in: {arm['rate']:.1f} states/s, {arm['cpu']:.0f} % CPU)",
@@ -213,10 +206,12 @@ def table(title: str, figures: dict[str, dict[str, float]]) -> str:
 def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n")) -> int:
     """Measure with and without SCHED_FIFO."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each run")
-    parser.add_argument("--load", type=int, default=0, help="busy processes beside")
-    parser.add_argument("--stages", action="store_true", help="tell where the time goes, too")
-    parser.add_argument("--json", type=Path, help="write the figures there too")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration of each run [s]")
+    parser.add_argument("--load", type=int, default=0, help="number of busy processes")
+    parser.add_argument(
+        "--stages", action="store_true", help="also time the stages of the controller"
+    )
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options, _ = parser.parse_known_args()
     if options.role:

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags that were cut anywhere, and recorders that were killed: how much `wam-power recover` saves.
+"""Recovery of bags that were cut anywhere, and data lost when a recorder is killed.
 
     python -m benchmark.recover [--cuts 200] [--kills 20] [--seed 0]
 
-Cuts: a bag of 3 s, once never closed and once closed, is cut at so many places and recovered each
-time. What comes back must begin as the whole does, hold every message of the chunks that are whole
-(an independent reader, `mcap`, says which) and open in that reader again.
+Cuts: a bag of 3 s, once unclosed and once closed, is cut at random places and recovered each time.
+The recovered messages must be the first ones of the original, include every message of the complete
+chunks (determined by an independent reader, `mcap`) and be readable by that reader.
 
-Kills: a recorder hears 500 states a second and is killed (-9) at a random moment, or its disk
-refuses (a limit of the file's size); lost is the time from the last state in the recovered bag to
-the last one sent before, and none may be missing among those that came back.
+Kills: a recorder receives 500 states a second and is killed (-9) at a random moment, or its disk is
+full (a limit of the file's size). Lost is the time from the last state in the recovered bag to the
+last one sent before; none may be missing before that.
 """
 
 from __future__ import annotations
@@ -38,25 +38,24 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from benchmark.kill import node
+from benchmark.nodes import JOINTS, environment, node_command
 from wam_power_ros.bags import reader
 from wam_power_ros.bags.reader import BagWriter, unfinished
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.cli.processes import Processes, Running, private_domain
 from wam_power_ros.ros import interface
 
-NAMES = [f"wam_j{number}" for number in range(1, 8)]
-START = 1_700_000_000_000_000_000
-FLUSH = 250  # states between two chunks, as the recorder does it at 500 Hz
-PROMISE = 1.0  # [s] that a kill may cost
+START = 1_700_000_000_000_000_000  # [ns]
+FLUSH = 250  # [states] between two chunks, as the recorder at 500 Hz
+LOSS_MAX = 1.0  # [s] lost by a kill
 
 
 def write(path: Path, states: int, close: bool) -> Path:
-    """A bag as the recorder writes it; its MCAP file."""
+    """Write a bag as the recorder does; returns its MCAP file."""
     make, serialize = reader.TYPES.types, reader.TYPES.serialize_cdr
     rng = np.random.default_rng(0)
     writer = BagWriter(path)
-    writer.event("start", "demo", START, {"joint_names": str(NAMES).replace("'", '"')})
+    writer.event("start", "demo", START, {"joint_names": str(JOINTS).replace("'", '"')})
     writer.add(reader.STATES, reader.JOINT_STATE, [reader.qos(reliable=True, latched=False)])
     for index in range(states):
         stamp_ns = START + 2_000_000 * index
@@ -64,7 +63,7 @@ def write(path: Path, states: int, close: bool) -> Path:
         stamp = make["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
         state = make[reader.JOINT_STATE](
             header=make["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
-            name=NAMES,
+            name=JOINTS,
             position=rng.normal(size=7),
             velocity=rng.normal(size=7),
             effort=rng.normal(size=7),
@@ -79,20 +78,20 @@ def write(path: Path, states: int, close: bool) -> Path:
 
 
 def in_whole_chunks(file: Path) -> int:
-    """Messages in the complete chunks of a file, by another reader."""
+    """Number of messages in the complete chunks of a file, by an independent reader."""
     count = 0
     with file.open("rb") as stream:
         try:
             for record in StreamReader(stream, emit_chunks=True).records:
                 if isinstance(record, Chunk):
                     count += sum(isinstance(inner, Message) for inner in breakup_chunk(record))
-        except (EndOfFile, ValueError, struct.error):  # whichever the reader trips over first
+        except (EndOfFile, ValueError, struct.error):  # whichever the reader raises first
             pass
     return count
 
 
 def cut_everywhere(folder: Path, cuts: int, close: bool, rng: np.random.Generator) -> list[str]:
-    """Cut a bag at `cuts` places, recover each; what was wrong."""
+    """Cut a bag at `cuts` places and recover each; returns what was wrong."""
     file = write(folder / "demo", 6 * FLUSH, close)
     whole = file.read_bytes()
     reference = None
@@ -112,36 +111,36 @@ def cut_everywhere(folder: Path, cuts: int, close: bool, rng: np.random.Generato
             continue
         reference = back if reference is None else reference
         if back != reference[: len(back)]:
-            wrong.append(f"cut at {place}: something else came back")
+            wrong.append(f"cut at {place}: other messages were recovered")
         if len(back) < must:
-            wrong.append(f"cut at {place}: {len(back)} messages of {must} in whole chunks")
+            wrong.append(f"cut at {place}: {len(back)} messages of {must} in complete chunks")
         shutil.rmtree(path)
     return wrong
 
 
 class Source(Node):
-    """500 states a second by the wall clock, and the recorder's service."""
+    """Publishes 500 states a second by the wall clock and calls the recorder."""
 
     def __init__(self, context: rclpy.Context) -> None:
         super().__init__("source", context=context)
         self._states = self.create_publisher(
             JointState, interface.JOINT_STATES, interface.STATE_OUT
         )
-        self._write = interface.JointStateWriter(NAMES)
+        self._write = interface.JointStateWriter(JOINTS)
         self._record = self.create_client(SetBool, interface.RECORD)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
         self.sent = 0
-        self.trouble = False
+        self.unfinished = False
         self.create_subscription(
             DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
         )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.trouble |= "left unfinished" in str(message)
+        self.unfinished |= "left unfinished" in str(message)
 
     def begin(self) -> Path:
-        """Have a recording begun; its bag."""
+        """Begin a recording; returns its bag."""
         if not self._record.wait_for_service(60.0):
             raise RuntimeError("the recorder did not appear within 60 s")
         end = time.monotonic() + 60.0
@@ -152,7 +151,7 @@ class Source(Node):
         return Path(future.result().message)
 
     def send(self, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:
-        """Publish until the time is up or it is enough."""
+        """Publish for some time [s], or until `enough()`."""
         due = time.monotonic()
         end = due + seconds
         zero = np.zeros(7)
@@ -164,25 +163,21 @@ class Source(Node):
 
 
 def lost(folder: Path, rng: np.random.Generator, full: bool) -> tuple[float, int]:
-    """Seconds lost when a recorder is killed, or its disk is full, and states missing before."""
+    """Time lost [s] by a kill of the recorder or a full disk, and states missing before that."""
     with private_domain() as domain:
-        environment = {
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        }
-        os.environ.update(environment)
+        os.environ.update(environment(domain))
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=domain)
-        command = node("demonstration_recorder", directory=str(folder))
+        command = node_command("demonstration_recorder", directory=str(folder))
         source = Source(context)
         try:
-            with Processes(folder / "logs", environment) as processes:
+            with Processes(folder / "logs", environment(domain)) as processes:
                 recorder = processes.start("demonstration_recorder", command)
                 path = source.begin()
                 source.send(1.0 + 2.0 * rng.random())
                 if full:
                     _refuse_more(recorder, unfinished(path) / path.name / f"{path.name}.mcap")
-                    source.send(30.0, lambda: source.trouble)
+                    source.send(30.0, lambda: source.unfinished)
                 else:
                     os.kill(recorder.process.pid, signal.SIGKILL)
                     recorder.process.wait()
@@ -190,30 +185,32 @@ def lost(folder: Path, rng: np.random.Generator, full: bool) -> tuple[float, int
             source.destroy_node()
             rclpy.shutdown(context=context)
             os.environ.pop("ROS_DOMAIN_ID")
-    stamps_ns, _ = reader.read_demonstration(recover(path).path, NAMES)
+    stamps_ns, _ = reader.read_demonstration(recover(path).path, JOINTS)
     missing = int((stamps_ns[-1] - stamps_ns[0]) // 2_000_000 + 1) - len(stamps_ns)
     return (START + 2_000_000 * (source.sent - 1) - int(stamps_ns[-1])) * 1e-9, missing
 
 
 def _refuse_more(recorder: Running, file: Path) -> None:
-    """Let the recorder's file grow no more than a little."""
+    """Limit the size of the recorder's file to a little more than now."""
     hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
     limit = file.stat().st_size + 1000
     resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (limit, hard))
 
 
 def main() -> int:
-    """Cut and kill, and tell what came back."""
+    """Cut and kill; print what was recovered and lost."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cuts", type=int, default=200, help="places, of each kind of bag")
-    parser.add_argument("--kills", type=int, default=20, help="and a quarter as many full disks")
+    parser.add_argument("--cuts", type=int, default=200, help="places in each kind of bag")
+    parser.add_argument(
+        "--kills", type=int, default=20, help="kills, and a quarter as many full disks"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     wrong = []
     with tempfile.TemporaryDirectory() as folder:
         for close in (False, True):
-            name = "closed" if close else "never closed"
+            name = "closed" if close else "unclosed"
             place = Path(folder) / name.replace(" ", "_")
             place.mkdir()
             found = cut_everywhere(place, options.cuts, close, rng)
@@ -231,7 +228,7 @@ def main() -> int:
             if losses:
                 worst = f"worst {max(losses):.3f} s, median {np.median(losses):.3f} s"
                 print(f"{what}: {count} times, lost at {worst}")
-                wrong += [f"{what}: {loss:.3f} s lost" for loss in losses if loss > PROMISE]
+                wrong += [f"{what}: {loss:.3f} s lost" for loss in losses if loss > LOSS_MAX]
     for line in wrong:
         print(f"WRONG: {line}")
     return int(bool(wrong))

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rollout in one process beside its bare MuJoCo steps: what everything else costs.
+"""Time of a rollout in one process beside that of its bare MuJoCo steps.
 
     python -m benchmark.rollout [--repeats 15]
 
-A demonstrated toss is executed on the bench: the stand-in's world, the controller and the tracker,
-wired by calls. The forces of each physics step are recorded and played back through `mj_step`
+A demonstrated toss is executed in one process: the simulated world, the controller and the tracker,
+connected by calls. The forces of each physics step are recorded and played back through `mj_step`
 alone, from the same state to, bit for bit, the same end: so the contacts are the same too. Rollout
-and playback take turns. Every repeat does the same work tick for tick, so the best of each tick
-counts, in both: what disturbs a busy machine only adds.
+and playback take turns. Every repeat does the same work tick for tick, so the best time of each
+tick counts, in both: disturbances of a busy machine only add to it.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Recording:
 
 @contextmanager
 def replaced(owner: object, name: str, value: object) -> Iterator[None]:
-    """Exchange an attribute for the time of a `with`."""
+    """Replace an attribute within a `with` block."""
     original = getattr(owner, name)
     setattr(owner, name, value)
     try:
@@ -87,14 +87,14 @@ def replaced(owner: object, name: str, value: object) -> Iterator[None]:
 
 
 def state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """All that the next step depends on."""
+    """State on which the next step depends."""
     values = np.empty(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, data, values, _STATE)
     return values
 
 
-def record(bench: Environment, policy: Policy) -> Recording:
-    """Execute a policy and keep what its physics steps depend on."""
+def record(environment: Environment, policy: Policy) -> Recording:
+    """Execute a policy and record the inputs of its physics steps."""
     recording = Recording()
     step = mujoco.mj_step
 
@@ -110,8 +110,8 @@ def record(bench: Environment, policy: Policy) -> Recording:
         step(model, data, count)
 
     with replaced(mujoco, "mj_step", recorded):
-        bench.run(policy)
-    recording.end = state(bench.world.model, bench.world.data)
+        environment.run(policy)
+    recording.end = state(environment.world.model, environment.world.data)
     return recording
 
 
@@ -143,7 +143,7 @@ class Playback:
         """Time the ticks from the release on [s]. Shape (ticks,).
 
         Raises:
-            RuntimeError: They did not end where the rollout did.
+            RuntimeError: When the playback ends in another state than the rollout.
         """
         model, data, recording = self._world.model, self._data, self._recording
         mujoco.mj_setState(model, data, recording.start, _STATE)
@@ -154,19 +154,19 @@ class Playback:
             mujoco.mj_step(model, data, substeps)
             stamps.append(time.perf_counter())
         if not np.array_equal(state(model, data), recording.end):
-            raise RuntimeError("the playback has ended elsewhere than the rollout")
+            raise RuntimeError("the playback ended in another state than the rollout")
         return np.diff(stamps)
 
 
 class Clock:
-    """Seconds spent in each call of functions, less those in others that are timed as well."""
+    """Time spent in each call of functions [s], without that of other timed functions inside."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = defaultdict(list)
         self._inner = [0.0]
 
     def timed(self, function: Callable[..., object], label: str) -> Callable[..., object]:
-        """The same function, on this clock."""
+        """The function, timed by this clock."""
 
         def run(*args: object) -> object:
             self._inner.append(0.0)
@@ -180,19 +180,19 @@ class Clock:
         return run
 
 
-def by_part(bench: Environment, policy: Policy) -> dict[str, list[float]]:
-    """Time of each call of each part [s]; their sum is a little more than an untimed rollout's."""
+def by_part(environment: Environment, policy: Policy) -> dict[str, list[float]]:
+    """Time of each call of each part [s]; their sum slightly exceeds an untimed rollout."""
     clock = Clock()
     with ExitStack() as stack:
         for part in PARTS:
             timed = clock.timed(getattr(part.owner, part.name), part.label)
             stack.enter_context(replaced(part.owner, part.name, timed))
-        clock.timed(bench.run, "bench")(policy)
+        clock.timed(environment.run, "bench")(policy)
     return clock.seconds
 
 
-def by_tick(bench: Environment, policy: Policy) -> np.ndarray:
-    """Time of one rollout, cut where the world begins a tick [s]. Shape (ticks + 1,)."""
+def by_tick(environment: Environment, policy: Policy) -> np.ndarray:
+    """Time of one rollout, by tick of the world [s]. Shape (ticks + 1,)."""
     stamps = [time.perf_counter()]
     step = World.step
 
@@ -201,12 +201,12 @@ def by_tick(bench: Environment, policy: Policy) -> np.ndarray:
         step(world, torque)
 
     with replaced(World, "step", stamped):
-        bench.run(policy)
+        environment.run(policy)
     stamps.append(time.perf_counter())
     return np.diff(stamps)
 
 
-def control_steps(bench: Environment, policy: Policy) -> list[float]:
+def control_steps(environment: Environment, policy: Policy) -> list[float]:
     """Time of each of the controller's steps in a rollout [s]."""
     times: list[float] = []
     step = Controller.step
@@ -219,12 +219,12 @@ def control_steps(bench: Environment, policy: Policy) -> list[float]:
         return torque
 
     with replaced(Controller, "step", timed):
-        bench.run(policy)
+        environment.run(policy)
     return times
 
 
 def best(times: Sequence[Sequence[float]]) -> np.ndarray:
-    """The best of all repeats (repeats, calls) for each call. Shape (calls,)."""
+    """Best time of all repeats (repeats, calls) for each call. Shape (calls,)."""
     return np.min(times, axis=0)
 
 
@@ -240,20 +240,20 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=15)
     repeats = parser.parse_args().repeats
-    bench = Environment(World(None, seed=1))
-    (policy,) = teach(bench, seed=1, count=1)
-    recording = record(bench, policy)
-    playback = Playback(bench.world, recording)
+    environment = Environment(World(None, seed=1))
+    (policy,) = teach(environment, seed=1, count=1)
+    recording = record(environment, policy)
+    playback = Playback(environment.world, recording)
     wholes, settles, flights, controls = [], [], [], []
     parts: dict[str, list[list[float]]] = defaultdict(list)
     for _ in range(repeats):
-        wholes.append(by_tick(bench, policy))
+        wholes.append(by_tick(environment, policy))
         settles.append(playback.settle())
         flights.append(playback.fly())
-        controls.append(control_steps(bench, policy))
-        for label, calls in by_part(bench, policy).items():
+        controls.append(control_steps(environment, policy))
+        for label, calls in by_part(environment, policy).items():
             parts[label].append(calls)
-    pan, pancake, truth, _ = bench.run(policy)
+    pan, pancake, truth, _ = environment.run(policy)
     observing = min(seconds_of(lambda: observe_flight(pan, pancake)) for _ in range(repeats))
 
     whole, settle, flight = (float(best(times).sum()) for times in (wholes, settles, flights))
@@ -264,9 +264,7 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     say(f"rollouts a second        {1.0 / whole:8.1f}")
     say(f"times real time          {simulated / whole:8.1f}")
     say(f"whole rollout            {whole * 1e3:8.1f} ms")
-    bare = (
-        f"{(settle + flight) * 1e3:8.1f} ms, {settle * 1e3:.1f} of them while the pancake settles"
-    )
+    bare = f"{(settle + flight) * 1e3:8.1f} ms, {settle * 1e3:.1f} of it while the pancake settles"
     say(f"its bare MuJoCo steps    {bare}")
     say(f"whole over bare          {whole / (settle + flight):8.2f}")
     say(f"control step, median     {np.median(best(controls)) * 1e6:8.1f} us")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole sessions over DDS for `determinism` and `kill`, and what differs between two of them."""
+"""Whole sessions over DDS for `determinism` and `kill`, and the differences between two of them."""
 
 from __future__ import annotations
 
@@ -11,46 +11,46 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-ENVIRONMENT = {
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
-    "MUJOCO_GL": "disable",  # the report needs no film here
-}
+from benchmark.nodes import environment
 
 
 def learn(folder: Path, *arguments: str) -> float:
-    """Run `wam-power learn` in a folder; its wall time [s]."""
+    """Run `wam-power learn` in a folder; returns its wall time [s]."""
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
     begun = time.monotonic()
     with (folder / "learn.log").open("ab") as log:
+        no_film = {"MUJOCO_GL": "disable"}
         subprocess.run(
-            [*command, *arguments], env=os.environ | ENVIRONMENT, stdout=log, stderr=log, check=True
+            [*command, *arguments],
+            env=os.environ | environment() | no_film,
+            stdout=log,
+            stderr=log,
+            check=True,
         )
     return time.monotonic() - begun
 
 
 def lines(folder: Path) -> list[bytes]:
-    """The complete lines of a session's log."""
+    """Complete lines of a session's log."""
     log = folder / "rollouts.jsonl"
     return log.read_bytes().splitlines(keepends=True) if log.exists() else []
 
 
 def records(folder: Path, *without: str) -> list[dict[str, object]]:
-    """The rollouts of a session, less some fields."""
+    """Records of a session, without some fields."""
     found = [json.loads(line) for line in lines(folder)]
     return [{key: row[key] for key in row if key not in without} for row in found]
 
 
 def candidates(folder: Path) -> list[object]:
-    """The policies that were fitted, without their names."""
+    """Fitted policies of a session, without their ids."""
     found = [json.loads(path.read_text()) for path in sorted(folder.glob("candidates/*.json"))]
     return [{key: row[key] for key in row if key != "id"} for row in found]
 
 
 def differences(one: object, other: object, where: str = "") -> Iterator[str]:
-    """Every leaf of two JSON values that is not the same, bit for bit."""
+    """Leaves in which two JSON values differ, bit for bit."""
     if isinstance(one, dict) and isinstance(other, dict):
         for key in sorted(one.keys() | other.keys()):
             yield from differences(one.get(key), other.get(key), f"{where}.{key}")
@@ -63,7 +63,7 @@ def differences(one: object, other: object, where: str = "") -> Iterator[str]:
 
 
 def verdict(what: str, found: list[str]) -> str:
-    """One line if nothing differs, else the first differences."""
+    """One line if nothing differs, else also the first differences."""
     if not found:
         return f"{what}: identical, bit for bit"
     shown = "\n".join(f"  {line}" for line in found[:20])

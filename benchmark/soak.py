@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All nodes in real time with the recorder on: nothing may grow, nothing may be lost.
+"""Endurance run of all nodes in real time while recording: no growth, no loss.
 
     python -m benchmark.soak [--seconds 600]
 
-Stand-in, controller, tracker and recorder run at 500 Hz on the wall clock while the arm moves: in
-turn it goes to a start and executes a policy, a flip that was taught, is led by the hand in gravity
-compensation, and holds. All of it is one recording. Memory (resident) and open files of every
-process are read now and then. At the end the states in the bag are counted against those that the
-stand-in says it has published, between each two of its reports.
+Stand-in, controller, tracker and recorder run at 500 Hz on the wall clock while the arm executes a
+taught flip, is led by the demonstrator under gravity compensation, and holds, in turn, all in one
+recording. Resident memory and open files of every process are sampled. At the end the states in the
+bag are compared with the numbers that the stand-in reports as published.
 """
 
 from __future__ import annotations
@@ -32,6 +31,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from benchmark.nodes import JOINTS, environment
 from wam_power_ros.bags import reader
 from wam_power_ros.cli.processes import Processes, Running, private_domain
 from wam_power_ros.control.arm import Arm
@@ -43,30 +43,29 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code, read
 
-NAMES = [f"wam_j{number}" for number in range(1, 8)]
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
-WARM_UP = 0.2  # share of the time before memory is looked at
-GROWTH_MAX = 0.01
+WARM_UP = 0.2  # share of the time before memory is sampled
+GROWTH_MAX = 0.01  # share of the memory
 COUNT, STAMP = "states published", "stamp of the last [ns]"
 
 
 @dataclass
 class Samples:
-    """Resident memory [bytes] and open descriptors of one process, and when [s]."""
+    """Resident memory [bytes] and open descriptors of one process over time [s]."""
 
     t: list[float] = field(default_factory=list)
     memory: list[int] = field(default_factory=list)
     files: list[int] = field(default_factory=list)
 
     def add(self, t: float, pid: int) -> None:
-        """Read them now."""
+        """Take a sample."""
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
         self.t.append(t)
         self.memory.append(pages * os.sysconf("SC_PAGE_SIZE"))
         self.files.append(len(os.listdir(f"/proc/{pid}/fd")))
 
     def figures(self) -> dict[str, float]:
-        """Of the time after the warm-up: growth is the last tenth over the first tenth of it."""
+        """Figures after the warm-up; growth compares its last tenth with its first."""
         t = np.array(self.t)
         after = t >= WARM_UP * t[-1]
         memory, files = np.array(self.memory)[after], np.array(self.files)[after]
@@ -82,15 +81,15 @@ class Samples:
 
 
 class Director(Node):
-    """Has the arm do something, and listens to what the nodes say of themselves."""
+    """Directs the arm and receives the diagnostics of the nodes."""
 
     def __init__(self, context: rclpy.Context) -> None:
         super().__init__("director", context=context)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
-        self.published: list[tuple[int, int]] = []  # how many states, and the stamp of the last
-        self.counts: dict[str, int] = {}  # what was done
-        self.said: dict[str, dict[str, str]] = {}
+        self.published: list[tuple[int, int]] = []  # number of states, stamp of the last
+        self.counts: dict[str, int] = {}  # activities by name
+        self.diagnostics: dict[str, dict[str, str]] = {}
         self._paths: list[RosPath] = []
         self._between: Callable[[], None] = lambda: None
         self._policies = self.create_publisher(String, interface.POLICY, interface.LATCHED)
@@ -104,21 +103,21 @@ class Director(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = {item.key: item.value for item in status.values}
-            self.said[status.name.partition(":")[0]] = values
+            self.diagnostics[status.name.partition(":")[0]] = values
             if status.name.startswith("wam_sim"):
                 self.published.append((int(values[COUNT]), int(values[STAMP])))
 
     @property
     def mode(self) -> str:
-        """Of the controller, as it says once a second."""
-        return self.said.get("torque_controller", {}).get("mode", "")
+        """Mode of the controller, from its diagnostics."""
+        return self.diagnostics.get("torque_controller", {}).get("mode", "")
 
     def attend(self, between: Callable[[], None]) -> None:
-        """Have something done whenever there is time."""
+        """Set a function to be called between callbacks."""
         self._between = between
 
     def until(self, condition: Callable[[], bool], patience: float) -> bool:
-        """Whether it came true within `patience` [s]."""
+        """Whether the condition came true within `patience` [s]."""
         end = time.monotonic() + patience
         while not condition():
             if time.monotonic() > end:
@@ -128,14 +127,14 @@ class Director(Node):
         return True
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
+        """Dispatch callbacks for some time [s]."""
         self.until(lambda: False, seconds)
 
     def call(self, kind: type, name: str, request: object = None, patience: float = 60.0) -> str:
-        """Call a service until it agrees; its message.
+        """Call a service until it agrees; returns the id of its policy, or its text.
 
         Raises:
-            TimeoutError: It does not within `patience` [s].
+            TimeoutError: When it does not agree within `patience` [s].
         """
         client = self.create_client(kind, name)
         why = "did not appear"
@@ -150,7 +149,7 @@ class Director(Node):
                         if answer.success:
                             return answer.values.get("policy", answer.text)
                         why = f"refused: {answer.text}"
-                        if answer.code is Code.FAULT:  # a busy machine brings some about
+                        if answer.code is Code.FAULT:  # they occur on a busy machine
                             self._reset()
                 self.wait(0.2)
         finally:
@@ -166,7 +165,7 @@ class Director(Node):
         self.destroy_client(client)
 
     def rollout(self, policy: Policy) -> None:
-        """Go to the start, put the pancake back, execute, wait for the path; again if it fails."""
+        """Move to the start, reset the pancake, execute, wait for the path; repeat if it fails."""
         while not self._rollout(policy):
             self._count("rollouts broken off")
 
@@ -200,7 +199,7 @@ class Director(Node):
         return True
 
     def hold(self, seconds: float) -> None:
-        """Let the arm hold."""
+        """Let the arm hold for some time [s]."""
         self.wait(seconds)
         self._count("holds")
 
@@ -209,17 +208,19 @@ class Director(Node):
 
 
 def taught() -> Policy:
-    """The flip as the first shipped demonstration has it."""
+    """Policy fitted to the first shipped demonstration of the flip."""
     bag = min(share("bags").glob("demo_*"))
-    arm = Arm(share("urdf/wam7.urdf").read_text(), NAMES)
-    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, NAMES))], PANCAKE, "soak")
+    arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
+    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))], PANCAKE, "soak")
 
 
 def start(processes: Processes, folder: Path) -> dict[str, Running]:
-    """The nodes, with the stand-in at the pace of life."""
+    """Start the nodes, with the stand-in in real time."""
     setup = overlay.setup((), simulated=True)
     setup["demonstration_recorder"]["directory"] = str(folder)
-    setup["torque_controller"]["idle_service"] = ""  # an idled arm hangs, and nobody lifts it
+    setup["torque_controller"]["idle_service"] = (
+        ""  # an idled arm would hang until somebody lifts it
+    )
     file = folder / "parameters.yaml"
     file.write_text(overlay.text(setup))
     command = [sys.executable, "-m", "wam_power_ros.cli", "run"]
@@ -228,7 +229,7 @@ def start(processes: Processes, folder: Path) -> dict[str, Running]:
 
 
 def missing(stamps_ns: np.ndarray, published: list[tuple[int, int]]) -> tuple[int, int]:
-    """States that were published and are not in the bag, and how many were looked at."""
+    """Number of published states that are missing in the bag, and of those compared."""
     inside = [item for item in published if stamps_ns[0] <= item[1] <= stamps_ns[-1]]
     lost = total = 0
     for (count, stamp_ns), (next_count, next_ns) in pairwise(inside):
@@ -239,20 +240,19 @@ def missing(stamps_ns: np.ndarray, published: list[tuple[int, int]]) -> tuple[in
 
 
 def soak(seconds: float, every: float, folder: Path) -> dict[str, object]:
-    """Run for so long; the figures."""
+    """Run for some time [s]; returns the figures."""
     with private_domain() as domain:
-        environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-        os.environ.update(environment)
+        os.environ.update(environment(domain))
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=domain)
         director = Director(context)
         samples = {name: Samples() for name in NODES}
         try:
-            with Processes(folder / "logs", environment) as processes:
+            with Processes(folder / "logs", environment(domain)) as processes:
                 running = start(processes, folder)
                 policy = taught()
                 director.until(lambda: director.mode == "hold", 120.0)
-                director.rollout(policy)  # everything has been done once before it is watched
+                director.rollout(policy)  # warm-up
                 director.teach()
                 path = Path(director.call(SetBool, interface.RECORD, SetBool.Request(data=True)))
                 began = time.monotonic()
@@ -272,27 +272,27 @@ def soak(seconds: float, every: float, folder: Path) -> dict[str, object]:
                     director.teach()
                 director.attend(lambda: None)
                 director.call(SetBool, interface.RECORD, SetBool.Request(data=False))
-                director.wait(1.5)  # for the last reports
+                director.wait(1.5)  # for the last diagnostics
         finally:
             director.destroy_node()
             rclpy.shutdown(context=context)
-    stamps_ns, _ = reader.read_demonstration(path, NAMES)
+    stamps_ns, _ = reader.read_demonstration(path, JOINTS)
     lost, total = missing(stamps_ns, director.published)
-    said = director.said
+    reported = director.diagnostics
     return {
         "seconds": samples[NODES[0]].t[-1],
         "done": director.counts,
         "states": total,
         "lost": lost,
-        "held up": int(said["wam_sim"].get("clock held", 0)),
-        "faults": int(said["torque_controller"].get("faults", 0)),
-        "scheduling": said["torque_controller"].get("real-time scheduling", ""),
+        "held up": int(reported["wam_sim"].get("clock held", 0)),
+        "faults": int(reported["torque_controller"].get("faults", 0)),
+        "scheduling": reported["torque_controller"].get("real-time scheduling", ""),
         "processes": {name: item.figures() for name, item in samples.items()},
     }
 
 
-def told(figures: dict[str, object]) -> str:
-    """The figures, readable."""
+def text(figures: dict[str, object]) -> str:
+    """Figures as text."""
     done = ", ".join(f"{count} {what}" for what, count in figures["done"].items())
     lines = [
         f"{figures['seconds']:.0f} s in real time, scheduling {figures['scheduling']}: {done}; "
@@ -309,28 +309,28 @@ def told(figures: dict[str, object]) -> str:
 
 
 def broken(figures: dict[str, object]) -> list[str]:
-    """What is not as it should be."""
+    """Violations of the bounds."""
     found = []
     if figures["lost"] or not figures["states"]:
         found.append(f"{figures['lost']} of {figures['states']} states are not in the bag")
     for name, row in figures["processes"].items():
         if row["growth"] > GROWTH_MAX:
-            found.append(f"{name} has grown by {row['growth']:.2%}")
+            found.append(f"{name} grew by {row['growth']:.2%}")
         if row["descriptors change"]:
             found.append(f"{name}: descriptors changed by {row['descriptors change']}")
     return found
 
 
 def main() -> int:
-    """Soak, tell the figures, return 1 when something grew or was lost."""
+    """Run and print the figures; returns 1 when something grew or was lost."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=600.0)
-    parser.add_argument("--every", type=float, default=2.0, help="[s] between two samples")
-    parser.add_argument("--json", type=Path, help="write the figures there too")
+    parser.add_argument("--every", type=float, default=2.0, help="time between two samples [s]")
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         figures = soak(options.seconds, options.every, Path(folder))
-    print(told(figures))
+    print(text(figures))
     for line in broken(figures):
         print(f"WRONG: {line}")
     if options.json:

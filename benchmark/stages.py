@@ -30,7 +30,7 @@ def timed(marks: list[int], function: Callable) -> Callable:
 
 
 class TimedController(TorqueController):
-    """As it is, but slower by the nine readings of the clock."""
+    """The controller, slower by nine readings of the clock."""
 
     def __init__(self, report: Path) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ class TimedController(TorqueController):
         self._write = timed(self._marks, self._write)
 
     def on_configure(self, state: object) -> object:
-        """Time the core too."""
+        """Configure and time the core."""
         result = super().on_configure(state)
         if self._controller is not None:
             self._controller.step = timed(self._marks, self._controller.step)
@@ -53,21 +53,22 @@ class TimedController(TorqueController):
         entered = now()
         self._marks.clear()
         super()._on_state(message)
-        if len(self._marks) == 7:  # an answer in full
+        if len(self._marks) == 7:  # a complete answer
             self._rows.append((entered, *self._marks, now()))
 
     def close(self) -> None:
-        """Keep the figures: (answers, 9) [ns, steady clock]."""
+        """Save the times: (answers, 9) [ns, steady clock]."""
         super().close()
         np.save(self._report, np.array(self._rows, dtype=np.int64))
 
 
 def table(controller: np.ndarray, answers: np.ndarray) -> str:
-    """Where the microseconds go.
+    """Latency by stage as text.
 
     Args:
-        controller: as `TimedController` keeps them. Shape (answers, 9) [ns].
-        answers: published, answered by the controller, by the echo. Shape (states, 3) [ns].
+        controller: Times that `TimedController` saved [ns]. Shape (answers, 9).
+        answers: Times of publication, answer of the controller and answer of the echo [ns].
+            Shape (states, 3).
     """
     answers = answers[(answers[:, 1:] > 0).all(axis=1)]
     at = np.searchsorted(answers[:, 0], controller[:, 0]) - 1  # the state each answer is for
@@ -77,13 +78,13 @@ def table(controller: np.ndarray, answers: np.ndarray) -> str:
         "middleware, executor: state to callback": rows[:, 0] - sent[:, 0],
         **{name: rows[:, 2 * i + 2] - rows[:, 2 * i + 1] for i, name in enumerate(STAGES[:3])},
         STAGES[3]: rows[:, 7] - rows[:, 6],
-        "the controller's books, before and between": (rows[:, 1] - rows[:, 0])
+        "the controller's bookkeeping, before and between": (rows[:, 1] - rows[:, 0])
         + (rows[:, 3] - rows[:, 2])
         + (rows[:, 5] - rows[:, 4]),
         "middleware, executor: torque to callback": sent[:, 1] - rows[:, 7],
         "state to torque, in all": sent[:, 1] - sent[:, 0],
         "the echo, in all": sent[:, 2] - sent[:, 0],
-        "the controller's books, after the torque": rows[:, 8] - rows[:, 7],
+        "the controller's bookkeeping, after the torque": rows[:, 8] - rows[:, 7],
     }
     lines = [f"  {'stage':45s}{'p50 [us]':>10s}{'p99 [us]':>10s}"]
     for name, taken in parts.items():

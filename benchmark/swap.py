@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One session, begun on the default stand-in, resumed onto each driver's shape by --config alone.
+"""One session, begun on the default stand-in and resumed on stand-ins of each driver's shape.
 
     python -m benchmark.swap --folder /tmp/swap
 
-Every configuration goes on with a copy of the same session, so with the same next policies; the
-first row, the default stand-in in lockstep, is what to compare with. The others are in real time.
-Nothing of the checkout is changed meanwhile: git says so at the end.
+Every configuration, chosen by --config alone, resumes a copy of the same session and so executes
+the same next policies. The first row, the default stand-in in lockstep, is the reference; the
+others run in real time. At the end git shows that no file of the checkout was changed.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--folder", type=Path, required=True, help="for the sessions; a new one")
     parser.add_argument("--seed", type=int, default=21)
-    parser.add_argument("--rollouts", type=int, default=5, help="on each (default 5)")
-    parser.add_argument("--patience", type=float, default=900.0, help="for each [s]")
+    parser.add_argument("--rollouts", type=int, default=5, help="number on each (default 5)")
+    parser.add_argument("--patience", type=float, default=900.0, help="longest time for each [s]")
     options = parser.parse_args()
     before = changes()
     begun = options.folder / "begun"
@@ -92,7 +92,7 @@ def learn(folder: Path, count: int, patience: float, *arguments: str) -> None:
             break
         time.sleep(0.2)
     if process.poll() is None:
-        process.send_signal(signal.SIGTERM)  # Ctrl-C that reaches it from a script as well
+        process.send_signal(signal.SIGTERM)  # acts as Ctrl-C, also when run from a script
     process.wait(180.0)
 
 
@@ -111,7 +111,7 @@ def row(new: list[Record], policies: list[list[float]]) -> list[str]:
 
 
 def changes() -> str:
-    """What git says has changed of the files it knows."""
+    """Changes of tracked files, by git."""
     command = ["git", "-C", str(ROOT), "diff", "--stat", "HEAD"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 

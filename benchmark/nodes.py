@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command lines and environment of the nodes that a benchmark starts."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+JOINTS = [f"wam_j{number}" for number in range(1, 8)]
+
+
+def environment(domain: int | None = None) -> dict[str, str]:
+    """Environment of a node: this checkout, this machine only, and a DDS domain if it is given."""
+    given = {
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+    }
+    return given if domain is None else given | {"ROS_DOMAIN_ID": str(domain)}
+
+
+def ros_arguments(name: str, *configs: str, **parameters: object) -> list[str]:
+    """Arguments that give a node its own parameter file, those of others, and single values."""
+    words = ["--ros-args"]
+    for config in (name, *configs):
+        words += ["--params-file", f"{ROOT}/config/{config}.yaml"]
+    for key, value in parameters.items():
+        words += ["-p", f"{name}:{key}:={json.dumps(value)}"]
+    return words
+
+
+def node_command(name: str, *configs: str, **parameters: object) -> list[str]:
+    """Command that runs a node; arguments as for `ros_arguments`."""
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run", name]
+    return [*command, *ros_arguments(name, *configs, **parameters)]
