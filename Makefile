@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# `make learn` and `make test` do all their own set-up, once, in .venv. Asked of you: Python 3.10-3.13.
+# `make learn` and `make test` do all their own set-up, once, in .venv. They need Python 3.10-3.13.
 
 PYTHON ?= python3
 ARGS ?=
@@ -7,12 +7,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/ready
 
-# ROS stays on this machine unless you say otherwise.
+# ROS stays on this machine unless the environment says otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-# The rclpy wheels note here that their libraries are on the path: true of this .venv only.
+# The rclpy wheels record here that their libraries are on the path, which holds for this .venv only.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-# A sourced ROS 2 Jazzy brings its own rclpy, NumPy 1 and Pinocchio; a plain machine gets all from PyPI.
+# A sourced ROS 2 Jazzy brings its own rclpy, NumPy 1 and Pinocchio; a plain machine gets everything from PyPI.
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_FLAGS := --system-site-packages
 EXTRAS := sim,cluster,dev
@@ -26,8 +26,8 @@ endif
 .PHONY: help learn reproduce test lint format build venv clean
 
 help:
-	@echo 'make learn [ARGS="--seed 3"]   the arm learns to flip a pancake, in simulation'
-	@echo 'make reproduce                 the paper from scratch, with a report (about an hour on 2 cores: 2 h of processor time)'
+	@echo 'make learn [ARGS="--seed 3"]   learn to flip a pancake, in simulation'
+	@echo 'make reproduce                 the experiments of the paper, with a report (about an hour on 2 cores: 2 h of processor time)'
 	@echo 'make test  [ARGS="-k power"]   the tests'
 	@echo 'make lint                      ruff: rules and format; mypy: types'
 	@echo 'make build                     colcon build, with colcon from PyPI'
@@ -41,11 +41,11 @@ $(READY): requirements.txt setup.py setup.cfg
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV_FLAGS) $(VENV)
 	@$(CONSTRAIN)
-	@echo 'Installing into $(VENV); this is done once and takes a minute or two.'
-	@$(BIN)/python -m pip install --quiet --upgrade pip  # an old one takes minutes over what to take
+	@echo 'Installing into $(VENV); once, in a minute or two.'
+	@$(BIN)/python -m pip install --quiet --upgrade pip  # an old pip takes minutes to resolve the versions
 	@$(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
 	@$(BIN)/python -c 'import mujoco, pinocchio, rclpy' || { \
-	    echo 'Something of the system is missing, see above. libgomp.so.1: apt install libgomp1'; exit 1; }
+	    echo 'A system library is missing, see above. libgomp.so.1: apt install libgomp1'; exit 1; }
 	@touch $@
 
 learn: $(READY)

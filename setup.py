@@ -20,7 +20,7 @@ def requirements() -> dict[str, list[str]]:
 
 
 def shared(*folders: str) -> list[tuple[str, list[str]]]:
-    """Files of these folders, each to the same place under share/wam_power_ros."""
+    """Files of these folders, installed to the same places under share/wam_power_ros."""
     files = [path for folder in folders for path in sorted(Path(folder).rglob("*"))]
     places: dict[str, list[str]] = {}
     for path in files:
@@ -34,7 +34,7 @@ extras = requirements()
 setup(
     name=NAME,
     version="0.1.0",
-    description="Teach a torque-controlled arm a skill by hand; it gets better by practising",
+    description="Teach a torque-controlled arm a skill by hand; it improves by reinforcement learning",
     long_description=Path(__file__).with_name("README.md").read_text(),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
