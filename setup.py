@@ -34,7 +34,7 @@ extras = requirements()
 setup(
     name=NAME,
     version="0.1.0",
-    description="Teach a torque-controlled arm a skill by hand; it improves by reinforcement learning",
+    description="Teach a torque-controlled arm a skill by hand; it learns by trial and error",
     long_description=Path(__file__).with_name("README.md").read_text(),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
