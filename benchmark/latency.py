@@ -30,7 +30,7 @@ from std_msgs.msg import Float64MultiArray
 from benchmark.nodes import JOINTS, environment, ros_arguments
 from benchmark.stages import table as table_of_stages
 from wam_power_ros.cli.processes import Processes, Running, private_domain
-from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros import interface, node_runner, scheduling
 
 ECHO = "/echo/commands"
 PERIOD_NS = 2_000_000
@@ -90,7 +90,7 @@ def stand_in(report: Path) -> int:
         )
         return bench
 
-    status = scheduling.run(make, spin=lambda bench, ended: bench.spin(ended))
+    status = node_runner.run(make, spin=lambda bench, ended: bench.spin(ended))
     rows = [
         (at, *(times.get(stamp_ns, 0) for times in answered.values()))
         for stamp_ns, at in sent.items()
@@ -217,7 +217,7 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     if options.role:
         role, _, priority = options.role.partition(" ")
         if role == "echo":
-            return scheduling.run(lambda: Echo(int(priority)))
+            return node_runner.run(lambda: Echo(int(priority)))
         return stand_in(Path(options.role))
     results = {}
     for title, fifo in (("SCHED_FIFO", True), ("plain scheduling", False)):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from wam_power_ros.nodes.torque_controller import TorqueController
-from wam_power_ros.ros import scheduling
+from wam_power_ros.ros import node_runner
 
 STAGES = ("reading the message", "control step", "filling the message", "publishing")
 now = time.monotonic_ns
@@ -95,8 +95,8 @@ def table(controller: np.ndarray, answers: np.ndarray) -> str:
 
 if __name__ == "__main__":
     sys.exit(
-        scheduling.run(
+        node_runner.run(
             lambda: TimedController(Path(sys.argv[1])),
-            spin=lambda node, ended: scheduling.spin(node, ended, node.watch, node.patience),
+            spin=lambda node, ended: node_runner.spin(node, ended, node.watch, node.patience),
         )
     )

@@ -22,7 +22,7 @@ from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.settings import PERIOD_NS
 from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
-from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 PATIENCE_NS = 50_000_000  # without the torque for longer, the state is published again
@@ -52,7 +52,7 @@ class StandIns:
 
     def spin(self, ended: Callable[[], bool]) -> None:
         """Keep the pace until `ended()`."""
-        executor = scheduling.executor_for(self.wam)
+        executor = node_runner.executor_for(self.wam)
         executor.add_node(self.optitrack)
         if self.wam.lockstep:
             self._lockstep(executor, ended)
@@ -111,7 +111,7 @@ class StandIns:
 
 def main() -> int:
     """Run both stand-ins until a signal."""
-    return scheduling.run(StandIns, spin=lambda bench, ended: bench.spin(ended))
+    return node_runner.run(StandIns, spin=lambda bench, ended: bench.spin(ended))
 
 
 if __name__ == "__main__":

@@ -1,14 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A process started after a killed one does not take its place among the ports."""
+"""Running nodes and scripts: the number among the participants, dispatch, a clean end."""
+
+from __future__ import annotations
 
 import os
+import signal
 import socket
-from contextlib import closing
+import sys
+import time
+from contextlib import closing, suppress
+from typing import TYPE_CHECKING
 
 import pytest
 import rclpy
+from std_msgs.msg import String
 
-from wam_power_ros.ros.node_runner import FIRST, PER_DOMAIN, PER_PARTICIPANT, number_by_process
+from wam_power_ros.ros import interface, node_runner
+from wam_power_ros.ros.node_runner import (
+    FIRST,
+    PER_DOMAIN,
+    PER_PARTICIPANT,
+    SPREAD,
+    number_by_process,
+)
+
+if TYPE_CHECKING:
+    from conftest import Probe, Processes
 
 
 def free(port: int) -> bool:
@@ -21,24 +38,131 @@ def free(port: int) -> bool:
 
 
 @pytest.mark.requirement("S-68")
-@pytest.mark.parametrize(("process", "number"), [(1600, 0), (1603, 4), (1605, 5), (1622, 6)])
+@pytest.mark.parametrize("process", [1600, 1603, 1605, 1622])
 def test_a_participant_is_numbered_by_its_process_and_keeps_no_other_port(
-    process: int, number: int, domain_id: int, monkeypatch: pytest.MonkeyPatch
+    process: int, domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     first = FIRST + PER_DOMAIN * domain_id
-    taken = first + PER_PARTICIPANT * 3
+    ports = [first + PER_PARTICIPANT * k for k in range(32)]
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
     monkeypatch.setattr(os, "getpid", lambda: process)
     context = rclpy.Context()
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
-        other.bind(("", taken))
+        with suppress(OSError):  # another program's already: as good
+            other.bind(("", ports[3]))
+        taken = [port for port in ports if not free(port)]
+        assert ports[3] in taken
         rclpy.init(context=context)
         try:
             with number_by_process():
                 node = rclpy.create_node("numbered", context=context)
-            ports = [first + PER_PARTICIPANT * k for k in range(16)]
-            mine = [port for port in ports if not free(port) and port != taken]
-            assert mine == [first + PER_PARTICIPANT * number]
+            mine = [port for port in ports if not free(port) and port not in taken]
+            assert mine == [next(port for port in ports[process % SPREAD :] if port not in taken)]
             node.destroy_node()
         finally:
             rclpy.shutdown(context=context)
+
+
+SCRIPT = """
+import signal, sys, time
+import rclpy
+from rclpy.node import Node
+from wam_power_ros.ros.node_runner import run_script
+
+def work(node):
+    what = sys.argv[1]
+    if what == "refuse":
+        raise ValueError("heat -1 must be positive")
+    if what == "break":
+        raise KeyError("a mistake in the code")
+    if what == "interrupt":
+        signal.raise_signal(signal.SIGINT)
+        time.sleep(30.0)
+    return 7 if what == "status" else None
+
+status = run_script(lambda: Node("script"), work)
+print("ended", rclpy.ok())
+sys.exit(status)
+"""
+
+
+@pytest.mark.parametrize(
+    ("what", "status", "says"),
+    [
+        ("nothing", 0, "ended False"),
+        ("status", 7, "ended False"),
+        ("refuse", 2, "heat -1 must be positive\nended False"),
+        ("interrupt", 130, "ended False"),
+        ("break", 1, "a mistake in the code"),
+    ],
+)
+def test_a_script_ends_with_the_status_of_what_ended_it(
+    what: str, status: int, says: str, processes: Processes
+) -> None:
+    process = processes.start([sys.executable, "-c", SCRIPT, what])
+    assert process.wait(60.0) == status
+    assert says in processes.output(process)
+    assert ("Traceback" in processes.output(process)) == (what == "break")  # a defect keeps its own
+
+
+NODE = """
+import sys
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from wam_power_ros.ros import interface, node_runner, scheduling
+from wam_power_ros.ros.deferred_service import LateTrigger
+
+class Talker(Node):
+    def __init__(self):
+        super().__init__("talker")
+        if "bad" in sys.argv:
+            raise ValueError("heat -1 must be positive")
+        self._words = self.create_publisher(String, "/words", interface.LATCHED)
+        self._words.publish(String(data="first"))
+
+    def close(self):
+        self._words.publish(String(data="last"))
+        import time; time.sleep(0.3)
+
+sys.exit(node_runner.run(Talker))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_node_can_still_send_when_a_signal_ends_it(
+    probe: Probe, processes: Processes, number: int
+) -> None:
+    words = probe.listen(String, "/words", interface.LATCHED)
+    process = processes.start([sys.executable, "-c", NODE])
+    probe.until(lambda: words, "the first message")
+    process.send_signal(number)
+    probe.until(lambda: words[-1].data == "last", "the last message", deadline=3.0)
+    assert processes.end(process) == 0
+    assert "Traceback" not in processes.output(process)
+
+
+def test_a_refused_configuration_ends_the_process_with_its_reason(processes: Processes) -> None:
+    process = processes.start([sys.executable, "-c", NODE, "bad"])
+    assert process.wait(60.0) == 2
+    assert "heat -1 must be positive" in processes.output(process)
+    assert "Traceback" not in processes.output(process)
+
+
+def test_an_executor_that_dispatches_nothing_is_replaced(
+    probe: Probe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.experimental import events_executor
+
+    class Deaf(SingleThreadedExecutor):
+        def spin_once(self, timeout_sec: float | None = None) -> None:
+            time.sleep(timeout_sec or 0.0)
+
+    monkeypatch.setattr(events_executor, "EventsExecutor", lambda: Deaf(context=probe.context))
+    monkeypatch.setattr(
+        node_runner, "SingleThreadedExecutor", lambda: SingleThreadedExecutor(context=probe.context)
+    )
+    executor = node_runner.executor_for(probe.node, patience=0.2)
+    assert type(executor) is SingleThreadedExecutor
+    assert probe.node in executor.get_nodes()

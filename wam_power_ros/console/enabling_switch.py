@@ -20,7 +20,7 @@ from std_msgs.msg import Bool
 
 from wam_power_ros.console.prompt import say
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.node_runner import participant
 
 FIRST_REPEAT = 0.75  # [s] within which a held key repeats for the first time
 NEXT_REPEAT = 0.15  # [s] within which it repeats again
@@ -46,26 +46,23 @@ def main() -> int:
     """Body of `wam-power enable`: publish until Ctrl-C or until the terminal is closed."""
     if not sys.stdin.isatty():
         raise ValueError("enable needs a terminal: its keys are the switch")
-    rclpy.init()
-    with number_by_process():
-        node = rclpy.create_node("enabling_switch")
-    switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
-    key, terminal = HeldKey(), sys.stdin.fileno()
-    before = termios.tcgetattr(terminal)
-    say("Hold any key down to enable the arm; Ctrl-C ends.")
-    try:
-        tty.setcbreak(terminal)
-        while rclpy.ok():
-            if select.select([terminal], [], [], PERIOD)[0]:
-                if not os.read(terminal, 1024):
-                    break
-                key.press(time.monotonic())
-            switch.publish(Bool(data=key.held(time.monotonic())))
-    except KeyboardInterrupt:
-        pass
-    finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, before)
-        if rclpy.ok():
-            switch.publish(Bool(data=False))
-        rclpy.try_shutdown()
+    with participant(lambda: rclpy.create_node("enabling_switch")) as node:
+        switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
+        key, terminal = HeldKey(), sys.stdin.fileno()
+        before = termios.tcgetattr(terminal)
+        say("Hold any key down to enable the arm; Ctrl-C ends.")
+        try:
+            tty.setcbreak(terminal)
+            while rclpy.ok():
+                if select.select([terminal], [], [], PERIOD)[0]:
+                    if not os.read(terminal, 1024):
+                        break
+                    key.press(time.monotonic())
+                switch.publish(Bool(data=key.held(time.monotonic())))
+        except KeyboardInterrupt:
+            pass
+        finally:
+            termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+            if rclpy.ok():
+                switch.publish(Bool(data=False))
     return 0

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code
-from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.ros.service_client import TIMEOUT, ServiceClient, ServiceError
 
 REQUESTS = {
@@ -35,16 +36,11 @@ def give(kind: str, bag: Path | None = None) -> tuple[bool, str]:
     Returns:
         Whether the learner accepted it, and its answer.
     """
-    context = rclpy.Context()
-    rclpy.init(context=context)
     try:
-        with number_by_process():
-            node = rclpy.create_node("tell", context=context)
-        return _give(node, kind, bag)
+        with participant(lambda: rclpy.create_node("tell"), SignalHandlerOptions.NO) as node:
+            return _give(node, kind, bag)
     except ServiceError as error:
         return False, f"{error}; is there a learner with the same ROS_DOMAIN_ID?"
-    finally:
-        rclpy.shutdown(context=context)
 
 
 def _give(node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:

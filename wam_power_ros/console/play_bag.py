@@ -16,17 +16,17 @@ import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import rclpy
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import QosDurability, QosReliability
 
 from wam_power_ros.bags import reader
 from wam_power_ros.console.prompt import say
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.node_runner import participant
 
 DISCOVERY_TIME = 4.0  # [s] to discover present publishers; 2 are usually enough
 CHECK_PERIOD = 1.0  # [s] between checks for publishers that start later
@@ -97,14 +97,8 @@ def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float 
     for name, why in left_out.items():
         say(f"not played: {name}, because {why}")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    context = rclpy.Context()
-    rclpy.init(context=context)
-    try:
-        with number_by_process():
-            node = Node("player", context=context)
+    with participant(lambda: Node("player"), SignalHandlerOptions.NO) as node:
         _Player(node, topics).play(path, rate, wait)
-    finally:
-        rclpy.try_shutdown(context=context)
 
 
 class _Player:

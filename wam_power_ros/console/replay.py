@@ -11,7 +11,6 @@ import signal
 import sys
 from pathlib import Path
 
-import rclpy
 from pydantic import Field
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -25,7 +24,7 @@ from wam_power_ros.control import replay_trajectory
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.node_runner import run_script
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
 STOPPED = 130  # exit status
@@ -135,16 +134,7 @@ def with_possible_speed(answer: Answer, speed: float) -> str:
 
 def main() -> int:
     """Entry point of `python -m wam_power_ros.console.replay`."""
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        with number_by_process():
-            node = Replay()
-        return node.run()
-    except (ServiceError, ValueError) as error:
-        sys.stderr.write(f"wam-power: {error}\n")
-        return 2
-    finally:
-        rclpy.try_shutdown()
+    return run_script(Replay, Replay.run, signals=SignalHandlerOptions.NO)
 
 
 if __name__ == "__main__":

@@ -12,16 +12,14 @@ import sys
 import time
 from pathlib import Path
 
-import rclpy
 from pydantic import Field
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.console.prompt import ask, say
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.node_runner import run_script
 from wam_power_ros.ros.service_client import TIMEOUT, ServiceClient, ServiceError
 
 RECORDER = "demonstration_recorder"
@@ -97,19 +95,7 @@ class Teach(Node):
 
 def main() -> int:
     """Entry point of `python -m wam_power_ros.console.teach`."""
-    rclpy.init()
-    try:
-        with number_by_process():
-            node = Teach()
-        node.run()
-    except (ServiceError, ValueError) as error:
-        sys.stderr.write(f"{error}\n")
-        return 2
-    except (KeyboardInterrupt, ExternalShutdownException):
-        return 130
-    finally:
-        rclpy.try_shutdown()
-    return 0
+    return run_script(Teach, Teach.run)
 
 
 if __name__ == "__main__":

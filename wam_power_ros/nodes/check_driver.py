@@ -43,7 +43,7 @@ from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.node_runner import number_by_process
 
 HEAR_ALL = QoSProfile(
@@ -113,7 +113,7 @@ class CheckDriver(Node):
         self._listener = subscribe(self._command_type, arm.command_topic, self._on_torque, HEAR_ALL)
         self._drop = self.create_client(Trigger, interface.body_topic(mocap.body, "drop"))
         scheduling.request(arm.realtime_priority)  # to hear what the controller will hear
-        self._executor = scheduling.executor_for(self)
+        self._executor = node_runner.executor_for(self)
 
     # What comes
 

@@ -26,7 +26,7 @@ from wam_power_ros.bags import reader
 from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.learning import policy
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
@@ -223,7 +223,7 @@ class DemonstrationRecorder(Node):
 
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros demonstration_recorder`."""
-    return scheduling.run(DemonstrationRecorder)
+    return node_runner.run(DemonstrationRecorder)
 
 
 if __name__ == "__main__":

@@ -45,8 +45,7 @@ from wam_power_ros.practice.settings import PracticeSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code, read
-from wam_power_ros.ros.node_runner import number_by_process
-from wam_power_ros.ros.scheduling import executor_for
+from wam_power_ros.ros.node_runner import executor_for, number_by_process
 from wam_power_ros.ros.service_client import DISCOVERY
 
 T = TypeVar("T")

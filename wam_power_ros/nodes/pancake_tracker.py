@@ -21,7 +21,7 @@ from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros import interface, node_runner
 from wam_power_ros.tracking.tracker import (
     ClockOffset,
     TrackedState,
@@ -210,7 +210,7 @@ class PancakeTracker(Node):
 
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros pancake_tracker`."""
-    return scheduling.run(PancakeTracker)
+    return node_runner.run(PancakeTracker)
 
 
 if __name__ == "__main__":

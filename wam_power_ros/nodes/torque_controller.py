@@ -30,7 +30,7 @@ from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import cdr, interface, scheduling, security
+from wam_power_ros.ros import cdr, interface, node_runner, scheduling, security
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.command_guard import SoleCommander
 from wam_power_ros.ros.deferred_service import LateTrigger
@@ -425,9 +425,9 @@ def _fill(response: Trigger.Response, answer: Answer) -> Trigger.Response:
 
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros torque_controller`."""
-    return scheduling.run(
+    return node_runner.run(
         TorqueController,
-        spin=lambda node, ended: scheduling.spin(
+        spin=lambda node, ended: node_runner.spin(
             node, ended, node.watch, node.patience, node.failed
         ),
     )

@@ -1,36 +1,199 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ports of Fast DDS: a process started after a killed one should not take its place.
+"""Bodies of every `main` that has a node: `run` for nodes, `run_script` for console scripts.
 
-Fast DDS gives a process the lowest participant number that is free, and with it its ports: after a
-kill (-9) those of the killed one. The others still send there for 20 s, through shared memory, and
-now and then one of them takes that port for dead and deletes it under the new listener, which then
-hears no message and no answer for as long as it lives (Fast DDS, pull requests 4728 and 4737; open
-in the 2.14 of Jazzy; seen in one to ten of a hundred restarts). Under
-ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST shared memory cannot be switched off.
+Both number the process among the DDS participants: Fast DDS gives a process the lowest participant
+number that is free, and with it its ports: after a kill (-9) those of the killed one. The others
+still send there for 20 s, through shared memory, and now and then one of them takes that port for
+dead and deletes it under the new listener, which then receives no message and no answer for as long
+as it lives (Fast DDS, pull requests 4728 and 4737; open in the 2.14 of Jazzy; seen in one to ten of
+a hundred restarts). Under ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST shared memory cannot be switched
+off.
 """
 
 from __future__ import annotations
 
 import os
+import signal
 import socket
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from typing import TypeVar
 
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import get_logger
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from wam_power_ros.ros.service_client import ServiceError
+
+N = TypeVar("N", bound=Node)
 FIRST, PER_DOMAIN, PER_PARTICIPANT = 7410, 250, 2  # ports of discovery (RTPS 2.2, 9.6.1.1)
 SPREAD = 16  # of the 32 numbers that are looked for within LOCALHOST, the rest for who comes later
+REFUSED, INTERRUPTED = 2, 130  # exit statuses
 
 
 @contextmanager
 def number_by_process() -> Iterator[None]:
-    """While a process makes its first node: lets the numbers begin at its process id modulo SPREAD.
+    """Let the participant number begin at the process id modulo SPREAD; for the first node made.
 
-    The lower ones that are free are bound meanwhile, and pass for those of living processes.
+    Lower numbers that are free are bound meanwhile, as if they were those of living processes.
     """
     domain = os.environ.get("ROS_DOMAIN_ID", "")
     first = FIRST + PER_DOMAIN * (int(domain) if domain.isdigit() else 0)
     with ExitStack() as held:
         for number in range(os.getpid() % SPREAD):
             place = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            with suppress(OSError):  # somebody's
+            with suppress(OSError):  # in use
                 place.bind(("", first + PER_PARTICIPANT * number))
         yield
+
+
+def executor_for(node: Node, patience: float = 1.0) -> Executor:
+    """The events executor if it calls a timer of `node` within `patience` [s], else the plain one.
+
+    The events executor needs half the CPU of the plain one; some builds of it dispatch nothing.
+    """
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+
+        executor = EventsExecutor()
+    except ImportError:
+        return _plain(node, "is not in this rclpy")
+    executor.add_node(node)
+    called: list[bool] = []
+    steady = Clock(clock_type=ClockType.STEADY_TIME)
+    timer = node.create_timer(1e-3, lambda: called.append(True), clock=steady)
+    start = steady.now()
+    while not called and (steady.now() - start).nanoseconds < patience * 1e9:
+        executor.spin_once(timeout_sec=0.05)
+    node.destroy_timer(timer)
+    if called:
+        return executor
+    executor.remove_node(node)
+    return _plain(node, "dispatched nothing in its self-test")
+
+
+def _plain(node: Node, reason: str) -> Executor:
+    node.get_logger().warning(f"events executor {reason}; using the single-threaded one")
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    return executor
+
+
+def spin(
+    node: Node,
+    ended: Callable[[], bool],
+    between: Callable[[], None] | None = None,
+    every: float | Callable[[], float] = 0.2,
+    failed: Callable[[Exception], None] | None = None,
+) -> None:
+    """Dispatch the callbacks of a node until `ended()`.
+
+    Args:
+        node: Node.
+        ended: Condition, checked after every callback and at least every `every` [s].
+        between: Function that is called as often.
+        every: Longest time between two checks [s], or a function that returns it.
+        failed: Function that takes an exception that a callback did not catch, after which the node
+            goes on; without it, the exception ends the node.
+    """
+    executor = executor_for(node)
+    while not ended() and rclpy.ok():  # not executor.spin(): it hangs in these builds
+        try:
+            executor.spin_once(timeout_sec=every() if callable(every) else every)
+            if between is not None:
+                between()
+        except Exception as error:
+            if failed is None or isinstance(error, ExternalShutdownException):
+                raise
+            failed(error)
+
+
+def run(
+    make_node: Callable[[], Node],
+    args: Sequence[str] | None = None,
+    spin: Callable[[Node, Callable[[], bool]], None] = spin,
+) -> int:
+    """Run a node until SIGINT or SIGTERM, after which it can still send.
+
+    Args:
+        make_node: Makes the node; a `ValueError` from it is a configuration that is not acceptable.
+            A method `close` of the node is called at the end: finish files, send the last command.
+        args: Command line; that of the process if None.
+        spin: Dispatches callbacks until the function it is given returns True.
+
+    Returns:
+        Exit status: 0 after a signal, 2 when the configuration was refused.
+    """
+    signals: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda received, _: signals.append(received))
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        with number_by_process():
+            node = make_node()
+        spin(node, lambda: bool(signals))
+    except ValueError as error:
+        if node is not None:
+            raise
+        get_logger("wam_power_ros").fatal(str(error))
+        return REFUSED
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if hasattr(node, "close"):
+            node.close()
+        rclpy.try_shutdown()
+    return 0
+
+
+@contextmanager
+def participant(
+    make_node: Callable[[], N], signals: SignalHandlerOptions = SignalHandlerOptions.ALL
+) -> Iterator[N]:
+    """Node of a script, alone in its process; ROS is shut down at the end.
+
+    Args:
+        make_node: Makes the node.
+        signals: Signals that rclpy handles, each of which shuts ROS down.
+    """
+    rclpy.init(signal_handler_options=signals)
+    try:
+        with number_by_process():
+            node = make_node()
+        yield node
+    finally:
+        rclpy.try_shutdown()
+
+
+def run_script(
+    make_node: Callable[[], N],
+    work: Callable[[N], int | None],
+    known: tuple[type[Exception], ...] = (ServiceError, ValueError, OSError),
+    signals: SignalHandlerOptions = SignalHandlerOptions.ALL,
+    report: Callable[[str], object] = lambda text: sys.stderr.write(f"{text}\n"),
+) -> int:
+    """Run a script that has a node and an end.
+
+    Args:
+        make_node: Makes the node.
+        work: Does the work of the script; its result is the exit status, 0 if None.
+        known: Exceptions that are reported without a traceback.
+        signals: Signals that rclpy handles.
+        report: Prints or logs such an exception.
+
+    Returns:
+        Exit status: that of `work`, REFUSED after a known exception, INTERRUPTED after a signal.
+    """
+    try:
+        with participant(make_node, signals) as node:
+            return work(node) or 0
+    except known as error:
+        report(str(error))
+        return REFUSED
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return INTERRUPTED
