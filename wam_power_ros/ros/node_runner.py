@@ -167,7 +167,8 @@ def participant(
             node = make_node()
         yield node
     finally:
-        rclpy.try_shutdown()
+        with suppress(RuntimeError):  # the shutdown of a signal, in a thread of rclpy, came first
+            rclpy.try_shutdown()
 
 
 def run_script(
