@@ -452,7 +452,7 @@ def _quantiles(sample: np.ndarray, form: str) -> list[str]:
 
 def _flights(sessions: Sessions, name: str, whose: str) -> list[Figure]:
     """Figs. 3, 4 and 6 of the session that kept its paths."""
-    shown = next((run["shown"] for run in sessions.runs if run["shown"]), None)
+    shown = next((run["figure_paths"] for run in sessions.runs if run["figure_paths"]), None)
     if shown is None:
         return []
     flights = {}

@@ -189,7 +189,7 @@ def session(
         "fires": _fires(curve),
         "carried": {},
         "k33": {},
-        "shown": None,
+        "figure_paths": None,
     }
     if best is None or parameters is None:  # nothing could be reproduced
         return result
@@ -207,7 +207,7 @@ def session(
             _outcome(truth, "" if fault is None else fault.text) for truth, fault in runs
         ]
     if keep_paths:
-        result["shown"] = _shown_paths(
+        result["figure_paths"] = _figure_paths(
             environment, seed, pitch_rate, parameters.policy0, best.policy
         )
     return result
@@ -258,7 +258,7 @@ def _k33(policy: Policy) -> list[float]:
     return (activations(policy.basis, t) @ policy.stiffness[:, 2, 2]).tolist()
 
 
-def _shown_paths(
+def _figure_paths(
     environment: Environment, seed: int, pitch_rate: float, demonstrated: Policy, answer: Policy
 ) -> dict[str, Any]:
     """Paths of demonstration, reproduction and answer for the figures, and the answer's trace."""
