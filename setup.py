@@ -61,6 +61,10 @@ setup(
             "wam_sim = hardware_sim.main:main",
             "optitrack_sim = hardware_sim.optitrack_node:main",
             f"wam-power = {NAME}.cli.main:main",
-        ]
+        ],
+        f"{NAME}.scenes": [
+            "flip = hardware_sim.scenes.flip:Flip",
+            "reach = hardware_sim.scenes.reach:Reach",
+        ],
     },
 )

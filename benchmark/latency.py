@@ -57,7 +57,7 @@ class Echo(Node):
 
 def stand_in(report: Path) -> int:
     """Run the stand-ins and time the answers to each state; writes the times to `report`."""
-    from hardware_sim.main import StandIns
+    from hardware_sim.main import Simulation
     from hardware_sim.wam_node import WamSim
 
     sent: dict[int, int] = {}  # stamp -> when it was published [ns, steady clock]
@@ -76,8 +76,8 @@ def stand_in(report: Path) -> int:
 
     WamSim._on_torque = taken  # a second subscription would slow down the controller's topic
 
-    def make() -> StandIns:
-        bench = StandIns()
+    def make() -> Simulation:
+        bench = Simulation()
         publish = bench.wam.publish
 
         def timed(message: JointState) -> None:

@@ -191,7 +191,7 @@ class Director(Node):
         self.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
         try:
             self.call(Trigger, interface.body_topic("pancake", "reset"), patience=10.0)
-            self.call(Trigger, interface.HAND_DEMONSTRATE, patience=10.0)
+            self.call(Trigger, interface.DEMONSTRATE, patience=10.0)
         except TimeoutError:  # a fault in between: the arm is not free any more
             return False
         self.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))

@@ -1,50 +1,131 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motions the WAM's driver makes by itself: hold a posture, move home (Barrett's services)."""
+"""Services of Barrett's own driver: gravity compensation, hold, idle, and a move home."""
 
 from __future__ import annotations
 
 import numpy as np
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
 
+from hardware_sim.wam import HOME_SPEED, POSITION_KD, POSITION_KP, POSITION_TAU_MAX
+from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
-
-# Position control as libbarrett ships it (config/wam7w.conf), without the integral
-KP = np.array([900.0, 2500.0, 600.0, 500.0, 50.0, 50.0, 8.0])  # [N m/rad]
-KD = np.array([10.0, 20.0, 5.0, 2.0, 0.5, 0.5, 0.05])  # [N m s/rad]
-TAU_MAX = np.array([25.0, 20.0, 15.0, 15.0, 5.0, 5.0, 5.0])  # [N m]
-FOLDED = np.array([0.0, -1.95, 0.0, 3.05, 0.0, 0.0, 0.0])  # [rad] Barrett's, just inside the limits
-SPEED = 0.5  # [rad/s] of a move home
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.deferred_service import LateTrigger
 
 
-class Driver:
-    """Position control on top of gravity compensation, while engaged."""
+class PositionControl:
+    """Position control on top of gravity compensation, while engaged.
+
+    Args:
+        arm: The driver's model of the arm.
+        adds_gravity: The driver adds g(q) to every commanded torque.
+        period: Control period [s].
+    """
 
     def __init__(self, arm: Arm, adds_gravity: bool, period: float) -> None:
-        """`adds_gravity`: g(q) is added below, to whatever is commanded; `period` [s]."""
         self._arm, self._adds_gravity, self._period = arm, adds_gravity, period
         self._goal: np.ndarray | None = None
         self._ref = np.zeros(arm.n)
 
     @property
     def engaged(self) -> bool:
-        """Whether commands are overridden."""
+        """Whether it overrides commands."""
         return self._goal is not None
 
     @property
     def arrived(self) -> bool:
-        """Whether the reference has come to its goal."""
+        """Whether the reference has reached its goal."""
         return self._goal is not None and bool(np.array_equal(self._goal, self._ref))
 
     def move(self, q: np.ndarray, goal: np.ndarray) -> None:
-        """Move from q (nj,) [rad] to a goal (nj,) [rad], all joints at `SPEED`, and hold there."""
+        """Move from q (nj,) to a goal (nj,) [rad], all joints at `HOME_SPEED`, and hold there."""
         self._ref, self._goal = q.copy(), goal.copy()
 
-    def release(self) -> None:
+    def disengage(self) -> None:
         """Let commands through again."""
         self._goal = None
 
     def torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """The driver's own command in state q (nj,) [rad], qd (nj,) [rad/s]: (nj,) [N m]."""
-        step = SPEED * self._period
+        """Commanded torque (nj,) [N m] in state q (nj,) [rad], qd (nj,) [rad/s].
+
+        Raises:
+            RuntimeError: It is not engaged.
+        """
+        if self._goal is None:
+            raise RuntimeError("position control is not engaged")
+        step = HOME_SPEED * self._period
         self._ref = self._ref + np.clip(self._goal - self._ref, -step, step)
-        tau = np.clip(KP * (self._ref - q) - KD * qd, -TAU_MAX, TAU_MAX)
+        tau = POSITION_KP * (self._ref - q) - POSITION_KD * qd
+        tau = np.clip(tau, -POSITION_TAU_MAX, POSITION_TAU_MAX)
         return tau if self._adds_gravity else tau + self._arm.gravity(q)
+
+
+class BarrettServices:
+    """The services, on a simulated world.
+
+    Attributes:
+        deactivated: Only zeros reach the arm until gravity compensation is requested, as with a
+            ros2_control controller after a command it cannot take.
+
+    Args:
+        node: Node that offers the services.
+        world: World they act on.
+        control: Position control of the arm.
+        home: Posture of a move home [rad]. Shape (7,).
+        lockstep: The world steps in lockstep and may wait frozen between rollouts.
+    """
+
+    def __init__(
+        self, node: Node, world: World, control: PositionControl, home: np.ndarray, lockstep: bool
+    ) -> None:
+        self.deactivated = False
+        self._control = control
+        self._world, self._home_posture, self._lockstep = world, home, lockstep
+        serve = node.create_service
+        serve(SetBool, interface.WAM_GRAVITY_COMPENSATE, self._on_gravity_compensate)
+        serve(SetBool, interface.WAM_HOLD, self._on_hold)
+        serve(Trigger, interface.WAM_IDLE, self._on_idle)
+        self._home = LateTrigger(node, interface.WAM_MOVE_HOME, self._begin_home)
+
+    def update(self) -> None:
+        """Answer a move home that has ended; called once a tick."""
+        if self._home.pending and (self._control.arrived or not self._control.engaged):
+            code = Code.DONE if self._control.arrived else Code.STOPPED
+            text = "at home" if self._control.arrived else "interrupted"
+            self._home.finish(code is Code.DONE, str(Answer(code, text)))
+
+    def _on_gravity_compensate(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
+        """On: torque commands reach the arm. Off: as idle."""
+        self._control.disengage()
+        self.deactivated = False
+        self._world.idle = not request.data
+        return _done(response)
+
+    def _on_hold(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        q = self._world.joint_state().q
+        self._world.idle = False
+        self._control.move(q, q) if request.data else self._control.disengage()
+        return _done(response)
+
+    def _on_idle(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._control.disengage()
+        self._world.idle = True
+        return _done(response)
+
+    def _begin_home(self) -> str | None:
+        if self._world.frozen:
+            if not self._lockstep:
+                return str(Answer(Code.BUSY, "the scene is being reset"))
+            self._world.release()  # between rollouts
+        self._world.idle = False
+        self._control.move(self._world.joint_state().q, self._home_posture)
+        return None
+
+
+def _done(response: SetBool.Response | Trigger.Response) -> SetBool.Response | Trigger.Response:
+    response.success, response.message = True, str(Answer(Code.DONE))
+    return response

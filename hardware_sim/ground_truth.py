@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from hardware_sim.motors import DirectDrives, Motors
-from hardware_sim.settings import PERIOD, N
+from hardware_sim.wam import PERIOD, N
 
 TOOL_SITE = "pan"  # site of the model at the origin of the tool
 LOG_TICKS = 5000  # ticks since the release that are logged: 10 s

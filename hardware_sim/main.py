@@ -3,7 +3,7 @@
 
 Lockstep: a state is published, and again every 50 ms, until the torque labelled with its stamp has
 come; then the world steps. Real time: 500 steps a second on absolute deadlines, with links that
-delay and lose as life does.
+delay, jitter and lose as real networks do.
 """
 
 from __future__ import annotations
@@ -19,28 +19,41 @@ from rclpy.executors import Executor
 
 from hardware_sim.network_link import Link
 from hardware_sim.optitrack_node import OptitrackSim
-from hardware_sim.settings import PERIOD_NS
+from hardware_sim.scenes import scene_type
+from hardware_sim.sensors import MocapFrame, MocapSettings
+from hardware_sim.wam import PERIOD_NS
 from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
 from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
-PATIENCE_NS = 50_000_000  # without the torque for longer, the state is published again
-LATE_NS = 100_000_000  # behind by more, real time gives up on catching up
+REPEAT_NS = 50_000_000  # [ns] without the torque, after which a state is published again
+LATE_NS = 100_000_000  # [ns] behind by more, real time gives up on catching up
 
 
-class StandIns:
-    """The two nodes on one world.
+class Simulation:
+    """The two nodes on one world; only the WAM's when the scene has no tracked body.
 
     Raises:
         ValueError: A parameter that is not acceptable.
     """
 
     def __init__(self) -> None:
-        self.wam, self.optitrack = WamSim(), OptitrackSim()
+        self.wam = WamSim()
         params = self.wam.params
-        world = World(params.world(self.optitrack.params.mocap()), params.seed)
-        self.wam.attach(world, self.optitrack.publish)
+        make_scene = scene_type(params.scene)
+        self.optitrack = OptitrackSim() if make_scene.body else None
+        mocap = MocapSettings()
+        if self.optitrack is not None:
+            seen = self.optitrack.params
+            if seen.body != make_scene.body:
+                raise ValueError(
+                    f"optitrack_sim is set to body {seen.body!r}, but the tracked body of scene "
+                    f"{params.scene!r} is {make_scene.body!r}"
+                )
+            mocap = seen.mocap()
+        world = World(params.world(mocap), params.seed, make_scene)
+        self.wam.attach(world, self._publish_frame)
         rngs = [np.random.default_rng((params.seed, link)) for link in range(2)]
         self._out = Link(params.state_latency, params.state_jitter, params.state_loss, rngs[0])
         self._in = Link(params.command_latency, params.command_jitter, params.command_loss, rngs[1])
@@ -53,16 +66,21 @@ class StandIns:
     def spin(self, ended: Callable[[], bool]) -> None:
         """Keep the pace until `ended()`."""
         executor = node_runner.executor_for(self.wam)
-        executor.add_node(self.optitrack)
+        if self.optitrack is not None:
+            executor.add_node(self.optitrack)
         if self.wam.lockstep:
             self._lockstep(executor, ended)
         else:
             self._real_time(executor, ended)
 
+    def _publish_frame(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
+        if self.optitrack is not None:
+            self.optitrack.publish(frame, stamp_offset_ns, now_ns)
+
     def _lockstep(self, executor: Executor, ended: Callable[[], bool]) -> None:
         self.wam.on_torque = self._answer
         while not ended():
-            if time.monotonic_ns() - self._published_ns > PATIENCE_NS:
+            if time.monotonic_ns() - self._published_ns > REPEAT_NS:
                 self._publish(self.wam.state())
             executor.spin_once(timeout_sec=0.02)
 
@@ -111,7 +129,7 @@ class StandIns:
 
 def main() -> int:
     """Run both stand-ins until a signal."""
-    return node_runner.run(StandIns, spin=lambda bench, ended: bench.spin(ended))
+    return node_runner.run(Simulation, spin=lambda simulation, ended: simulation.spin(ended))
 
 
 if __name__ == "__main__":

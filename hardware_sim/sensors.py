@@ -11,10 +11,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hardware_sim.motors import joint_motion, motor_motion
+from hardware_sim.wam import ENCODER_COUNTS, VELOCITY_CUTOFF
 from wam_power_ros import rotations
 
-_COUNTS = 4096 / math.tau  # of a motor's encoder [1/rad]
-_COUNT = math.tau / 4096  # [rad]
+_COUNTS = ENCODER_COUNTS / math.tau  # [1/rad] of a motor's encoder
+_COUNT = math.tau / ENCODER_COUNTS  # [rad]
 
 
 def joint_counts(q: Sequence[float]) -> tuple[float, ...]:
@@ -43,7 +44,7 @@ class Encoders:
     def __init__(
         self,
         period: float,
-        cutoff: float = 180.0,
+        cutoff: float = VELOCITY_CUTOFF,
         counted: Callable[[Sequence[float]], tuple[float, ...]] = wam_counts,
     ) -> None:
         self._counted = counted

@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from hardware_sim.sensors import MocapSettings
+from hardware_sim.wam import JOINTS, N
 from wam_power_ros.control.arm import WAM_GUARDED, Guarded
 
-N = 7  # joints
-JOINTS = tuple(f"wam_j{number}" for number in range(1, N + 1))
-PERIOD_NS = 2_000_000  # [ns] control period of the WAM's driver
-PERIOD = PERIOD_NS / 1e9  # [s]
 _SHARES = ("wind_sd", "torque_scale_sd", "friction_sd", "friction_share")
 
 

@@ -23,14 +23,14 @@ from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene
 from hardware_sim.scenes.flip import Flip
 from hardware_sim.sensors import Encoders, Mocap, MocapFrame, joint_counts
-from hardware_sim.settings import PERIOD, PERIOD_NS, N, SceneSettings, WorldSettings
+from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS, N
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.params.resources import share
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
 QUIET = "-quiet"  # a rollout whose id ends so is run without any noise
 DROP_HEIGHT = 0.7  # [m]
-_WATCHDOG_TICKS = 5  # 10 ms without a command
 _SETTLE_STEPS = 900  # physics steps, at most, in which bodies come to rest
 _SETTLE_CHECK = 50  # steps from one check for rest to the next
 _SETTLE_SLICE = 10  # steps that may be done within a tick
@@ -290,7 +290,7 @@ class World:
 
     def _wanted(self) -> list[float]:
         """Joint torques (7,) the driver asks of the motors [N m]."""
-        if self.settings.watchdog and self._since_command > _WATCHDOG_TICKS:
+        if self.settings.watchdog and self._since_command > WATCHDOG_TICKS:
             damped = zip(self._gravity(), self._watchdog_damping, self._encoders.qd, strict=True)
             return [g - d * qd for g, d, qd in damped]
         if self.settings.driver_compensates_gravity:

@@ -1,8 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: what surrounds the arm in one task, one module a task."""
+"""Scenes: what surrounds the arm in one task, one module a task.
+
+A scene is found by its entry point in the group `wam_power_ros.scenes`, so that another package can
+bring one.
+"""
 
 from __future__ import annotations
 
+from importlib.metadata import entry_points
 from typing import Protocol
 
 import mujoco
@@ -12,13 +17,15 @@ from hardware_sim.demonstrator import Script
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.settings import SceneSettings
 
+GROUP = "wam_power_ros.scenes"  # of entry points
+
 
 class Scene(Protocol):
     """Bodies around the arm, the demonstration of the task, and the ground truth of a rollout.
 
     Attributes:
         body: Name of the MuJoCo body that is tracked, on a free joint; "" for none. Topics and
-            services follow it.
+            services follow it. An attribute of the class.
         home: Posture in which demonstrations begin [rad]. Shape (7,).
         home_sd: Standard deviation of that posture, per joint [rad].
     """
@@ -53,3 +60,19 @@ class Scene(Protocol):
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a rollout as plain data."""
         ...
+
+
+def scene_type(name: str) -> type[Scene]:
+    """Class of a scene.
+
+    Raises:
+        ValueError: No installed package has a scene of this name, or it cannot be imported.
+    """
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in points:
+        raise ValueError(f"scene {name!r} is not one of {', '.join(sorted(points)) or 'none'}")
+    try:
+        found: type[Scene] = points[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
+    return found

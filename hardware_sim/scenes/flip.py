@@ -14,7 +14,8 @@ from scipy.interpolate import CubicHermiteSpline
 from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
-from hardware_sim.settings import PERIOD, SceneSettings
+from hardware_sim.settings import SceneSettings
+from hardware_sim.wam import PERIOD
 from wam_power_ros import rotations
 
 BODY = "pancake"

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hardware_sim.settings import JOINTS, SceneSettings, WorldSettings
+from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.params.resources import share

@@ -11,14 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hardware_sim.motors import (
-    CABLE_LIMIT,
-    MOTOR_OF_JOINT,
-    DirectDrives,
-    Motors,
-    joint_motion,
-    motor_motion,
-)
+from hardware_sim.motors import DirectDrives, Motors, joint_motion, motor_motion
+from hardware_sim.wam import CABLE_LIMIT, MOTOR_OF_JOINT
 
 
 @given(arrays(float, 7, elements=st.floats(-20.0, 20.0)))

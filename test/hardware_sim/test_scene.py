@@ -11,9 +11,7 @@ import pytest
 from simulated import LEVEL, URDF, begin
 
 from hardware_sim import scene
-from hardware_sim.settings import (
-    JOINTS,
-)
+from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 

@@ -12,10 +12,7 @@ from simulated import CALM, LEVEL, begin, run
 
 from hardware_sim.motors import motor_motion
 from hardware_sim.sensors import Encoders, MocapFrame, MocapSettings
-from hardware_sim.settings import (
-    PERIOD,
-    PERIOD_NS,
-)
+from hardware_sim.wam import PERIOD, PERIOD_NS
 from hardware_sim.world import World
 from wam_power_ros.tracking.marker_fit import LAYOUT
 

@@ -10,10 +10,7 @@ import numpy as np
 import pytest
 from simulated import CALM, LEVEL, URDF, begin, holding_torque, run
 
-from hardware_sim.settings import (
-    JOINTS,
-    PERIOD_NS,
-)
+from hardware_sim.wam import JOINTS, PERIOD_NS
 from hardware_sim.world import QUIET, World
 from wam_power_ros.control.arm import Arm
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,8 +15,8 @@ import rclpy
 from conftest import ROOT, Processes
 from rclpy.node import Node
 
+from hardware_sim.main import Simulation
 from hardware_sim.optitrack_node import OptitrackSim
-from hardware_sim.wam_node import WamSim
 from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
 from wam_power_ros.nodes.learner import Learner
@@ -37,7 +38,7 @@ NODES = {
     "demonstration_recorder": DemonstrationRecorder,
     "pancake_tracker": PancakeTracker,
     "learner": Learner,
-    "wam_sim": WamSim,
+    "wam_sim": lambda: Simulation().wam,  # it serves once it has its world
     "optitrack_sim": OptitrackSim,
 }
 EVERYONES = {"/rosout", "/parameter_events", interface.CLOCK}
@@ -106,7 +107,7 @@ def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
 
 @pytest.mark.parametrize("kind", NODES.values(), ids=NODES)
 def test_a_node_does_what_it_may_and_may_what_it_does(
-    kind: type[Node], domain_id: int, tmp_path: Path
+    kind: Callable[[], Node], domain_id: int, tmp_path: Path
 ) -> None:
     file = tmp_path / "parameters.yaml"
     file.write_text(overlay.text(overlay.setup()))
@@ -124,8 +125,7 @@ def test_a_node_does_what_it_may_and_may_what_it_does(
         assert published - EVERYONES - events == set(right.publishes) - EVERYONES
         assert heard - EVERYONES <= set(right.subscribes)
         assert called <= set(right.calls)
-        if name != "wam_sim":  # it serves once it has its world
-            assert served == set(right.serves)
+        assert served == set(right.serves)
         node.destroy_node()
     finally:
         rclpy.shutdown()

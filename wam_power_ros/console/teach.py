@@ -71,7 +71,7 @@ class Teach(Node):
             if params.person:
                 self._ask("press Enter when the movement is over ")
             else:
-                insist(Trigger, interface.HAND_DEMONSTRATE)
+                insist(Trigger, interface.DEMONSTRATE)
             bags.append(insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text)
             say(f"  {number} of {params.demonstrations}: {bags[-1]}")
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))

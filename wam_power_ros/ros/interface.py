@@ -66,7 +66,7 @@ WAM_GRAVITY_COMPENSATE = "/wam/gravityCompensate"
 WAM_HOLD = "/wam/holdJointPosition"
 WAM_MOVE_HOME = "/wam/moveHome"
 WAM_IDLE = "/wam/idle"
-HAND_DEMONSTRATE = "/hand/demonstrate"  # stand-in only
+DEMONSTRATE = "/demonstrator/demonstrate"  # stand-in only
 
 NO_BAG = f"no bag was named on {LEARNER_BAG}"  # yet: topics and services are not ordered
 

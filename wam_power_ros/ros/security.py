@@ -143,7 +143,7 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.GRAVITY_COMPENSATION,
                 interface.RECORD,
                 reset,
-                interface.HAND_DEMONSTRATE,
+                interface.DEMONSTRATE,
             ),
             process="operator",
         ),
@@ -185,7 +185,7 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.WAM_IDLE,
                 reset,
                 *((interface.body_topic(body, "drop"),) if body else ()),
-                interface.HAND_DEMONSTRATE,
+                interface.DEMONSTRATE,
             ),
         ),
         "optitrack_sim": Access(

@@ -22,10 +22,7 @@ from hardware_sim.scenes.flip import (
     TossScript,
     wrist_flick,
 )
-from hardware_sim.settings import (
-    JOINTS,
-    PERIOD,
-)
+from hardware_sim.wam import JOINTS, PERIOD
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm

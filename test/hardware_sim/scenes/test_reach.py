@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from hardware_sim.demonstrator import PAUSE, Demonstrator
 from hardware_sim.scenes.reach import GOAL, HOME, Reach, reach
-from hardware_sim.settings import JOINTS, SceneSettings, WorldSettings
+from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hardware_sim.settings import JOINTS
+from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.experiments.environment import Environment

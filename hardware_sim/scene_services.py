@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Services a simulation offers beside a driver's: reset the scene, demonstrate, drop the body.
+
+They stand for the person in the lab, who puts the pancake back and leads the arm. The ground truth
+of a rollout is published when it ends.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.wam import N
+from hardware_sim.world import World
+from wam_power_ros.learning import policy as policies
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.deferred_service import LateTrigger
+
+WAIT_TICKS = 50  # after a request, before the world is taken to be at rest
+START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
+
+
+class SceneServices:
+    """The services, on a simulated world.
+
+    Attributes:
+        label: Activity of the controller, as it labels its torques; empty before the first.
+
+    Args:
+        node: Node that offers the services.
+        world: World they act on.
+        seed: Seed of the demonstrations.
+        lockstep: The world steps in lockstep; a reset is then done within one tick.
+        demonstrates: The scene's postures are meant for this arm, so it can be led.
+        overridden: Whether the driver moves the arm by itself.
+        counters: Counters of the node, for refused policies.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        world: World,
+        seed: int,
+        lockstep: bool,
+        demonstrates: bool,
+        overridden: Callable[[], bool],
+        counters: Counter[str],
+    ) -> None:
+        self.label = ""
+        self._node, self._world, self._seed = node, world, seed
+        self._lockstep, self._demonstrates, self._overridden = lockstep, demonstrates, overridden
+        self._counters = counters
+        self._policy: policies.Policy | None = None
+        self._demonstrations = 0  # that have been given
+        self._demonstrating = False
+        self._ticks_left = 0  # until a reset may be answered or a demonstration refused
+        self._resetting: Iterator[None] | None = None
+        body = world.scene.body
+        self._truths = node.create_publisher(
+            String, interface.body_topic(body, "truth"), interface.LATCHED
+        )
+        node.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
+        self._reset = LateTrigger(node, interface.body_topic(body, "reset"), self._begin_reset)
+        self._demonstrate = LateTrigger(node, interface.DEMONSTRATE, self._begin_demonstration)
+        if body:
+            node.create_service(Trigger, interface.body_topic(body, "drop"), self._on_drop)
+
+    def change(self, label: str) -> None:
+        """The controller does something else: a rollout begins or ends with that very tick."""
+        was, self.label = self.label, label
+        world = self._world
+        if world.frozen and self._resetting is None and label not in ("hold", "inactive"):
+            world.release()
+        if was.startswith("rollout "):
+            self._truths.publish(String(data=json.dumps(world.truth())))
+
+    def update(self) -> None:
+        """Go on with what was requested; called once a tick."""
+        world, waited = self._world, self._ticks_left == 0
+        self._ticks_left = max(0, self._ticks_left - 1)
+        if self._resetting is not None and next(self._resetting, self) is self:
+            self._resetting = None
+            world.release()
+        if self._reset.pending and waited and self._resetting is None:
+            self._finish(self._reset)  # the controller is at rest by now
+        if self._demonstrate.pending and not self._demonstrating:
+            free = self.label == "gravity_compensation" and not self._overridden()
+            if free:
+                if self._resetting is None:
+                    self._grip()
+            elif waited:
+                refusal = Answer(Code.BUSY, f"the arm is not free (mode {self.label!r})")
+                self._demonstrate.finish(False, str(refusal))
+        elif self._demonstrating and not world.pulled:
+            self._demonstrating = False
+            self._demonstrations += 1
+            self._finish(self._demonstrate)
+
+    def _finish(self, service: LateTrigger) -> None:
+        rollout_id = self._world.rollout_id
+        service.finish(True, str(Answer(Code.DONE, rollout_id, {"policy": rollout_id})))
+
+    def _on_policy(self, message: String) -> None:
+        try:
+            self._policy = policies.from_json(message.data)
+        except ValueError as error:
+            self._counters["policies refused"] += 1
+            self._node.get_logger().warning(f"policy refused: {error}")
+
+    def _begin_reset(self) -> str | None:
+        """Reset the scene; in lockstep the world then waits, frozen, for what comes next.
+
+        While teaching, the arm is led back to where demonstrations begin as well.
+        """
+        policy, world = self._policy, self._world
+        if self.label == "gravity_compensation" and not world.pulled and self._demonstrates:
+            self._put_back(*self._next_demonstration())
+            return None
+        if policy is None or len(policy.q_start) != N:
+            return str(Answer(Code.NOTHING, "no policy for this arm has come"))
+        if world.pulled or self.label not in ("", "inactive", "hold", "move_to_start"):
+            return str(Answer(Code.BUSY, f"the arm is in use (mode {self.label!r})"))
+        far = np.abs(world.joint_state().q - policy.q_start).max()
+        if far > START_TOLERANCE:
+            text = f"the arm is {far:.3f} rad from the start of {policy.id}"
+            return str(Answer(Code.NOT_AT_START, text, {"policy": policy.id}))
+        self._put_back(policy.id, policy.q_start)
+        return None
+
+    def _put_back(self, rollout_id: str, q: np.ndarray) -> None:
+        """Reset the world: at once in lockstep, else in slices, as the clock goes on."""
+        if self._lockstep:
+            self._world.reset(rollout_id, q)
+        else:
+            self._resetting = self._world.resetting(rollout_id, q)
+        self._ticks_left = WAIT_TICKS
+
+    def _begin_demonstration(self) -> str | None:
+        self._ticks_left = WAIT_TICKS
+        if not self._demonstrates:
+            return str(Answer(Code.REFUSED, "the demonstrator knows postures of the WAM only"))
+        if self._world.pulled:
+            return str(Answer(Code.BUSY, "a demonstration is under way"))
+        return None
+
+    def _grip(self) -> None:
+        """Begin a demonstration, another one each time."""
+        world = self._world
+        rollout_id, home = self._next_demonstration()
+        if world.rollout_id != rollout_id:  # the jump back to the start is for the reset to make
+            world.reset(rollout_id, home)
+        rng = np.random.default_rng((self._seed, self._demonstrations))
+        if world.frozen:
+            world.release()
+        world.attach(Demonstrator(world.scene.script(rng), *world.pan_pose))
+        self._demonstrating = True
+
+    def _next_demonstration(self) -> tuple[str, np.ndarray]:
+        """Id and start posture (7,) [rad] of the next demonstration."""
+        scene, number = self._world.scene, self._demonstrations
+        rng = np.random.default_rng((self._seed, number, 1))
+        home = scene.home + scene.home_sd * rng.standard_normal(len(scene.home))
+        return f"demonstration-{number}", home
+
+    def _on_drop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        answer = Answer(Code.DONE)
+        if self._lockstep or self._world.pulled:
+            answer = Answer(Code.REFUSED, "only in real time, and while nobody leads the arm")
+        else:
+            self._world.drop()
+        response.success, response.message = answer.success, str(answer)
+        return response

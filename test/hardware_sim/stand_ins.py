@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stand-ins over DDS, for the tests in this folder."""
+
+from __future__ import annotations
+
+import json
+
+from conftest import ROOT, Probe, Processes, diagnosis
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from hardware_sim.wam import JOINTS
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code, read
+
+TICK = 2_000_000  # [ns]
+CONFIGS = ("wam_sim.yaml", "optitrack_sim.yaml")
+NAMES = list(JOINTS)
+
+
+def arm_model() -> Arm:
+    return Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES)
+
+
+class Hardware:
+    """The stand-ins in a process, and a controller in another when asked for.
+
+    Args:
+        probe: Node of the test.
+        processes: Processes of the test.
+        pace: Pace of the stand-ins.
+        body: Tracked body of their scene.
+        **parameters: Other parameters of wam_sim.
+    """
+
+    def __init__(
+        self,
+        probe: Probe,
+        processes: Processes,
+        pace: str,
+        body: str = "pancake",
+        **parameters: object,
+    ) -> None:
+        self.probe, self.processes, self.pace = probe, processes, pace
+        self.reset_service = interface.body_topic(body, "reset")
+        self.messages = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
+        self.diagnostics = probe.listen(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self.paths = probe.listen(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
+        self.truths = probe.listen(String, interface.body_topic(body, "truth"), interface.LATCHED)
+        overrides = {f"wam_sim:{name}": value for name, value in parameters.items()}
+        self.process = processes.node(
+            "hardware_sim.main", *CONFIGS, **{"wam_sim:pace": pace, **overrides}
+        )
+        self._read = interface.JointStateReader(NAMES)
+        probe.until(lambda: self.messages, "the first state")
+
+    def state(self, index: int = -1) -> interface.JointReading:
+        """One of the states that have come."""
+        return self._read(self.messages[index])
+
+    def control(self) -> None:
+        """Start the controller and wait until it holds."""
+        lockstep = self.pace == "lockstep"
+        self.controller = self.processes.node(
+            "wam_power_ros.nodes.torque_controller",
+            "torque_controller.yaml",
+            state_timeout=0.0 if lockstep else 0.006,
+            realtime_priority=0 if lockstep else 60,
+        )
+        self.policies = self.probe.node.create_publisher(
+            String, interface.POLICY, interface.LATCHED
+        )
+        self.probe.until(self._holds, "the controller holds")
+
+    def _holds(self) -> bool:
+        label = self.label()
+        if label == "fault" and self.pace == "real_time":  # see `insist`
+            self.probe.call(Trigger, interface.RESET)
+        return label == "hold"
+
+    def label(self) -> str:
+        """What the controller does, as the stand-in reports once a second."""
+        return diagnosis(self.diagnostics, "wam_sim").get("label", "")
+
+    def ask(self, name: str) -> Answer:
+        """Call a Trigger service."""
+        response = self.probe.call(Trigger, name)
+        return read(response.success, response.message)
+
+    def free(self) -> None:
+        """Let the arm be led, in gravity compensation."""
+        request = SetBool.Request(data=True)
+        assert self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success
+
+    def give_back(self) -> None:
+        """End gravity compensation."""
+        request = SetBool.Request(data=False)
+        assert self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success
+
+    def insist(self, name: str) -> str:
+        """Call a service until it agrees; returns the id of the policy it was done for.
+
+        Latched messages may still be on their way.
+
+        In real time a starved machine makes a fault; an operator would reset it and ask again.
+        """
+        answers = []
+
+        def agreed() -> bool:
+            answers.append(self.ask(name))
+            if answers[-1].code is Code.FAULT and self.pace == "real_time":
+                self.probe.call(Trigger, interface.RESET)
+            self.probe.spin(0.0 if answers[-1].success else 0.05)
+            return answers[-1].success
+
+        self.probe.until(agreed, name)
+        return answers[-1].values.get("policy", answers[-1].text)
+
+    def rollout(
+        self, policy: Policy, pauses: tuple[float, float]
+    ) -> tuple[Path, dict[str, object]]:
+        """One rollout, with pauses [s of wall time] before and after the reset."""
+        self.paths.clear()
+        self.truths.clear()
+        self.policies.publish(String(data=to_json(policy)))
+        self.probe.until(
+            lambda: self.insist(interface.MOVE_TO_START) == policy.id, "at the policy's start"
+        )
+        self.probe.spin(pauses[0])
+        self.probe.until(lambda: self.insist(self.reset_service) == policy.id, "the reset")
+        self.probe.spin(pauses[1])
+        assert self.insist(interface.EXECUTE) == policy.id
+        self.probe.until(lambda: self.paths and self.truths, "path and truth", deadline=60.0)
+        return self.paths[0], json.loads(self.truths[0].data)

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two paces of the stand-ins, over DDS."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from conftest import Probe, Processes, lift
+from geometry_msgs.msg import PoseStamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import PointCloud2
+from stand_ins import NAMES, TICK, Hardware, arm_model
+from std_msgs.msg import Float64MultiArray, String
+
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.ros import interface
+
+
+def test_in_lockstep_one_torque_is_one_step_and_none_is_none(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    clock = probe.listen(Clock, interface.CLOCK, interface.CLOCK_QOS)
+    description = probe.listen(String, interface.ROBOT_DESCRIPTION, interface.LATCHED)
+    torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    write = interface.TorqueWriter(NAMES, "multiarray")
+    before = hardware.state()
+    probe.until(lambda: len(hardware.messages) >= 3, "the state again")
+    assert hardware.state().stamp_ns == before.stamp_ns  # nothing has moved
+    tau = arm_model().gravity(before.q)
+    for step in range(1, 20):
+        torques.publish(write(before.stamp_ns + (step - 1) * TICK, "hold", tau))
+        probe.until(
+            lambda step=step: hardware.state().stamp_ns == before.stamp_ns + step * TICK, "one step"
+        )
+    torques.publish(write(before.stamp_ns, "hold", tau))  # an old answer
+    probe.spin(0.2)
+    assert hardware.state().stamp_ns == before.stamp_ns + 19 * TICK
+    assert interface.nanoseconds(clock[-1].clock) == hardware.state().stamp_ns
+    assert hardware.messages[-1].name == NAMES
+    assert len(hardware.messages[-1].effort) == 7
+    assert Arm(description[0].data, NAMES).n == 7
+
+
+def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    poses = probe.listen(
+        PoseStamped, interface.body_topic("pancake", "pose"), interface.STATE_RECORD
+    )
+    hardware.control()
+    policy = lift("trial-0001")
+    results, frames = [], []
+    for pauses in ((0.0, 0.0), (0.13, 0.0), (0.02, 0.11)):
+        poses.clear()
+        message, truth = hardware.rollout(policy, pauses)
+        start_ns, path = interface.path(message, EndEffectorPath)
+        seen = [interface.pose(pose) for pose in poses]
+        at = {reading.stamp_ns - start_ns: reading.position.tolist() for reading in seen}
+        frames.append({stamp: place for stamp, place in at.items() if 0 <= stamp < 1_000_000_000})
+        results.append((path.t.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), truth))
+        probe.until(lambda: hardware.label() == "hold", "hold again")
+    assert results[0] == results[1]
+    assert results[0] == results[2]
+    for other in frames[1:]:  # a busy test may miss some of 30 a second of simulated time
+        both = frames[0].keys() & other.keys()
+        assert len(both) >= 15
+        assert {at: frames[0][at] for at in both} == {at: other[at] for at in both}
+    assert truth["id"] == policy.id
+    assert truth["caught"]
+    other = hardware.rollout(lift("trial-0002"), (0.0, 0.0))[0]  # another id, another draw of noise
+    assert interface.path(other, EndEffectorPath)[1].position.tolist() != results[0][1]
+
+
+def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
+    clouds = probe.listen(PointCloud2, interface.MARKERS, interface.MOCAP_IN)
+    hardware.messages.clear()
+    begun = time.time_ns()
+    probe.until(lambda: len(hardware.messages) >= 1000, "a thousand states")
+    stamps = [hardware.state(i).stamp_ns for i in range(1000)]
+    assert set(np.diff(stamps)) == {TICK}  # none lost, none between
+    assert abs(stamps[0] - begun) < 500_000_000  # as the system clock says
+    assert time.time_ns() >= stamps[-1]  # not faster than that
+    probe.until(lambda: len(clouds) >= 50, "camera frames")
+    spacing = np.diff([interface.markers(cloud)[0] for cloud in clouds])
+    assert np.median(spacing) == pytest.approx(1e9 / 30.0, abs=TICK)
+    assert interface.markers(clouds[-1])[2].shape == (4, 3)
+
+
+@pytest.mark.requirement("S-46")
+def test_links_that_lose_and_jitter_are_survived(probe: Probe, processes: Processes) -> None:
+    hardware = Hardware(
+        probe,
+        processes,
+        "real_time",
+        realtime_priority=70,
+        state_latency=0.001,
+        state_jitter=0.0003,
+        state_loss=0.02,
+        command_latency=0.001,
+        command_jitter=0.0003,
+        command_loss=0.02,
+    )
+    hardware.control()
+    held = hardware.state().q
+    probe.spin(2.0)
+    assert hardware.label() == "hold"
+    np.testing.assert_allclose(hardware.state().q, held, atol=0.02)

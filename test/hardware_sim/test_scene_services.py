@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reset and demonstration over DDS."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import Probe, Processes, lift
+from stand_ins import TICK, Hardware, arm_model
+from std_msgs.msg import String
+
+from hardware_sim.scenes.reach import GOAL, HOME
+from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Code
+
+
+def test_a_reset_is_refused_without_a_policy_and_away_from_its_start(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    hardware.control()
+    assert hardware.ask(hardware.reset_service).code is Code.NOTHING
+    policy = lift("far-away")
+    far = Policy(**{**vars(policy), "q_start": policy.q_start + 0.3})
+    hardware.policies.publish(String(data=to_json(far)))
+    away = probe.until(
+        lambda: (
+            (answer := hardware.ask(hardware.reset_service)).code is Code.NOT_AT_START and answer
+        ),
+        "the refusal",
+    )
+    assert away.values == {"policy": far.id}
+
+
+def test_the_demonstrator_leads_the_arm_while_the_arm_is_free_and_only_then(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    hardware.control()
+    assert hardware.ask(interface.DEMONSTRATE).code is Code.BUSY
+    hardware.free()
+    starts = []
+    for number in range(2):
+        hardware.messages.clear()
+        answer = hardware.ask(interface.DEMONSTRATE)
+        assert (answer.code, answer.values) == (Code.DONE, {"policy": f"demonstration-{number}"})
+        speed = max(np.abs(hardware.state(i).qd).max() for i in range(len(hardware.messages)))
+        assert speed > 2.0  # a toss
+        starts.append(speed)
+    assert starts[0] != starts[1]  # no two are alike
+
+
+def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
+    hardware.control()
+    policy = lift("put-back")
+    hardware.policies.publish(String(data=to_json(policy)))
+    probe.until(lambda: hardware.insist(interface.MOVE_TO_START) == policy.id, "at the start")
+    count = len(hardware.messages)
+    probe.until(lambda: hardware.insist(hardware.reset_service) == policy.id, "the reset")
+    stamps = [hardware.state(i).stamp_ns for i in range(count, len(hardware.messages))]
+    assert len(stamps) > 20  # of the 50 the reset waits at least; the first may come late
+    assert set(np.diff(stamps)) == {TICK}
+    hardware.diagnostics.clear()
+    assert probe.until(hardware.label, "its mode") == "hold"  # it has not lost sight of the arm
+
+
+@pytest.mark.parametrize("pace", ["lockstep", "real_time"])
+def test_a_scene_without_a_body_is_reset_taught_and_practised_in(
+    probe: Probe, processes: Processes, pace: str
+) -> None:
+    arm, policy = arm_model(), lift("reach-0001")
+    start = arm.tool_pose(policy.q_start)[0].tolist()  # the obstacle is where rollouts begin
+    hardware = Hardware(
+        probe,
+        processes,
+        pace,
+        body="",
+        scene="reach",
+        obstacle=[*start, 0.02],
+        realtime_priority=70 if pace == "real_time" else 0,
+    )
+    assert hardware.reset_service == "/scene/reset"
+    topics = {name for name, _ in probe.node.get_topic_names_and_types()}
+    assert not [name for name in topics if "pancake" in name or name == interface.MARKERS]
+    hardware.control()
+    hardware.free()
+    for number in range(2):
+        done = {"policy": f"demonstration-{number}"}
+        reset = hardware.ask(hardware.reset_service)
+        assert (reset.code, reset.values) == (Code.DONE, done)
+        np.testing.assert_allclose(hardware.state().q, HOME, atol=0.05)
+        assert hardware.ask(interface.DEMONSTRATE).values == done
+        assert np.linalg.norm(arm.tool_pose(hardware.state().q)[0] - GOAL) < 0.08
+    hardware.give_back()
+    _, truth = hardware.rollout(policy, (0.0, 0.0))
+    assert truth["id"] == policy.id
+    assert truth["touched"]
+    assert -0.0201 < truth["clearance"] < -0.015
+    assert truth["goal_distance"] > 0.1

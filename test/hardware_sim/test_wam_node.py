@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The driver that the stand-in presents: its states, its watchdog and the torques it refuses."""
+
+from __future__ import annotations
+
+import signal
+import time
+
+import numpy as np
+import pytest
+from conftest import Probe, Processes, diagnosis, lift
+from stand_ins import NAMES, Hardware, arm_model
+from std_msgs.msg import Float64MultiArray, String
+from trajectory_msgs.msg import JointTrajectory
+
+from wam_power_ros.learning.policy import to_json
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.ros import interface
+
+
+def test_a_torque_that_is_not_valid_moves_nothing(probe: Probe, processes: Processes) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    before = hardware.state().stamp_ns
+    for bad in (np.zeros(6), np.full(7, np.nan)):
+        torques.publish(interface.TorqueWriter(NAMES, "multiarray")(before, "hold", bad))
+        probe.spin(0.1)
+    probe.until(
+        lambda: diagnosis(hardware.diagnostics, "wam_sim").get("torques refused") == "2", "refusals"
+    )
+    assert hardware.state().stamp_ns == before
+
+
+@pytest.mark.requirement("S-06")
+@pytest.mark.parametrize("during", ["hold", "rollout"])
+def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
+    probe: Probe, processes: Processes, during: str
+) -> None:
+    hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
+    hardware.control()
+    if during == "rollout":
+        policy = lift("killed")
+        hardware.policies.publish(String(data=to_json(policy)))
+        probe.until(lambda: hardware.insist(interface.MOVE_TO_START) == policy.id, "at the start")
+        hardware.insist(interface.EXECUTE)
+        probe.spin(0.15)
+    processes.end(hardware.controller, signal.SIGKILL)
+    killed_ns = time.time_ns()  # states of before may still be on their way to a busy test
+    probe.until(lambda: hardware.state().stamp_ns > killed_ns, "a state of after the kill")
+    arm, killed = arm_model(), hardware.state()
+    count = len(hardware.messages)
+    end_ns = killed.stamp_ns + 2_500_000_000  # by the arm's clock, whatever ours says
+    probe.until(lambda: hardware.state().stamp_ns > end_ns, "2.5 s of the arm")
+    after = [hardware.state(i) for i in range(count, len(hardware.messages))]
+    height = [arm.tool_pose(reading.q)[0][2] for reading in after[::10]]
+    speeds = [arm.reference_point_speeds(r.q, r.qd)[2] for r in after[::10]]
+    assert len(after) > 50  # the states go on, however few of them a busy machine lets us hear
+    assert arm.tool_pose(killed.q)[0][2] - min(height) < 0.05
+    assert max(speeds[len(speeds) // 2 :]) < 0.05
+    if during == "hold":
+        assert max(speeds) < 0.3
+
+
+def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Processes) -> None:
+    hardware = Hardware(probe, processes, "lockstep")
+    hardware.control()
+    movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
+    t = np.linspace(0.0, 2.0, 41)
+    swing = 0.2 * np.sin(np.pi * t / 2.0) ** 2  # out and back, at rest at both ends
+    q = hardware.state().q + swing[:, None] * np.eye(7)[3]
+    movements.publish(interface.joint_movement_message(NAMES, interface.JointMovement(t, q)))
+    start = hardware.state().q[3]
+    hardware.messages.clear()
+    message = hardware.insist(interface.REPLAY)
+    moved = max(hardware.state(i).q[3] for i in range(len(hardware.messages))) - start
+    assert moved == pytest.approx(0.2, abs=0.03)
+    assert "rms error 0.0" in message
+
+
+def test_a_driver_without_velocities_is_stood_in_for_too(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep", velocity="empty")
+    assert hardware.state().qd is None
+    hardware.control()
+    message, truth = hardware.rollout(lift("no-velocity"), (0.0, 0.0))
+    assert interface.path(message, EndEffectorPath)[1].t[-1] == pytest.approx(1.4)
+    assert truth["caught"]
