@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Text to and from the person at the terminal."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+
+from wam_power_ros.console.prompt import ask, say
+
+
+@pytest.mark.parametrize(("typed", "answered"), [("\n", True), ("yes\n", True), ("", False)])
+def test_a_question_is_answered_by_enter_and_not_by_a_closed_input(
+    typed: str,
+    answered: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
+    assert ask("Press Enter: ") is answered
+    assert capsys.readouterr() == ("", "Press Enter: ")  # what is piped holds results alone
+
+
+def test_a_line_is_written_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        flushed = 0
+
+        def flush(self) -> None:
+            self.flushed = len(self.getvalue())
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stdout", terminal)
+    say("one of three")
+    assert terminal.getvalue() == "one of three\n"
+    assert terminal.flushed == len("one of three\n")
