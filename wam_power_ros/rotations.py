@@ -1,28 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations: vector, matrix and quaternion (xyzw), one or many at a time.
+"""Rotations as vectors, matrices and quaternions (xyzw), one or many at a time.
 
 A rotation vector `r` [rad] points along the axis and its length is the angle; `exp(r)` is its
-matrix. A single rotation takes a path through plain floats, fast enough for the 500 Hz loop;
-arrays of any leading shape are vectorised. Nothing here modifies an argument.
+matrix. A single rotation is computed with plain floats, which is fast enough for the 500 Hz loop;
+arrays of any leading shape are vectorised. No argument is modified.
 """
 
 import itertools
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
-_TINY = 1e-8  # [rad] below this angle the series to second order is exact to rounding
+T = TypeVar("T", float, np.ndarray)
+_TINY = 1e-8  # angle below which the series to second order is exact to rounding [rad]
 
 
 def exp(rotation_vector: np.ndarray) -> np.ndarray:
     """Rotation matrix of a rotation vector (Rodrigues).
 
     Args:
-        rotation_vector: [rad]. Shape (..., 3).
+        rotation_vector: Rotation vectors [rad]. Shape (..., 3).
 
     Returns:
-        Shape (..., 3, 3).
+        Rotation matrices. Shape (..., 3, 3).
     """
     r = np.asarray(rotation_vector, dtype=float)
     x, y, z = r[..., 0], r[..., 1], r[..., 2]
@@ -49,10 +51,10 @@ def log(matrix: np.ndarray) -> np.ndarray:
     """Rotation vector of a rotation matrix, of length at most pi; accurate at 0 and at pi.
 
     Args:
-        matrix: Shape (..., 3, 3).
+        matrix: Rotation matrices. Shape (..., 3, 3).
 
     Returns:
-        [rad]. Shape (..., 3).
+        Rotation vectors [rad]. Shape (..., 3).
     """
     matrix = np.asarray(matrix, dtype=float)
     if matrix.ndim == 2:
@@ -64,10 +66,10 @@ def quat_xyzw(matrix: np.ndarray) -> np.ndarray:
     """Unit quaternion of a rotation matrix, with w >= 0 (Shepperd's method).
 
     Args:
-        matrix: Shape (..., 3, 3).
+        matrix: Rotation matrices. Shape (..., 3, 3).
 
     Returns:
-        Shape (..., 4).
+        Unit quaternions. Shape (..., 4).
     """
     matrix = np.asarray(matrix, dtype=float)
     if matrix.ndim == 2:
@@ -99,13 +101,13 @@ def matrix(quat_xyzw: np.ndarray) -> np.ndarray:
     """Rotation matrix of a quaternion, which is normalised first.
 
     Args:
-        quat_xyzw: Shape (..., 4).
+        quat_xyzw: Quaternions. Shape (..., 4).
 
     Returns:
-        Shape (..., 3, 3).
+        Rotation matrices. Shape (..., 3, 3).
 
     Raises:
-        ValueError: A quaternion is not finite or has zero length.
+        ValueError: If a quaternion is not finite or has zero length.
     """
     x, y, z, w = np.moveaxis(normalised(quat_xyzw), -1, 0)
     rows = (
@@ -117,27 +119,27 @@ def matrix(quat_xyzw: np.ndarray) -> np.ndarray:
 
 
 def normalised(quat_xyzw: np.ndarray) -> np.ndarray:
-    """The same quaternions at unit length.
+    """Quaternions scaled to unit length.
 
     Args:
-        quat_xyzw: Shape (..., 4).
+        quat_xyzw: Quaternions. Shape (..., 4).
 
     Returns:
-        Shape (..., 4).
+        Unit quaternions. Shape (..., 4).
 
     Raises:
-        ValueError: A quaternion is not finite or has zero length.
+        ValueError: If a quaternion is not finite or has zero length.
     """
     quat = np.asarray(quat_xyzw, dtype=float)
     if quat.ndim == 1:
-        norm = math.sqrt(sum([value * value for value in quat.tolist()]))
-        directed = _TINY < norm < math.inf
+        length = math.sqrt(sum([value * value for value in quat.tolist()]))
+        if _TINY < length < math.inf:
+            return quat / length
     else:
-        norm = np.sqrt(np.sum(quat * quat, axis=-1, keepdims=True))
-        directed = np.all(np.isfinite(norm) & (norm > _TINY))
-    if not directed:
-        raise ValueError(f"quaternion {quat} has no direction; its length must be above {_TINY}")
-    return quat / norm
+        lengths = np.sqrt(np.sum(quat * quat, axis=-1, keepdims=True))
+        if np.all(np.isfinite(lengths) & (lengths > _TINY)):
+            return quat / lengths
+    raise ValueError(f"quaternion {quat} has no direction; its length must be above {_TINY}")
 
 
 def rotation_vector(quat_xyzw: np.ndarray) -> np.ndarray:
@@ -147,7 +149,7 @@ def rotation_vector(quat_xyzw: np.ndarray) -> np.ndarray:
         quat_xyzw: Unit quaternions. Shape (..., 4).
 
     Returns:
-        [rad]. Shape (..., 3).
+        Rotation vectors [rad]. Shape (..., 3).
     """
     quat = np.asarray(quat_xyzw, dtype=float)
     if quat.ndim == 1:
@@ -173,10 +175,10 @@ def quat_of_vector(rotation_vector: np.ndarray) -> np.ndarray:
     """Unit quaternion (xyzw) of a rotation vector.
 
     Args:
-        rotation_vector: [rad]. Shape (..., 3).
+        rotation_vector: Rotation vectors [rad]. Shape (..., 3).
 
     Returns:
-        Shape (..., 4).
+        Unit quaternions. Shape (..., 4).
     """
     r = np.asarray(rotation_vector, dtype=float)
     half = 0.5 * np.sqrt(np.sum(r * r, axis=-1))
@@ -185,22 +187,22 @@ def quat_of_vector(rotation_vector: np.ndarray) -> np.ndarray:
 
 
 def multiply(a_xyzw: np.ndarray, b_xyzw: np.ndarray) -> np.ndarray:
-    """Quaternion product: the rotation b followed by the rotation a.
+    """Quaternion product a b: the rotation b followed by the rotation a.
 
     Args:
-        a_xyzw: Shape (..., 4).
-        b_xyzw: Shape (..., 4).
+        a_xyzw: Left factors. Shape (..., 4).
+        b_xyzw: Right factors. Shape (..., 4).
 
     Returns:
-        Shape (..., 4).
+        Products. Shape (..., 4).
     """
     a, b = np.asarray(a_xyzw, dtype=float), np.asarray(b_xyzw, dtype=float)
     if a.ndim == b.ndim == 1:
         return np.array(_product(a.tolist(), b.tolist()))
-    return np.stack(_product(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), axis=-1)
+    return np.stack(_product([*np.moveaxis(a, -1, 0)], [*np.moveaxis(b, -1, 0)]), axis=-1)
 
 
-def _product(a: Sequence, b: Sequence) -> tuple:
+def _product(a: Sequence[T], b: Sequence[T]) -> tuple[T, T, T, T]:
     """Components of the product from those of the factors: four numbers each, or four arrays."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
@@ -213,16 +215,17 @@ def _product(a: Sequence, b: Sequence) -> tuple:
 
 
 def continuous(rotation_vectors: np.ndarray) -> np.ndarray:
-    """The same rotations as vectors that do not jump where the angle passes pi.
+    """Unwrap rotation vectors, so that they do not jump where the angle passes pi.
 
-    Each vector is replaced by the nearest to its predecessor of the vectors that mean the same
-    rotation (whole turns about its own axis added).
+    Whole turns about its own axis are added to each vector, such that it is nearest to its
+    predecessor.
 
     Args:
-        rotation_vectors: [rad], in the order of time, less than half a turn apart. Shape (N, 3).
+        rotation_vectors: Rotation vectors in the order of time, less than half a turn apart [rad].
+            Shape (N, 3).
 
     Returns:
-        [rad]. Shape (N, 3).
+        Vectors of the same rotations [rad]. Shape (N, 3).
     """
     vectors = np.array(rotation_vectors, dtype=float)
     for previous, vector in itertools.pairwise(vectors):
@@ -238,15 +241,15 @@ def continuous(rotation_vectors: np.ndarray) -> np.ndarray:
 
 
 def interpolate(t: np.ndarray, times: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
-    """Orientation between samples, along the shortest arc; held before the first, after the last.
+    """Interpolate orientations along the shortest arc; constant before the first, after the last.
 
     Args:
-        t: Where to evaluate [s]. Shape (M,).
-        times: Strictly increasing [s]. Shape (N,).
-        quat_xyzw: Unit quaternions at `times`. Shape (N, 4).
+        t: Times to interpolate at [s]. Shape (M,).
+        times: Times of the samples, strictly increasing [s]. Shape (N,).
+        quat_xyzw: Unit quaternions of the samples. Shape (N, 4).
 
     Returns:
-        Unit quaternions. Shape (M, 4).
+        Unit quaternions at `t`. Shape (M, 4).
     """
     t = np.clip(np.asarray(t, dtype=float), times[0], times[-1])
     if len(times) == 1:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Policies and the coordinates they are learnt in."""
+"""Parametrization: policies and the coordinates they are learnt in."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +16,7 @@ from wam_power_ros.learning.parametrization import (
     NoiseScales,
     Parametrization,
 )
-from wam_power_ros.learning.policy import to_json
+from wam_power_ros.learning.policy import symmetric_part, to_json
 
 NOISE = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
 PATTERN = 0.05 * np.arange(24.0).reshape(8, 3) * [1.0, 0.0, 1.0]
@@ -25,10 +27,6 @@ variants = pytest.mark.parametrize("variant", VARIANTS)
 
 def parametrization(variant: str, seed: int = 0) -> Parametrization:
     return Parametrization(demonstrated_policy(seed=seed), variant, NOISE, (LIFT, TWIST))
-
-
-def symmetric(matrices: np.ndarray) -> np.ndarray:
-    return 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
 
 
 @pytest.mark.parametrize(
@@ -62,7 +60,7 @@ def test_a_sampled_stiffness_is_positive_definite_and_stored_as_executed(variant
         wanted = 6.0 * rng.standard_normal(p.size)
         policy, z = p.policy(wanted, "a")
         clipped += not np.array_equal(wanted, z)
-        low = np.linalg.eigvalsh(symmetric(policy.stiffness)).min()
+        low = np.linalg.eigvalsh(symmetric_part(policy.stiffness)).min()
         assert low >= p.stiffness_min * (1.0 - 1e-9)
         again, same = p.policy(z, "a")
         np.testing.assert_array_equal(same, z)
@@ -79,8 +77,10 @@ def test_clipping_touches_only_what_is_learnt_and_what_is_too_soft(variant: str)
         if name != "stiffness":
             np.testing.assert_array_equal(z[group], wanted[group])
     if variant in ("symmetric", "planar"):
-        kept = p.policy0.stiffness - symmetric(p.policy0.stiffness)
-        np.testing.assert_allclose(policy.stiffness - symmetric(policy.stiffness), kept, atol=1e-10)
+        kept = p.policy0.stiffness - symmetric_part(p.policy0.stiffness)
+        np.testing.assert_allclose(
+            policy.stiffness - symmetric_part(policy.stiffness), kept, atol=1e-10
+        )
     if variant == "planar":
         np.testing.assert_array_equal(policy.stiffness[:, 1], p.policy0.stiffness[:, 1])
         np.testing.assert_array_equal(policy.stiffness[:, :, 1], p.policy0.stiffness[:, :, 1])
@@ -155,6 +155,8 @@ def test_what_cannot_be_is_refused_with_its_reason() -> None:
         p.clip(np.full(98, np.nan))
     with pytest.raises(ValueError, match="'lift' has 8 attractors, policy 'flick-1' has 4"):
         Parametrization(demonstrated_policy(count=4), "full", NOISE, (LIFT,))
+    with pytest.raises(ValueError, match="'attractors' has the name of another group"):
+        Parametrization(demonstrated_policy(), "full", NOISE, (replace(LIFT, name="attractors"),))
     with pytest.raises(ValueError, match=r"scale = 0\.0"):
         Direction("lift", 0.0, PATTERN, PATTERN)
     with pytest.raises(ValueError, match=r"rotation has shape \(7, 3\)"):
@@ -164,7 +166,7 @@ def test_what_cannot_be_is_refused_with_its_reason() -> None:
 def test_the_floor_is_below_every_demonstrated_stiffness() -> None:
     for seed in range(20):
         p = parametrization("full", seed)
-        low = np.linalg.eigvalsh(symmetric(p.policy0.stiffness)).min()
+        low = np.linalg.eigvalsh(symmetric_part(p.policy0.stiffness)).min()
         assert p.stiffness_min == pytest.approx(FLOOR * low) and 0.0 < p.stiffness_min < low
 
 

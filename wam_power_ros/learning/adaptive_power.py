@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PoWER that adapts the exploration variance of each parameter, as in Kober's sample code."""
+"""PoWER that adapts the exploration variance of each parameter, as in the code of [Kober2009]."""
 
 from __future__ import annotations
 

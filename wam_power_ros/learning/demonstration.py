@@ -12,7 +12,7 @@ from wam_power_ros import rotations
 from wam_power_ros.learning.policy import PERIOD, read_only
 
 CUTOFF = 12.0  # -3 dB of the smoothing [Hz]; a hand is slower, quantisation noise is faster
-# Half the window of a cubic Savitzky-Golay filter of this cutoff (Schafer 2011) [samples]
+# Half the window of a cubic Savitzky-Golay filter of this cutoff [Schafer2011] [samples]
 HALF_WINDOW = math.ceil((2.0 / (PERIOD * CUTOFF) + 4.6) / 3.2)
 WINDOW = 2 * HALF_WINDOW + 1  # [samples]
 GAP_MAX = 0.05  # longest gap that is interpolated [s]

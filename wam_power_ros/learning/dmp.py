@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration, rotation_from
-from wam_power_ros.learning.policy import PERIOD, Basis, Policy
+from wam_power_ros.learning.policy import PERIOD, Basis, Policy, symmetric_part
 
 ROTATION_STIFFNESS = 400.0  # stiffness of the orientation [1/s^2]
 ROTATION_DAMPING = 36.0  # damping of the orientation [1/s]
@@ -304,8 +304,7 @@ def positive_definite(stiffness: np.ndarray, k_min: float) -> np.ndarray:
     if not k_min > 0.0:
         raise ValueError(f"k_min = {k_min} must be positive")
     stiffness = np.array(stiffness, dtype=float)
-    transposed = np.swapaxes(stiffness, -1, -2)
-    values, vectors = np.linalg.eigh(0.5 * (stiffness + transposed))
+    values, vectors = np.linalg.eigh(symmetric_part(stiffness))
     low = values[..., 0] < k_min
     lift = np.maximum(k_min - values, 0.0)  # (n, 3)
     added = np.matmul(vectors * lift[..., None, :], np.swapaxes(vectors, -1, -2))
@@ -359,7 +358,7 @@ def _fitted_stiffness(
     share = (values - low) / (high - low) if high > low else np.full_like(values, 0.5)
     scaled = settings.k_min + share * (settings.k_max - settings.k_min)
     stiffness = np.matmul(vectors * scaled[:, None, :], np.swapaxes(vectors, 1, 2))
-    return 0.5 * (stiffness + np.swapaxes(stiffness, 1, 2))
+    return symmetric_part(stiffness)
 
 
 def _fitted_attractors(

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from wam_power_ros.learning.dmp import positive_definite
-from wam_power_ros.learning.policy import Policy, read_only
+from wam_power_ros.learning.policy import Policy, read_only, symmetric_part
 
 FLOOR = 0.1  # smallest stiffness of a sample, as a fraction of the smallest one demonstrated [1]
 _XZ = np.ix_((0, 2), (0, 2))
@@ -119,7 +119,8 @@ class Parametrization:
         """Take the parameters of `variant`, then the directions, around `policy0`.
 
         Raises:
-            ValueError: If the variant is unknown, or a pattern is not that of n spring-dampers.
+            ValueError: If the variant is unknown, a pattern is not that of n spring-dampers, or the
+                name of a direction is taken.
         """
         if variant not in _LAYOUTS:
             raise ValueError(f"variant {variant!r} is not one of {', '.join(VARIANTS)}")
@@ -133,7 +134,7 @@ class Parametrization:
                 )
         if variant == "diagonal":
             policy0 = replace(policy0, stiffness=policy0.stiffness * np.eye(3))
-        symmetric = _symmetric_part(policy0.stiffness)  # (n, 3, 3)
+        symmetric = symmetric_part(policy0.stiffness)  # (n, 3, 3)
         mean_stiffness = float(np.trace(symmetric, axis1=1, axis2=2).mean() / 3.0)
         self.variant = variant
         self.policy0 = policy0
@@ -160,6 +161,8 @@ class Parametrization:
         self.groups: dict[str, slice] = {}
         start = 0
         for group, value, _ in blocks:
+            if group in self.groups:
+                raise ValueError(f"direction {group!r} has the name of another group")
             self.groups[group] = slice(start, start + len(value))
             start += len(value)
         self.theta0.setflags(write=False)
@@ -205,7 +208,7 @@ class Parametrization:
         stiffness = self._stiffness(delta)
         if "stiffness" in self.groups:
             each = stiffness.reshape(-1, 3, 3)  # a view
-            bad = np.linalg.eigvalsh(_symmetric_part(each))[:, 0] < self.stiffness_min
+            bad = np.linalg.eigvalsh(symmetric_part(each))[:, 0] < self.stiffness_min
             each[bad] = self._raised(each[bad])
         return stiffness, *self._attractors(delta)
 
@@ -213,15 +216,15 @@ class Parametrization:
         """Coordinates of the nearest policy whose stiffness matrices are positive definite.
 
         Eigenvalues of the symmetric part below `stiffness_min` are raised to it, the skew part is
-        left alone; matrices that need nothing keep their coordinates bit for bit. Shape (size,).
+        kept; matrices above the limit keep their coordinates bit for bit. Shape (size,).
         Convex combinations of clipped vectors need no clipping.
         """
         z = self._checked(z).copy()
         if "stiffness" not in self.groups:
             return z
         stiffness = self._stiffness(self.scale * z)
-        low = np.linalg.eigvalsh(_symmetric_part(stiffness))[:, 0]  # (n,)
-        # A clipped matrix comes back a rounding error below the floor: that is no reason to clip.
+        low = np.linalg.eigvalsh(symmetric_part(stiffness))[:, 0]  # (n,)
+        # A clipped matrix may be a rounding error below the limit; it must not be clipped again.
         bad = low < self.stiffness_min * (1.0 - 1e-9)
         if bad.any():
             raised = self._raised(stiffness[bad])
@@ -232,6 +235,7 @@ class Parametrization:
         return z
 
     def _checked(self, z: np.ndarray) -> np.ndarray:
+        """Coordinates as floats; ValueError if the shape is wrong or one is not finite."""
         z = np.asarray(z, dtype=float)
         if z.shape != (self.size,):
             raise ValueError(f"z has shape {z.shape}, variant {self.variant!r} has ({self.size},)")
@@ -242,9 +246,9 @@ class Parametrization:
     def _entries(self, stiffness: np.ndarray) -> np.ndarray:
         """Learnt entries of matrices (m, 3, 3), flat."""
         if self._layout.paired:
-            stiffness = _symmetric_part(stiffness)
+            stiffness = symmetric_part(stiffness)
         columns = [stiffness[:, row, column] for row, column in self._layout.entries]
-        return np.stack(columns, axis=1).ravel() if columns else np.zeros(0)
+        return np.stack(columns, axis=1).ravel()
 
     def _stiffness(self, delta: np.ndarray) -> np.ndarray:
         """Stiffness matrices of policy0 moved by delta (..., size). Shape (..., n, 3, 3)."""
@@ -275,12 +279,12 @@ class Parametrization:
         return attractors, rotation
 
     def _raised(self, stiffness: np.ndarray) -> np.ndarray:
-        """Matrices (m, 3, 3) made positive definite without touching what is not learnt."""
+        """Make matrices (m, 3, 3) positive definite by changing learnt entries only."""
         if self.variant != "planar":
             return positive_definite(stiffness, self.stiffness_min)
-        # K_yy and the coupling b of y to x and z stay. K - k_min 1 is positive semidefinite exactly
-        # when the Schur complement P - k_min 1 - b b^T / (K_yy - k_min) is: clip that one instead.
-        symmetric = _symmetric_part(stiffness)
+        # K_yy and the coupling b of y to x and z are kept. K - k_min 1 is positive semidefinite if
+        # and only if the Schur complement P - k_min 1 - b b^T / (K_yy - k_min) is: clip that one.
+        symmetric = symmetric_part(stiffness)
         raised = stiffness.copy()
         for k, matrix in enumerate(symmetric):
             b = matrix[[0, 2], 1]
@@ -290,7 +294,3 @@ class Parametrization:
             clipped = positive_definite(alone[np.newaxis], self.stiffness_min)[0]
             raised[k][_XZ] += clipped[_XZ] - alone[_XZ]
         return raised
-
-
-def _symmetric_part(matrices: np.ndarray) -> np.ndarray:
-    return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))

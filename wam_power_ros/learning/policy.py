@@ -43,7 +43,7 @@ def check_id(policy_id: str) -> None:
 
 def read_only(
     name: str,
-    value: np.ndarray | Sequence | float,
+    value: np.ndarray | Sequence[Any] | float,
     shape: tuple[int, ...],
     limit: float = np.inf,
 ) -> np.ndarray:
@@ -176,14 +176,18 @@ class Policy:
         norm = float(np.linalg.norm(self.orientation_reference))
         if abs(norm - 1.0) > 1e-6:
             raise ValueError(f"orientation_reference has length {norm}; it must be 1")
-        symmetric = 0.5 * (self.stiffness + np.swapaxes(self.stiffness, 1, 2))
-        smallest = np.linalg.eigvalsh(symmetric)[:, 0]
+        smallest = np.linalg.eigvalsh(symmetric_part(self.stiffness))[:, 0]
         if np.any(smallest <= 0.0):
             i = int(np.argmin(smallest))
             raise ValueError(
                 f"stiffness[{i}] has eigenvalue {smallest[i]} in its symmetric part; "
                 "it must be positive definite"
             )
+
+
+def symmetric_part(matrices: np.ndarray) -> np.ndarray:
+    """Symmetric parts of square matrices (..., m, m). Same shape."""
+    return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))
 
 
 def with_id(policy: Policy, policy_id: str) -> Policy:

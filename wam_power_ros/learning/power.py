@@ -18,8 +18,9 @@ from wam_power_ros.learning.learner import (
 )
 
 Weights = Literal["return", "sharpened"]
-SIZES = (2, 3, 4, 6, 8, 12, 16, 24)  # of an elite that `choose_sigma` has to choose from
-_FEW = 8  # rollouts that are too few to choose by
+SIZES = (2, 3, 4, 6, 8, 12, 16, 24)  # sizes of an elite that `choose_sigma` chooses from
+SIGMA_DEFAULT = 6  # size of the elite in the paper
+COUNT_MIN = 8  # number of rollouts from which `choose_sigma` chooses
 
 
 def power_update(
@@ -39,19 +40,19 @@ def power_update(
     at the elite's edge the later rollouts are taken: they were sampled nearest to the current mean.
 
     Args:
-        theta: current parameters. Shape (n,)
-        rollouts: parameters of the past rollouts, oldest first. Shape (m, n)
-        returns: their returns, none negative. Shape (m,)
-        sigma: size of the elite.
-        weights: see `Power.Settings`.
-        sharpness: see `Power.Settings`.
+        theta: Current parameters. Shape (n,).
+        rollouts: Parameters of the past rollouts, oldest first. Shape (m, n).
+        returns: Returns of the past rollouts, >= 0. Shape (m,).
+        sigma: Size of the elite.
+        weights: Kind of weights, see `Power.Settings`.
+        sharpness: Width of the sharpened weights, see `Power.Settings`.
 
     Returns:
         New parameters. Shape (n,). No argument is modified.
 
     Raises:
-        ValueError: shapes that do not match, a return that is negative or not finite, or no
-            positive return at all: there is nothing to weight with.
+        ValueError: If shapes do not match, a return is negative or not finite, or none is
+            positive.
     """
     theta = np.asarray(theta, dtype=float)
     rollouts = np.asarray(rollouts, dtype=float)
@@ -75,7 +76,7 @@ def power_update(
 
 
 def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
-    """Size of the elite whose mean promises most, judged by rollouts that had no part in it. Ours.
+    """Choose the size of the elite of the largest expected gain, by leave-one-out. Ours.
 
     For each size s, and each rollout k left out in turn, m is the return-weighted mean of the s
     best of the others and c the plain mean of the others:
@@ -83,42 +84,42 @@ def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
         d_k = m - c,    p_k = (theta_k - c) . d_k / |d_k|,
         gain(s) = mean_k |d_k| cov_k(p, R) / var_k(p),
 
-    how far the elite leads away from where was searched, times how much the return rises along that
-    way for the rollouts left out. A small elite leads far, and where returns have no noise it leads
-    uphill; but if its best rollouts were only lucky, the one left out does not agree, the slope is
-    small and a larger elite wins, which averages luck out.
+    the length of the step from the searched region to the elite's mean, times the slope of the
+    return along it for the rollouts left out. A small elite makes a large step, and without noise
+    in the returns the step is uphill; but if its returns are high by chance, the rollout left out
+    does not confirm it, the slope is small and a larger elite, which averages noise, is chosen.
 
     Args:
-        rollouts: parameters of the past rollouts, oldest first. Shape (m, n)
-        returns: their returns, none negative. Shape (m,)
+        rollouts: Parameters of the past rollouts, oldest first. Shape (m, n).
+        returns: Returns of the past rollouts, >= 0. Shape (m,).
 
     Returns:
-        The size out of `SIZES` of the highest gain, the smaller one of equals; 6, the paper's,
-        for fewer than 8 rollouts or when nothing can be told from them.
+        The size out of `SIZES` of the largest gain, the smaller one of equals; SIGMA_DEFAULT for
+        fewer than COUNT_MIN rollouts or if no gain is positive.
     """
     count = len(returns)
-    if count < _FEW:
-        return 6
+    if count < COUNT_MIN:
+        return SIGMA_DEFAULT
     order = best_first(returns)
     rollouts, returns = rollouts[order], returns[order]
-    sums = np.cumsum(returns[:, np.newaxis] * rollouts, axis=0)  # of the first 1, 2, ... best
+    sums = np.cumsum(returns[:, np.newaxis] * rollouts, axis=0)  # sums over the best 1, 2, ...
     weights = np.cumsum(returns)
-    centre = (rollouts.sum(axis=0) - rollouts) / (count - 1)  # (m, n), of all but k
-    best, chosen = 0.0, 6
+    centre = (rollouts.sum(axis=0) - rollouts) / (count - 1)  # (m, n), mean of all but k
+    best, chosen = 0.0, SIGMA_DEFAULT
     for size in SIZES:
         if size >= count - 1:
             break
-        inside = np.arange(count) < size  # then the next one takes the place of k
+        inside = np.arange(count) < size  # if k is inside, the next one takes its place
         total = np.where(inside, weights[size] - returns, weights[size - 1])
         if not (total > 0.0).all():
             continue
         own = returns[:, np.newaxis] * rollouts
-        lead = np.where(inside[:, np.newaxis], sums[size] - own, sums[size - 1])
-        lead = lead / total[:, np.newaxis] - centre  # d_k, (m, n)
-        length = np.sqrt((lead**2).sum(axis=1))
+        step = np.where(inside[:, np.newaxis], sums[size] - own, sums[size - 1])
+        step = step / total[:, np.newaxis] - centre  # d_k, (m, n)
+        length = np.sqrt((step**2).sum(axis=1))
         if not (length > 0.0).all():
             continue
-        along = ((rollouts - centre) * lead).sum(axis=1) / length  # p_k
+        along = ((rollouts - centre) * step).sum(axis=1) / length  # p_k
         spread = along - along.mean()
         if not (variance := float((spread**2).mean())) > 0.0:
             continue
@@ -129,7 +130,7 @@ def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
 
 
 def _weights(returns: np.ndarray, kind: Weights, sharpness: float) -> np.ndarray:
-    """Weights of an elite, the largest being one: their sum needs no guard. Shape (k,)."""
+    """Weights of an elite, the largest being one, so that their sum is positive. Shape (k,)."""
     best = returns.max()
     if kind == "return":
         return returns / best
@@ -156,7 +157,7 @@ class Power:
             decay: Factor on the exploration noise for each rollout; 1: constant (the paper).
         """
 
-        sigma: Annotated[int, Field(ge=1)] | Literal["auto"] = 6
+        sigma: Annotated[int, Field(ge=1)] | Literal["auto"] = SIGMA_DEFAULT
         weights: Weights = "return"
         sharpness: float = Field(default=0.3, gt=0.0, allow_inf_nan=False)
         decay: float = Field(default=1.0, gt=0.0, le=1.0)
