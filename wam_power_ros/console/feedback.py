@@ -37,7 +37,7 @@ def give(kind: str, bag: Path | None = None) -> tuple[bool, str]:
         Whether the learner accepted it, and its answer.
     """
     try:
-        with participant(lambda: rclpy.create_node("tell"), SignalHandlerOptions.NO) as node:
+        with participant(lambda: rclpy.create_node("feedback"), SignalHandlerOptions.NO) as node:
             return _give(node, kind, bag)
     except ServiceError as error:
         return False, f"{error}; is there a learner with the same ROS_DOMAIN_ID?"

@@ -83,7 +83,7 @@ def table(setup: Setup) -> dict[str, Access]:
             *of_body,
         )
     )
-    told = (
+    feedback = (
         interface.LEARNER_REWARD,
         interface.LEARNER_PUNISH,
         interface.LEARNER_DEMONSTRATION,
@@ -129,7 +129,7 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.DIAGNOSTICS,
                 interface.LEARNER_BAG,
             ),
-            serves=told,
+            serves=feedback,
             calls=(
                 interface.MOVE_TO_START,
                 interface.EXECUTE,
@@ -153,7 +153,7 @@ def table(setup: Setup) -> dict[str, Access]:
             process="operator",
         ),
         "enabling_switch": Access(publishes=(interface.ENABLE,), process="operator"),
-        "tell": Access(publishes=(interface.LEARNER_BAG,), calls=told, process="operator"),
+        "feedback": Access(publishes=(interface.LEARNER_BAG,), calls=feedback, process="operator"),
         "operator": Access(  # a person with `ros2 service call`, `ros2 lifecycle set`
             publishes=(interface.REPLAY_TRAJECTORY, interface.LEARNER_BAG),
             subscribes=(interface.DIAGNOSTICS,),
@@ -165,7 +165,7 @@ def table(setup: Setup) -> dict[str, Access]:
                 interface.REPLAY,
                 interface.GRAVITY_COMPENSATION,
                 interface.RECORD,
-                *told,
+                *feedback,
                 *(f"/torque_controller/{name}" for name in LIFECYCLE),
             ),
         ),
