@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of the pancake relative to the pan: flying or not, at rest or not, and its normal."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_toss import END, capture, toss, without
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.tasks.flip.frames import (
+    PAN_RADIUS,
+    PANCAKE_RADIUS,
+    Frames,
+    frames_from_pan,
+    interpolate,
+    pan_normal,
+    unit,
+)
+
+PAN = np.array([0.6, 0.1, 0.9])
+TILT = np.array([0.0, 0.2, 0.0])  # [rad] of the pan
+NORMAL = rotations.exp(TILT)[:, 2]
+
+
+def still_pan() -> EndEffectorPath:
+    t = np.linspace(0.0, 1.0, 11)
+    return EndEffectorPath(
+        "t", t, np.tile(PAN, (11, 1)), np.tile(rotations.quat_of_vector(TILT), (11, 1))
+    )
+
+
+def seen_from_still_pan(offsets: list[np.ndarray], edge_on: bool = False) -> Frames:
+    """Five frames at rest, then one for each offset from the pan's centre, flat or edge on."""
+    offset = np.array([0.003 * NORMAL] * 5 + offsets)
+    quat = np.tile(rotations.quat_of_vector(TILT), (len(offset), 1))
+    if edge_on:
+        quat[5:] = rotations.multiply(quat[5:], rotations.quat_of_vector([math.pi / 2.0, 0.0, 0.0]))
+    path = BodyPath("t", np.linspace(0.0, 1.0, len(offset)), PAN + offset, quat)
+    return frames_from_pan(still_pan(), path)
+
+
+def test_height_is_along_the_normal_of_the_tilted_pan_and_aside_along_its_floor() -> None:
+    along = rotations.exp(TILT)[:, 0]
+    frames = seen_from_still_pan([0.2 * NORMAL + 0.05 * along])
+    assert frames.height[-1] == pytest.approx(0.2)
+    assert frames.aside[-1] == pytest.approx(0.05)
+    assert frames.cosine == pytest.approx(1.0)
+    assert frames.resting_frames == 5
+
+
+@pytest.mark.parametrize(("edge_on", "lowest"), [(False, 0.03), (True, 0.03 + PANCAKE_RADIUS)])
+def test_a_pancake_flies_when_its_lower_edge_is_above_the_rim(edge_on: bool, lowest: float) -> None:
+    frames = seen_from_still_pan([(lowest - 0.002) * NORMAL, (lowest + 0.002) * NORMAL], edge_on)
+    assert frames.flying.tolist() == [False] * 6 + [True]
+
+
+def test_beside_the_pan_only_the_height_above_it_counts() -> None:
+    # The floor of the tilted pan, extended, passes above one of these and below the other.
+    far = PAN_RADIUS + 2.0 * PANCAKE_RADIUS + 0.3
+    uphill, downhill = np.array([-far, 0.0, 0.0]), np.array([far, 0.0, 0.0])
+    up = np.array([0.0, 0.0, 0.125])
+    frames = seen_from_still_pan([uphill + up, downhill + up, uphill, downhill])
+    assert frames.height[5] * frames.height[8] < 0.0
+    assert frames.flying[5:].tolist() == [True, True, False, False]
+
+
+def test_frames_outside_the_path_of_the_pan_are_left_out() -> None:
+    t = np.array([-0.1, 0.0, 0.5, 1.0, 1.1])
+    quat = np.tile(rotations.quat_of_vector(TILT), (5, 1))
+    frames = frames_from_pan(still_pan(), BodyPath("t", t, np.tile(PAN, (5, 1)), quat))
+    assert frames.t.tolist() == [0.0, 0.5, 1.0]
+
+
+def test_the_normal_of_a_pancake_never_seen_at_rest_is_unknown() -> None:
+    path = BodyPath("t", [0.5], [PAN + 0.2 * NORMAL], [rotations.quat_of_vector(TILT)])
+    frames = frames_from_pan(still_pan(), path)
+    assert frames.resting_frames == 0
+    assert not frames.normal.any()
+    assert frames.end_state(0.5) == (False, False)
+
+
+def test_the_normal_is_the_true_one_whatever_the_axes_of_the_tracked_body() -> None:
+    rng = np.random.default_rng(4)
+    truth = toss(rng, vz=2.3, half_turns=1.0)  # of a body with axes drawn at random
+    path = capture(truth, rng, noise=0.0)
+    frames = frames_from_pan(truth.pan, path)
+    true = truth.normal[np.searchsorted(truth.t, path.t)]
+    assert frames.normal == pytest.approx(true, abs=1e-4)
+
+
+def test_the_frames_at_rest_before_the_toss_end_where_the_pancake_turns_in_the_pan() -> None:
+    rng = np.random.default_rng(4)
+    truth = toss(rng, vz=2.3, half_turns=1.0)
+    path = capture(truth, rng)
+    frames = frames_from_pan(truth.pan, path)
+    before = int(np.sum(path.t < truth.release))
+    assert before - 2 <= frames.resting_frames <= before + 1
+    assert len(path.t) > 2 * before  # it rests again afterwards, on its other side
+
+
+def test_one_bad_frame_before_the_toss_spoils_nothing() -> None:
+    rng = np.random.default_rng(18)
+    truth = toss(rng, vz=2.3, half_turns=1.0)
+    path = capture(truth, rng)
+    frames = frames_from_pan(truth.pan, path)
+    others = np.arange(len(path.t))
+    for k in range(4):
+        for shift in (0.0, 0.3):
+            position, quat = path.position.copy(), path.quat_xyzw.copy()
+            position[k, 0] += shift
+            quat[k] = [1.0, 0.0, 0.0, 0.0]
+            spoilt = frames_from_pan(truth.pan, replace(path, position=position, quat_xyzw=quat))
+            rest = others != k
+            assert spoilt.normal[rest] == pytest.approx(frames.normal[rest], abs=0.01)
+            assert np.array_equal(spoilt.flying[rest], frames.flying[rest])
+
+
+@pytest.mark.parametrize(("half_turns", "flipped"), [(0.1, False), (1.0, True), (1.9, False)])
+def test_what_lies_in_the_pan_at_the_end_is_seen(half_turns: float, flipped: bool) -> None:
+    rng = np.random.default_rng(7)
+    truth = toss(rng, vz=2.2, half_turns=half_turns, air=0.0)
+    frames = frames_from_pan(truth.pan, capture(truth, rng))
+    assert frames.end_state(truth.pan.t[-1]) == (True, flipped)
+
+
+def test_a_pancake_beside_the_pan_or_on_edge_does_not_rest_in_it() -> None:
+    rng = np.random.default_rng(7)
+    truth = toss(rng, vz=2.2, half_turns=1.0)
+    path = capture(truth, rng)
+
+    def resting(path: BodyPath) -> bool:
+        return frames_from_pan(truth.pan, path).end_state(truth.pan.t[-1])[0]
+
+    assert resting(path)
+    end = path.t > END - 0.5
+    beside = path.position + np.outer(end, [0.3, 0.0, -0.5])
+    assert not resting(replace(path, position=beside))
+    level = path.position + np.outer(end, [0.3, 0.0, 0.0])
+    assert not resting(replace(path, position=level))
+    tilted = rotations.multiply(
+        np.broadcast_to(rotations.quat_of_vector([0.4, 0.0, 0.0]), path.quat_xyzw.shape),
+        path.quat_xyzw,
+    )
+    quat = np.where(end[:, None], tilted, path.quat_xyzw)
+    assert not resting(replace(path, quat_xyzw=quat))
+    assert not resting(without(path, end))
+
+
+def test_positions_between_samples_are_interpolated_column_by_column() -> None:
+    times, values = np.array([0.0, 1.0]), np.array([[0.0, 1.0, 2.0], [2.0, 1.0, 0.0]])
+    assert interpolate(0.25, times, values) == pytest.approx([0.5, 1.0, 1.5])
+    assert interpolate(np.array([0.0, 0.5]), times, values) == pytest.approx(
+        np.array([[0.0, 1.0, 2.0], [1.0, 1.0, 1.0]])
+    )
+
+
+def test_the_normal_of_the_pan_is_its_third_axis_and_turns_between_samples() -> None:
+    vectors = np.array([[0.0, 0.0, 0.0], [0.0, 0.4, 0.0]])
+    pan = EndEffectorPath("t", [0.0, 1.0], np.zeros((2, 3)), rotations.quat_of_vector(vectors))
+    expected = [math.sin(0.2), 0.0, math.cos(0.2)]
+    assert pan_normal(pan, np.array([0.5]))[0] == pytest.approx(expected, abs=1e-9)
+
+
+def test_zeros_have_no_direction_and_stay_zeros() -> None:
+    assert unit(np.array([0.0, 3.0, 4.0])) == pytest.approx([0.0, 0.6, 0.8])
+    assert not unit(np.zeros(3)).any()

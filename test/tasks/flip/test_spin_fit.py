@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Constant spin of the normal, against exact spins and against a simulated toss."""
+
+import math
+
+import numpy as np
+import pytest
+from simulated_toss import Toss, at, capture, toss
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.rollout import BodyPath
+from wam_power_ros.tasks.flip.ballistic_fit import fit_arc
+from wam_power_ros.tasks.flip.frames import frames_from_pan
+from wam_power_ros.tasks.flip.spin_fit import (
+    Spin,
+    _SpinProblem,
+    angle_between,
+    axis_between,
+    fit_spin,
+)
+
+UP = np.array([0.0, 0.0, 1.0])
+OMEGA = np.array([0.3, -7.0, 1.0])  # [rad/s]
+
+
+def spin(omega: np.ndarray = OMEGA, decay: float = 0.0, **changes: object) -> Spin:
+    values = {
+        "origin": 0.5,
+        "release": 0.2,
+        "normal0": UP,
+        "theta": np.array([0.0, 0.0, *omega, decay]),
+        "covariance": np.zeros((6, 6)),
+        "ambiguous": False,
+    }
+    return Spin(**{**values, **changes})
+
+
+def fitted(truth: Toss, path: BodyPath) -> Spin:
+    frames = frames_from_pan(truth.pan, path)
+    arc = fit_arc(frames)
+    assert arc is not None
+    return fit_spin(frames, arc, truth.pan)
+
+
+def test_a_spin_without_decay_turns_the_normal_at_a_constant_rate_about_a_fixed_axis() -> None:
+    for t in (0.2, 0.5, 0.9):
+        expected = rotations.exp((t - 0.5) * OMEGA) @ UP
+        assert spin().normal(t)[0] == pytest.approx(expected)
+        assert spin().rate(t) == pytest.approx(np.linalg.norm(OMEGA))
+
+
+@pytest.mark.parametrize("decay", [1e-7, 0.8, 2.0])
+def test_the_rate_is_how_fast_a_decaying_spin_turns_the_normal(decay: float) -> None:
+    across = spin(np.array([0.0, 6.0, 0.0]), decay)
+    for t in (0.3, 0.5, 0.9):
+        before, after = across.normal(np.array([t - 1e-4, t + 1e-4]))
+        assert across.rate(t) == pytest.approx(angle_between(before, after) / 2e-4, rel=1e-4)
+    assert across.rate(0.5) == pytest.approx(6.0)
+    assert across.rate(0.3) > across.rate(0.9)
+
+
+def test_a_spin_is_not_extrapolated_to_infinity_where_the_decay_has_its_pole() -> None:
+    steep = spin(np.array([0.0, 6.0, 0.0]), 4.0)  # 1 + d s = 0 at 0.25 s
+    assert np.isfinite(steep.normal(np.linspace(0.0, 0.5, 20))).all()
+    assert steep.rate(0.1) == pytest.approx(6.0 / 0.2)
+
+
+@pytest.mark.parametrize("turned", [0.3, 1.0, 2.5, 3.1, 3.5, 5.0, 6.2, 7.0, 9.0, 11.0])
+def test_the_angle_turned_is_unfolded_by_half_turns_about_the_spin_axis(turned: float) -> None:
+    # Rests along z until 0.2 s, then turns about -y.
+    rate = turned / 0.7
+    start = rotations.exp([0.0, -0.3 * rate, 0.0]) @ UP  # at the origin, 0.3 s after the release
+    across = spin(np.array([0.0, -rate, 0.0]), normal0=start)
+    axis, angle = across.turned(UP, 0.9)
+    assert angle == pytest.approx(turned)
+    assert axis == pytest.approx([0.0, -1.0, 0.0])
+
+
+def test_without_spin_the_angle_is_folded_and_the_axis_leads_from_rest_to_the_end() -> None:
+    tilted = spin(np.zeros(3), normal0=np.array([math.sin(0.4), 0.0, math.cos(0.4)]))
+    axis, angle = tilted.turned(UP, 0.9)
+    assert angle == pytest.approx(0.4)
+    assert axis == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_the_covariance_of_the_normal_is_that_of_the_parameters_and_of_the_time() -> None:
+    rng = np.random.default_rng(3)
+    std = np.array([0.01, 0.02, 0.1, 0.05, 0.1, 0.1])
+    uncertain = spin(decay=0.5, covariance=np.diag(std**2))
+    normal, covariance = uncertain.normal_with_covariance(0.8, 0.002)
+    drawn = np.array(
+        [
+            spin(theta=uncertain.theta + std * rng.normal(size=6)).normal(
+                0.8 + 0.002 * rng.normal()
+            )[0]
+            for _ in range(3000)
+        ]
+    )
+    assert normal == pytest.approx(uncertain.normal(0.8)[0])
+    assert covariance == pytest.approx(np.cov(drawn.T), abs=0.1 * np.trace(covariance))
+    assert normal @ covariance @ normal < 1e-9  # a direction has no uncertain length
+    assert np.trace(uncertain.normal_with_covariance(0.8, 0.0)[1]) < np.trace(covariance)
+
+
+def test_the_jacobian_is_the_derivative_of_the_residuals() -> None:
+    s = np.linspace(-0.2, 0.2, 6)
+    targets = rotations.exp(np.outer(s, OMEGA)) @ UP
+    problem = _SpinProblem(s, targets, np.full((6, 1), 0.01), UP)
+    theta = np.array([0.1, -0.2, *OMEGA, 0.6])
+    step = 1e-5
+    columns = [
+        (problem.residuals(theta + step * row) - problem.residuals(theta - step * row)) / (2 * step)
+        for row in np.eye(6)
+    ]
+    assert problem.jacobian(theta) == pytest.approx(np.array(columns).T, abs=1e-3)
+
+
+def test_the_residuals_of_the_true_spin_are_those_of_the_priors_alone() -> None:
+    s = np.linspace(-0.2, 0.2, 6)
+    targets = rotations.exp(np.outer(s, OMEGA)) @ UP
+    problem = _SpinProblem(s, targets, np.full((6, 1), 0.01), UP)
+    residuals = problem.residuals(np.array([0.0, 0.0, *OMEGA, 0.0]))
+    assert residuals[:-5] == pytest.approx(0.0, abs=1e-9)
+    assert residuals[-5:] == pytest.approx([*(OMEGA / 12.0), -1.0, OMEGA[2] / 3.0])
+
+
+@pytest.mark.parametrize("air", [0.0, 1.0])
+def test_the_fitted_spin_has_the_true_normals_and_axis(air: float) -> None:
+    rng = np.random.default_rng(22)
+    for _ in range(5):
+        truth = toss(rng, vz=2.4, half_turns=1.2, air=air)
+        found = fitted(truth, capture(truth, rng))
+        assert not found.ambiguous
+        for t in np.linspace(truth.release + 0.05, truth.t_f, 5):
+            assert angle_between(found.normal(t)[0], at(truth, t, truth.normal)) < 0.015
+        axis, _ = found.turned(UP, truth.t_f)
+        assert angle_between(axis, np.array([0.0, -1.0, 0.0])) < 0.4  # yaw of up to 0.3 rad
+        before, after = (at(truth, truth.t_f + dt, truth.winding) for dt in (-0.02, 0.02))
+        assert found.rate(truth.t_f) == pytest.approx((after - before) / 0.04, rel=0.1)
+
+
+def test_frames_too_far_apart_to_count_the_turns_are_reported_as_ambiguous() -> None:
+    rng = np.random.default_rng(23)
+    for _ in range(4):
+        truth = toss(rng, vz=3.2, half_turns=1.2)
+        assert fitted(truth, capture(truth, rng, rate=5.0)).ambiguous
+        assert not fitted(truth, capture(truth, rng, rate=20.0)).ambiguous
+
+
+def test_one_normal_far_off_changes_the_spin_little() -> None:
+    rng = np.random.default_rng(24)
+    truth = toss(rng, vz=2.4, half_turns=1.2)
+    path = capture(truth, rng)
+    k = int(np.argmin(np.abs(path.t - 0.5 * (truth.release + truth.t_f))))
+    quat = path.quat_xyzw.copy()
+    quat[k] = rotations.multiply(rotations.quat_of_vector([0.5, 0.0, 0.3]), quat[k])
+    spoilt = fitted(truth, BodyPath(path.id, path.t, path.position, quat))
+    expected = fitted(truth, path).normal(truth.t_f)[0]
+    assert angle_between(spoilt.normal(truth.t_f)[0], expected) < 0.02
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1.0, math.pi - 1e-9, math.pi])
+def test_angles_are_accurate_near_zero_and_near_half_a_turn(angle: float) -> None:
+    turned = np.array([math.sin(angle), 0.0, math.cos(angle)])
+    assert angle_between(UP, turned) == pytest.approx(angle, abs=1e-15)
+
+
+def test_the_axis_between_parallel_vectors_is_any_across_them() -> None:
+    x, y = np.eye(3)[:2]
+    assert axis_between(x, y) == pytest.approx(UP)
+    for other in (UP, -UP):
+        axis = axis_between(UP, other)
+        assert np.linalg.norm(axis) == pytest.approx(1.0)
+        assert axis @ UP == pytest.approx(0.0)
