@@ -22,7 +22,7 @@ from wam_power_ros.control.modes import TRANSITIONS, ControllerError, Mode
 from wam_power_ros.control.torque_law import TorqueLaw
 from wam_power_ros.learning import dmp
 from wam_power_ros.learning.policy import Basis, Policy, with_id
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 from wam_power_ros.params.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()
@@ -768,7 +768,7 @@ def test_the_stale_torque_carries_the_arm_without_a_velocity_term() -> None:
     for _ in range(100):
         torques.append(controller.stale_torque())
         check(torques[-1], torques[-2])
-    assert np.allclose(torques[-1], MODEL.gravity(controller._q), atol=1e-12)
+    assert np.allclose(torques[-1], MODEL.gravity(controller._states.q), atol=1e-12)
 
 
 @pytest.mark.requirement("S-04")
@@ -820,6 +820,93 @@ def test_a_law_that_finds_no_torque_is_a_fault_and_no_exception() -> None:
         run(controller, plant, 0.1)
         assert controller.mode is Mode.FAULT
         assert reason in controller.latched.text
+
+
+# ------------------------------------------------------------------------------------- obstacle
+
+
+def test_a_rollout_ends_without_a_fault_where_the_tool_enters_the_obstacle() -> None:
+    free_controller, free_plant = begin()
+    free = rollout(free_controller, free_plant).path
+    lowest = int(np.argmin(free.position[:, 2]))
+    centre = free.position[lowest]
+    controller, plant = begin(controller=make(obstacle=(*centre, 0.02)))
+    controller.execute()
+    torques = run(controller, plant, 3.0, until=lambda: controller.mode is not Mode.ROLLOUT)
+    path = controller.take_finished()
+    assert (controller.mode, controller.latched) == (Mode.HOLD, None)
+    assert controller.counters["faults"] == 0
+    distance = np.linalg.norm(path.position - centre, axis=1)
+    assert distance[-1] < 0.02 and np.all(distance[:-1] >= 0.02)
+    assert path.t[-1] == pytest.approx(0.002 * (len(torques) - 1), abs=1e-9)  # that very state
+    assert path.t[-1] < free.t[lowest] < free.t[-1] - 0.5
+    shared = len(path.t) - 1
+    np.testing.assert_allclose(path.position[:shared], free.position[:shared], atol=1e-9)
+    assert controller.rollout_stamp_ns is not None
+    run(controller, plant, 1.0)
+    assert np.abs(plant.qd).max() < 1e-3  # it has braked
+    controller.move_to_start()
+    run(controller, plant, 10.0, until=lambda: controller.ready)
+    controller.execute()
+    again = rollout_to_end(controller, plant)
+    assert again.t[-1] == pytest.approx(path.t[-1], abs=0.01)
+
+
+def rollout_to_end(controller: Controller, plant: Plant) -> EndEffectorPath:
+    run(controller, plant, 3.0, until=lambda: controller.mode is not Mode.ROLLOUT)
+    return controller.take_finished()
+
+
+def test_a_rollout_that_begins_in_the_obstacle_ends_with_its_first_state() -> None:
+    centre = MODEL.tool_pose(HOME)[0]
+    controller, plant = begin(controller=make(obstacle=(*centre, 0.1)))
+    controller.execute()
+    run(controller, plant, 0.01)
+    assert controller.mode is Mode.HOLD
+    path = controller.take_finished()
+    assert path.t.tolist() == [0.0]
+    np.testing.assert_allclose(path.position[0], centre, atol=1e-3)
+
+
+def test_outside_rollouts_an_obstacle_has_no_effect() -> None:
+    centre = MODEL.tool_pose(HOME)[0]
+    t = np.linspace(0.0, 0.5, 51)
+    still = SimpleNamespace(t=t, q=np.tile(HOME, (51, 1)))
+    torques = []
+    for obstacle in ((0.0, 0.0, 0.0, 0.0), (*centre, 0.5)):
+        controller, plant = begin(HOME + 0.1, controller=make(obstacle=obstacle))
+        controller.move_to_start()
+        sent = run(controller, plant, 4.0)
+        controller.set_gravity_compensation(True)
+        sent += run(controller, plant, 0.1)
+        controller.start_replay(still)
+        sent += run(controller, plant, 0.3)
+        assert controller.mode is Mode.REPLAY
+        torques.append(np.array(sent))
+    assert np.array_equal(*torques)
+
+
+def test_an_obstacle_of_radius_zero_is_none_even_where_the_tool_is() -> None:
+    centre = MODEL.tool_pose(HOME)[0]
+    paths = []
+    for obstacle in ((0.0, 0.0, 0.0, 0.0), (*centre, 0.0)):
+        controller, plant = begin(controller=make(obstacle=obstacle))
+        paths.append(rollout(controller, plant).path.position)
+    assert np.array_equal(*paths)
+
+
+def test_a_policy_that_met_the_obstacle_has_not_run_to_its_end() -> None:
+    centre = MODEL.tool_pose(HOME)[0] + np.array([0.0, 0.0, -0.06])
+    controller, plant = begin(controller=make(obstacle=(*centre, 0.03), hold_to_run=True))
+    controller.enabled = True
+    controller.execute()
+    assert rollout_to_end(controller, plant).t[-1] < 1.0
+    run(controller, plant, 1.0)
+    controller.move_to_start()
+    run(controller, plant, 10.0, until=lambda: controller.ready)
+    controller.enabled = False
+    with pytest.raises(ControllerError, match="enabling switch"):
+        controller.execute()
 
 
 # --------------------------------------------------------------------------------------- requests
@@ -921,9 +1008,12 @@ def test_a_policy_that_does_not_fit_is_refused_and_the_old_one_kept() -> None:
 def test_settings_that_make_no_sense_are_refused_by_name() -> None:
     for wrong in (
         {"period": 0.0},
-        {"hold_bandwidth": math.nan},
-        {"friction_share": 1.5},
-        {"path_period": 0.001},
+        {"move_speed": math.nan},
+        {"stiffness_max": -1.0},
+        {"settle_time": math.inf},
+        {"obstacle": (0.0, 0.0, 0.0, -0.1)},
+        {"obstacle": (0.0, 0.0, 0.1)},
+        {"obstacle": (math.nan, 0.0, 0.0, 0.1)},
         {"limits": safety.limits_of(Arm(URDF, NAMES[:4]))},
     ):
         with pytest.raises(ValueError, match=next(iter(wrong))):

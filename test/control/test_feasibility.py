@@ -15,6 +15,7 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.rotations import quat_xyzw
 
 JOINTS = [f"wam_j{i}" for i in range(1, 8)]
+SETTINGS = ControllerSettings()
 START = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 
 
@@ -47,7 +48,7 @@ def _late(arm: Arm) -> np.ndarray:
 
 
 def test_a_gentle_movement_is_simulated_without_a_fault(arm: Arm) -> None:
-    simulated = simulate_policy(arm, ControllerSettings(), lift(arm, 0.1))
+    simulated = simulate_policy(arm, SETTINGS, lift(arm, 0.1))
     assert simulated.fault is None
     assert 0.1 < simulated.tool_peak < 1.0
     assert (simulated.qd_peak < arm.qd_max).all()
@@ -56,23 +57,29 @@ def test_a_gentle_movement_is_simulated_without_a_fault(arm: Arm) -> None:
 
 @pytest.mark.requirement("S-31")
 def test_a_movement_that_is_too_fast_ends_in_the_fault_it_would_cause(arm: Arm) -> None:
-    simulated = simulate_policy(arm, ControllerSettings(), lift(arm, 0.9))
+    simulated = simulate_policy(arm, SETTINGS, lift(arm, 0.9))
     assert simulated.fault.kind is FaultKind.GUARDED_SPEED and "limit" in simulated.fault.text
+
+
+def test_the_whole_movement_is_simulated_whether_or_not_an_obstacle_would_end_it(arm: Arm) -> None:
+    obstacle = ControllerSettings(obstacle=(*arm.tool_pose(START)[0], 0.05))
+    ended, whole = (simulate_policy(arm, s, lift(arm, 0.1)) for s in (obstacle, SETTINGS))
+    assert ended.fault is None and ended.tool_peak == whole.tool_peak > 0.1
 
 
 def test_the_margin_decides_what_is_too_fast(arm: Arm) -> None:
     policy = lift(arm, 0.25)
-    free = simulate_policy(arm, ControllerSettings(), policy, margin=1.0)
+    free = simulate_policy(arm, SETTINGS, policy, margin=1.0)
     share_used = float((free.qd_peak / arm.qd_max).max())
     assert free.fault is None and share_used > 0.1
-    assert simulate_policy(arm, ControllerSettings(), policy, margin=0.8 * share_used).fault
+    assert simulate_policy(arm, SETTINGS, policy, margin=0.8 * share_used).fault
 
 
 def test_what_the_arm_does_while_it_settles_is_simulated_too(arm: Arm) -> None:
     late = replace(
         lift(arm, 0.0), basis=Basis(count=4, duration=0.1, variance=1e-5), attractors=_late(arm)
     )
-    whole = simulate_policy(arm, ControllerSettings(), late)
+    whole = simulate_policy(arm, SETTINGS, late)
     movement = simulate_policy(arm, ControllerSettings(settle_time=0.002), late)
     assert movement.fault is None and whole.fault is None
     assert whole.tool_peak > 1.5 * movement.tool_peak
@@ -80,11 +87,11 @@ def test_what_the_arm_does_while_it_settles_is_simulated_too(arm: Arm) -> None:
 
 def test_a_policy_the_controller_refuses_is_not_simulated(arm: Arm) -> None:
     stiff = replace(lift(arm, 0.1), stiffness=np.tile(9e4 * np.eye(3), (4, 1, 1)))
-    assert "stiffness" in simulate_policy(arm, ControllerSettings(), stiff).fault.text
+    assert "stiffness" in simulate_policy(arm, SETTINGS, stiff).fault.text
 
 
 def test_an_arm_whose_driver_compensates_gravity_is_simulated_alike(arm: Arm) -> None:
     policy = lift(arm, 0.2)
-    own = simulate_policy(arm, ControllerSettings(), policy)
+    own = simulate_policy(arm, SETTINGS, policy)
     driver = simulate_policy(arm, ControllerSettings(driver_compensates_gravity=True), policy)
     assert np.array_equal(own.qd_peak, driver.qd_peak)

@@ -22,7 +22,6 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.replay_trajectory import EASE, movement
-from wam_power_ros.control.tracking_error import FollowingError
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros.answers import Answer, Code
 
@@ -81,23 +80,6 @@ def test_a_recording_with_a_hole_is_refused() -> None:
     kept = np.r_[0:400, 600:1001]
     with pytest.raises(ValueError, match=r"gap of 0\.4"):
         movement(stamps_ns[kept], q[kept], 1.0)
-
-
-def test_the_error_of_joints_and_tool_is_told() -> None:
-    error = FollowingError(ARM, 100)
-    q = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
-    for k in range(100):
-        off = 0.01 * np.eye(7)[0] * (1.0 if k < 50 else 0.0)
-        error.add(q + off, q)
-    assert error.largest[0] == pytest.approx(0.01)
-    assert error.rms[0] == pytest.approx(0.01 / np.sqrt(2.0))
-    reach = np.linalg.norm(ARM.tool_pose(q)[0][:2])  # from joint 1's axis
-    rms, largest = error.tool()
-    assert largest == pytest.approx(0.01 * reach, rel=0.01)
-    assert rms == pytest.approx(0.01 * reach / np.sqrt(2.0), rel=0.05)
-    lines = error.text(NAMES).splitlines()
-    assert lines[0] == "rms error 0.0071 rad in the worst joint, wam_j1"
-    assert len(lines) == 9
 
 
 def replaying(*arguments: object) -> subprocess.Popen[str]:

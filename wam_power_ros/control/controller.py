@@ -7,54 +7,52 @@ point bit for bit (25 periods undo 25 N m): a rollout that begins there depends 
 """
 
 import math
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
 
-from wam_power_ros.control import safety
+from wam_power_ros.control import replay_trajectory, safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.joint_references import Brake, Course, JointTrajectory, MinJerk, Sampled
+from wam_power_ros.control.joint_control import JointControl
+from wam_power_ros.control.joint_references import JointTrajectory, Sampled
 from wam_power_ros.control.modes import (
-    BOXED,
     HELD,
-    MOVING,
     PASSIVE,
     REFERENCED,
-    TRANSITIONS,
     ControllerError,
     Mode,
     Refusal,
+    check_transition,
 )
-from wam_power_ros.control.policy_execution import Execution
-from wam_power_ros.control.safety import Stamp
-from wam_power_ros.control.tracking_error import FollowingError, TrackingLost
-from wam_power_ros.learning import dmp
-from wam_power_ros.learning.policy import Policy, to_json, with_id
+from wam_power_ros.control.policy_execution import Execution, PreparedPolicy, prepare
+from wam_power_ros.control.state_checks import Outcome, StateChecks
+from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
+from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
-
-_INTEGERS = (int, np.integer)
 
 
 class Controller:
     """Turns joint states into torques. Not thread-safe: calls come from one thread.
 
     Attributes:
-        counters: How many states were `accepted`, `repeated`, `older`, `rejected`, `gaps`, `jumps`;
-            torques `limited` and `stale`; `faults`.
+        arm: Model of the arm.
+        settings: Settings of the controller.
+        limits: Limits of the arm.
+        counters: Number of states `accepted`, `repeated`, `older`, `rejected`; of `gaps`, `jumps`;
+            of torques `limited` and `stale`; of `faults`.
         latched: Fault that is latched, None without.
-        replay_error: Of the last replay so far; None before the first.
-        rollout_stamp_ns: Stamp of the first state of the last rollout that began, or None [ns].
+        rollout_stamp_ns: Stamp of the first state of the last rollout that ended, or None [ns].
         enabled: Whether a person holds the enabling switch, where `hold_to_run` asks for one; set
             from outside, before every state.
 
     Args:
-        arm: Used by this controller alone.
-        settings: Choices.
+        arm: Model of the arm, used by this controller alone.
+        settings: Settings of the controller.
 
     Raises:
-        ValueError: Settings that do not fit the arm.
+        ValueError: The settings do not fit the arm.
     """
 
     def __init__(self, arm: Arm, settings: ControllerSettings | None = None) -> None:
@@ -65,70 +63,59 @@ class Controller:
             raise ValueError(
                 f"limits are for {self.limits.torque.size} joints, the arm has {arm.n}"
             )
-        self._period_ns = round(settings.period * 1e9)
-        self._laws: dict[Mode, Callable[[int, np.ndarray, np.ndarray, Motion], np.ndarray]] = {
-            Mode.INACTIVE: self._rest_torque,
-            Mode.GRAVITY_COMPENSATION: self._teaching_torque,
-            Mode.HOLD: self._reference_torque,
-            Mode.MOVE_TO_START: self._reference_torque,
-            Mode.ROLLOUT: self._rollout_torque,
-            Mode.REPLAY: self._reference_torque,
-            Mode.FAULT: self._rest_torque,
-        }
-        self._set(Mode.INACTIVE)
-        self._label = self._mode_label
-        self.counters: Counter[str] = Counter()
         self.latched: Fault | None = None
         self.rollout_stamp_ns: int | None = None
         self.enabled = False
 
-        # the last state accepted and the last torque sent
-        self._stamp: int | None = None
-        self._q: np.ndarray | None = None
-        self._qd = np.zeros(arm.n)
-        self._sent = np.zeros(arm.n)
-        self._steps = 0
-        self._rejections: deque[int] = deque(maxlen=5)  # the steps in which they came
-        self._rejected_in_row = 0
-        self._exceeded = 0  # states in a row beyond a motion limit
-
-        self._course = Course(self._brake)
-        self._ref: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref of the last state
-        self.replay_error: FollowingError | None = None
-
-        self._policy: Policy | None = None
-        self._tables: dmp.Tables | None = None
-        self._content = ""  # of the policy, whatever its id, where `hold_to_run` asks what is new
-        self._tried: set[str] = set()  # contents that have run to their end once
+        self._states = StateChecks(
+            arm.n, settings.period, settings.velocity_cutoff, self.limits.q_jump
+        )
+        self.counters: Counter[str] = self._states.counters
+        self._motion = safety.MotionCheck(self.limits, arm.guarded)
+        self._joints = JointControl(arm, self.limits)
+        self._policy: PreparedPolicy | None = None
+        self._tried: set[str] = set()  # contents of policies that have run to their end once
         self._rollout: Execution | None = None
         self._finished: EndEffectorPath | None = None
+        self._sent = np.zeros(arm.n)  # last torque
+        self._laws: dict[Mode, Callable[[int, np.ndarray, np.ndarray, Motion], np.ndarray]] = {
+            Mode.INACTIVE: self._rest_torque,
+            Mode.GRAVITY_COMPENSATION: self._teaching_torque,
+            Mode.HOLD: self._joint_torque,
+            Mode.MOVE_TO_START: self._joint_torque,
+            Mode.ROLLOUT: self._rollout_torque,
+            Mode.REPLAY: self._joint_torque,
+            Mode.FAULT: self._rest_torque,
+        }
+        self._set(Mode.INACTIVE)
+        self._label = self._mode_label
 
-    # ------------------------------------------------------------------ what a caller may see
+    # What a caller may see
 
     @property
     def mode(self) -> Mode:
-        """The present mode; a request changes it at once."""
+        """Present mode; a request changes it at once."""
         return self._mode
 
     @property
     def label(self) -> str:
-        """Goes with the last torque: its mode, and for a rollout the id ("rollout trial-0007")."""
+        """Mode of the last torque, and for a rollout the id ("rollout trial-0007")."""
         return self._label
 
     @property
     def stamp_ns(self) -> int | None:
-        """Of the last state that was accepted, None before the first [ns]."""
-        return self._stamp
+        """Stamp of the last state that was accepted, None before the first [ns]."""
+        return self._states.stamp_ns
 
     @property
     def policy_id(self) -> str | None:
-        """Of the policy that is loaded."""
-        return None if self._policy is None else self._policy.id
+        """Id of the policy that is loaded."""
+        return None if self._policy is None else self._policy.policy.id
 
     @property
     def at_rest(self) -> bool:
-        """Whether the arm was slower than `rest_speed` in the last state."""
-        return self._unrest() is None
+        """Whether the arm was at rest in the last state."""
+        return not self._unrest()
 
     @property
     def ready(self) -> bool:
@@ -138,14 +125,20 @@ class Controller:
     @property
     def tracking_error(self) -> np.ndarray | None:
         """q_ref - q [rad] in the last state, None when no joint reference is followed. (n,)."""
-        return None if self._ref is None or self._q is None else self._ref[0] - self._q
+        q_ref, q = self._joints.q_ref, self._states.q
+        return None if q_ref is None or q is None else q_ref - q
+
+    @property
+    def replay_error(self) -> TrackingError | None:
+        """Tracking error of the last replay so far; None before the first."""
+        return self._joints.replay_error
 
     def take_finished(self) -> EndEffectorPath | None:
-        """The path of the rollout that has ended, once; shorter when it was aborted."""
+        """Return the path of the rollout that has ended, once; shorter when it was cut short."""
         path, self._finished = self._finished, None
         return path
 
-    # ------------------------------------------------------------------------------- requests
+    # Requests
 
     def load(self, policy: Policy) -> None:
         """Make a policy the one to execute; all tables are computed here.
@@ -156,36 +149,13 @@ class Controller:
         if self._mode is Mode.ROLLOUT:
             text = f"policy {policy.id} refused during a rollout"
             raise ControllerError(Refusal.BUSY, text)
-        start, limits = policy.q_start, self.limits
-        if start.shape != (self.arm.n,):
-            raise ControllerError(
-                Refusal.REFUSED,
-                f"policy {policy.id} is for {start.size} joints, the arm has {self.arm.n}",
-            )
-        if np.any(start < limits.q_min) or np.any(start > limits.q_max):
-            raise ControllerError(
-                Refusal.REFUSED,
-                f"q_start {start.round(3).tolist()} of policy {policy.id} is outside the limits "
-                f"{limits.q_min.tolist()} to {limits.q_max.tolist()}",
-            )
-        stiffest = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
-        stiffest = max(stiffest, policy.rotation_stiffness)
-        if stiffest > self.settings.stiffness_max:
-            raise ControllerError(
-                Refusal.REFUSED,
-                f"stiffness {stiffest:.0f} of policy {policy.id} is above the limit "
-                f"{self.settings.stiffness_max:.0f} 1/s^2",
-            )
-        self._tables = dmp.tabulate(policy, self.settings.period)
-        self._policy = policy
-        if self.settings.hold_to_run:
-            self._content = to_json(with_id(policy, "content"))
+        self._policy = prepare(policy, self.arm.n, self.limits, self.settings)
 
     def hold(self) -> None:
         """Come to rest and hold the posture; aborts what is under way.
 
         Raises:
-            ControllerError: In a fault.
+            ControllerError: In a fault, or before the first state.
         """
         if self._mode is not Mode.HOLD:
             self._enter(Mode.HOLD)
@@ -199,10 +169,10 @@ class Controller:
         """Let a person move the arm, or hold it where it is.
 
         Raises:
-            ControllerError: While the arm moves by itself, or in a fault.
+            ControllerError: While the arm moves by itself, in a fault, or without the switch.
         """
         if on and self._mode is not Mode.GRAVITY_COMPENSATION:
-            self._ask_for_hand(Mode.GRAVITY_COMPENSATION)
+            self._require_switch(Mode.GRAVITY_COMPENSATION)
             self._enter(Mode.GRAVITY_COMPENSATION)
         elif not on and self._mode is Mode.GRAVITY_COMPENSATION:
             self._enter(Mode.HOLD)
@@ -215,58 +185,35 @@ class Controller:
         """
         if self._policy is None:
             raise ControllerError(Refusal.NOTHING, "move_to_start refused: no policy is loaded")
-        self._move(Mode.MOVE_TO_START, self._policy.q_start)
+        self._move(Mode.MOVE_TO_START, self._policy.policy.q_start)
 
     def start_replay(self, trajectory: JointTrajectory, speed: float = 1.0) -> None:
         """Move to the start of a recorded joint movement, then follow it, then hold.
 
         Args:
-            trajectory: `t` [s] increasing, shape (N,), and `q` [rad], shape (N, n); smooth, because
-                its second derivative is used.
+            trajectory: Movement; see `replay_trajectory.sampled`.
             speed: 1 for as recorded, 0.5 for half of that.
 
         Raises:
             ControllerError: While moving, in a mode that does not allow it, or when the movement is
                 not within the arm's limits.
         """
-        try:
-            sampled = Sampled(trajectory.t, trajectory.q, speed, self.settings.period)
-        except (ValueError, TypeError, AttributeError) as error:
-            raise ControllerError(Refusal.REFUSED, f"replay refused: {error}") from None
-        limits = self.limits
-        if sampled.q.shape[1] != self.arm.n:
-            raise ControllerError(
-                Refusal.REFUSED,
-                f"replay refused: {sampled.q.shape[1]} joints, the arm has {self.arm.n}",
-            )
-        if np.any(sampled.q < limits.q_min) or np.any(sampled.q > limits.q_max):
-            text = "replay refused: the movement leaves the joint limits"
-            raise ControllerError(Refusal.REFUSED, text)
-        share = float(np.max(np.abs(sampled.qd) / limits.qd_max))
-        if share > 1.0:
-            raise ControllerError(
-                Refusal.TOO_FAST,
-                f"replay refused: {share:.2f} times a joint-speed limit",
-                {"speed": f"{speed / share:.3f}"},
-            )
-        self._ask_for_hand(Mode.REPLAY)
-        self._move(Mode.REPLAY, sampled.q[0], sampled)
-        self.replay_error = FollowingError(self.arm, len(sampled.q))
+        movement = replay_trajectory.sampled(trajectory, speed, self.settings.period, self.limits)
+        self._require_switch(Mode.REPLAY)
+        self._move(Mode.REPLAY, movement.q[0], movement)
 
     def execute(self) -> None:
         """Begin a rollout of the loaded policy with the next state.
 
         Raises:
-            ControllerError: When not ready, with the reason.
+            ControllerError: The arm is not ready, with the reason.
         """
-        unready = self._unready()
-        if unready is not None:
-            raise unready
-        self._ask_for_hand(Mode.ROLLOUT)
+        if (refusal := self._unready()) is not None:
+            raise refusal
+        self._require_switch(Mode.ROLLOUT)
         self._enter(Mode.ROLLOUT)
-        self._finished = None
-        self.rollout_stamp_ns = None
-        self._rollout = Execution(self._policy, self._tables, self.settings)
+        self._finished = self.rollout_stamp_ns = None
+        self._rollout = Execution(self._policy, self.arm, self.settings)
 
     def fault(self, fault: Fault) -> None:
         """Latch a fault and abort what is under way; without effect when inactive or in a fault."""
@@ -285,10 +232,10 @@ class Controller:
         if self._mode is not Mode.FAULT:
             text = f"reset refused: no fault, mode is {self._mode.value}"
             raise ControllerError(Refusal.REFUSED, text)
-        if self._rejected_in_row:
+        if self._states.refused_in_row:
             text = "reset refused: the last joint state was not valid"
             raise ControllerError(Refusal.REFUSED, text)
-        self._ask_for_rest("reset")
+        self._require_rest("reset")
         self._enter(Mode.HOLD, reset=True)
         self.latched = None
 
@@ -299,62 +246,49 @@ class Controller:
 
     def _enter(self, mode: Mode, reset: bool = False) -> None:
         """Change the mode, ending what the old one had under way."""
-        if self._mode is Mode.FAULT and not reset:
-            text = "" if self.latched is None else self.latched.text
-            raise ControllerError(
-                Refusal.FAULT, f"{mode.value} refused: fault ({text}); reset first"
-            )
-        if mode not in TRANSITIONS[self._mode]:
-            possible = sorted(other.value for other in TRANSITIONS[self._mode])
-            raise ControllerError(
-                Refusal.BUSY,
-                f"{mode.value} is not possible from {self._mode.value}; from there: {possible}",
-            )
-        if self._q is None and mode is not Mode.INACTIVE:
+        check_transition(self._mode, mode, self.latched, reset)
+        if self._states.q is None and mode is not Mode.INACTIVE:
             text = f"{mode.value} refused: no joint state has come yet"
             raise ControllerError(Refusal.NOTHING, text)
         self._end_rollout()
         if mode not in REFERENCED:
-            self._ref = None
+            self._joints.release()
         self._set(mode)
-        self._course.begin()
-        self._exceeded = 0
+        self._joints.begin()
+        self._motion.begin()
 
     def _set(self, mode: Mode) -> None:
         self._mode, self._law, self._mode_label = mode, self._laws[mode], mode.value
 
-    def _lacks_hand(self, mode: Mode) -> bool:
+    def _move(self, mode: Mode, goal: np.ndarray, *then: Sampled) -> None:
+        self._require_rest(mode.value)
+        self._enter(mode)
+        self._joints.move(goal, self.settings.move_speed, *then)
+
+    # Conditions of a request
+
+    def _lacks_switch(self, mode: Mode) -> bool:
         """Whether the enabling switch must be held in this mode, and is not."""
         if self.enabled or not self.settings.hold_to_run or mode not in HELD:
             return False
-        return mode is not Mode.ROLLOUT or self._content not in self._tried
+        if mode is not Mode.ROLLOUT:
+            return True
+        return self._policy is None or self._policy.content not in self._tried
 
-    def _ask_for_hand(self, mode: Mode) -> None:
-        if self._lacks_hand(mode):
+    def _require_switch(self, mode: Mode) -> None:
+        if self._lacks_switch(mode):
             text = f"{mode.value} refused: the enabling switch is not held"
             raise ControllerError(Refusal.REFUSED, text)
 
-    def _move(self, mode: Mode, goal: np.ndarray, *then: Sampled) -> None:
-        self._ask_for_rest(mode.value)
-        self._enter(mode)
-        self._course.begin(lambda q: MinJerk(q, goal, self.settings.move_speed), *then)
-
-    def _ask_for_rest(self, request: str) -> None:
-        if (unrest := self._unrest()) is not None:
-            refusal = Refusal.NOTHING if self._q is None else Refusal.BUSY
+    def _require_rest(self, request: str) -> None:
+        if unrest := self._unrest():
+            refusal = Refusal.NOTHING if self._states.q is None else Refusal.BUSY
             raise ControllerError(refusal, f"{request} refused: {unrest}")
 
-    def _unrest(self) -> str | None:
-        if self._q is None:
-            return "no joint state has come yet"
-        motion = self.arm.motion(self._q, self._qd)
-        speed = max(*motion.guarded_speeds, motion.tool_speed, 0.0)
-        if speed > self.settings.rest_speed:
-            return f"the arm moves at {speed:.3f} m/s, limit {self.settings.rest_speed}"
-        spin = float(np.abs(motion.twist[3:]).max())
-        if spin > 4.0 * self.settings.rest_speed:
-            return f"the tool turns at {spin:.3f} rad/s, limit {4.0 * self.settings.rest_speed}"
-        return None
+    def _unrest(self) -> str:
+        """Why the arm does not count as at rest; empty when it does."""
+        q, qd = self._states.q, self._states.qd
+        return "no joint state has come yet" if q is None else safety.unrest(self.arm.motion(q, qd))
 
     def _unready(self) -> ControllerError | None:
         """Why a rollout of the loaded policy cannot begin."""
@@ -362,25 +296,24 @@ class Controller:
         def refused(refusal: Refusal, text: str, **values: str) -> ControllerError:
             return ControllerError(refusal, f"rollout refused: {text}", values)
 
+        q, prepared = self._states.q, self._policy
         if self.latched is not None:
             return refused(Refusal.FAULT, f"fault ({self.latched.text}); reset first")
-        if self._policy is None:
+        if prepared is None:
             return refused(Refusal.NOTHING, "no policy is loaded")
-        if self._mode is not Mode.HOLD or self._q is None:
+        if self._mode is not Mode.HOLD or q is None:
             return refused(Refusal.BUSY, f"mode is {self._mode.value}, not hold")
-        if (unrest := self._unrest()) is not None:
+        if unrest := self._unrest():
             return refused(Refusal.BUSY, unrest)
-        error = np.abs(self._q - self._policy.q_start)
+        error = np.abs(q - prepared.policy.q_start)
         worst = int(np.argmax(error))
         if error[worst] > self.settings.start_tolerance:
-            text = (
-                f"{self.arm.joint_names[worst]} is {error[worst]:.3f} rad from the start of policy"
-            )
-            policy = self._policy.id
-            return refused(Refusal.NOT_AT_START, f"{text} {policy}", policy=policy)
+            joint, policy = self.arm.joint_names[worst], prepared.policy.id
+            text = f"{joint} is {error[worst]:.3f} rad from the start of policy {policy}"
+            return refused(Refusal.NOT_AT_START, text, policy=policy)
         return None
 
-    # ----------------------------------------------------------------------------- every state
+    # Every state
 
     def step(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> np.ndarray:
         """The torque that answers one joint state.
@@ -390,33 +323,24 @@ class Controller:
         the last torque, after three in a row the torque that carries the arm.
 
         Args:
-            stamp_ns: From the driver's header [ns].
-            q: [rad]. Shape (n,).
-            qd: [rad/s], None when the driver does not tell. Shape (n,).
+            stamp_ns: Stamp of the driver's header [ns].
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
 
         Returns:
             [N m], read-only. Shape (n,).
         """
-        self._steps += 1
-        if not isinstance(stamp_ns, _INTEGERS):
-            return self._reject("rejected")
-        stamp_ns = int(stamp_ns)
-        stamp = safety.judge_stamp(stamp_ns, self._stamp, self._period_ns)
-        if stamp is Stamp.REPEATED:
-            self.counters["repeated"] += 1
+        states = self._states
+        outcome = states.take(stamp_ns, q, qd, restart=self._mode in PASSIVE)
+        if (fault := states.fault) is not None and not (
+            fault.kind is FaultKind.JUMP and self._mode is Mode.GRAVITY_COMPENSATION
+        ):  # while teaching nothing refers to a posture
+            self.fault(fault)
+        if outcome is Outcome.REPEATED:
             return self._sent
-        if stamp is Stamp.OLDER:
-            if self._mode not in PASSIVE:
-                return self._reject("older")
-            stamp = Stamp.FIRST  # the driver has started again
-        q = self._read(q, safety.IMPLAUSIBLE_Q)
-        if q is None:
-            return self._reject("rejected")
-        given = self._velocity(stamp, stamp_ns, q) if qd is None else qd
-        qd = self._read(given, safety.IMPLAUSIBLE_QD)
-        if qd is None:
-            return self._reject("rejected")
-        return self._answer(stamp, stamp_ns, q, qd)
+        if outcome is Outcome.REFUSED:
+            return self._sent if states.refused_in_row < 3 else self.stale_torque()
+        return self._answer(states.stamp_ns, states.q, states.qd, states.dt)
 
     def stale_torque(self) -> np.ndarray:
         """The torque to send when no state has come: carries the arm in its last known posture.
@@ -427,86 +351,50 @@ class Controller:
             [N m], read-only. Shape (n,).
         """
         self.counters["stale"] += 1
-        if self._q is not None:
+        if (q := self._states.q) is not None:
             compensated = self.settings.driver_compensates_gravity
-            tau = np.zeros(self.arm.n) if compensated else self.arm.gravity(self._q)
+            tau = np.zeros(self.arm.n) if compensated else self.arm.gravity(q)
             self._sent = safety.limit_torque(tau, self._sent, self.settings.period, self.limits)
             self._sent.setflags(write=False)
         return self._sent
 
-    def _read(self, values: object, bound: float) -> np.ndarray | None:
-        """A copy of a joint vector; None when it is not one, not finite or impossibly large."""
-        try:
-            array = np.array(values, dtype=float)
-        except (TypeError, ValueError):
-            return None
-        if array.shape != (self.arm.n,) or not safety.plausible(array.tolist(), bound):
-            return None
-        return array
-
-    def _reject(self, why: str) -> np.ndarray:
-        self.counters[why] += 1
-        self._rejected_in_row += 1
-        self._rejections.append(self._steps)
-        if len(self._rejections) == 5 and self._steps - self._rejections[0] < 50:
-            self.fault(Fault(FaultKind.STATES_REFUSED, "five joint states refused within 50"))
-        return self._sent if self._rejected_in_row < 3 else self.stale_torque()
-
-    def _velocity(self, stamp: Stamp, stamp_ns: int, q: np.ndarray) -> np.ndarray:
-        """Differentiated and low-passed position; kept as it is across a gap."""
-        if stamp is Stamp.FIRST or self._q is None or self._stamp is None:
-            return np.zeros(self.arm.n)
-        if stamp is Stamp.GAP:
-            return self._qd
-        dt = (stamp_ns - self._stamp) * 1e-9
-        share = 1.0 - math.exp(-self.settings.velocity_cutoff * dt)
-        qd = self._qd + share * ((q - self._q) / dt - self._qd)
-        qd[np.abs(qd) < 1e-4] = 0.0  # so that the filter comes to rest bit for bit
-        return qd
-
-    def _answer(self, stamp: Stamp, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+    def _answer(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, dt: float) -> np.ndarray:
         """The torque for a state that has been accepted."""
-        counters, limits, period = self.counters, self.limits, self.settings.period
-        counters["accepted"] += 1
-        self._rejected_in_row = 0
-        # Who holds need not know where.
+        # The position of the tool is not needed to hold.
         motion = (self.arm.speeds if self._mode is Mode.HOLD else self.arm.motion)(q, qd)
-        dt = period
-        if stamp is not Stamp.FIRST and self._stamp is not None and self._q is not None:
-            dt = (stamp_ns - self._stamp) * 1e-9
-            self._check_continuity(stamp, dt, q)
-            dt = min(max(dt, 0.5 * period), 2.0 * period)
-        self._stamp, self._q, self._qd = stamp_ns, q, qd
-        self._check_motion(q, qd, motion)
-        if self.settings.hold_to_run and self._lacks_hand(self._mode):
+        if (fault := self._motion.fault(self._mode, q, qd, motion)) is not None:
+            self.fault(fault)
+        if self.settings.hold_to_run and self._lacks_switch(self._mode):
             self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
 
         tau = self._torque(stamp_ns, q, qd, motion)
         if self._mode is Mode.INACTIVE:  # nothing is sent, so nothing jumps
-            sent = np.minimum(np.maximum(tau, -limits.torque), limits.torque)
+            sent = np.minimum(np.maximum(tau, -self.limits.torque), self.limits.torque)
         else:
-            sent = safety.limit_torque(tau, self._sent, dt, limits)
+            sent = safety.limit_torque(tau, self._sent, dt, self.limits)
             if sent is not tau:
-                counters["limited"] += 1
+                self.counters["limited"] += 1
         sent.setflags(write=False)
         self._sent = sent
         rollout = self._rollout
         self._label = self._mode_label if rollout is None else f"rollout {rollout.id}"
         return sent
 
-    def _torque(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion) -> np.ndarray:
-        """What the mode wants, before the limits; a fault when that cannot be computed."""
+    def _torque(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
+    ) -> np.ndarray:
+        """The torque of the mode, before the limits; a fault when that cannot be computed."""
+        fault = None
         try:
             tau = self._law(stamp_ns, q, qd, motion)
-            wrong = None
             if not math.isfinite(sum(tau.tolist())):
-                wrong = Fault(FaultKind.COMPUTATION, "the torque was not finite")
+                fault = Fault(FaultKind.COMPUTATION, "the torque was not finite")
         except TrackingLost as error:
-            wrong = Fault(FaultKind.TRACKING, str(error))
+            fault = Fault(FaultKind.TRACKING, str(error))
         except Exception as error:  # whatever it is, the arm needs a torque in this very tick
-            wrong = Fault(FaultKind.COMPUTATION, f"no torque: {error}")
-        if wrong is not None:
-            self.fault(wrong)
+            fault = Fault(FaultKind.COMPUTATION, f"no torque: {error}")
+        if fault is not None:
+            self.fault(fault)
             tau = self._rest_torque(stamp_ns, q, qd, motion)
         springs = safety.limit_springs(q, self.limits)
         if springs is not None:
@@ -515,106 +403,44 @@ class Controller:
             tau = tau - self.arm.gravity(q)
         return tau
 
-    def _check_continuity(self, stamp: Stamp, dt: float, q: np.ndarray) -> None:
-        if stamp is Stamp.GAP:
-            self.counters["gaps"] += 1
-            if dt > self.settings.stale:
-                text = f"no joint state for {dt * 1e3:.0f} ms"
-                self.fault(Fault(FaultKind.STATES_LOST, text))
-        allowed = self.limits.q_jump * max(1.0, dt / self.settings.period)
-        if math.dist(q.tolist(), self._q.tolist()) <= allowed:  # no joint went farther than that
-            return
-        jump = max(map(abs, (q - self._q).tolist()))
-        if jump > allowed:
-            self.counters["jumps"] += 1
-            if self._mode is not Mode.GRAVITY_COMPENSATION:  # there nothing refers to a posture
-                text = f"a joint jumped by {jump:.3f} rad from one state to the next"
-                self.fault(Fault(FaultKind.JUMP, text))
+    # The torque of each mode
 
-    def _check_motion(self, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds) -> None:
-        mode, limits = self._mode, self.limits
-        if mode in PASSIVE:
-            return
-        teaching = mode is Mode.GRAVITY_COMPENSATION
-        tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
-        boxed = mode in BOXED
-        guarded = self.arm.guarded
-        fault = safety.exceeded(q.tolist(), qd.tolist(), motion, guarded, limits, tool_speed, boxed)
-        if fault is None and mode in MOVING:
-            points = dict(zip(guarded, motion.guarded_positions, strict=True))
-            points["tool"] = motion.position.tolist()
-            fault = safety.behind_plane(points, limits)
-        self._exceeded = 0 if fault is None else self._exceeded + 1
-        if fault is not None and self._exceeded >= limits.periods:
-            self.fault(fault)
-
-    # ------------------------------------------------------------------- the torque of each mode
-
-    def _rest_torque(self, _: int, q: np.ndarray, qd: np.ndarray, __: Motion) -> np.ndarray:
-        arm, damping = self.arm, self.settings.fault_damping
-        return safety.live_fallback(arm.gravity(q), arm.mass_matrix(q), qd, damping)
-
-    def _teaching_torque(self, _: int, q: np.ndarray, qd: np.ndarray, motion: Motion) -> np.ndarray:
-        settings, arm = self.settings, self.arm
-        damping = safety.teaching_damping(
-            motion.tool_speed, settings.teaching_damping, settings.teaching_speed
-        )
-        return safety.live_fallback(arm.gravity(q), arm.mass_matrix(q), qd, damping)
-
-    def _reference_torque(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, _: Motion
+    def _rest_torque(
+        self, _: int, q: np.ndarray, qd: np.ndarray, __: Motion | Speeds
     ) -> np.ndarray:
-        """Inverse dynamics of the reference and of a spring-damper: every joint decoupled."""
-        last = self._ref or (q, qd)  # continue from the reference, else from where the arm is
-        q_ref, qd_ref, qdd_ref = self._course.at(stamp_ns, *last)
-        self._ref = q_ref, qd_ref
-        if self._course.ended and self._mode is not Mode.HOLD:
-            self._set(Mode.HOLD)
-        # Plain floats: NumPy costs more than the arithmetic, above all when the caches are cold.
-        speed_ref = qd_ref.tolist()
-        error = [a - b for a, b in zip(q_ref.tolist(), q.tolist(), strict=True)]
-        at_end = not any(speed_ref)  # a brake may lag behind
-        worst = max(map(abs, error))
-        # An arm that was carried off while it held (idled by its board, say) must not spring back.
-        if worst > self.settings.tracking_error and (self._mode is not Mode.HOLD or at_end):
-            raise TrackingLost(f"a joint is {worst:.3f} rad away from where it should be")
-        if self._mode is Mode.REPLAY and isinstance(self._course.reference, Sampled):
-            self.replay_error.add(q_ref, q)
-        bandwidth, ratio = self.settings.hold_bandwidth, self.settings.hold_damping_ratio
-        stiffness, damping = bandwidth**2, 2.0 * ratio * bandwidth
-        rows = zip(qdd_ref.tolist(), error, speed_ref, qd.tolist(), strict=True)
-        qdd = np.array([a + stiffness * e + damping * (v - w) for a, e, v, w in rows])
-        tau = self.arm.inverse_dynamics(q, qd, qdd)
-        if self._mode is not Mode.HOLD:
-            # By the reference's direction, not the measured one: it cannot chatter.
-            arm, share = self.arm, self.settings.friction_share
-            tau += share * (arm.friction * np.tanh(qd_ref / 0.02) + arm.damping * qd_ref)
-        return tau
+        gravity, mass = self.arm.gravity(q), self.arm.mass_matrix(q)
+        return safety.live_fallback(gravity, mass, qd, safety.FAULT_DAMPING)
 
-    def _brake(self, q: np.ndarray, qd: np.ndarray) -> Brake:
-        limits = self.limits
-        return Brake(q, qd, self.settings.brake_time, limits.q_min, limits.q_max)
+    def _teaching_torque(
+        self, _: int, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
+    ) -> np.ndarray:
+        gravity, mass = self.arm.gravity(q), self.arm.mass_matrix(q)
+        damping = safety.teaching_damping(motion.tool_speed)
+        return safety.live_fallback(gravity, mass, qd, damping)
+
+    def _joint_torque(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, _: Motion | Speeds
+    ) -> np.ndarray:
+        tau = self._joints.torque(stamp_ns, q, qd)
+        if self._mode is not Mode.HOLD and self._joints.holding:
+            self._set(Mode.HOLD)
+        return tau
 
     def _rollout_torque(
         self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion
     ) -> np.ndarray:
-        """Eq. 1 in closed loop on the measured state, and the orientation that belongs to it."""
         rollout = self._rollout
-        tick = rollout.tick(stamp_ns)
-        self.rollout_stamp_ns = rollout.start_ns
-        if tick is None:
-            self._tried.add(self._content)
-            self._enter(Mode.HOLD)
-            return self._reference_torque(stamp_ns, q, qd, motion)
-        wanted = rollout.acceleration(tick, motion)
-        return self.settings.law.torque(motion, self.arm.dynamics(q, qd), qd, wanted)
+        tau = rollout.torque(stamp_ns, q, qd, motion)
+        if tau is not None:
+            return tau
+        if rollout.complete and self._policy is not None:
+            self._tried.add(self._policy.content)
+        self._enter(Mode.HOLD)
+        return self._joint_torque(stamp_ns, q, qd, motion)
 
     def _end_rollout(self) -> None:
-        """Publish the path of a rollout that is over, complete or not."""
-        rollout = self._rollout
-        if rollout is None:
-            return
-        if not rollout.count and self._q is not None:  # ended before its first state
-            rollout.sample(0, self.arm.motion(self._q, self._qd))
-        self._finished = rollout.path()
-        self._rollout = None
+        """Finish the path of a rollout that is over, complete or not."""
+        rollout, self._rollout = self._rollout, None
+        if rollout is not None and self._states.q is not None:
+            self._finished = rollout.path(self._states.q, self._states.qd)
+            self.rollout_stamp_ns = rollout.start_ns

@@ -68,14 +68,20 @@ def simulate_policy(
         elbow_speed=margin * limits.elbow_speed,
         tool_speed=margin * limits.tool_speed,
     )
-    controller = Controller(
-        arm, replace(settings, limits=tight, driver_compensates_gravity=False, hold_to_run=False)
+    model_settings = replace(
+        settings,
+        limits=tight,
+        driver_compensates_gravity=False,
+        hold_to_run=False,
+        obstacle=(0.0, 0.0, 0.0, 0.0),  # the whole movement must be feasible
     )
+    controller = Controller(arm, model_settings)
     period_ns = round(settings.period * 1e9)
     dt = settings.period / _SUBSTEPS
     q, qd, stamp_ns = policy.q_start.copy(), np.zeros(arm.n), period_ns
 
     def rest() -> None:
+        """Answer one state of the arm at rest."""
         nonlocal stamp_ns
         controller.step(stamp_ns, q, qd)
         stamp_ns += period_ns

@@ -4,9 +4,11 @@
 import enum
 from collections.abc import Mapping
 
+from wam_power_ros.learning.rollout import Fault
+
 
 class Mode(enum.Enum):
-    """What the controller does with the arm."""
+    """Mode of the controller."""
 
     INACTIVE = "inactive"  # nothing is sent: the driver holds the arm by its own means
     GRAVITY_COMPENSATION = "gravity_compensation"  # a person moves the arm: teaching
@@ -73,3 +75,24 @@ class ControllerError(RuntimeError):
     ) -> None:
         super().__init__(text)
         self.refusal, self.values = refusal, values or {}
+
+
+def check_transition(mode: Mode, target: Mode, fault: Fault | None, reset: bool = False) -> None:
+    """Refuse a transition that is not allowed.
+
+    Args:
+        mode: Present mode.
+        target: Mode that is asked for.
+        fault: Fault that is latched, None without.
+        reset: Whether this is the reset of a fault.
+
+    Raises:
+        ControllerError: A fault is latched, or there is no way from one mode to the other.
+    """
+    if mode is Mode.FAULT and not reset:
+        text = f"{target.value} refused: fault ({fault.text if fault else ''}); reset first"
+        raise ControllerError(Refusal.FAULT, text)
+    if target not in TRANSITIONS[mode]:
+        possible = sorted(other.value for other in TRANSITIONS[mode])
+        text = f"{target.value} is not possible from {mode.value}; from there: {possible}"
+        raise ControllerError(Refusal.BUSY, text)

@@ -1,89 +1,166 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rollout under way: the acceleration its policy wants in every state, and the path so far."""
+"""A policy on the arm: what makes it fit, the rollout under way, and the path so far."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from wam_power_ros import rotations
-from wam_power_ros.control.arm import Motion
+from wam_power_ros.control.arm import Arm, Motion
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.modes import ControllerError, Refusal
+from wam_power_ros.control.safety import Limits
 from wam_power_ros.control.tracking_error import TrackingLost
 from wam_power_ros.learning import dmp
-from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.policy import Policy, to_json, with_id
 from wam_power_ros.learning.rollout import EndEffectorPath
 
+PATH_PERIOD = 0.01  # [s] between two samples of the end-effector path
 # A rotation vector's spring pulls about the wrong axis the more, the longer the vector: at 2.4 rad
 # the orientation becomes unstable.
-TURN_MAX = 2.0
+TURN_MAX = 2.0  # [rad]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedPolicy:
+    """A policy that fits the arm, with all tables computed.
+
+    Attributes:
+        policy: The policy.
+        tables: Tables of Eq. 1 on the grid of the control loop.
+        content: The policy as text, the same whatever its id; empty without `hold_to_run`.
+    """
+
+    policy: Policy
+    tables: dmp.Tables
+    content: str
+
+
+def prepare(policy: Policy, n: int, limits: Limits, settings: ControllerSettings) -> PreparedPolicy:
+    """Check a policy and compute its tables.
+
+    Args:
+        policy: Policy to execute.
+        n: Number of joints of the arm.
+        limits: Limits of the arm.
+        settings: Settings of the controller.
+
+    Raises:
+        ControllerError: The policy does not fit the arm.
+    """
+    start, name = policy.q_start, f"policy {policy.id}"
+    if start.shape != (n,):
+        text = f"{name} is for {start.size} joints, the arm has {n}"
+        raise ControllerError(Refusal.REFUSED, text)
+    if np.any(start < limits.q_min) or np.any(start > limits.q_max):
+        text = (
+            f"q_start {start.round(3).tolist()} of {name} is outside the limits "
+            f"{limits.q_min.tolist()} to {limits.q_max.tolist()}"
+        )
+        raise ControllerError(Refusal.REFUSED, text)
+    stiffest = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
+    stiffest = max(stiffest, policy.rotation_stiffness)
+    if stiffest > settings.stiffness_max:
+        text = (
+            f"stiffness {stiffest:.0f} of {name} is above the limit "
+            f"{settings.stiffness_max:.0f} 1/s^2"
+        )
+        raise ControllerError(Refusal.REFUSED, text)
+    content = to_json(with_id(policy, "content")) if settings.hold_to_run else ""
+    return PreparedPolicy(policy, dmp.tabulate(policy, settings.period), content)
 
 
 class Execution:
-    """One rollout; it begins with the first state whose stamp it is told.
+    """One rollout; it begins with the first state it is given.
 
     Attributes:
-        id: Of the policy.
+        id: Id of the policy.
         start_ns: Stamp of the first state, None before it [ns].
-        count: Samples of the path so far.
+        complete: Whether it has run to its end, not into the obstacle.
 
     Args:
-        policy: To execute.
-        tables: Of the policy, on the grid of the control loop.
-        settings: Of the controller.
+        prepared: Policy to execute.
+        arm: Model of the arm.
+        settings: Settings of the controller.
     """
 
-    def __init__(self, policy: Policy, tables: dmp.Tables, settings: ControllerSettings) -> None:
+    def __init__(self, prepared: PreparedPolicy, arm: Arm, settings: ControllerSettings) -> None:
+        policy = prepared.policy
         self.id = policy.id
         self.start_ns: int | None = None
-        self.count = 0
-        self._tables = tables
+        self.complete = False
+        self._arm, self._law, self._tables = arm, settings.law, prepared.tables
         self._reference = rotations.matrix(policy.orientation_reference).T
+        *self._obstacle, self._obstacle_radius = settings.obstacle
         self._period_ns = round(settings.period * 1e9)
-        # ticks: after which it is over, from one sample to the next, of the next sample
+        # Ticks: the last one, from one sample of the path to the next, of the next sample.
         self._end = round((policy.basis.duration + settings.settle_time) / settings.period)
-        self._every = round(settings.path_period / settings.period)
+        self._every = max(1, round(PATH_PERIOD / settings.period))
         self._next_sample = 0
-        size = self._end // self._every + 2
+        self._count = 0  # samples of the path so far
+        size = self._end // self._every + 3  # the first, the last, and one in the obstacle
         self._t = np.empty(size)
         self._position, self._quat_xyzw = np.empty((size, 3)), np.empty((size, 4))
 
-    def tick(self, stamp_ns: int) -> int | None:
-        """Control periods since the first state, None when the rollout is over."""
-        if self.start_ns is None:
-            self.start_ns = stamp_ns
-        k = (stamp_ns - self.start_ns + self._period_ns // 2) // self._period_ns
-        return None if k > self._end else k
+    def torque(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion
+    ) -> np.ndarray | None:
+        """Joint torques for one state, None when the rollout is over.
 
-    def acceleration(self, k: int, motion: Motion) -> np.ndarray:
-        """Eq. 1 in closed loop on the measured state, and the orientation that belongs to it.
+        Eq. 1 in closed loop on the measured state, and the orientation that belongs to it.
 
         Args:
-            k: Tick.
+            stamp_ns: Stamp of the state [ns].
+            q: [rad]. Shape (n,).
+            qd: [rad/s]. Shape (n,).
             motion: Kinematics of the state.
 
         Returns:
-            Linear [m/s^2] and angular [rad/s^2]. Shape (6,).
+            [N m]. Shape (n,).
 
         Raises:
-            TrackingLost: The tool is turned too far from the reference.
+            TrackingLost: The tool is turned too far from its reference.
         """
+        if self.start_ns is None:
+            self.start_ns = stamp_ns
+        k = (stamp_ns - self.start_ns + self._period_ns // 2) // self._period_ns
+        if k > self._end:
+            self.complete = True
+            return None
+        if self._obstacle_radius and (
+            math.dist(motion.position.tolist(), self._obstacle) < self._obstacle_radius
+        ):
+            self._sample(k, motion)
+            return None
         if k >= self._next_sample:
-            self.sample(k, motion)
+            self._sample(k, motion)
         vector = rotations.log(motion.rotation.dot(self._reference)).tolist()
         if math.hypot(*vector) > TURN_MAX:
             raise TrackingLost(f"the tool is turned by more than {TURN_MAX} rad from the reference")
-        return dmp.acceleration(self._tables, k, motion.position, vector, motion.twist.tolist())
+        twist = motion.twist.tolist()
+        wanted = dmp.acceleration(self._tables, k, motion.position, vector, twist)
+        return self._law.torque(motion, self._arm.dynamics(q, qd), qd, wanted)
 
-    def sample(self, k: int, motion: Motion) -> None:
-        """Note where the tool is at a tick."""
-        row = self.count
-        self._t[row] = k * self._period_ns * 1e-9  # the float that a stamp comes back as
+    def path(self, q: np.ndarray, qd: np.ndarray) -> EndEffectorPath:
+        """The path so far; of a rollout that was ended before its first state, where the arm is.
+
+        Args:
+            q: Joint positions of the last state [rad]. Shape (n,).
+            qd: Joint speeds of the last state [rad/s]. Shape (n,).
+        """
+        if not self._count:
+            self._sample(0, self._arm.motion(q, qd))
+        n = self._count
+        return EndEffectorPath(self.id, self._t[:n], self._position[:n], self._quat_xyzw[:n])
+
+    def _sample(self, k: int, motion: Motion) -> None:
+        """Add the pose of the tool at a tick to the path, unless it has one of this tick."""
+        row, t = self._count, k * self._period_ns * 1e-9  # the float that a stamp comes back as
+        if row and t <= self._t[row - 1]:
+            return
+        self._t[row] = t
         self._position[row] = motion.position
         self._quat_xyzw[row] = rotations.quat_xyzw(motion.rotation)
-        self.count += 1
+        self._count += 1
         self._next_sample = (k // self._every + 1) * self._every
-
-    def path(self) -> EndEffectorPath:
-        """The path so far."""
-        n = self.count
-        return EndEffectorPath(self.id, self._t[:n], self._position[:n], self._quat_xyzw[:n])

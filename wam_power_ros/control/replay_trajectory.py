@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replaying a recorded joint movement: what the arm is given to follow."""
+"""Replay of a recorded joint movement: the trajectory to follow, and whether the arm can."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from wam_power_ros.control.joint_references import JointTrajectory, Sampled
+from wam_power_ros.control.modes import ControllerError, Refusal
+from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.demonstration import smooth_joints
 
 EASE = 0.3  # [s] in which a replay comes to its speed, and out of it
@@ -47,3 +50,34 @@ def movement(
     half = 0.5 * (whole + ease)
     done = np.where(times < half, eased(times), whole - eased(whole + ease - times))
     return times, CubicSpline(t, smooth)(np.clip(done * speed, 0.0, t[-1]))
+
+
+def sampled(trajectory: JointTrajectory, speed: float, period: float, limits: Limits) -> Sampled:
+    """A joint movement on the control grid, checked against the limits of the arm.
+
+    Args:
+        trajectory: `t` [s] increasing, shape (N,), and `q` [rad], shape (N, n); smooth, because its
+            second derivative is used.
+        speed: 1 for as recorded, 0.5 for half of that.
+        period: Sampling period of the joint states [s].
+        limits: Limits of the arm.
+
+    Raises:
+        ControllerError: It is no movement of this arm, leaves the joint limits, or is too fast.
+    """
+    try:
+        movement = Sampled(trajectory.t, trajectory.q, speed, period)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise ControllerError(Refusal.REFUSED, f"replay refused: {error}") from None
+    n = len(limits.q_min)
+    if movement.q.shape[1] != n:
+        text = f"replay refused: {movement.q.shape[1]} joints, the arm has {n}"
+        raise ControllerError(Refusal.REFUSED, text)
+    if np.any(movement.q < limits.q_min) or np.any(movement.q > limits.q_max):
+        text = "replay refused: the movement leaves the joint limits"
+        raise ControllerError(Refusal.REFUSED, text)
+    share = float(np.max(np.abs(movement.qd) / limits.qd_max))
+    if share > 1.0:
+        text = f"replay refused: {share:.2f} times a joint-speed limit"
+        raise ControllerError(Refusal.TOO_FAST, text, {"speed": f"{speed / share:.3f}"})
+    return movement

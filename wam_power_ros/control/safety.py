@@ -9,19 +9,23 @@ carries it; with states lost, `Arm.gravity` of the last posture carries it witho
 because an old velocity would feed energy in.
 """
 
-import enum
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from wam_power_ros.control.arm import Arm, Motion
+from wam_power_ros.control.arm import Arm, Motion, Speeds
+from wam_power_ros.control.modes import BOXED, MOVING, PASSIVE, Mode
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
 _SHAPES = {"workspace_min": (3,), "workspace_max": (3,), "plane": (4,)}
-IMPLAUSIBLE_Q = 20.0  # [rad] no joint gets here: a reading beyond is refused
-IMPLAUSIBLE_QD = 500.0  # [rad/s]
+REST_SPEED = 0.05  # [m/s] slower than this the arm is at rest
+REST_SPIN = 4.0 * REST_SPEED  # [rad/s] the same for the rotation of the tool
+FAULT_DAMPING = 20.0  # [1/s] decay of all joint motion in a fault
+# Decay of all joint motion while teaching, at TEACHING_SPEED. It grows with the square of the
+# speed, so it is not felt at low speed and takes about 10 N at 2.5 m/s.
+TEACHING_DAMPING = 1.0  # [1/s]
+TEACHING_SPEED = 2.5  # [m/s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,34 +133,6 @@ def limits_of(arm: Arm, **overrides: object) -> Limits:
     return Limits(**(values | overrides))
 
 
-class Stamp(enum.Enum):
-    """What a state's stamp says against that of the last accepted state."""
-
-    FIRST = "first"
-    NEXT = "next"
-    REPEATED = "repeated"
-    OLDER = "older"
-    GAP = "gap"  # later than three periods: never differentiated across
-
-
-def judge_stamp(stamp_ns: int, last_ns: int | None, period_ns: int) -> Stamp:
-    """Compare a stamp with the last one accepted.
-
-    Args:
-        stamp_ns: Of the new state [ns].
-        last_ns: Of the last accepted state, None before the first [ns].
-        period_ns: Of the control loop [ns].
-    """
-    if last_ns is None:
-        return Stamp.FIRST
-    age = stamp_ns - last_ns
-    if age == 0:
-        return Stamp.REPEATED
-    if age < 0:
-        return Stamp.OLDER
-    return Stamp.GAP if age > 3 * period_ns else Stamp.NEXT
-
-
 def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limits) -> np.ndarray:
     """The torque nearest to the wanted one that keeps the limits of size and of change per second.
 
@@ -227,24 +203,30 @@ def live_fallback(
     return gravity - damping * mass.dot(qd)
 
 
-def teaching_damping(speed: float, damping: float, reference_speed: float) -> float:
-    """Damping that is not felt at low speed and grows with the square of the speed.
+def teaching_damping(speed: float) -> float:
+    """Damping [1/s] that is not felt at low speed and grows with the square of the speed.
 
     Args:
-        speed: Of the tool [m/s].
-        damping: At the reference speed [1/s].
-        reference_speed: [m/s].
-
-    Returns:
-        [1/s].
+        speed: Speed of the tool [m/s].
     """
-    return damping * (speed / reference_speed) ** 2
+    return TEACHING_DAMPING * (speed / TEACHING_SPEED) ** 2
+
+
+def unrest(motion: Motion) -> str:
+    """Why the arm is not at rest; empty when it is."""
+    speed = max(*motion.guarded_speeds, motion.tool_speed, 0.0)
+    if speed > REST_SPEED:
+        return f"the arm moves at {speed:.3f} m/s, limit {REST_SPEED}"
+    spin = float(np.abs(motion.twist[3:]).max())
+    if spin > REST_SPIN:
+        return f"the tool turns at {spin:.3f} rad/s, limit {REST_SPIN}"
+    return ""
 
 
 def exceeded(
     q: list[float],
     qd: list[float],
-    motion: Motion,
+    motion: Motion | Speeds,
     guarded: Sequence[str],
     limits: Limits,
     tool_speed: float,
@@ -280,7 +262,7 @@ def exceeded(
         if speed > limits.elbow_speed:
             text = f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
             return Fault(FaultKind.GUARDED_SPEED, text)
-    if boxed:
+    if boxed and isinstance(motion, Motion):
         for axis, x, (a, b) in zip("xyz", motion.position.tolist(), limits._box, strict=True):
             if not a <= x <= b:
                 text = f"tool at {axis} = {x:.3f} m, workspace {a:.3f} to {b:.3f}"
@@ -304,14 +286,43 @@ def behind_plane(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault
     return None
 
 
-def plausible(values: list[float], bound: float) -> bool:
-    """Whether every value is finite and of a size a joint can have.
+class MotionCheck:
+    """Compares every state with the motion limits of its mode.
 
     Args:
-        values: Positions [rad] or speeds [rad/s].
-        bound: IMPLAUSIBLE_Q or IMPLAUSIBLE_QD.
+        limits: Limits of the arm.
+        guarded: Names of the arm's guarded points.
     """
-    if math.hypot(*values) < bound:  # none is longer than all together; false for a NaN
-        return True
-    # The sum, because no comparison with a NaN tells anything.
-    return math.isfinite(sum(values)) and -bound < min(values) and max(values) < bound
+
+    def __init__(self, limits: Limits, guarded: Sequence[str]) -> None:
+        self._limits, self._guarded = limits, guarded
+        self._in_row = 0  # states beyond a limit
+
+    def begin(self) -> None:
+        """Count anew: the mode has changed."""
+        self._in_row = 0
+
+    def fault(
+        self, mode: Mode, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
+    ) -> Fault | None:
+        """Fault of a limit that has been exceeded in enough states in a row, or None.
+
+        Args:
+            mode: Present mode; it decides which limits apply.
+            q: [rad]. Shape (n,).
+            qd: [rad/s]. Shape (n,).
+            motion: Kinematics of the state; the speeds are enough unless the arm moves by itself.
+        """
+        if mode in PASSIVE:
+            return None
+        limits, guarded = self._limits, self._guarded
+        teaching = mode is Mode.GRAVITY_COMPENSATION
+        tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
+        boxed = mode in BOXED
+        found = exceeded(q.tolist(), qd.tolist(), motion, guarded, limits, tool_speed, boxed)
+        if found is None and mode in MOVING and isinstance(motion, Motion):
+            points = dict(zip(guarded, motion.guarded_positions, strict=True))
+            points["tool"] = motion.position.tolist()
+            found = behind_plane(points, limits)
+        self._in_row = 0 if found is None else self._in_row + 1
+        return found if self._in_row >= limits.periods else None

@@ -8,11 +8,11 @@ from typing import Protocol
 
 import numpy as np
 
-SAMPLE = 5  # states from one look at the tool to the next
+TOOL_EVERY = 5  # states from one comparison of tool positions to the next
 
 
 class ToolPose(Protocol):
-    """What is needed of an arm model."""
+    """The part of an arm model that is needed here."""
 
     n: int
 
@@ -24,16 +24,16 @@ class TrackingLost(RuntimeError):
     """The arm is too far from its reference to follow it."""
 
 
-class FollowingError:
-    """How far the arm is from what it follows, told state by state.
+class TrackingError:
+    """Statistics of the error between reference and measured posture, state by state.
 
     Attributes:
-        count: States so far.
-        largest: Of each joint so far [rad]. Shape (n,).
+        count: Number of states so far.
+        largest: Largest error of each joint so far [rad]. Shape (n,).
 
     Args:
-        arm: For its forward kinematics.
-        states: How many there will be, about.
+        arm: Model of the arm, for its forward kinematics.
+        states: Expected number of states.
     """
 
     def __init__(self, arm: ToolPose, states: int) -> None:
@@ -41,34 +41,34 @@ class FollowingError:
         self.count = 0
         self.largest = np.zeros(arm.n)
         self._squares = np.zeros(arm.n)
-        self._looks = np.empty((states // SAMPLE + 2, 2, arm.n))
+        self._postures = np.empty((states // TOOL_EVERY + 2, 2, arm.n))
 
     def add(self, q_ref: np.ndarray, q: np.ndarray) -> None:
-        """One state: wanted and measured posture [rad]; each (n,)."""
+        """Add one state: reference and measured posture [rad]. Shapes (n,)."""
         error = q_ref - q
         self._squares += error * error
         np.maximum(self.largest, np.abs(error), out=self.largest)
-        look, rest = divmod(self.count, SAMPLE)
-        if rest == 0 and look < len(self._looks):
-            self._looks[look, 0], self._looks[look, 1] = q_ref, q
+        row, rest = divmod(self.count, TOOL_EVERY)
+        if rest == 0 and row < len(self._postures):
+            self._postures[row, 0], self._postures[row, 1] = q_ref, q
         self.count += 1
 
     @property
     def rms(self) -> np.ndarray:
-        """Root mean square of each joint so far [rad]. Shape (n,)."""
+        """Root mean square error of each joint so far [rad]. Shape (n,)."""
         return np.sqrt(self._squares / max(self.count, 1))
 
     def tool(self) -> tuple[float, float]:
-        """Root mean square and largest distance of the tool from where it should be [m]."""
-        looks = self._looks[: -(-self.count // SAMPLE)]
-        if not len(looks):
+        """Root mean square and largest distance of the tool from its reference [m]."""
+        postures = self._postures[: -(-self.count // TOOL_EVERY)]
+        if not len(postures):
             return 0.0, 0.0
-        places = [[self._arm.tool_pose(q)[0] for q in look] for look in looks]
-        away = np.linalg.norm(np.diff(np.array(places), axis=1), axis=2)
-        return float(np.sqrt(np.mean(away**2))), float(away.max())
+        positions = [[self._arm.tool_pose(q)[0] for q in pair] for pair in postures]
+        distance = np.linalg.norm(np.diff(np.array(positions), axis=1), axis=2)
+        return float(np.sqrt(np.mean(distance**2))), float(distance.max())
 
     def text(self, joint_names: Sequence[str]) -> str:
-        """A few lines for a person."""
+        """Summary in a few lines."""
         rms, (tool_rms, tool_largest) = self.rms, self.tool()
         lines = [
             f"rms error {rms.max():.4f} rad in the worst joint, {joint_names[int(rms.argmax())]}",

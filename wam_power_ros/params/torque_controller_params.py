@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the torque controller, and the core they make."""
+"""Parameters of the torque controller, and the controller made from them."""
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Annotated, Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ Positive = Annotated[float, Field(gt=0.0)]
 
 
 class TorqueControllerParams(Params):
-    """What config/torque_controller.yaml says; a comment there tells what each is."""
+    """Parameters of config/torque_controller.yaml, where a comment explains each."""
 
     autostart: bool
     realtime_priority: int = Field(ge=0, le=98)
@@ -50,6 +51,7 @@ class TorqueControllerParams(Params):
     workspace_min: tuple[float, float, float]
     workspace_max: tuple[float, float, float]
     plane: tuple[float, float, float, float]
+    obstacle: tuple[float, float, float, Annotated[float, Field(ge=0.0)]]
     law: Literal["operational_space", "virtual_mass"]
     move_speed: Positive
     start_tolerance: Positive
@@ -58,10 +60,10 @@ class TorqueControllerParams(Params):
     velocity_cutoff: Positive
 
     def controller(self, urdf: str) -> Controller:
-        """The core for the arm of this URDF.
+        """Make the controller for the arm of this URDF.
 
         Raises:
-            ValueError: The URDF does not hold the arm these parameters name.
+            ValueError: The URDF has not the arm that these parameters name.
         """
         if len(self.model_joint_names) != len(self.joint_names):
             raise ValueError(
@@ -79,22 +81,13 @@ class TorqueControllerParams(Params):
             workspace_max=self.workspace_max,
             plane=self.plane,
         )
-        settings = ControllerSettings(
-            period=self.period,
-            driver_compensates_gravity=self.driver_compensates_gravity,
-            hold_to_run=self.hold_to_run,
-            law=TorqueLaw(kind=self.law),
-            limits=limits,
-            move_speed=self.move_speed,
-            start_tolerance=self.start_tolerance,
-            settle_time=self.settle_time,
-            stiffness_max=self.stiffness_max,
-            velocity_cutoff=self.velocity_cutoff,
-        )
+        own = {field.name for field in dataclasses.fields(ControllerSettings)} - {"law", "limits"}
+        choices = {name: getattr(self, name) for name in own}
+        settings = ControllerSettings(law=TorqueLaw(kind=self.law), limits=limits, **choices)
         return Controller(arm, settings)
 
     def _guarded(self) -> list[Guarded]:
-        """The guarded points; the one name "" stands for none, as ROS has no empty lists."""
+        """Guarded points; the single name "" stands for none, as ROS has no empty lists."""
         names, links, points = self.guarded_names, self.guarded_links, self.guarded_points
         if names == ("",):
             return []

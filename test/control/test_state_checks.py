@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint states are judged by their stamps, their values and what came before."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wam_power_ros.control.state_checks import (
+    IMPLAUSIBLE_Q,
+    IMPLAUSIBLE_QD,
+    Outcome,
+    Stamp,
+    StateChecks,
+    judge_stamp,
+    plausible,
+)
+from wam_power_ros.learning.rollout import FaultKind
+
+MS = 1_000_000
+Q = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+ZERO = np.zeros(7)
+
+
+def checks() -> StateChecks:
+    """Checks that have accepted one state, of stamp 0."""
+    states = StateChecks(7, 0.002, 180.0, 0.1)
+    assert states.take(0, Q, ZERO, restart=False) is Outcome.ACCEPTED
+    return states
+
+
+@pytest.mark.parametrize(
+    ("stamp", "last", "expected"),
+    [
+        (5, None, Stamp.FIRST),
+        (5 * MS, 5 * MS, Stamp.REPEATED),
+        (5 * MS - 1, 5 * MS, Stamp.OLDER),
+        (5 * MS + 1, 5 * MS, Stamp.NEXT),
+        (11 * MS, 5 * MS, Stamp.NEXT),
+        (11 * MS + 1, 5 * MS, Stamp.GAP),
+        (10**15, 5 * MS, Stamp.GAP),
+    ],
+)
+def test_a_stamp_is_judged_against_the_last(stamp: int, last: int | None, expected: Stamp) -> None:
+    assert judge_stamp(stamp, last, 2 * MS) is expected
+
+
+@given(st.sampled_from([math.nan, math.inf, -math.inf, 1e300, -1e9]), st.integers(0, 6))
+def test_one_impossible_value_makes_a_vector_implausible(value: float, i: int) -> None:
+    values = Q.tolist()
+    assert plausible(values, IMPLAUSIBLE_Q)
+    values[i] = value
+    assert not plausible(values, IMPLAUSIBLE_Q)
+    assert not plausible(values, IMPLAUSIBLE_QD)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "q", "qd"),
+    [
+        (2.0, Q, ZERO),
+        (None, Q, ZERO),
+        (-1, Q, ZERO),
+        (2 * MS, Q[:6], ZERO),
+        (2 * MS, Q, ZERO[:6]),
+        (2 * MS, Q * math.nan, ZERO),
+        (2 * MS, Q, ZERO + math.inf),
+        (2 * MS, Q + 30.0, ZERO),
+        (2 * MS, "posture", ZERO),
+        (2 * MS, [[1.0], [2.0, 3.0]], ZERO),
+    ],
+)
+def test_a_state_that_is_not_valid_is_refused_whole(stamp: object, q: object, qd: object) -> None:
+    states = checks()
+    assert states.take(stamp, q, qd, restart=False) is Outcome.REFUSED
+    assert (states.stamp_ns, states.refused_in_row, states.fault) == (0, 1, None)
+    assert np.array_equal(states.q, Q) and np.array_equal(states.qd, ZERO)
+    assert states.counters["older" if stamp == -1 else "rejected"] == 1
+    assert states.take(2 * MS, Q, ZERO, restart=False) is Outcome.ACCEPTED
+    assert states.refused_in_row == 0
+
+
+def test_what_is_accepted_is_a_copy() -> None:
+    states, q = checks(), Q.copy()
+    states.take(2 * MS, q, ZERO, restart=False)
+    q[0] = 9.0
+    assert np.array_equal(states.q, Q)
+
+
+def test_an_older_stamp_is_a_restart_where_that_is_allowed() -> None:
+    states = checks()
+    states.take(10 * MS, Q, ZERO, restart=False)
+    assert states.take(2 * MS, Q + 1.0, ZERO, restart=True) is Outcome.ACCEPTED
+    assert states.stamp_ns == 2 * MS and states.fault is None  # nothing is compared across it
+    assert states.dt == 0.002
+
+
+def test_the_fifth_refusal_within_fifty_states_is_a_fault_and_a_slower_one_is_not() -> None:
+    for spacing, kind in ((12, FaultKind.STATES_REFUSED), (13, None)):
+        states = checks()
+        for k in range(1, 4 * spacing + 2):
+            bad = (k - 1) % spacing == 0
+            states.take(k * 2 * MS, Q * (math.nan if bad else 1.0), ZERO, restart=False)
+        assert states.counters["rejected"] == 5
+        assert (states.fault and states.fault.kind) == kind
+
+
+def test_a_gap_is_counted_and_a_long_one_a_fault() -> None:
+    for stamp, gaps, kind in (
+        (6 * MS, 0, None),
+        (8 * MS, 1, None),
+        (20 * MS, 1, None),
+        (21 * MS, 1, FaultKind.STATES_LOST),
+    ):
+        states = checks()
+        assert states.take(stamp, Q, ZERO, restart=False) is Outcome.ACCEPTED
+        assert states.counters["gaps"] == gaps
+        assert (states.fault and states.fault.kind) == kind
+    assert states.dt == 0.004  # bounded for the limit of change
+
+
+def test_a_jump_is_a_fault_and_may_be_larger_the_longer_the_time_between() -> None:
+    step = np.eye(7)[2]
+    for size, stamp, jumps in ((0.09, 2, 0), (0.11, 2, 1), (0.19, 4, 0), (0.21, 4, 1)):
+        states = checks()
+        states.take(stamp * MS, Q + size * step, ZERO, restart=False)
+        assert states.counters["jumps"] == jumps
+        assert (states.fault and states.fault.kind) == (FaultKind.JUMP if jumps else None)
+        states.take(states.stamp_ns + 2 * MS, states.q, ZERO, restart=False)
+        assert states.fault is None  # it belongs to one state only
+
+
+def test_a_missing_velocity_is_estimated_and_comes_to_rest_bit_for_bit() -> None:
+    states, speed = checks(), 0.3
+    for k in range(1, 101):
+        states.take(2 * MS * k, Q + speed * 0.002 * k, None, restart=False)
+    np.testing.assert_allclose(states.qd, speed, rtol=1e-6)
+    end = states.q
+    states.take(210 * MS, end, None, restart=False)
+    np.testing.assert_allclose(states.qd, speed, rtol=1e-6)  # kept as it is across a gap
+    for k in range(106, 206):
+        states.take(2 * MS * k, end, None, restart=False)
+    assert np.array_equal(states.qd, ZERO)

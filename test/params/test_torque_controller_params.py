@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the torque controller become limits and settings, or are refused by name."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from wam_power_ros.params.resources import share
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+
+FILE = share("config/torque_controller.yaml")
+URDF = share("urdf/wam7.urdf").read_text()
+
+
+def params(tmp_path: Path, **changes: object) -> TorqueControllerParams:
+    """Parameters of the file with some changed."""
+    over = tmp_path / "over.yaml"
+    over.write_text(yaml.safe_dump({"torque_controller": {"ros__parameters": changes}}))
+    return TorqueControllerParams.of_file(FILE, "torque_controller", over)
+
+
+def test_every_parameter_of_motion_reaches_the_controller(tmp_path: Path) -> None:
+    changes = {
+        "period": 0.004,
+        "driver_compensates_gravity": True,
+        "hold_to_run": True,
+        "obstacle": [0.5, 0.1, 0.3, 0.06],
+        "move_speed": 0.2,
+        "start_tolerance": 0.04,
+        "settle_time": 0.5,
+        "velocity_cutoff": 90.0,
+        "stiffness_max": 900.0,
+    }
+    settings = params(tmp_path, **changes, law="virtual_mass").controller(URDF).settings
+    for name, value in changes.items():
+        assert getattr(settings, name) == (tuple(value) if isinstance(value, list) else value)
+    assert settings.law.kind == "virtual_mass"
+
+
+def test_every_limit_reaches_the_controller(tmp_path: Path) -> None:
+    changes = {
+        "torque_share": 0.5,
+        "torque_rate_max": 500.0,
+        "elbow_speed_max": 1.0,
+        "tool_speed_max": 1.5,
+        "teaching_tool_speed_max": 0.5,
+        "workspace_min": [-1.0, -1.1, -0.1],
+        "workspace_max": [1.0, 1.1, 1.2],
+        "plane": [0.0, 1.0, 0.0, -0.7],
+    }
+    controller = params(tmp_path, **changes).controller(URDF)
+    limits = controller.limits
+    assert np.array_equal(limits.torque, 0.5 * controller.arm.tau_max)
+    assert np.array_equal(limits.torque_rate, np.full(7, 500.0))
+    assert (limits.elbow_speed, limits.tool_speed, limits.teaching_tool_speed) == (1.0, 1.5, 0.5)
+    for name in ("workspace_min", "workspace_max", "plane"):
+        assert getattr(limits, name).tolist() == changes[name]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("obstacle", [0.5, 0.1, 0.3, -0.06]),
+        ("obstacle", [0.5, 0.1, 0.3]),
+        ("obstacle", [0.5, 0.1, float("nan"), 0.06]),
+        ("obstacle", 0.06),
+        ("torque_share", 1.5),
+        ("law", "jacobian_transpose"),
+        ("plane", [0.0, 0.0, 1.0]),
+        ("move_speed", 0.0),
+    ],
+)
+def test_a_value_out_of_range_is_refused_with_its_name(
+    tmp_path: Path, name: str, value: object
+) -> None:
+    with pytest.raises(ValueError, match=name):
+        params(tmp_path, **{name: value})
+
+
+def test_guarded_points_may_have_any_name_and_be_none(tmp_path: Path) -> None:
+    wrist = {"guarded_names": ["wrist"], "guarded_links": ["wam_link6"]}
+    named = params(tmp_path, **wrist, guarded_points=[0.0, 0.0, 0.1])
+    assert named.controller(URDF).arm.guarded == ("wrist",)
+    assert params(tmp_path, guarded_names=[""]).controller(URDF).arm.guarded == ()
+    with pytest.raises(ValueError, match="guarded_points"):
+        params(tmp_path, **wrist, guarded_points=[0.0, 0.0]).controller(URDF)
+
+
+def test_names_of_the_model_must_be_as_many_as_those_of_the_driver(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="model_joint_names"):
+        params(tmp_path, model_joint_names=["wam_j1"]).controller(URDF)

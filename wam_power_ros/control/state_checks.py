@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of joint states before anything is computed from them: stamps, values and continuity."""
+
+import enum
+import math
+from collections import Counter, deque
+
+import numpy as np
+
+from wam_power_ros.learning.rollout import Fault, FaultKind
+
+STATES_LOST_AFTER = 0.02  # [s] without a joint state: the next one, or the watchdog, is a fault
+IMPLAUSIBLE_Q = 20.0  # [rad] no joint gets here: a reading beyond is refused
+IMPLAUSIBLE_QD = 500.0  # [rad/s]
+_REFUSALS, _WINDOW = 5, 50  # so many refused states within so many states are a fault
+_INTEGERS = (int, np.integer)
+
+
+class Stamp(enum.Enum):
+    """Order of a state's stamp and that of the last accepted state."""
+
+    FIRST = "first"
+    NEXT = "next"
+    REPEATED = "repeated"
+    OLDER = "older"
+    GAP = "gap"  # later than three periods: never differentiated across
+
+
+class Outcome(enum.Enum):
+    """What became of a joint state."""
+
+    ACCEPTED = "accepted"
+    REPEATED = "repeated"  # the last accepted state once more
+    REFUSED = "refused"
+
+
+def judge_stamp(stamp_ns: int, last_ns: int | None, period_ns: int) -> Stamp:
+    """Compare a stamp with the last one accepted.
+
+    Args:
+        stamp_ns: Stamp of the new state [ns].
+        last_ns: Stamp of the last accepted state, None before the first [ns].
+        period_ns: Sampling period of the states [ns].
+    """
+    if last_ns is None:
+        return Stamp.FIRST
+    age = stamp_ns - last_ns
+    if age == 0:
+        return Stamp.REPEATED
+    if age < 0:
+        return Stamp.OLDER
+    return Stamp.GAP if age > 3 * period_ns else Stamp.NEXT
+
+
+def plausible(values: list[float], bound: float) -> bool:
+    """Whether every value is finite and of a size a joint can have.
+
+    Args:
+        values: Positions [rad] or speeds [rad/s].
+        bound: IMPLAUSIBLE_Q or IMPLAUSIBLE_QD.
+    """
+    if math.hypot(*values) < bound:  # none is longer than all together; false for a NaN
+        return True
+    # The sum, because no comparison with a NaN tells anything.
+    return math.isfinite(sum(values)) and -bound < min(values) and max(values) < bound
+
+
+class StateChecks:
+    """Accepts or refuses joint states, and estimates velocities that a driver does not send.
+
+    Attributes:
+        counters: Number of states `accepted`, `repeated`, `older`, `rejected`; of `gaps`, `jumps`.
+        stamp_ns: Stamp of the last accepted state, None before the first [ns].
+        q: Joint positions of the last accepted state, None before the first [rad]. Shape (n,).
+        qd: Joint speeds of the last accepted state [rad/s]. Shape (n,).
+        dt: Time between the last two accepted states, within half and twice the period [s].
+        fault: Fault that the last state gives rise to, None without.
+        refused_in_row: Number of states refused since the last accepted one.
+
+    Args:
+        n: Number of joints.
+        period: Sampling period of the states [s].
+        velocity_cutoff: Cut-off of the low-pass for differentiated positions [rad/s].
+        q_jump: Largest plausible change of a joint from one state to the next [rad].
+    """
+
+    def __init__(self, n: int, period: float, velocity_cutoff: float, q_jump: float) -> None:
+        self.counters: Counter[str] = Counter()
+        self.stamp_ns: int | None = None
+        self.q: np.ndarray | None = None
+        self.qd = np.zeros(n)
+        self.dt = period
+        self.fault: Fault | None = None
+        self.refused_in_row = 0
+        self._n, self._period, self._cutoff, self._q_jump = n, period, velocity_cutoff, q_jump
+        self._period_ns = round(period * 1e9)
+        self._count = 0  # states so far
+        self._refusals: deque[int] = deque(maxlen=_REFUSALS)  # counts at which states were refused
+
+    def take(self, stamp_ns: object, q: object, qd: object, restart: bool) -> Outcome:
+        """Check one joint state; what an accepted one holds is in the attributes.
+
+        Args:
+            stamp_ns: Stamp of the driver's header [ns].
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
+            restart: Whether an older stamp means that the driver has started again.
+        """
+        self._count += 1
+        self.fault = None
+        if not isinstance(stamp_ns, _INTEGERS):
+            return self._refuse("rejected")
+        stamp_ns = int(stamp_ns)
+        stamp = judge_stamp(stamp_ns, self.stamp_ns, self._period_ns)
+        if stamp is Stamp.REPEATED:
+            self.counters["repeated"] += 1
+            return Outcome.REPEATED
+        if stamp is Stamp.OLDER:
+            if not restart:
+                return self._refuse("older")
+            stamp = Stamp.FIRST
+        positions = self._read(q, IMPLAUSIBLE_Q)
+        if positions is None:
+            return self._refuse("rejected")
+        given = self._velocity(stamp, stamp_ns, positions) if qd is None else qd
+        speeds = self._read(given, IMPLAUSIBLE_QD)
+        if speeds is None:
+            return self._refuse("rejected")
+        self.counters["accepted"] += 1
+        self.refused_in_row = 0
+        self.dt = self._check_continuity(stamp, stamp_ns, positions)
+        self.stamp_ns, self.q, self.qd = stamp_ns, positions, speeds
+        return Outcome.ACCEPTED
+
+    def _refuse(self, counter: str) -> Outcome:
+        self.counters[counter] += 1
+        self.refused_in_row += 1
+        refusals = self._refusals
+        refusals.append(self._count)
+        if len(refusals) == _REFUSALS and self._count - refusals[0] < _WINDOW:
+            text = "five joint states refused within 50"
+            self.fault = Fault(FaultKind.STATES_REFUSED, text)
+        return Outcome.REFUSED
+
+    def _read(self, values: object, bound: float) -> np.ndarray | None:
+        """A copy of a joint vector; None when it is not one, not finite or impossibly large."""
+        try:
+            array = np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            return None
+        if array.shape != (self._n,) or not plausible(array.tolist(), bound):
+            return None
+        return array
+
+    def _velocity(self, stamp: Stamp, stamp_ns: int, q: np.ndarray) -> np.ndarray:
+        """Differentiated and low-passed position; kept as it is across a gap."""
+        if stamp is Stamp.FIRST or self.q is None or self.stamp_ns is None:
+            return np.zeros(self._n)
+        if stamp is Stamp.GAP:
+            return self.qd
+        dt = (stamp_ns - self.stamp_ns) * 1e-9
+        share = 1.0 - math.exp(-self._cutoff * dt)
+        qd = self.qd + share * ((q - self.q) / dt - self.qd)
+        qd[np.abs(qd) < 1e-4] = 0.0  # so that the filter comes to rest bit for bit
+        return qd
+
+    def _check_continuity(self, stamp: Stamp, stamp_ns: int, q: np.ndarray) -> float:
+        """Look for a gap and for a jump; returns `dt` [s]."""
+        if stamp is Stamp.FIRST or self.stamp_ns is None or self.q is None:
+            return self._period
+        dt = (stamp_ns - self.stamp_ns) * 1e-9
+        if stamp is Stamp.GAP:
+            self.counters["gaps"] += 1
+            if dt > STATES_LOST_AFTER:
+                text = f"no joint state for {dt * 1e3:.0f} ms"
+                self.fault = Fault(FaultKind.STATES_LOST, text)
+        allowed = self._q_jump * max(1.0, dt / self._period)
+        if math.dist(q.tolist(), self.q.tolist()) > allowed:  # no joint went farther than that
+            jump = max(map(abs, (q - self.q).tolist()))
+            if jump > allowed:
+                self.counters["jumps"] += 1
+                text = f"a joint jumped by {jump:.3f} rad from one state to the next"
+                self.fault = self.fault or Fault(FaultKind.JUMP, text)
+        return min(max(dt, 0.5 * self._period), 2.0 * self._period)
