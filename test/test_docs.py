@@ -98,10 +98,10 @@ def test_every_name_of_a_module_is_there(page: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["paper", "flip"])
-def test_the_method_tells_the_numbers_of_the_presets(name: str) -> None:
+def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
     text = " ".join((ROOT / "docs/method.md").read_text().split())
     settings = preset(name)
-    told = {
+    stated = {
         "paper": [
             f"{settings.noise.stiffness:.0%} of the mean stiffness".replace("%", " %"),
             f"{100 * settings.noise.attractor:.0f} cm for each",
@@ -124,7 +124,7 @@ def test_the_method_tells_the_numbers_of_the_presets(name: str) -> None:
             f"{settings.budget} rollouts",
         ],
     }
-    assert [words for words in told[name] if words not in text] == []
+    assert [words for words in stated[name] if words not in text] == []
 
 
 def test_every_citation_is_in_the_references() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every promise of docs/safety.md has its tests, and every test that claims one is named there."""
+"""Every requirement of docs/safety.md has its tests, and every test that claims one is listed."""
 
 import ast
 import re
@@ -12,12 +12,12 @@ MEASURED = set(re.findall(r'"(S-\d\d)"', (ROOT / "benchmark/faults.py").read_tex
 Trace = dict[str, set[str]]  # requirement -> tests
 
 
-def promised(page: str) -> Trace:
+def listed(page: str) -> Trace:
     return {ident: set(re.findall(r"`(test_\w+)`", row)) for ident, row in ROW.findall(page)}
 
 
 def marked(*sources: str) -> Trace:
-    """Tests by the requirements their marker names."""
+    """Tests by the requirements that their markers name."""
     tests: Trace = {}
     for source in sources:
         for function in ast.walk(ast.parse(source)):
@@ -29,7 +29,7 @@ def marked(*sources: str) -> Trace:
 
 
 def broken(page: Trace, tests: Trace) -> list[str]:
-    """What does not fit, a line each."""
+    """Mismatches, one line each."""
     found = [f"{ident} has no test" for ident, names in page.items() if not names]
     found += [f"no requirement {ident}: {sorted(tests[ident])}" for ident in tests.keys() - page]
     for ident, names in page.items():
@@ -41,17 +41,17 @@ def broken(page: Trace, tests: Trace) -> list[str]:
 
 def test_every_requirement_has_its_tests_and_every_test_its_requirement() -> None:
     tests = marked(*(path.read_text() for path in sorted((ROOT / "test").rglob("test_*.py"))))
-    assert len(promised(SAFETY)) > 30
-    assert broken(promised(SAFETY), tests) == []
+    assert len(listed(SAFETY)) > 30
+    assert broken(listed(SAFETY), tests) == []
 
 
-def test_no_requirement_is_promised_twice() -> None:
+def test_no_requirement_is_listed_twice() -> None:
     idents = [ident for ident, _ in ROW.findall(SAFETY)]
     assert sorted(set(idents)) == sorted(idents)
 
 
 def test_what_the_benchmark_of_faults_measures_has_its_figure() -> None:
-    """A column of every table holds the worst that was seen, or says that it is not known yet."""
+    """A column of every table holds the worst that was seen, or that it was not measured yet."""
     cells = {ident: row.split("|")[1].strip() for ident, row in ROW.findall(SAFETY)}
     assert len(MEASURED) > 8 and MEASURED <= cells.keys()
     assert [
@@ -59,8 +59,8 @@ def test_what_the_benchmark_of_faults_measures_has_its_figure() -> None:
     ] == []
 
 
-def test_a_broken_trace_is_told() -> None:
-    page = promised("| S-01 | a | `test_x` |\n| S-02 | b | |\n| S-03 | c | `test_y` |")
+def test_a_broken_trace_is_reported() -> None:
+    page = listed("| S-01 | a | `test_x` |\n| S-02 | b | |\n| S-03 | c | `test_y` |")
     tests = marked(
         '@pytest.mark.requirement("S-01", "S-09")\ndef test_x(): ...\n'
         '@pytest.mark.requirement("S-01")\ndef test_z(): ...'

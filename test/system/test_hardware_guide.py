@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every command of docs/hardware.md is run, in order, against stand-ins shaped like the drivers.
 
-What needs a ROS installation is translated: `ros2 run` to the same entry point, a launch file to
-the nodes it starts, calls to calls of the same type. A command not known here fails the test.
+Commands that need a ROS installation are translated: `ros2 run` to the same entry point, a launch
+file to the nodes it starts, calls to calls of the same type. An unknown command fails the test.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from wam_power_ros.params import overlay
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import answers, interface
 
 GUIDE = (ROOT / "docs/hardware.md").read_text()
 CLI = [sys.executable, "-m", "wam_power_ros.cli"]
@@ -183,16 +183,17 @@ class Lab:
         filled = service.Request(**yaml.safe_load(request))
 
         def agreed() -> bool:
-            answer = self._probe.call(service, name, filled, PATIENCE)
-            if not answer.success and "no fault" not in answer.message:  # as the guide says
-                self._probe.call(Trigger, interface.RESET, deadline=PATIENCE)
-                return False
-            return True
+            response = self._probe.call(service, name, filled, PATIENCE)
+            answer = answers.read(response.success, response.message)
+            if answer.success or (name == interface.RESET and answer.code is answers.Code.BUSY):
+                return True  # without a fault there is nothing to reset
+            self._probe.call(Trigger, interface.RESET, deadline=PATIENCE)  # as the guide says
+            return False
 
         self._probe.until(agreed, name, PATIENCE)
 
     def leave(self) -> None:
-        """End the launch file, and the devices: a simulation brings its own."""
+        """End the launch file and the devices; a simulation starts its own."""
         while self._running:
             self._processes.end(self._running.pop())
 
