@@ -21,7 +21,8 @@ from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault, FaultKind
-from wam_power_ros.ros import cdr, interface
+from wam_power_ros.ros import cdr, joint_messages
+from wam_power_ros.ros.stamps import time_message
 
 PERIOD_NS = 2_000_000
 ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e9, -25.0, 25.0, 0.0)
@@ -68,7 +69,7 @@ def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iter
             values = (10.0 * rng.standard_normal((3, n))).tolist()
         message = JointState(name=named)
         message.position, message.velocity, message.effort = values
-        message.header.stamp = interface.stamp(max(stamp, 0))
+        message.header.stamp = time_message(max(stamp, 0))
         yield message
 
 
@@ -107,8 +108,8 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
     """
     rng, arm = np.random.default_rng(seed), controller.arm
     names = list(arm.joint_names)
-    read = cdr.StateReader(interface.JointStateReader(names))
-    write = cdr.TorqueSender(interface.TorqueWriter(names, "multiarray"))
+    read = cdr.StateReader(joint_messages.JointStateReader(names))
+    write = cdr.TorqueSender(joint_messages.TorqueWriter(names, "multiarray"))
     limit, step = controller.limits.torque, 2.0 * 0.002 * controller.limits.torque_rate
     found = {"torques": 0, "not finite": 0, "over": 0, "jumps": 0, "refused": 0, "largest": 0.0}
     before: np.ndarray | None = None

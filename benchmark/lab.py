@@ -26,7 +26,7 @@ from benchmark.nodes import JOINTS, environment, node_command
 from wam_power_ros.cli.processes import Processes, Running, private_domain
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages
 
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
@@ -51,8 +51,8 @@ class Lab:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.torques: list[tuple[int, interface.TorqueReading]] = []
-        self.readings: list[interface.JointReading] = []
+        self.torques: list[tuple[int, joint_messages.TorqueReading]] = []
+        self.readings: list[joint_messages.JointReading] = []
         self.stamp_ns = time.time_ns()
         self.published_ns = 0
 
@@ -70,7 +70,7 @@ class Lab:
             self.node.create_subscription(
                 Float64MultiArray, interface.EFFORT_COMMANDS, self._on_torque, interface.COMMAND
             )
-            self._write = interface.JointStateWriter(JOINTS)
+            self._write = joint_messages.JointStateWriter(JOINTS)
             self._services: dict[str, object] = {}
             try:
                 with Processes(self.folder, given) as self.processes:
@@ -81,7 +81,7 @@ class Lab:
                 rclpy.shutdown(context=self._context)
 
     def _on_torque(self, message: Float64MultiArray) -> None:
-        self.torques.append((time.monotonic_ns(), interface.torque(message, JOINTS)))
+        self.torques.append((time.monotonic_ns(), joint_messages.torque(message, JOINTS)))
         del self.torques[:-20_000]
 
     @property
@@ -97,7 +97,7 @@ class Lab:
     def stand_in(self, priority: int = ARM) -> Running:
         """Start the stand-ins, in real time, and watch their states."""
         if not hasattr(self, "_reader"):
-            self._reader = interface.JointStateReader(JOINTS)
+            self._reader = joint_messages.JointStateReader(JOINTS)
             self.node.create_subscription(
                 JointState,
                 interface.JOINT_STATES,

@@ -30,7 +30,8 @@ from std_msgs.msg import Float64MultiArray
 from benchmark.nodes import JOINTS, environment, ros_arguments
 from benchmark.stages import table as table_of_stages
 from wam_power_ros.cli.processes import Processes, Running, private_domain
-from wam_power_ros.ros import interface, node_runner, scheduling
+from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
+from wam_power_ros.ros.stamps import nanoseconds
 
 ECHO = "/echo/commands"
 PERIOD_NS = 2_000_000
@@ -42,7 +43,7 @@ class Echo(Node):
 
     def __init__(self, priority: int) -> None:
         super().__init__("echo")
-        self._write = interface.TorqueWriter(JOINTS, "multiarray")
+        self._write = joint_messages.TorqueWriter(JOINTS, "multiarray")
         self._zero = np.zeros(len(JOINTS))
         self._out = self.create_publisher(Float64MultiArray, ECHO, interface.COMMAND)
         self.create_subscription(
@@ -51,7 +52,7 @@ class Echo(Node):
         scheduling.request(priority)
 
     def _on_state(self, message: JointState) -> None:
-        stamp_ns = interface.nanoseconds(message.header.stamp)
+        stamp_ns = nanoseconds(message.header.stamp)
         self._out.publish(self._write(stamp_ns, "echo", self._zero))
 
 
@@ -81,7 +82,7 @@ def stand_in(report: Path) -> int:
         publish = bench.wam.publish
 
         def timed(message: JointState) -> None:
-            sent[interface.nanoseconds(message.header.stamp)] = time.monotonic_ns()
+            sent[nanoseconds(message.header.stamp)] = time.monotonic_ns()
             publish(message)
 
         bench.wam.publish = timed

@@ -43,7 +43,7 @@ from wam_power_ros.bags import reader
 from wam_power_ros.bags.reader import BagWriter, unfinished
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.cli.processes import Processes, Running, private_domain
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages
 
 START = 1_700_000_000_000_000_000  # [ns]
 FLUSH = 250  # [states] between two chunks, as the recorder at 500 Hz
@@ -126,7 +126,7 @@ class Source(Node):
         self._states = self.create_publisher(
             JointState, interface.JOINT_STATES, interface.STATE_OUT
         )
-        self._write = interface.JointStateWriter(JOINTS)
+        self._write = joint_messages.JointStateWriter(JOINTS)
         self._record = self.create_client(SetBool, interface.RECORD)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)

@@ -24,7 +24,7 @@ from hardware_sim.sensors import MocapFrame, MocapSettings
 from hardware_sim.wam import PERIOD_NS
 from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
-from wam_power_ros.ros import interface, node_runner, scheduling
+from wam_power_ros.ros import joint_messages, node_runner, scheduling
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 REPEAT_NS = 50_000_000  # [ns] without the torque, after which a state is published again
@@ -84,7 +84,7 @@ class Simulation:
                 self._publish(self.wam.state())
             executor.spin_once(timeout_sec=0.02)
 
-    def _answer(self, reading: interface.TorqueReading) -> None:
+    def _answer(self, reading: joint_messages.TorqueReading) -> None:
         """One step, if this is the torque for the state that was published last."""
         if reading.stamp_ns != self.wam.stamp_ns:
             self.wam.counters["torques out of step"] += 1

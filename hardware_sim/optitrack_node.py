@@ -19,7 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from hardware_sim.sensors import MocapFrame, MocapSettings
 from wam_power_ros import rotations
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, pose_messages
 
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # to y up: (x, z, -y)
 PAIR_NS = 100_000  # between the receipts of frames that are delivered together
@@ -99,11 +99,11 @@ class OptitrackSim(Node):
             if position.any():  # a pose of zeros is one in any frame
                 position = self._turn @ (position - self._origin)
                 quat_xyzw = rotations.multiply(self._turn_quat, quat_xyzw)
-            self._poses.publish(interface.pose_message(stamp_ns, name, position, quat_xyzw))
+            self._poses.publish(pose_messages.pose_message(stamp_ns, name, position, quat_xyzw))
         if self._markers is not None:
             seen = np.vstack([frame.markers, STRAY[: self.params.stray]])
             points = self._rng.permutation(seen - self._origin) @ self._turn.T
-            self._markers.publish(interface.markers_message(stamp_ns, name, points))
+            self._markers.publish(pose_messages.markers_message(stamp_ns, name, points))
 
 
 def main() -> int:

@@ -29,7 +29,8 @@ from hardware_sim.wam import FOLDED, PERIOD, N
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm, Guarded
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros.diagnostics import diagnostics_message
 
 
 class WamSimParams(Params):
@@ -109,7 +110,7 @@ class WamSim(Node):
     def __init__(self) -> None:
         super().__init__("wam_sim", automatically_declare_parameters_from_overrides=True)
         self.params = params = WamSimParams.of(self)
-        self.on_torque: Callable[[interface.TorqueReading], None] = lambda reading: None
+        self.on_torque: Callable[[joint_messages.TorqueReading], None] = lambda reading: None
         self.counters: Counter[str] = Counter()
         self.lockstep = params.pace == "lockstep"
 
@@ -119,7 +120,7 @@ class WamSim(Node):
         if params.velocity_topic:
             self._velocities = self.create_publisher(JointState, params.velocity_topic, qos)
         others = [name for name in params.other_joints if name]
-        self._others = interface.JointStateWriter(others) if others else None
+        self._others = joint_messages.JointStateWriter(others) if others else None
         self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
         self._description = self.create_publisher(
             String, interface.ROBOT_DESCRIPTION, interface.LATCHED
@@ -127,8 +128,8 @@ class WamSim(Node):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
-        self._write = interface.JointStateWriter(params.joint_names)
-        message_type = interface.COMMAND_TYPES[params.command_type]
+        self._write = joint_messages.JointStateWriter(params.joint_names)
+        message_type = joint_messages.COMMAND_TYPES[params.command_type]
         self.create_subscription(
             message_type, params.command_topic, self._on_torque, interface.COMMAND
         )
@@ -161,7 +162,7 @@ class WamSim(Node):
         """Stamp of the present state [ns]."""
         return self.world.time_ns + self.stamp_offset_ns
 
-    def tick(self, reading: interface.TorqueReading | None) -> JointState:
+    def tick(self, reading: joint_messages.TorqueReading | None) -> JointState:
         """Step the world with the newest torque, None if nothing new has come.
 
         Returns:
@@ -198,7 +199,7 @@ class WamSim(Node):
             self._states.publish(self._others(self.stamp_ns, still, still, still))
         if self._velocities is not None:  # nameless, as Barrett's own node sends them
             qd = self.world.joint_state().qd
-            self._velocities.publish(interface.nameless_velocities(self.stamp_ns, qd))
+            self._velocities.publish(joint_messages.nameless_velocities(self.stamp_ns, qd))
         self._states.publish(message)
         self.counters["states published"] += 1
         if self.lockstep:
@@ -206,7 +207,7 @@ class WamSim(Node):
 
     def _on_torque(self, message: Float64MultiArray | JointState) -> None:
         try:
-            reading = interface.torque(message, self.params.joint_names)
+            reading = joint_messages.torque(message, self.params.joint_names)
         except ValueError as error:
             self.counters["torques refused"] += 1
             self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
@@ -226,5 +227,5 @@ class WamSim(Node):
         values["stamp of the last [ns]"] = self.stamp_ns
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
-            interface.diagnostics(now, "wam_sim: loop", "stand-in", "ok", doing, values)
+            diagnostics_message(now, "wam_sim: loop", "stand-in", "ok", doing, values)
         )

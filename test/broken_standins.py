@@ -13,7 +13,7 @@ from std_msgs.msg import String
 from hardware_sim import main, optitrack_node, wam_node
 from hardware_sim.sensors import MocapFrame
 from wam_power_ros import rotations
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.tracking.tracker import Y_UP
 
 FAULTS = ("none", "wrong order", "no velocity", "100 Hz", "frozen", "Y-up", "no watchdog")
@@ -32,7 +32,7 @@ class BrokenWam(wam_node.WamSim):
     def __init__(self) -> None:
         super().__init__()
         self._count = 0
-        self._held: interface.TorqueReading | None = None
+        self._held: joint_messages.TorqueReading | None = None
         self.create_subscription(String, "/fault", self._on_fault, interface.LATCHED)
 
     def _on_fault(self, message: String) -> None:
@@ -49,7 +49,7 @@ class BrokenWam(wam_node.WamSim):
             message.velocity = array("d")
         super().publish(message)
 
-    def tick(self, reading: interface.TorqueReading | None) -> JointState:
+    def tick(self, reading: joint_messages.TorqueReading | None) -> JointState:
         """One step; without a watchdog the last torque is held for ever."""
         self._held = reading or self._held
         return super().tick(self._held if _Fault.name == "no watchdog" else reading)

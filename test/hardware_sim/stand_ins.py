@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code, read
 
 TICK = 2_000_000  # [ns]
@@ -58,10 +58,10 @@ class Hardware:
         self.process = processes.node(
             "hardware_sim.main", *CONFIGS, **{"wam_sim:pace": pace, **overrides}
         )
-        self._read = interface.JointStateReader(NAMES)
+        self._read = joint_messages.JointStateReader(NAMES)
         probe.until(lambda: self.messages, "the first state")
 
-    def state(self, index: int = -1) -> interface.JointReading:
+    def state(self, index: int = -1) -> joint_messages.JointReading:
         """One of the states that have come."""
         return self._read(self.messages[index])
 

@@ -16,7 +16,8 @@ from std_msgs.msg import Float64MultiArray, String
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.rollout import EndEffectorPath
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages, pose_messages
+from wam_power_ros.ros.stamps import nanoseconds
 
 
 def test_in_lockstep_one_torque_is_one_step_and_none_is_none(
@@ -26,7 +27,7 @@ def test_in_lockstep_one_torque_is_one_step_and_none_is_none(
     clock = probe.listen(Clock, interface.CLOCK, interface.CLOCK_QOS)
     description = probe.listen(String, interface.ROBOT_DESCRIPTION, interface.LATCHED)
     torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-    write = interface.TorqueWriter(NAMES, "multiarray")
+    write = joint_messages.TorqueWriter(NAMES, "multiarray")
     before = hardware.state()
     probe.until(lambda: len(hardware.messages) >= 3, "the state again")
     assert hardware.state().stamp_ns == before.stamp_ns  # nothing has moved
@@ -39,7 +40,7 @@ def test_in_lockstep_one_torque_is_one_step_and_none_is_none(
     torques.publish(write(before.stamp_ns, "hold", tau))  # an old answer
     probe.spin(0.2)
     assert hardware.state().stamp_ns == before.stamp_ns + 19 * TICK
-    assert interface.nanoseconds(clock[-1].clock) == hardware.state().stamp_ns
+    assert nanoseconds(clock[-1].clock) == hardware.state().stamp_ns
     assert hardware.messages[-1].name == NAMES
     assert len(hardware.messages[-1].effort) == 7
     assert Arm(description[0].data, NAMES).n == 7
@@ -58,8 +59,8 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
     for pauses in ((0.0, 0.0), (0.13, 0.0), (0.02, 0.11)):
         poses.clear()
         message, truth = hardware.rollout(policy, pauses)
-        start_ns, path = interface.path(message, EndEffectorPath)
-        seen = [interface.pose(pose) for pose in poses]
+        start_ns, path = pose_messages.path(message, EndEffectorPath)
+        seen = [pose_messages.pose(pose) for pose in poses]
         at = {reading.stamp_ns - start_ns: reading.position.tolist() for reading in seen}
         frames.append({stamp: place for stamp, place in at.items() if 0 <= stamp < 1_000_000_000})
         results.append((path.t.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), truth))
@@ -73,7 +74,7 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
     assert truth["id"] == policy.id
     assert truth["caught"]
     other = hardware.rollout(lift("trial-0002"), (0.0, 0.0))[0]  # another id, another draw of noise
-    assert interface.path(other, EndEffectorPath)[1].position.tolist() != results[0][1]
+    assert pose_messages.path(other, EndEffectorPath)[1].position.tolist() != results[0][1]
 
 
 def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
@@ -89,9 +90,9 @@ def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
     assert abs(stamps[0] - begun) < 500_000_000  # as the system clock says
     assert time.time_ns() >= stamps[-1]  # not faster than that
     probe.until(lambda: len(clouds) >= 50, "camera frames")
-    spacing = np.diff([interface.markers(cloud)[0] for cloud in clouds])
+    spacing = np.diff([pose_messages.markers(cloud)[0] for cloud in clouds])
     assert np.median(spacing) == pytest.approx(1e9 / 30.0, abs=TICK)
-    assert interface.markers(clouds[-1])[2].shape == (4, 3)
+    assert pose_messages.markers(clouds[-1])[2].shape == (4, 3)
 
 
 @pytest.mark.requirement("S-46")

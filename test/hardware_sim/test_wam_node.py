@@ -15,7 +15,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.learning.policy import to_json
 from wam_power_ros.learning.rollout import EndEffectorPath
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages, pose_messages
 
 
 def test_a_torque_that_is_not_valid_moves_nothing(probe: Probe, processes: Processes) -> None:
@@ -23,7 +23,7 @@ def test_a_torque_that_is_not_valid_moves_nothing(probe: Probe, processes: Proce
     torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
     before = hardware.state().stamp_ns
     for bad in (np.zeros(6), np.full(7, np.nan)):
-        torques.publish(interface.TorqueWriter(NAMES, "multiarray")(before, "hold", bad))
+        torques.publish(joint_messages.TorqueWriter(NAMES, "multiarray")(before, "hold", bad))
         probe.spin(0.1)
     probe.until(
         lambda: diagnosis(hardware.diagnostics, "wam_sim").get("torques refused") == "2", "refusals"
@@ -68,7 +68,7 @@ def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Pro
     t = np.linspace(0.0, 2.0, 41)
     swing = 0.2 * np.sin(np.pi * t / 2.0) ** 2  # out and back, at rest at both ends
     q = hardware.state().q + swing[:, None] * np.eye(7)[3]
-    movements.publish(interface.joint_movement_message(NAMES, interface.JointMovement(t, q)))
+    movements.publish(joint_messages.movement_message(NAMES, joint_messages.JointMovement(t, q)))
     start = hardware.state().q[3]
     hardware.messages.clear()
     message = hardware.insist(interface.REPLAY)
@@ -84,5 +84,5 @@ def test_a_driver_without_velocities_is_stood_in_for_too(
     assert hardware.state().qd is None
     hardware.control()
     message, truth = hardware.rollout(lift("no-velocity"), (0.0, 0.0))
-    assert interface.path(message, EndEffectorPath)[1].t[-1] == pytest.approx(1.4)
+    assert pose_messages.path(message, EndEffectorPath)[1].t[-1] == pytest.approx(1.4)
     assert truth["caught"]

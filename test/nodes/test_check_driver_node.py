@@ -17,7 +17,7 @@ from conftest import ROOT, Probe, Processes
 from std_msgs.msg import String
 
 from wam_power_ros.cli import processes
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages
 
 BROKEN = {  # fault -> the one row that fails, and what it says of it
     "wrong order": ("gravity", "wrong order of joints: wam_j2, wam_j6"),
@@ -107,7 +107,7 @@ def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
 
 def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
     torques = bench.probe.listen(
-        interface.COMMAND_TYPES["multiarray"], interface.EFFORT_COMMANDS, interface.COMMAND
+        joint_messages.COMMAND_TYPES["multiarray"], interface.EFFORT_COMMANDS, interface.COMMAND
     )
     table = bench.check(typed="no\n")
     bench.probe.spin(0.5)

@@ -24,7 +24,7 @@ from std_srvs.srv import SetBool
 from wam_power_ros.bags import reader
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.learning.policy import Basis, Policy, to_json
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages, pose_messages
 
 NODE = "wam_power_ros.nodes.demonstration_recorder"
 CONFIG = "demonstration_recorder.yaml"
@@ -46,7 +46,7 @@ class Bench:
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self.states = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
-        self.write = interface.JointStateWriter(NAMES)
+        self.write = joint_messages.JointStateWriter(NAMES)
         self.sent = 0
 
     def record(self, on: bool) -> tuple[bool, str]:
@@ -123,7 +123,7 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     assert re.fullmatch(r"demo_\d{8}_\d{6}", path.name)
     assert not path.exists()
     torques.publish(Float64MultiArray(data=[0.5] * 7))
-    poses.publish(interface.pose_message(START, "world", np.ones(3), np.array([0, 0, 0, 1.0])))
+    poses.publish(pose_messages.pose_message(START, "world", np.ones(3), np.array([0, 0, 0, 1.0])))
     first = bench.sent
     bench.send(1500)
     probe.spin(0.3)
@@ -197,7 +197,7 @@ def test_a_best_effort_driver_that_comes_later_is_heard_too(
     bench.start()
     bench.send(50)
     driver = probe.publisher(JointState, interface.JOINT_STATES, BEST_EFFORT, readers=0)
-    write = interface.JointStateWriter(["hand"])
+    write = joint_messages.JointStateWriter(["hand"])
     probe.until(lambda: driver.get_subscription_count() >= 1, "the recorder fits")
     driver.publish(write(START, np.zeros(1), np.zeros(1), np.zeros(1)))
     bench.send(50)

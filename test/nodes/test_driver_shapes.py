@@ -25,8 +25,9 @@ from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.answers import read
+from wam_power_ros.ros.stamps import sensor_stamp
 
 IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # the machine may take its time
 
@@ -73,7 +74,7 @@ class Rehearsal:
         ):
             self.insist(service, policy, policies)
         message = self.probe.until(lambda: paths and paths[-1], "the path")
-        return interface.path(message, EndEffectorPath)[1]
+        return pose_messages.path(message, EndEffectorPath)[1]
 
 
 @pytest.mark.parametrize("name", ["geodude", "libbarrett", "franka"])
@@ -125,15 +126,15 @@ def test_an_arm_that_was_idled_is_active_again_once_the_fault_is_reset(
 ) -> None:
     bench = Rehearsal(probe, processes, tmp_path, "libbarrett")
     torques = probe.publisher(JointState, "/joint_torque_commands", interface.COMMAND)
-    write = interface.TorqueWriter(bench.setup["wam_sim"]["joint_names"], "joint_state")
+    write = joint_messages.TorqueWriter(bench.setup["wam_sim"]["joint_names"], "joint_state")
 
     def doing() -> str:
         return diagnosis(bench.diagnostics, "wam_sim").get("message", "")
 
     def step(label: str) -> None:
-        stamp_ns = interface.sensor_stamp(bench.states[-1])
+        stamp_ns = sensor_stamp(bench.states[-1])
         torques.publish(write(stamp_ns, label, np.zeros(7)))
-        probe.until(lambda: interface.sensor_stamp(bench.states[-1]) > stamp_ns, "a step")
+        probe.until(lambda: sensor_stamp(bench.states[-1]) > stamp_ns, "a step")
 
     step("fault")
     assert probe.call(Trigger, interface.WAM_IDLE).success

@@ -19,7 +19,7 @@ from hardware_sim.sensors import Mocap, MocapFrame
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.params import overlay
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
 PAN = np.array([0.8, 0.1, 0.6])
@@ -115,9 +115,9 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     t = np.arange(0.0, DURATION, 0.01)
     still = np.tile([*PAN, 0.0, 0.0, 0.0, 1.0], (len(t), 1))
     pan = EndEffectorPath("trial-1", t, still[:, :3], still[:, 3:])
-    ends.publish(interface.path_message(pan, start_ns, "wam_base"))
+    ends.publish(pose_messages.path_message(pan, start_ns, "wam_base"))
     message = probe.until(lambda: paths and paths[-1], "the path", 60.0)
-    path = interface.path(message, BodyPath)[1]
+    path = pose_messages.path(message, BodyPath)[1]
 
     # every frame that was seen is in it, at the time of its exposure, none that was not
     wanted = setup["pancake_tracker"]["rate"] * (DURATION - HIDDEN[1] + HIDDEN[0])
@@ -129,7 +129,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     cosines = np.einsum("ij,ij->i", normals, [turned[:, 2] for _, turned in true])
     assert cosines.min() > 0.99
     # and so are the states, while it lies still and while it flies
-    seen = [interface.odometry(state) for state in states]
+    seen = [pose_messages.odometry(state) for state in states]
     at = [(state.stamp_ns - start_ns) * 1e-9 for state in seen]
     # (a busy machine holds the film up: what is coasted then says so by its variance)
     measured = 1.01 * setup["pancake_tracker"]["noise"] ** 2
@@ -158,7 +158,7 @@ def test_a_driver_with_y_up_sends_height_as_its_second_number(probe: Probe, came
     probe.until(
         lambda: camera.node.publish(frame, time.time_ns(), 5) or probe.spin(0.05) or poses, "a pose"
     )
-    reading = interface.pose(poses[-1])
+    reading = pose_messages.pose(poses[-1])
     np.testing.assert_allclose(reading.position, [1.0, 0.5, 0.0], atol=1e-9)
     up = rotations.matrix(reading.quat_xyzw)[:, 2]
     np.testing.assert_allclose(up, [0.0, 1.0, 0.0], atol=1e-9)

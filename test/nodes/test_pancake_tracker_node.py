@@ -14,7 +14,8 @@ from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.stamps import time_message
 from wam_power_ros.tracking import marker_fit
 
 NODE = "wam_power_ros.nodes.pancake_tracker"
@@ -59,7 +60,7 @@ class Bench:
     def path(self) -> BodyPath:
         """The next path of the pancake."""
         message = self.probe.until(lambda: self.paths and self.paths.pop(0), "a path")
-        return interface.path(message, BodyPath)[1]
+        return pose_messages.path(message, BodyPath)[1]
 
     def status(self, text: str) -> dict[str, str]:
         """The next status that says `text`."""
@@ -87,9 +88,11 @@ def test_a_path_holds_every_valid_frame_of_the_rollout_however_they_come(
         stamps = [first_ns + index * PERIOD for index in range(len(poses))]
         for index, (stamp_ns, pose) in enumerate(zip(stamps, poses, strict=True)):
             if index == 40:  # the path of the pan comes while frames are still on their way
-                bench.ends.publish(interface.path_message(pan_path(id, 2.0), start_ns, "wam_base"))
+                bench.ends.publish(
+                    pose_messages.path_message(pan_path(id, 2.0), start_ns, "wam_base")
+                )
             if index not in (30, 31):  # a gap
-                frames.publish(interface.pose_message(stamp_ns, "world", *pose))
+                frames.publish(pose_messages.pose_message(stamp_ns, "world", *pose))
             probe.spin(pause)
         paths.append(bench.path())
         assert paths[-1].id == id
@@ -105,7 +108,7 @@ def test_a_path_holds_every_valid_frame_of_the_rollout_however_they_come(
     np.testing.assert_array_equal(paths[0].t, paths[1].t)  # whenever it was, however fast
     np.testing.assert_array_equal(paths[0].position, paths[1].position)
     assert len(bench.states) > 100
-    state = interface.odometry(bench.states[-1])
+    state = pose_messages.odometry(bench.states[-1])
     assert state.frame == "wam_base"
     assert np.linalg.norm(state.velocity) < 0.1
 
@@ -117,12 +120,12 @@ def test_a_path_without_an_end_in_view_goes_out_after_silence(
     frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
     start_ns = time.time_ns()
     for index, pose in enumerate(toss(np.random.default_rng(1), 10)):
-        frames.publish(interface.pose_message(start_ns + index * PERIOD, "world", *pose))
-    bench.ends.publish(interface.path_message(pan_path("short", 2.0), start_ns, "wam_base"))
+        frames.publish(pose_messages.pose_message(start_ns + index * PERIOD, "world", *pose))
+    bench.ends.publish(pose_messages.path_message(pan_path("short", 2.0), start_ns, "wam_base"))
     begun = time.monotonic()
     assert len(bench.path().t) == 10
     assert time.monotonic() - begun > 0.2
-    bench.ends.publish(interface.path_message(pan_path("unseen", 2.0), 10**18, "wam_base"))
+    bench.ends.publish(pose_messages.path_message(pan_path("unseen", 2.0), 10**18, "wam_base"))
     path = bench.path()
     assert (path.id, len(path.t)) == ("unseen", 0)
 
@@ -143,12 +146,12 @@ def test_hidden_markers_coast_and_every_fault_is_in_the_diagnostics(
     rng = np.random.default_rng(0)
     good = [(PAN + rng.normal(0.0, 5e-4, 3), LEVEL) for _ in range(5)]
     for index, pose in enumerate([*good, *bad, *good[:2], good[1]]):
-        frames.publish(interface.pose_message(now_ns + index * 100_000_000, "world", *pose))
+        frames.publish(pose_messages.pose_message(now_ns + index * 100_000_000, "world", *pose))
         probe.spin(0.01)
     coasted = probe.until(
         lambda: [item for item in bench.states if item.pose.covariance[0] > 1e-6], "coasting"
     )
-    assert interface.odometry(coasted[0]).stamp_ns > now_ns + 12 * 100_000_000
+    assert pose_messages.odometry(coasted[0]).stamp_ns > now_ns + 12 * 100_000_000
     status = bench.status("lost")
     assert status["level"] == 2
     counts = {key: status[key] for key in ("zero pose", "jump", "out of workspace")}
@@ -166,8 +169,8 @@ def test_stamps_of_another_clock_are_reported_and_no_path_is_made_of_them(
     frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
     start_ns = time.time_ns() - 3600 * 1_000_000_000
     for index, pose in enumerate(toss(np.random.default_rng(1), 10)):
-        frames.publish(interface.pose_message(start_ns + index * PERIOD, "world", *pose))
-    bench.ends.publish(interface.path_message(pan_path("old", 0.2), start_ns, "wam_base"))
+        frames.publish(pose_messages.pose_message(start_ns + index * PERIOD, "world", *pose))
+    bench.ends.publish(pose_messages.path_message(pan_path("old", 0.2), start_ns, "wam_base"))
     assert len(bench.path().t) == 0
     status = bench.status("synchronise the clocks")
     assert status["level"] == 2
@@ -185,9 +188,9 @@ def test_a_cloud_of_markers_in_a_y_up_world_gives_the_state_in_the_base(
         place = PAN + rng.normal(0.0, 5e-4, 3)
         x, y, z = rng.permutation(np.vstack([marker_fit.LAYOUT + place, other])).T
         cloud = np.stack([x, z, -y], axis=1)
-        frames.publish(interface.markers_message(time.time_ns(), "world", cloud))
+        frames.publish(pose_messages.markers_message(time.time_ns(), "world", cloud))
         probe.spin(0.04)
-    state = interface.odometry(probe.until(lambda: bench.states, "a state")[-1])
+    state = pose_messages.odometry(probe.until(lambda: bench.states, "a state")[-1])
     np.testing.assert_allclose(state.position, PAN, atol=3e-3)
     np.testing.assert_allclose(rotations.matrix(state.quat_xyzw), np.eye(3), atol=1e-4)
 
@@ -202,12 +205,12 @@ def test_in_lockstep_a_standing_clock_is_no_silence(probe: Probe, processes: Pro
     def send(first: int, last: int) -> None:
         for index in range(first, last):
             stamp_ns = second + index * PERIOD
-            clock.publish(Clock(clock=interface.stamp(stamp_ns)))
-            frames.publish(interface.pose_message(stamp_ns, "world", *poses[index]))
+            clock.publish(Clock(clock=time_message(stamp_ns)))
+            frames.publish(pose_messages.pose_message(stamp_ns, "world", *poses[index]))
             probe.spin(0.005)
 
     send(0, 20)
-    bench.ends.publish(interface.path_message(pan_path("held", 1.0), second, "wam_base"))
+    bench.ends.publish(pose_messages.path_message(pan_path("held", 1.0), second, "wam_base"))
     probe.spin(1.2)  # the arm's stand-in waits for a torque
     assert not bench.paths
     send(20, 40)

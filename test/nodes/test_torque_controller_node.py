@@ -25,8 +25,9 @@ from trajectory_msgs.msg import JointTrajectory
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import to_json, with_id
 from wam_power_ros.learning.rollout import FaultKind
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.stamps import time_message
 
 MODULE = "wam_power_ros.nodes.torque_controller"
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
@@ -51,7 +52,7 @@ class PlayedArm:
             if command
             else processes.node(MODULE, "torque_controller.yaml", **(quick | parameters))
         )
-        self.torques: list[interface.TorqueReading] = []
+        self.torques: list[joint_messages.TorqueReading] = []
         self.messages = probe.listen(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
         )
@@ -71,20 +72,20 @@ class PlayedArm:
     def again(self, names: list[str], q: np.ndarray, qd: np.ndarray) -> None:
         """A state with the stamp of the last."""
         message = JointState(name=names, position=list(q), velocity=list(qd))
-        message.header.stamp = interface.stamp(self.stamp_ns)
+        message.header.stamp = time_message(self.stamp_ns)
         self._publisher.publish(message)
 
-    def answer(self) -> interface.TorqueReading:
+    def answer(self) -> joint_messages.TorqueReading:
         """The torque that answers the newest state."""
         return self.probe.until(
             lambda: next((t for t in self.read() if t.stamp_ns == self.stamp_ns), None),
             f"torque for stamp {self.stamp_ns}",
         )
 
-    def read(self) -> list[interface.TorqueReading]:
+    def read(self) -> list[joint_messages.TorqueReading]:
         """All torques so far."""
         while len(self.torques) < len(self.messages):
-            self.torques.append(interface.torque(self.messages[len(self.torques)], NAMES))
+            self.torques.append(joint_messages.torque(self.messages[len(self.torques)], NAMES))
         return self.torques
 
     def activate(self) -> None:
@@ -365,7 +366,7 @@ def test_another_command_type_carries_the_same_torque(probe: Probe, processes: P
         return bool(commands) and commands[-1].header.frame_id == "hold"
 
     probe.until(commanded, "a command as a joint state")
-    reading = interface.torque(commands[-1], NAMES)
+    reading = joint_messages.torque(commands[-1], NAMES)
     assert reading.stamp_ns is not None
     assert np.isfinite(reading.tau).all()
 
@@ -441,10 +442,10 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
     refusal = probe.call(Trigger, interface.REPLAY)
     assert read(refusal.success, refusal.message).code is Code.NOTHING
     t = np.linspace(0.0, 0.1, 6)
-    still = interface.JointMovement(t, np.tile(HOME, (6, 1)))
-    movements.publish(interface.joint_movement_message(NAMES[:6], still._replace(q=still.q[:, :6])))
+    still = joint_messages.JointMovement(t, np.tile(HOME, (6, 1)))
+    movements.publish(joint_messages.movement_message(NAMES[:6], still._replace(q=still.q[:, :6])))
     arm.diagnosis(lambda d: d.get("refused: replay trajectory") == "1", "the refusal is told")
-    movements.publish(interface.joint_movement_message(NAMES, still))
+    movements.publish(joint_messages.movement_message(NAMES, still))
     probe.spin(0.2)
     replay = probe.begin(Trigger, interface.REPLAY)
     labels = set()

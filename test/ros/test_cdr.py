@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from wam_power_ros.ros import cdr, interface
+from wam_power_ros.ros import cdr, joint_messages
+from wam_power_ros.ros.stamps import time_message
 
 NAMES = ["base", "j2", "elbow"]
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
@@ -24,12 +25,12 @@ def state(
     message = JointState(name=names, position=array("d", q), velocity=array("d", qd))
     message.effort = array("d", more.get("effort", []))
     message.header.frame_id = more.get("frame", "")
-    message.header.stamp = interface.stamp(stamp_ns)
+    message.header.stamp = time_message(stamp_ns)
     return serialize_message(message)
 
 
 def reader() -> cdr.StateReader:
-    return cdr.StateReader(interface.JointStateReader(NAMES))
+    return cdr.StateReader(joint_messages.JointStateReader(NAMES))
 
 
 @st.composite
@@ -51,7 +52,7 @@ def test_states_read_the_same_as_through_rclpy(shapes: list[bytes], data: st.Dat
     read = reader()
     for message in data.draw(st.lists(st.sampled_from(shapes), max_size=8)):
         ours = read(message)
-        theirs = interface.JointStateReader(NAMES)(deserialize_message(message, JointState))
+        theirs = joint_messages.JointStateReader(NAMES)(deserialize_message(message, JointState))
         assert ours.stamp_ns == theirs.stamp_ns
         assert ours.q.tolist() == theirs.q.tolist()
         assert (ours.qd is None) == (theirs.qd is None)
@@ -126,10 +127,10 @@ def test_bytes_cut_or_spoilt_are_refused_or_finite(message: bytes, data: st.Data
 def test_torques_are_written_as_rclpy_writes_them(
     kind: str, torques: list[tuple[int, str, list[float]]]
 ) -> None:
-    writer = interface.TorqueWriter(NAMES, kind)
+    writer = joint_messages.TorqueWriter(NAMES, kind)
     send = cdr.TorqueSender(writer)
     for stamp_ns, label, tau in torques:
         message = deserialize_message(send(stamp_ns, label, np.array(tau)), writer.message_type)
-        reading = interface.torque(message, NAMES)
+        reading = joint_messages.torque(message, NAMES)
         assert (reading.stamp_ns, reading.label) == (stamp_ns, label)
         assert reading.tau.tolist() == tau

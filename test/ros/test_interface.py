@@ -16,7 +16,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages, pose_messages
+from wam_power_ros.ros.stamps import nanoseconds, time_message
 
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
 FINITE = st.floats(-1e6, 1e6)
@@ -37,14 +38,16 @@ def test_joints_are_matched_by_name_in_any_order_beside_others(
 ) -> None:
     rows = [*zip(NAMES, q, qd, strict=True), *((f"finger{i}", 9.0, 9.0) for i in range(others))]
     shuffle.shuffle(rows)
-    reading = interface.JointStateReader(NAMES)(joint_state(*map(list, zip(*rows, strict=True))))
+    reading = joint_messages.JointStateReader(NAMES)(
+        joint_state(*map(list, zip(*rows, strict=True)))
+    )
     assert reading.q.tolist() == q
     assert reading.qd.tolist() == qd
     assert reading.stamp_ns == 10**9
 
 
 def test_a_new_order_of_names_is_noticed() -> None:
-    read = interface.JointStateReader(NAMES)
+    read = joint_messages.JointStateReader(NAMES)
     q = [float(i) for i in range(7)]
     for names in (NAMES, NAMES[::-1], NAMES):
         assert (
@@ -53,7 +56,7 @@ def test_a_new_order_of_names_is_noticed() -> None:
 
 
 def test_a_reading_does_not_change_when_its_message_is_used_again() -> None:
-    write, read = interface.JointStateWriter(NAMES), interface.JointStateReader(NAMES)
+    write, read = joint_messages.JointStateWriter(NAMES), joint_messages.JointStateReader(NAMES)
     first = read(write(1, np.zeros(7), np.zeros(7), np.zeros(7)))
     read(write(2, np.ones(7), np.ones(7), np.ones(7)))
     assert first.q.tolist() == [0.0] * 7
@@ -61,11 +64,11 @@ def test_a_reading_does_not_change_when_its_message_is_used_again() -> None:
 
 @pytest.mark.parametrize("qd", [[], [math.nan] * 7, [0.0] * 6 + [math.nan]])
 def test_velocity_that_is_left_out_or_nan_reads_as_none(qd: list[float]) -> None:
-    assert interface.JointStateReader(NAMES)(joint_state(NAMES, [0.0] * 7, qd)).qd is None
+    assert joint_messages.JointStateReader(NAMES)(joint_state(NAMES, [0.0] * 7, qd)).qd is None
 
 
 def test_a_message_of_another_device_is_nobodys_fault() -> None:
-    assert interface.JointStateReader(NAMES)(joint_state(["finger"], [0.0], [])) is None
+    assert joint_messages.JointStateReader(NAMES)(joint_state(["finger"], [0.0], [])) is None
 
 
 @pytest.mark.parametrize(
@@ -85,18 +88,18 @@ def test_a_bad_joint_state_is_refused_and_named(
     names: list[str], q: list[float], qd: list[float], named: str
 ) -> None:
     with pytest.raises(ValueError, match=named):
-        interface.JointStateReader(NAMES)(joint_state(names, q, qd))
+        joint_messages.JointStateReader(NAMES)(joint_state(names, q, qd))
 
 
 def test_a_state_without_a_stamp_is_refused() -> None:
     message = joint_state(NAMES, [0.0] * 7, [])
     message.header.stamp = Time()
     with pytest.raises(ValueError, match="stamp"):
-        interface.JointStateReader(NAMES)(message)
+        joint_messages.JointStateReader(NAMES)(message)
 
 
 def test_velocities_of_their_own_topic_may_be_nameless() -> None:
-    read = interface.JointStateReader(NAMES)
+    read = joint_messages.JointStateReader(NAMES)
     assert read.velocity(JointState(velocity=[1.0] * 7)).tolist() == [1.0] * 7
     assert read.velocity(JointState(name=["finger"], velocity=[1.0])) is None
     with pytest.raises(ValueError, match="velocity has 6"):
@@ -105,34 +108,34 @@ def test_velocities_of_their_own_topic_may_be_nameless() -> None:
 
 def test_a_joint_movement_comes_back_in_our_order() -> None:
     rng = np.random.default_rng(1)
-    movement = interface.JointMovement(np.array([0.0, 0.5, 1.25]), rng.normal(size=(3, 7)))
+    movement = joint_messages.JointMovement(np.array([0.0, 0.5, 1.25]), rng.normal(size=(3, 7)))
     order = [3, 6, 0, 2, 5, 1, 4]
-    shuffled = interface.joint_movement_message(
+    shuffled = joint_messages.movement_message(
         [NAMES[i] for i in order], movement._replace(q=movement.q[:, order])
     )
-    back = interface.joint_movement(shuffled, NAMES)
+    back = joint_messages.movement(shuffled, NAMES)
     np.testing.assert_array_equal(back.t, movement.t)
     np.testing.assert_array_equal(back.q, movement.q)
     shuffled.points[1].positions[0] = math.nan
     with pytest.raises(ValueError, match="finite"):
-        interface.joint_movement(shuffled, NAMES)
+        joint_messages.movement(shuffled, NAMES)
     with pytest.raises(ValueError, match="missing"):
-        interface.joint_movement(shuffled, [*NAMES, "elbow"])
+        joint_messages.movement(shuffled, [*NAMES, "elbow"])
 
 
 @given(STAMPS, SEVEN, st.sampled_from(["multiarray", "joint_state"]))
 def test_a_torque_says_which_state_it_answers(
     stamp_ns: int, tau: list[float], command_type: str
 ) -> None:
-    write = interface.TorqueWriter(NAMES, command_type)
-    reading = interface.torque(write(stamp_ns, "rollout trial-0007", np.array(tau)), NAMES)
+    write = joint_messages.TorqueWriter(NAMES, command_type)
+    reading = joint_messages.torque(write(stamp_ns, "rollout trial-0007", np.array(tau)), NAMES)
     assert reading.stamp_ns == stamp_ns
     assert reading.label == "rollout trial-0007"
     assert reading.tau.tolist() == tau
 
 
 def test_a_torque_without_a_label_is_still_a_torque() -> None:
-    reading = interface.torque(Float64MultiArray(data=[1.0] * 7), NAMES)
+    reading = joint_messages.torque(Float64MultiArray(data=[1.0] * 7), NAMES)
     assert reading.stamp_ns is None
     assert reading.tau.tolist() == [1.0] * 7
 
@@ -140,13 +143,13 @@ def test_a_torque_without_a_label_is_still_a_torque() -> None:
 @pytest.mark.parametrize("data", [[], [0.0] * 6, [0.0] * 8, [0.0] * 6 + [math.nan]])
 def test_a_bad_torque_is_refused(data: list[float]) -> None:
     with pytest.raises(ValueError, match="torque"):
-        interface.torque(Float64MultiArray(data=data), NAMES)
+        joint_messages.torque(Float64MultiArray(data=data), NAMES)
 
 
 @given(STAMPS, st.lists(FINITE, min_size=3, max_size=3))
 def test_a_pose_comes_back_as_it_went(stamp_ns: int, position: list[float]) -> None:
     quat_xyzw = np.array([0.0, 0.6, 0.0, 0.8])
-    reading = interface.pose(interface.pose_message(stamp_ns, "world", position, quat_xyzw))
+    reading = pose_messages.pose(pose_messages.pose_message(stamp_ns, "world", position, quat_xyzw))
     assert (reading.stamp_ns, reading.frame) == (stamp_ns, "world")
     assert reading.position.tolist() == position
     np.testing.assert_allclose(reading.quat_xyzw, quat_xyzw, atol=1e-15)
@@ -157,12 +160,12 @@ def test_a_pose_with_a_bad_quaternion_is_refused(number: float) -> None:
     message = PoseStamped()
     message.header.stamp.sec, message.pose.orientation.w = 1, number
     with pytest.raises(ValueError, match=r"quaternion|finite"):
-        interface.pose(message)
+        pose_messages.pose(message)
 
 
 def test_a_state_comes_back_with_its_twist_in_the_base_frame() -> None:
     half = math.sqrt(0.5)  # a quarter turn about z: child x is base y
-    state = interface.StateReading(
+    state = pose_messages.StateReading(
         5,
         interface.BASE_FRAME,
         np.array([1.0, 2.0, 3.0]),
@@ -171,28 +174,28 @@ def test_a_state_comes_back_with_its_twist_in_the_base_frame() -> None:
         np.array([0.0, 0.0, 7.0]),
         1e-6,
     )
-    message = interface.odometry_message(state, "pancake")
+    message = pose_messages.odometry_message(state, "pancake")
     assert message.twist.twist.linear.x == pytest.approx(4.0)
-    back = interface.odometry(message)
+    back = pose_messages.odometry(message)
     for was, is_now in zip(state[2:], back[2:], strict=True):
         np.testing.assert_allclose(is_now, was, atol=1e-12)
 
 
 def test_markers_come_back_and_those_not_finite_are_left_out() -> None:
     points = np.array([[1.0, 2.0, 3.0], [math.nan, 0.0, 0.0], [4.0, 5.0, 6.0]])
-    stamp_ns, frame, back = interface.markers(interface.markers_message(9, "world", points))
+    stamp_ns, frame, back = pose_messages.markers(pose_messages.markers_message(9, "world", points))
     assert (stamp_ns, frame) == (9, "world")
     np.testing.assert_array_equal(back, points[[0, 2]])
 
 
 def test_a_cloud_of_another_layout_is_refused() -> None:
-    message = interface.markers_message(9, "world", np.zeros((2, 3)))
+    message = pose_messages.markers_message(9, "world", np.zeros((2, 3)))
     message.data = message.data[:-1]
     with pytest.raises(ValueError, match="bytes"):
-        interface.markers(message)
+        pose_messages.markers(message)
     message.fields = message.fields[:2]
     with pytest.raises(ValueError, match="float32"):
-        interface.markers(message)
+        pose_messages.markers(message)
 
 
 @given(st.integers(1, 200), st.integers(1, 10**18))
@@ -204,8 +207,8 @@ def test_a_rollout_path_keeps_its_id_start_and_poses(count: int, start_ns: int) 
         np.random.default_rng(count).normal(size=(count, 3)),
         np.tile(LEVEL, (count, 1)),
     )
-    message = interface.path_message(there, start_ns, interface.BASE_FRAME)
-    back_ns, back = interface.path(message, EndEffectorPath)
+    message = pose_messages.path_message(there, start_ns, interface.BASE_FRAME)
+    back_ns, back = pose_messages.path(message, EndEffectorPath)
     assert (back_ns, back.id) == (start_ns, there.id)
     np.testing.assert_allclose(back.t, t, atol=1e-9)
     np.testing.assert_array_equal(back.position, there.position)
@@ -214,25 +217,25 @@ def test_a_rollout_path_keeps_its_id_start_and_poses(count: int, start_ns: int) 
 
 def test_an_empty_path_keeps_its_id() -> None:
     nothing = BodyPath("trial-0008", np.empty(0), np.empty((0, 3)), np.empty((0, 4)))
-    message = interface.path_message(nothing, 5, interface.BASE_FRAME)
-    start_ns, back = interface.path(message, BodyPath)
+    message = pose_messages.path_message(nothing, 5, interface.BASE_FRAME)
+    start_ns, back = pose_messages.path(message, BodyPath)
     assert (start_ns, back.id, len(back.t)) == (5, "trial-0008", 0)
 
 
 def test_a_path_of_two_rollouts_is_refused() -> None:
     path = BodyPath("a", np.array([0.1, 0.2]), np.zeros((2, 3)), np.tile(LEVEL, (2, 1)))
-    message = interface.path_message(path, 5, interface.BASE_FRAME)
+    message = pose_messages.path_message(path, 5, interface.BASE_FRAME)
     message.poses[1].header.frame_id = "b"
     with pytest.raises(ValueError, match="ids"):
-        interface.path(message, BodyPath)
+        pose_messages.path(message, BodyPath)
     message.poses.clear()
     with pytest.raises(ValueError, match="no pose"):
-        interface.path(message, BodyPath)
+        pose_messages.path(message, BodyPath)
 
 
 @given(STAMPS)
 def test_stamps_are_exact(stamp_ns: int) -> None:
-    assert interface.nanoseconds(interface.stamp(stamp_ns)) == stamp_ns
+    assert nanoseconds(time_message(stamp_ns)) == stamp_ns
 
 
 def test_topics_follow_the_name_of_the_tracked_body() -> None:

@@ -40,7 +40,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import PracticeSettings, preset
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, pose_messages
 
 SEED = 43
 JOINTS = [f"wam_j{i}" for i in range(1, 8)]
@@ -285,7 +285,7 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
     path = EndEffectorPath(
         ROLLOUTS[0], np.array([0.0, 0.01]), np.zeros((2, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
     )
-    left_path.publish(interface.path_message(path, 2_000_000, interface.BASE_FRAME))
+    left_path.publish(pose_messages.path_message(path, 2_000_000, interface.BASE_FRAME))
     left_truth.publish(String(data=json.dumps({"id": ROLLOUTS[0], "caught": "long ago"})))
     assert probe.call(SetBool, interface.RECORD, SetBool.Request(data=True)).success
 

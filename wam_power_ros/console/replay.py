@@ -22,7 +22,7 @@ from wam_power_ros.bags import reader
 from wam_power_ros.console.prompt import ask, say
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.node_runner import run_script
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
@@ -59,7 +59,7 @@ class Replay(Node):
             *reader.read_demonstration(params.bag, names), params.speed
         )
         self._duration = float(t[-1])
-        self._message = interface.joint_movement_message(names, interface.JointMovement(t, q))
+        self._message = joint_messages.movement_message(names, joint_messages.JointMovement(t, q))
         self._movements = self.create_publisher(
             JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED
         )

@@ -43,8 +43,9 @@ from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import interface, node_runner, scheduling
+from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages, scheduling
 from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.stamps import nanoseconds
 
 HEAR_ALL = QoSProfile(
     depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
@@ -90,7 +91,7 @@ class CheckDriver(Node):
         super().__init__("check_driver")
         self._arm_params, self._mocap, self._console = arm, mocap, console
         self._keyboard = Keyboard()
-        self._read = interface.JointStateReader(arm.joint_names)
+        self._read = joint_messages.JointStateReader(arm.joint_names)
         self.states: list[StateSample] = []
         self.velocities: list[tuple[int, np.ndarray]] = []
         self.frames: list[FrameSample] = []
@@ -99,7 +100,7 @@ class CheckDriver(Node):
         self._urdf = share(arm.urdf).read_text() if arm.urdf else ""
         self._torques = 0
         self._answer: Callable[[StateSample], None] | None = None
-        self._command_type = interface.COMMAND_TYPES[arm.command_type]
+        self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
         subscribe = self.create_subscription
         subscribe(JointState, arm.state_topic, self._on_state, HEAR_ALL)
         if arm.velocity_topic:
@@ -119,7 +120,7 @@ class CheckDriver(Node):
 
     def _on_state(self, message: JointState) -> None:
         q, qd, tau = (np.array(v) for v in (message.position, message.velocity, message.effort))
-        stamp_ns = interface.nanoseconds(message.header.stamp)
+        stamp_ns = nanoseconds(message.header.stamp)
         sample = StateSample(time.time_ns(), stamp_ns, tuple(message.name), q, qd, tau)
         self.states.append(sample)
         if self._answer is not None:
@@ -134,14 +135,14 @@ class CheckDriver(Node):
             self.velocities.append((time.time_ns(), qd))
 
     def _on_pose(self, message: PoseStamped) -> None:
-        stamp_ns = interface.nanoseconds(message.header.stamp)
+        stamp_ns = nanoseconds(message.header.stamp)
         p, o = message.pose.position, message.pose.orientation
         position, quat_xyzw = np.array([p.x, p.y, p.z]), np.array([o.x, o.y, o.z, o.w])
         self.frames.append(FrameSample(time.time_ns(), stamp_ns, position, quat_xyzw))
 
     def _on_cloud(self, message: PointCloud2) -> None:
         try:
-            stamp_ns, _, points = interface.markers(message)
+            stamp_ns, _, points = pose_messages.markers(message)
         except ValueError as error:
             self._unread[str(error)] += 1
             return
@@ -291,7 +292,7 @@ class CheckDriver(Node):
         if not active and self.ask(question) != "yes":
             return unchecked("asks for consent: --active, or yes at the keyboard")
         self.destroy_subscription(self._listener)
-        write = interface.TorqueWriter(names, params.command_type)
+        write = joint_messages.TorqueWriter(names, params.command_type)
         publisher = self.create_publisher(
             write.message_type, params.command_topic, interface.COMMAND
         )

@@ -27,6 +27,7 @@ from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.learning import policy
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface, node_runner, scheduling
+from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
@@ -210,7 +211,7 @@ class DemonstrationRecorder(Node):
         values["lost before they came"] = sum(lost.values())
         values["real-time scheduling"] = self._granted.scheduling
         name, now = "demonstration_recorder: bag", self.get_clock().now().to_msg()
-        self._diagnostics.publish(interface.diagnostics(now, name, "disk", level, text, values))
+        self._diagnostics.publish(diagnostics_message(now, name, "disk", level, text, values))
 
     def close(self) -> None:
         """Finish the bag before the process ends."""

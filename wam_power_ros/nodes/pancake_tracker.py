@@ -21,7 +21,8 @@ from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros import interface, node_runner
+from wam_power_ros.ros import interface, node_runner, pose_messages
+from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.tracking.tracker import (
     ClockOffset,
     TrackedState,
@@ -99,10 +100,10 @@ class PancakeTracker(Node):
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         if params.markers_topic:
-            self._read, self._add = interface.markers, self._tracker.add_markers
+            self._read, self._add = pose_messages.markers, self._tracker.add_markers
             subscribe(PointCloud2, params.markers_topic, self._on_frame, interface.MOCAP_IN)
         else:
-            self._read, self._add = interface.pose, self._tracker.add
+            self._read, self._add = pose_messages.pose, self._tracker.add
             subscribe(PoseStamped, params.pose_topic, self._on_frame, interface.MOCAP_IN)
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
         self.create_timer(0.5 / params.rate, self._look, clock=steady)
@@ -127,7 +128,7 @@ class PancakeTracker(Node):
 
     def _on_end_effector(self, message: Path) -> None:
         try:
-            start_ns, pan = interface.path(message, EndEffectorPath)
+            start_ns, pan = pose_messages.path(message, EndEffectorPath)
         except ValueError as error:
             self._refuse(error)
             return
@@ -143,8 +144,8 @@ class PancakeTracker(Node):
         self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
 
     def _publish(self, state: TrackedState) -> None:
-        reading = interface.StateReading(state.stamp_ns, interface.BASE_FRAME, *state[1:6])
-        self._states.publish(interface.odometry_message(reading, self._params.body))
+        reading = pose_messages.StateReading(state.stamp_ns, interface.BASE_FRAME, *state[1:6])
+        self._states.publish(pose_messages.odometry_message(reading, self._params.body))
 
     def _look(self) -> None:
         """Coast through an occlusion; give up waiting for frames that do not come."""
@@ -175,7 +176,7 @@ class PancakeTracker(Node):
             self._complain(f"{rollout.id} not scored: stamps {self._offset.seconds:.3f} s off")
             nothing = np.zeros(0)
             path = BodyPath(rollout.id, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
-        message = interface.path_message(path, rollout.start_ns, interface.BASE_FRAME)
+        message = pose_messages.path_message(path, rollout.start_ns, interface.BASE_FRAME)
         self._paths.publish(message)
 
     def _complain(self, text: str) -> None:
@@ -197,7 +198,7 @@ class PancakeTracker(Node):
             "last trouble": self._trouble,
         }
         self._diagnostics.publish(
-            interface.diagnostics(
+            diagnostics_message(
                 self.get_clock().now().to_msg(),
                 f"pancake_tracker: {self._params.body}",
                 "motion capture",

@@ -30,10 +30,19 @@ from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import cdr, interface, node_runner, scheduling, security
+from wam_power_ros.ros import (
+    cdr,
+    interface,
+    joint_messages,
+    node_runner,
+    pose_messages,
+    scheduling,
+    security,
+)
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.command_guard import SoleCommander
 from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -59,7 +68,7 @@ class TorqueController(LifecycleNode):
         self._active = False
         self._refused: Counter[str] = Counter()
         self._trouble = ""  # the last refusal, for the diagnostics
-        self._movement: interface.JointMovement | None = None  # to be replayed
+        self._movement: joint_messages.JointMovement | None = None  # to be replayed
         self._moved_for = ""  # policy to whose start the arm was sent last
         self._qd: np.ndarray | None = None  # of the velocity topic
         self._stamp_ns = 0  # of the last state
@@ -72,9 +81,9 @@ class TorqueController(LifecycleNode):
         self._statistics = LoopStatistics(round(params.period * 1e9))
         self._granted = scheduling.Granted()
 
-        self._reader = interface.JointStateReader(params.joint_names)
+        self._reader = joint_messages.JointStateReader(params.joint_names)
         self._read = cdr.StateReader(self._reader)
-        writer = interface.TorqueWriter(params.joint_names, params.command_type)
+        writer = joint_messages.TorqueWriter(params.joint_names, params.command_type)
         self._write = cdr.TorqueSender(writer)
         self._commands = self.create_publisher(
             writer.message_type, params.command_topic, interface.COMMAND
@@ -209,7 +218,7 @@ class TorqueController(LifecycleNode):
         path = controller.take_finished()
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
-            self._paths.publish(interface.path_message(path, start_ns, self._params.base_frame))
+            self._paths.publish(pose_messages.path_message(path, start_ns, self._params.base_frame))
         if self._move.pending or self._replay.pending:
             self._answer_moves()
         return None
@@ -283,7 +292,7 @@ class TorqueController(LifecycleNode):
 
     def _on_movement(self, message: JointTrajectory) -> None:
         try:
-            self._movement = interface.joint_movement(message, self._params.joint_names)
+            self._movement = joint_messages.movement(message, self._params.joint_names)
         except ValueError as error:
             self._refuse("replay trajectory", error)
 
@@ -395,7 +404,7 @@ class TorqueController(LifecycleNode):
         self._trouble = ""
         name = "torque_controller: loop"
         self._diagnostics.publish(
-            interface.diagnostics(now, name, self._params.hardware_id, level, text, values)
+            diagnostics_message(now, name, self._params.hardware_id, level, text, values)
         )
 
     def _overload(self) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from wam_power_ros.ros.interface import JointReading, JointStateReader, TorqueWriter
+from wam_power_ros.ros.joint_messages import JointReading, JointStateReader, TorqueWriter
 
 _ORIGIN = 4  # where the message begins, behind two bytes that tell its encoding and two of options
 _STAMP = struct.Struct("=iI")

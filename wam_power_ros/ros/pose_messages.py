@@ -1,58 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses, markers, paths, states and diagnostics <-> arrays: the other half of `interface`.
+"""Poses, markers, states and paths <-> arrays.
 
-Callers write `interface.pose(...)`: this file is only where these conversions live. Reading
-validates the whole message and raises `ValueError` naming the value and the rule. Stamps are `int`
-nanoseconds, quaternions xyzw, all else SI.
+Reading validates the whole message and raises `ValueError` naming the value and the rule. Stamps
+are `int` nanoseconds, quaternions xyzw, all else SI.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
-from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2, PointField
+
+from wam_power_ros.ros.stamps import nanoseconds, sensor_stamp, time_message
 
 if TYPE_CHECKING:
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 
 RolloutPath = TypeVar("RolloutPath", "EndEffectorPath", "BodyPath")
-
-
-def nanoseconds(time: Time) -> int:
-    """A stamp as nanoseconds [ns]."""
-    return time.sec * 1_000_000_000 + time.nanosec
-
-
-def stamp(stamp_ns: int) -> Time:
-    """Nanoseconds [ns] as a stamp."""
-    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-    return Time(sec=sec, nanosec=nanosec)
-
-
-def sensor_stamp(message: object) -> int:
-    """The stamp of a sensor message [ns].
-
-    Raises:
-        ValueError: the stamp is not set: such messages cannot be put in order.
-    """
-    return set_stamp(nanoseconds(message.header.stamp))
-
-
-def set_stamp(stamp_ns: int) -> int:
-    """A sensor's stamp [ns], if it is set.
-
-    Raises:
-        ValueError: it is not.
-    """
-    if stamp_ns <= 0:
-        raise ValueError(f"stamp is {stamp_ns} ns; the driver must stamp its messages")
-    return stamp_ns
 
 
 class PoseReading(NamedTuple):
@@ -80,7 +47,7 @@ def pose_message(
 ) -> PoseStamped:
     """A pose, position (3,) [m] and quat_xyzw (4,), in `frame`."""
     message = PoseStamped()
-    message.header.stamp, message.header.frame_id = stamp(stamp_ns), frame
+    message.header.stamp, message.header.frame_id = time_message(stamp_ns), frame
     _fill_pose(message.pose, position, quat_xyzw)
     return message
 
@@ -137,7 +104,7 @@ def markers_message(stamp_ns: int, frame: str, points: np.ndarray) -> PointCloud
     """Markers (m, 3) [m] as an unordered cloud of float32 x, y, z."""
     points = np.asarray(points, dtype="<f4").reshape(-1, 3)
     message = PointCloud2(height=1, width=len(points), point_step=12, is_dense=True)
-    message.header.stamp, message.header.frame_id = stamp(stamp_ns), frame
+    message.header.stamp, message.header.frame_id = time_message(stamp_ns), frame
     message.row_step = 12 * len(points)
     message.fields = [
         PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
@@ -162,7 +129,7 @@ class StateReading(NamedTuple):
 def odometry_message(state: StateReading, child_frame: str) -> Odometry:
     """A state as Odometry, whose twist is in the child frame by its definition: rotated here."""
     message = Odometry(child_frame_id=child_frame)
-    message.header.stamp, message.header.frame_id = stamp(state.stamp_ns), state.frame
+    message.header.stamp, message.header.frame_id = time_message(state.stamp_ns), state.frame
     _fill_pose(message.pose.pose, state.position, state.quat_xyzw)
     rotation = _rotation(state.quat_xyzw)
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
@@ -206,7 +173,7 @@ def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) ->
     A path without poses could not carry its id: it is sent as one pose at NaN.
     """
     message = Path()
-    message.header.stamp, message.header.frame_id = stamp(start_ns), frame
+    message.header.stamp, message.header.frame_id = time_message(start_ns), frame
     if not len(path.t):
         nowhere = np.full(3, np.nan)
         message.poses = [pose_message(start_ns, path.id, nowhere, np.array([0.0, 0.0, 0.0, 1.0]))]
@@ -247,27 +214,3 @@ def path(message: Path, kind: type[RolloutPath]) -> tuple[int, RolloutPath]:
     position = np.array([item[0] for item in arrays]).reshape(-1, 3)  # (M, 3)
     quat_xyzw = np.array([item[1] for item in arrays]).reshape(-1, 4)  # (M, 4)
     return start_ns, kind(id=ids.pop(), t=t, position=position, quat_xyzw=quat_xyzw)
-
-
-LEVELS = {
-    "ok": DiagnosticStatus.OK,
-    "warn": DiagnosticStatus.WARN,
-    "error": DiagnosticStatus.ERROR,
-    "stale": DiagnosticStatus.STALE,
-}
-
-
-def diagnostics(
-    now: Time, name: str, hardware_id: str, level: str, text: str, values: Mapping[str, object]
-) -> DiagnosticArray:
-    """One status (REP-107): name "node: component", level of `LEVELS`, values as text."""
-    status = DiagnosticStatus(
-        level=LEVELS[level],
-        name=name,
-        hardware_id=hardware_id,
-        message=text,
-        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-    )
-    message = DiagnosticArray(status=[status])
-    message.header.stamp = now
-    return message

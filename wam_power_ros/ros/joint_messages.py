@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint states, torques and recorded movements <-> arrays, in the order of our joints.
+
+Reading validates the whole message and raises `ValueError` naming the value and the rule; the
+caller drops the message, counts it and warns. Stamps are `int` nanoseconds, all else SI.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from wam_power_ros.ros.stamps import nanoseconds, set_stamp, time_message
+
+COMMAND_TYPES = {"multiarray": Float64MultiArray, "joint_state": JointState}
+
+
+class JointReading(NamedTuple):
+    """One joint state, in the order of our joints."""
+
+    stamp_ns: int
+    q: np.ndarray  # (nj,) [rad]
+    qd: np.ndarray | None  # (nj,) [rad/s], None when the driver does not say
+
+
+class JointStateReader:
+    """JointState -> arrays in the order of `joint_names`, matched by name, others ignored."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        if not joint_names or len(set(joint_names)) != len(joint_names):
+            raise ValueError(f"joint_names {list(joint_names)} must be distinct and not empty")
+        self.joint_names = tuple(joint_names)
+        self._seen: list[str] | None = None  # names of the last good message
+        # (nj,) our joints in that message; None when it holds them and no others, in our order
+        self._index: np.ndarray | None = None
+
+    def __call__(self, message: JointState) -> JointReading | None:
+        """Read one message.
+
+        Returns:
+            The reading, or None when the message holds none of our joints (another device's).
+
+        Raises:
+            ValueError: some of our joints missing or doubled, a length or a value not acceptable.
+        """
+        names = message.name
+        if names != self._seen:
+            index = self.lookup(names)
+            if index is None:
+                return None
+            same = np.array_equal(index, np.arange(len(names)))
+            self._seen, self._index = list(names), None if same else index
+        q = _joint_values("position", message.position, len(names))
+        qd = None
+        if len(message.velocity):
+            qd = _joint_values("velocity", message.velocity, len(names))
+        return self.reading(nanoseconds(message.header.stamp), q, qd)
+
+    def reading(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> JointReading:
+        """A reading from the numbers of a message with the names of the last one.
+
+        Raises:
+            ValueError: a value not acceptable.
+        """
+        if self._index is not None:
+            q = q[self._index]
+            qd = None if qd is None else qd[self._index]
+        if not _finite(q):
+            raise ValueError(f"position {q.tolist()} must be finite")
+        if qd is not None and not _finite(qd):
+            if np.isinf(qd).any():
+                raise ValueError(f"velocity {qd.tolist()} must be finite, NaN or left out")
+            qd = None
+        return JointReading(set_stamp(stamp_ns), q, qd)
+
+    def velocity(self, message: JointState) -> np.ndarray | None:
+        """Joint velocities from a message of their own; nameless ones count in our order.
+
+        Returns:
+            Velocities (nj,) [rad/s], or None when the message holds none of our joints.
+
+        Raises:
+            ValueError: as for a joint state.
+        """
+        names = message.name
+        if not names:
+            qd = _joint_values("velocity", message.velocity, len(self.joint_names))
+        else:
+            index = self.lookup(names)
+            if index is None:
+                return None
+            qd = _joint_values("velocity", message.velocity, len(names))[index]
+        if not np.isfinite(qd).all():
+            raise ValueError(f"velocity {qd.tolist()} must be finite")
+        return qd
+
+    def lookup(self, names: Sequence[str]) -> np.ndarray | None:
+        """Where our joints are in `names` (nj,), None when none is; ValueError as for a message."""
+        place = {name: i for i, name in enumerate(names)}
+        missing = [name for name in self.joint_names if name not in place]
+        if len(missing) == len(self.joint_names):
+            return None
+        if missing:
+            raise ValueError(f"joints {missing} missing in names {list(names)}")
+        if len(place) != len(names):
+            raise ValueError(f"names {list(names)} must be distinct")
+        return np.array([place[name] for name in self.joint_names], dtype=np.intp)
+
+
+def _finite(values: np.ndarray) -> bool:
+    """Whether all are finite; a sum of floats tells it several times faster than NumPy does."""
+    return math.isfinite(sum(values.tolist())) or bool(np.isfinite(values).all())
+
+
+def _joint_values(field: str, values: array, length: int) -> np.ndarray:
+    if len(values) != length:
+        raise ValueError(f"{field} has {len(values)} values for {length} joints")
+    return np.frombuffer(values) if isinstance(values, array) else np.array(values, dtype=float)
+
+
+class JointStateWriter:
+    """Arrays -> JointState; one message is made once and filled again and again."""
+
+    def __init__(self, joint_names: Sequence[str]) -> None:
+        self.joint_names = tuple(joint_names)
+        self._message = JointState(name=list(joint_names))
+
+    def __call__(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, frame: str = ""
+    ) -> JointState:
+        """Fill the message: q (nj,) [rad], qd (nj,) [rad/s], tau (nj,) [N m]; empty leaves out."""
+        message = self._message
+        message.header.stamp = time_message(stamp_ns)
+        message.header.frame_id = frame
+        message.position = array("d", _plain(q))
+        message.velocity = array("d", _plain(qd))
+        message.effort = array("d", _plain(tau))
+        return message
+
+
+def nameless_velocities(stamp_ns: int, qd: np.ndarray) -> JointState:
+    """Velocities (nj,) [rad/s] and nothing else, in an order that is agreed upon."""
+    message = JointState(velocity=array("d", qd))
+    message.header.stamp = time_message(stamp_ns)
+    return message
+
+
+def _plain(values: np.ndarray | Sequence[float]) -> Sequence[float]:
+    return values.tolist() if isinstance(values, np.ndarray) else values
+
+
+class JointMovement(NamedTuple):
+    """A recorded joint movement, to be replayed."""
+
+    t: np.ndarray  # (N,) [s]
+    q: np.ndarray  # (N, nj) [rad]
+
+
+def movement(message: JointTrajectory, joint_names: Sequence[str]) -> JointMovement:
+    """Read a movement; only its times and positions count, matched by name.
+
+    Raises:
+        ValueError: a joint missing or doubled, a length that does not fit, a value not finite.
+    """
+    index = JointStateReader(joint_names).lookup(message.joint_names)
+    if index is None or not message.points:
+        raise ValueError(f"trajectory of {message.joint_names} has no point of {list(joint_names)}")
+    size = len(message.joint_names)
+    rows = [_joint_values("position", point.positions, size)[index] for point in message.points]
+    q = np.array(rows)  # (N, nj)
+    if not np.isfinite(q).all():
+        raise ValueError("positions of the trajectory must be finite")
+    times = [point.time_from_start for point in message.points]
+    return JointMovement(np.array([time.sec + 1e-9 * time.nanosec for time in times]), q)
+
+
+def movement_message(joint_names: Sequence[str], movement: JointMovement) -> JointTrajectory:
+    """A movement as a trajectory message."""
+    message = JointTrajectory(joint_names=list(joint_names))
+    for t, q in zip(movement.t, movement.q, strict=True):
+        sec, nanosec = divmod(round(float(t) * 1e9), 1_000_000_000)
+        point = JointTrajectoryPoint(positions=array("d", q))
+        point.time_from_start.sec, point.time_from_start.nanosec = sec, nanosec
+        message.points.append(point)
+    return message
+
+
+class TorqueReading(NamedTuple):
+    """One torque command and the state it answers."""
+
+    stamp_ns: int | None  # None when the sender does not label its commands
+    label: str
+    tau: np.ndarray  # (nj,) [N m]
+
+
+class TorqueWriter:
+    """Torques -> command message, labelled in-band with the state they answer.
+
+    A Float64MultiArray carries "<stamp_ns> <label>" in `layout.dim[0].label`, a JointState the
+    stamp in its header and the label as frame_id. Real drivers read neither.
+    """
+
+    def __init__(self, joint_names: Sequence[str], command_type: str) -> None:
+        if command_type not in COMMAND_TYPES:
+            raise ValueError(f"command_type {command_type!r} must be one of {list(COMMAND_TYPES)}")
+        self.message_type = COMMAND_TYPES[command_type]
+        self._states = JointStateWriter(joint_names) if command_type == "joint_state" else None
+        size = len(joint_names)
+        self._dimension = MultiArrayDimension(size=size, stride=size)
+        self._message = Float64MultiArray()
+        self._message.layout.dim = [self._dimension]
+
+    def __call__(
+        self, stamp_ns: int, label: str, tau: np.ndarray
+    ) -> Float64MultiArray | JointState:
+        """Fill the message with tau (nj,) [N m]; it is the same object every time."""
+        if self._states is not None:
+            return self._states(stamp_ns, (), (), tau, frame=label)
+        self._dimension.label = f"{stamp_ns} {label}"
+        self._message.data = array("d", tau.tolist())
+        return self._message
+
+
+def torque(message: Float64MultiArray | JointState, joint_names: Sequence[str]) -> TorqueReading:
+    """Read a torque command as a driver does.
+
+    Raises:
+        ValueError: wrong length or names, or a value that is not finite.
+    """
+    if isinstance(message, JointState):
+        if message.name != list(joint_names):
+            raise ValueError(f"names {message.name} must be {list(joint_names)}")
+        values, label = message.effort, message.header.frame_id
+        answered = nanoseconds(message.header.stamp) or None
+    else:
+        values = message.data
+        number, _, label = (message.layout.dim[0].label if message.layout.dim else "").partition(
+            " "
+        )
+        answered = int(number) if number.isascii() and number.isdigit() else None
+    tau = _joint_values("torque", values, len(joint_names)).copy()
+    if not np.isfinite(tau).all():
+        raise ValueError(f"torque {tau.tolist()} must be finite")
+    return TorqueReading(answered, label, tau)
