@@ -185,7 +185,7 @@ class Lab:
         def agreed() -> bool:
             response = self._probe.call(service, name, filled, PATIENCE)
             answer = answers.read(response.success, response.message)
-            if answer.success or (name == interface.RESET and answer.code is answers.Code.BUSY):
+            if answer.success or (name == interface.RESET and answer.code is answers.Code.NOTHING):
                 return True  # without a fault there is nothing to reset
             self._probe.call(Trigger, interface.RESET, deadline=PATIENCE)  # as the guide says
             return False

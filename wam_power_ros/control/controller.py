@@ -231,7 +231,7 @@ class Controller:
         """
         if self._mode is not Mode.FAULT:
             text = f"reset refused: no fault, mode is {self._mode.value}"
-            raise ControllerError(Refusal.REFUSED, text)
+            raise ControllerError(Refusal.NOTHING, text)
         if self._states.refused_in_row:
             text = "reset refused: the last joint state was not valid"
             raise ControllerError(Refusal.REFUSED, text)
