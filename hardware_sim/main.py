@@ -42,18 +42,18 @@ class Simulation:
         self.wam = WamSim()
         params = self.wam.params
         make_scene = scene_type(params.scene)
-        self.optitrack = OptitrackSim() if make_scene.body else None
-        mocap = MocapSettings()
-        if self.optitrack is not None:
-            seen = self.optitrack.params
-            if seen.body != make_scene.body:
+        self.optitrack: OptitrackSim | None = None
+        mocap, on_frame = MocapSettings(), _no_frame
+        if make_scene.body:
+            self.optitrack = OptitrackSim()
+            mocap, on_frame = self.optitrack.params.mocap(), self.optitrack.publish
+            body = self.optitrack.params.body
+            if body != make_scene.body:
                 raise ValueError(
-                    f"optitrack_sim is set to body {seen.body!r}, but the tracked body of scene "
+                    f"optitrack_sim is set to body {body!r}, but the tracked body of scene "
                     f"{params.scene!r} is {make_scene.body!r}"
                 )
-            mocap = seen.mocap()
-        world = World(params.world(mocap), params.seed, make_scene)
-        self.wam.attach(world, self._publish_frame)
+        self.wam.attach(World(params.world(mocap), params.seed, make_scene), on_frame)
         rngs = [np.random.default_rng((params.seed, link)) for link in range(2)]
         self._out = Link(params.state_latency, params.state_jitter, params.state_loss, rngs[0])
         self._in = Link(params.command_latency, params.command_jitter, params.command_loss, rngs[1])
@@ -72,10 +72,6 @@ class Simulation:
             self._lockstep(executor, ended)
         else:
             self._real_time(executor, ended)
-
-    def _publish_frame(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
-        if self.optitrack is not None:
-            self.optitrack.publish(frame, stamp_offset_ns, now_ns)
 
     def _lockstep(self, executor: Executor, ended: Callable[[], bool]) -> None:
         self.wam.on_torque = self._answer
@@ -125,6 +121,10 @@ class Simulation:
     def _report(self) -> None:
         granted = {"real-time scheduling": self._granted.scheduling}
         self.wam.report({**self._statistics.report(), **granted})
+
+
+def _no_frame(frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
+    """Frames of a scene without a tracked body: there are none."""
 
 
 def main() -> int:

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""OptiTrack stand-in: frames of the world in, pose and markers of the pancake out.
+"""OptiTrack stand-in: frames of the world in, pose and markers of the tracked body out.
 
-It sees the world that `wam_sim` steps, so it lives in that process: see `standins`. What drivers
-of motion capture differ in, and get wrong, are its parameters.
+Its cameras observe the world that `wam_sim` steps, so it runs in that process: see `main`. Its
+parameters are what drivers of motion capture differ in, and get wrong.
 """
 
 from __future__ import annotations
 
 import sys
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -20,17 +20,17 @@ from hardware_sim.sensors import MocapFrame, MocapSettings
 from wam_power_ros import rotations
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.tracking.tracker import Y_UP
 
-Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # to y up: (x, z, -y)
-PAIR_NS = 100_000  # between the receipts of frames that are delivered together
-STRAY = np.array([[0.4, -0.3, 0.05], [0.45, -0.2, 0.05], [-0.1, 0.6, 0.3]])  # [m] of other things
+PAIR_NS = 100_000  # [ns] between the receipts of frames that are delivered together
+STRAY = np.array([[0.4, -0.3, 0.05], [0.45, -0.2, 0.05], [-0.1, 0.6, 0.3]])  # [m] other markers
 
 
 class OptitrackSimParams(Params):
-    """What config/optitrack_sim.yaml says; ranges are those of `MocapSettings`."""
+    """Parameters of config/optitrack_sim.yaml; ranges are those of `MocapSettings`."""
 
     frame: str
-    body: str  # whose poses are published
+    body: str
     pose_topic: str
     markers_topic: str
     reliable: bool
@@ -46,16 +46,22 @@ class OptitrackSimParams(Params):
     lost: Literal["omit", "repeat", "zero"]
 
     def mocap(self) -> MocapSettings:
-        """The part that concerns the world."""
+        """Settings of the motion capture."""
         names = ("rate", "noise", "latency", "dropout", "lost")
         return MocapSettings(**{name: getattr(self, name) for name in names})
 
 
 class OptitrackSim(Node):
-    """Publishes what the cameras see of the pancake."""
+    """Publishes poses and markers of the tracked body.
 
-    def __init__(self, **options: object) -> None:
-        """`options` are those of `rclpy.node.Node`."""
+    Attributes:
+        params: Parameters of the node.
+
+    Args:
+        **options: Options of `rclpy.node.Node`.
+    """
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - of Node
         super().__init__(
             "optitrack_sim", automatically_declare_parameters_from_overrides=True, **options
         )
@@ -69,18 +75,18 @@ class OptitrackSim(Node):
         pose = np.array(params.world_to_base)
         self._origin = pose[:3]
         turn = rotations.matrix(pose[3:]).T  # base frame to the motion capture's
-        self._turn = Z_UP @ turn if params.up_axis == "y" else turn
+        self._turn = Y_UP.T @ turn if params.up_axis == "y" else turn
         self._turn_quat = rotations.quat_xyzw(self._turn)
-        self._rng = np.random.default_rng(0)  # of the order of unlabelled markers
+        self._rng = np.random.default_rng(0)  # for the order of unlabelled markers
         self._waiting: list[MocapFrame] = []
 
     def publish(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
-        """Take a frame of the world, and send it or keep it for the one it is sent with.
+        """Publish a frame, or keep it for the one it is delivered together with.
 
         Args:
-            frame: In the arm's base frame, by the world's clock.
-            stamp_offset_ns: Of the clock that stamps, over the world's [ns].
-            now_ns: By the world's clock [ns].
+            frame: Frame in the arm's base frame, stamped by the world's clock.
+            stamp_offset_ns: Offset of the stamping clock from the world's [ns].
+            now_ns: Time of the world's clock [ns].
         """
         params = self.params
         self._waiting.append(frame)
@@ -107,10 +113,10 @@ class OptitrackSim(Node):
 
 
 def main() -> int:
-    """Entry point `optitrack_sim`: says where the stand-in runs."""
+    """Entry point `optitrack_sim`: explains how to start the stand-in."""
     sys.stderr.write(
-        "optitrack_sim sees the world that wam_sim steps and runs in its process: start wam_sim\n"
-        "with config/wam_sim.yaml and config/optitrack_sim.yaml; topics left empty silence it.\n"
+        "optitrack_sim observes the world of wam_sim and runs in its process: start wam_sim\n"
+        "with config/wam_sim.yaml and config/optitrack_sim.yaml; an empty topic is not published.\n"
     )
     return 2
 

@@ -12,10 +12,10 @@ import numpy as np
 from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes import Scene
 from wam_power_ros.control.arm import WAM_GUARDED, Guarded
+from wam_power_ros.tasks.flip.frames import PAN_RADIUS
 
 TIMESTEP = 0.001  # [s] of the physics
 AIR_DENSITY = 1.2  # [kg/m^3]
-PAN_RADIUS = 0.139  # [m]
 _RIM_SEGMENTS = 16
 _RIM_HEIGHT = 0.035  # [m]
 _RIM_FLARE = 0.6  # [rad] outward: the pan of a person, and a catch forgives some centimetres

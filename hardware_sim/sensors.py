@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the drivers would report: joint encoders with a filtered velocity, and motion capture."""
+"""Simulated sensors: joint encoders with a filtered velocity, and motion capture."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _COUNT = math.tau / ENCODER_COUNTS  # [rad]
 
 
 def joint_counts(q: Sequence[float]) -> tuple[float, ...]:
-    """Joint positions as the motors' encoders of an arm with gears of 1:100 see them."""
+    """Joint positions [rad] quantized by motor encoders of an arm with gears of 1:100; seven."""
     return tuple([_COUNT / 100 * round(_COUNTS * 100 * position) for position in q])
 
 
 def wam_counts(q: Sequence[float]) -> tuple[float, ...]:
-    """Joint positions as the encoders of the WAM's motors see them."""
+    """Joint positions [rad] quantized by the encoders of the WAM's motors; seven."""
     return joint_motion([_COUNT * round(_COUNTS * position) for position in motor_motion(q)])
 
 
@@ -32,13 +32,13 @@ class Encoders:
     """Motor positions in whole counts, differenced and low-passed as libbarrett does.
 
     Attributes:
-        q: [rad]; seven.
-        qd: [rad/s]; seven.
+        q: Joint positions [rad]; seven.
+        qd: Joint velocities [rad/s]; seven.
 
     Args:
-        period: From one reading to the next [s].
-        cutoff: Of the first-order low-pass of the velocity [rad/s].
-        counted: Joint positions as the encoders see them.
+        period: Time between readings [s].
+        cutoff: Cut-off of the first-order low-pass of the velocity [rad/s].
+        counted: Quantizes joint positions.
     """
 
     def __init__(
@@ -54,12 +54,12 @@ class Encoders:
         self.qd: tuple[float, ...] = (0.0,) * 7
 
     def reset(self, q: Sequence[float]) -> None:
-        """At rest at these joint positions [rad]; seven."""
+        """Reset to rest at joint positions [rad]; seven."""
         self.q = self._counted(q)
         self.qd = (0.0,) * 7
 
     def read(self, q: Sequence[float]) -> None:
-        """One period later, the joints at these positions [rad]; seven."""
+        """Read the joint positions [rad] of one period later; seven."""
         now, before, keep, gain = self._counted(q), self.q, self._keep, self._gain
         self.qd = tuple(
             [
@@ -75,12 +75,15 @@ class MocapSettings:
     """Motion capture as in the paper, with figures of present systems for what it leaves out.
 
     Attributes:
-        rate: frames a second; the paper's 30.
-        noise: standard deviation of a marker, an axis [m].
-        latency: from exposure to delivery [s].
-        dropout: share of frames that are lost.
-        lost: what a driver makes of a lost frame: nothing, the last pose again, or a pose of zeros.
-        occlusion: share of frames in which a marker is hidden, so that no pose is made of them.
+        rate: Frame rate [Hz]; the paper's is 30.
+        noise: Standard deviation of a marker's position, per axis [m].
+        latency: Time from exposure to delivery [s].
+        dropout: Share of frames that are lost.
+        occlusion: Share of frames in which one marker is hidden.
+        lost: Output of the driver for a lost frame: none, the last pose again, or a pose of zeros.
+
+    Raises:
+        ValueError: A value out of range.
     """
 
     rate: float = 30.0
@@ -99,7 +102,7 @@ class MocapSettings:
 
 
 class MocapFrame(NamedTuple):
-    """One frame of the pancake, as delivered."""
+    """One frame of the tracked body, as delivered."""
 
     stamp_ns: int  # of the exposure
     position: np.ndarray  # (3,) [m]
@@ -108,10 +111,17 @@ class MocapFrame(NamedTuple):
 
 
 class Mocap:
-    """Samples the pancake: markers with noise, a pose fitted to them, delivered late."""
+    """Motion capture of a rigid body: markers with noise, a pose fitted to them, delivered late.
+
+    Args:
+        layout: Marker positions in the frame of the body, all at z = 0 [m]. Shape (4, 3).
+        settings: Settings of the motion capture.
+
+    Raises:
+        ValueError: A marker is not at z = 0.
+    """
 
     def __init__(self, layout: np.ndarray, settings: MocapSettings) -> None:
-        """Track a body with markers at `layout` (4, 3) [m] in its own frame, all at z = 0."""
         if layout[:, 2].any():
             raise ValueError(f"z of the markers {layout[:, 2].tolist()} must be 0")
         self._layout = layout
@@ -127,21 +137,21 @@ class Mocap:
         self._next_ns = 0
 
     def restart(self, now_ns: int, rng: np.random.Generator) -> None:
-        """Frames from this moment on, and their random phase, depend on `rng` alone."""
+        """Restart the frames: from now on they and their phase depend on `rng` alone."""
         self._rng = rng
         self._waiting = [frame for frame in self._waiting if frame.stamp_ns < now_ns]
         self._next_ns = now_ns + 5_000_000 + int(rng.uniform(0.0, self._period_ns))
 
     def forget(self) -> None:
-        """Deliver none of the frames that are on their way."""
+        """Discard frames that have not been delivered."""
         self._waiting = []
 
     def due(self, now_ns: int) -> bool:
-        """Whether the next frame is to be exposed."""
+        """Whether the next frame is due."""
         return now_ns >= self._next_ns
 
     def expose(self, now_ns: int, position: np.ndarray, rotation: np.ndarray) -> None:
-        """Take the frame that is due; the body is at `position` (3,) [m], `rotation` (3, 3)."""
+        """Take the frame that is due, of a body at `position` (3,) [m], `rotation` (3, 3)."""
         self._next_ns += self._period_ns
         settings, rng = self._settings, self._rng
         noise = rng.standard_normal((4, 3)) * settings.noise
@@ -172,7 +182,7 @@ class Mocap:
             self._waiting.append(last._replace(stamp_ns=now_ns, markers=np.empty((0, 3))))
 
     def delivered(self, now_ns: int) -> list[MocapFrame]:
-        """Frames that have come in by now, oldest first."""
+        """Frames due for delivery by now, oldest first."""
         if not self._waiting or self._waiting[0].stamp_ns + self._latency_ns > now_ns:
             return []
         due = [f for f in self._waiting if f.stamp_ns + self._latency_ns <= now_ns]
@@ -181,14 +191,14 @@ class Mocap:
 
 
 def _flat_fit(flat: np.ndarray, markers: np.ndarray) -> np.ndarray:
-    """Least-squares rotation of markers in a plane: the polar factor of a 3 x 2 matrix, in full.
+    """Least-squares rotation of coplanar markers: the polar factor of a 3 x 2 matrix, completed.
 
     Args:
         flat: x and y of the markers in the body's frame, about their mean [m]. Shape (m, 2).
-        markers: Where they are seen [m]. Shape (m, 3).
+        markers: Measured marker positions [m]. Shape (m, 3).
 
     Returns:
-        Shape (3, 3).
+        Rotation matrix. Shape (3, 3).
     """
     (ax, bx), (ay, by), (az, bz) = markers.T.dot(flat).tolist()
     aa, ab, bb = (

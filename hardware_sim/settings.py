@@ -61,7 +61,7 @@ class SceneSettings:
 
     friction: float = 0.2
     body_offset_sd: float = 0.003
-    obstacle: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    obstacle: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("friction", "body_offset_sd"):

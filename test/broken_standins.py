@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stand-ins, wrong in one way that can be changed while they run: /fault names it."""
+"""The stand-ins with one fault, which is named on the topic /fault and can change as they run."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.tracking.tracker import Y_UP
 
 FAULTS = ("none", "wrong order", "no velocity", "100 Hz", "frozen", "Y-up", "no watchdog")
-Z_UP = Y_UP.T  # of a motion capture with y up, what is z up for us
+Z_UP = Y_UP.T  # from z up to y up
 
 
 class _Fault:
-    """The fault that is on; both nodes are of one process."""
+    """The active fault, shared by both nodes of the process."""
 
     name = "none"
 
@@ -39,7 +39,7 @@ class BrokenWam(wam_node.WamSim):
         _Fault.name, self._held = message.data, None
 
     def publish(self, message: JointState) -> None:
-        """One state, if the rate allows, as the broken driver tells it."""
+        """Publish one state with the fault, if the rate allows."""
         self._count += 1
         if _Fault.name == "100 Hz" and self._count % 5:
             return
@@ -50,20 +50,20 @@ class BrokenWam(wam_node.WamSim):
         super().publish(message)
 
     def tick(self, reading: joint_messages.TorqueReading | None) -> JointState:
-        """One step; without a watchdog the last torque is held for ever."""
+        """Step once; without a watchdog the last torque is held for ever."""
         self._held = reading or self._held
         return super().tick(self._held if _Fault.name == "no watchdog" else reading)
 
 
 class BrokenOptitrack(optitrack_node.OptitrackSim):
-    """A motion capture that repeats its last pose, or has y up."""
+    """A motion capture that repeats its last pose or has y up."""
 
     def __init__(self) -> None:
         super().__init__()
         self._seen: MocapFrame | None = None
 
     def publish(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
-        """One frame as the broken motion capture tells it."""
+        """Publish one frame with the fault."""
         if _Fault.name == "frozen" and self._seen is not None:
             frame = self._seen._replace(stamp_ns=frame.stamp_ns)
         elif _Fault.name == "Y-up":

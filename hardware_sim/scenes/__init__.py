@@ -69,8 +69,10 @@ def scene_type(name: str) -> type[Scene]:
         ValueError: No installed package has a scene of this name, or it cannot be imported.
     """
     points = {point.name: point for point in entry_points(group=GROUP)}
+    if not points:
+        raise ValueError(f"no scenes in group {GROUP}: install the package again (make venv)")
     if name not in points:
-        raise ValueError(f"scene {name!r} is not one of {', '.join(sorted(points)) or 'none'}")
+        raise ValueError(f"scene {name!r} is not one of {', '.join(sorted(points))}")
     try:
         found: type[Scene] = points[name].load()
     except (ImportError, AttributeError) as error:

@@ -17,12 +17,12 @@ from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.settings import SceneSettings
 from hardware_sim.wam import PERIOD
 from wam_power_ros import rotations
+from wam_power_ros.tasks.flip.flight import DELTA_H
+from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
 
 BODY = "pancake"
-RADIUS = 0.09  # [m] of the pancake
 HALF_HEIGHT = 0.0025  # [m] of the pancake
 MASS = 0.026  # [kg] of the pancake, the paper's
-DELTA_H = 0.12  # [m] over the pan's floor, where a falling pancake is judged
 HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
 HOME.setflags(write=False)
 PITCH_RATE = 7.6  # [rad/s] of a practised person: most such tosses reproduce at 90 degrees or more
@@ -72,7 +72,7 @@ class Flip:
         body.add_geom(
             name=BODY,
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[RADIUS, HALF_HEIGHT, 0.0],
+            size=[PANCAKE_RADIUS, HALF_HEIGHT, 0.0],
             mass=MASS,
             fluid_ellipsoid=1,
             rgba=[0.95, 0.78, 0.25, 1.0],
@@ -81,7 +81,7 @@ class Flip:
         for sign, colour in ((1.0, [0.97, 0.97, 0.95, 1.0]), (-1.0, [0.96, 0.70, 0.10, 1.0])):
             body.add_geom(  # drawn, not felt
                 type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                size=[0.97 * RADIUS, 0.0004, 0.0],
+                size=[0.97 * PANCAKE_RADIUS, 0.0004, 0.0],
                 pos=[0.0, 0.0, sign * (HALF_HEIGHT + 0.0002)],
                 mass=0.0,
                 rgba=colour,
@@ -138,7 +138,7 @@ def _lies(now: Snapshot) -> tuple[bool, bool]:
     pan = now.rotation
     x, y, z = (pan.T @ (now.body[:3] - now.position)).tolist()
     cosine = float(_normal(now.body) @ pan[:, 2])
-    flat = abs(z) < 0.012 and abs(cosine) > 0.98 and math.hypot(x, y) < scene.PAN_RADIUS
+    flat = abs(z) < 0.012 and abs(cosine) > 0.98 and math.hypot(x, y) < PAN_RADIUS
     return flat, cosine < 0.0
 
 

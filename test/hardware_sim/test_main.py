@@ -11,7 +11,7 @@ from conftest import Probe, Processes, lift
 from geometry_msgs.msg import PoseStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import PointCloud2
-from stand_ins import NAMES, TICK, Hardware, arm_model
+from stand_ins import CONFIGS, NAMES, TICK, Hardware, arm_model
 from std_msgs.msg import Float64MultiArray, String
 
 from wam_power_ros.control.arm import Arm
@@ -114,3 +114,19 @@ def test_links_that_lose_and_jitter_are_survived(probe: Probe, processes: Proces
     probe.spin(2.0)
     assert hardware.label() == "hold"
     np.testing.assert_allclose(hardware.state().q, held, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ({"wam_sim:scene": "flop"}, "'flop' is not one of flip, reach"),
+        ({"optitrack_sim:body": "ball"}, "is set to body 'ball'"),
+        ({"wam_sim:obstacle": [0.5, 0.0, 0.5]}, "must be x, y, z and a radius"),
+    ],
+)
+def test_a_scene_that_does_not_fit_is_refused_at_the_start(
+    processes: Processes, wrong: dict[str, object], reason: str
+) -> None:
+    process = processes.node("hardware_sim.main", *CONFIGS, **wrong)
+    assert process.wait(60.0) == 2
+    assert reason in processes.output(process)

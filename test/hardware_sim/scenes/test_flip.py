@@ -15,7 +15,6 @@ from simulated import CALM, begin, holding_torque, run
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import Truth
 from hardware_sim.scenes.flip import (
-    DELTA_H,
     HALF_HEIGHT,
     HOME,
     WRIST_TO_PAN,
@@ -26,6 +25,7 @@ from hardware_sim.wam import JOINTS, PERIOD
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.tasks.flip.flight import DELTA_H
 
 SEEDS = range(6)
 POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
