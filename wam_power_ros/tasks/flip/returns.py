@@ -14,11 +14,11 @@ from wam_power_ros.tasks.flip.flight import Flight
 
 @dataclass(frozen=True)
 class Return:
-    """A return and the terms it is the sum of.
+    """A return and its terms.
 
     Attributes:
         total: Sum of the terms.
-        terms: Each already weighted, at least 0.
+        terms: Weighted terms by name, each at least 0.
     """
 
     total: float
@@ -30,9 +30,9 @@ class PancakeWeights:
     """Weights of Eq. 5; all 0.5 in the paper.
 
     Attributes:
-        orientation: w1.
-        position: w2.
-        altitude: w3 [1/m].
+        orientation: Weight w1 of the rotation.
+        position: Weight w2 of the distance between pancake and pan.
+        altitude: Weight w3 of the altitude [1/m].
     """
 
     orientation: float = 0.5
@@ -48,14 +48,14 @@ class LandingWeights:
     """Weights of `landing_return`; the defaults sum to 1 for a perfect flip.
 
     Attributes:
-        rotation: Of the unfolded rotation.
-        altitude: Of the altitude up to its cap.
-        altitude_cap: Altitude that earns the whole term [m]; more earns nothing, so throwing
+        rotation: Weight of the unfolded rotation.
+        altitude: Weight of the altitude up to its cap.
+        altitude_cap: Altitude at which that term is full [m]; more earns nothing, so throwing
             higher is no substitute for landing.
-        landing: Of landing near the pan's centre.
-        landing_scale: Distance at which that has fallen to 1/e [m]; sharper terms (0.1) were
+        landing: Weight of landing near the pan's centre.
+        landing_scale: Distance at which that term has fallen to 1/e [m]; sharper terms (0.1) were
             found to keep the learner from turning the pancake further.
-        caught: Of resting in the pan at the end.
+        caught: Weight of resting in the pan at the end.
     """
 
     rotation: float = 0.4
@@ -80,15 +80,15 @@ def pancake_return(flight: Flight, weights: PancakeWeights | None = None) -> Ret
         R = w1 arccos(v0 . v_tf) / pi + w2 exp(-|x_P - x_F|) + w3 x3_max
 
     The 1/pi is in the typeset paper. What the paper leaves open: never tossed, the first term is
-    0 and t_f the end; lost from view, the second term is 0 (and the first, when the turning was
+    0 and t_f the end; lost from view, the second term is 0 (and the first, when the rotation was
     not seen either); the altitude counts from the pan's height at the start and is at least 0.
 
     Args:
-        flight: As observed.
-        weights: Those of the paper when omitted.
+        flight: Observed flight.
+        weights: Weights; the paper's when omitted.
 
     Returns:
-        Terms orientation, position, altitude.
+        Return with the terms orientation, position, altitude.
     """
     weights = PancakeWeights() if weights is None else weights
     turned = 0.0
@@ -106,20 +106,20 @@ def pancake_return(flight: Flight, weights: PancakeWeights | None = None) -> Ret
 
 
 def landing_return(flight: Flight, weights: LandingWeights | None = None) -> Return:
-    """Return of a toss that asks for a whole half turn and a landing. Not in the paper.
+    """Return of a toss that rewards half a turn and a landing in the pan. Not in the paper.
 
         R = w_r rho + w_a min(apex, cap) / cap + rho^2 (w_l exp(-d / d0) + w_c caught)
 
     rho = 1 - |angle - pi| / pi, at least 0, of the unfolded angle: half a turn is best, none or
-    a whole turn is worth nothing. d is the horizontal distance at t_f. Landing and catching count
-    by the rotation squared: a pancake that never turns is easily caught.
+    a whole turn earns nothing. d is the horizontal distance at t_f. Landing and catching are
+    weighted by the rotation squared: a pancake that never turns is easily caught.
 
     Args:
-        flight: As observed.
-        weights: The defaults when omitted.
+        flight: Observed flight.
+        weights: Weights; the defaults when omitted.
 
     Returns:
-        Terms rotation, altitude, landing, caught.
+        Return with the terms rotation, altitude, landing, caught.
     """
     weights = LandingWeights() if weights is None else weights
     rotation = 0.0
