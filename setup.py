@@ -66,5 +66,20 @@ setup(
             "flip = hardware_sim.scenes.flip:Flip",
             "reach = hardware_sim.scenes.reach:Reach",
         ],
+        "wam_power_ros.tasks": [
+            f"flip = {NAME}.tasks.flip.task:Flip",
+            f"reach = {NAME}.tasks.reach.task:Reach",
+        ],
+        "wam_power_ros.learners": [
+            f"power = {NAME}.learning.power:Power",
+            f"shaped_power = {NAME}.learning.shaped_power:ShapedPower",
+            f"adaptive_power = {NAME}.learning.adaptive_power:AdaptivePower",
+            f"screened = {NAME}.learning.screened_power:ScreenedPower",
+            f"pi2_bb = {NAME}.learning.pi2:Pi2",
+            f"cma_es = {NAME}.learning.cma_es:CmaEs",
+            f"reinforce = {NAME}.learning.policy_gradient:Reinforce",
+            f"enac = {NAME}.learning.policy_gradient:Enac",
+            f"random = {NAME}.learning.random_search:RandomSearch",
+        ],
     },
 )

@@ -100,28 +100,29 @@ def test_every_name_of_a_module_is_there(page: str) -> None:
 @pytest.mark.parametrize("name", ["paper", "flip"])
 def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
     text = " ".join((ROOT / "docs/method.md").read_text().split())
-    settings = preset(name)
+    whole = preset("flip", name)
+    settings, power, course = whole.task_settings, whole.learner_settings, whole.practice
     stated = {
         "paper": [
             f"{settings.noise.stiffness:.0%} of the mean stiffness".replace("%", " %"),
             f"{100 * settings.noise.attractor:.0f} cm for each",
-            f"budget {settings.budget}",
-            f"σ = {settings.power.sigma} ",
+            f"budget {course.budget}",
+            f"σ = {power.sigma} ",
             f"R ≥ {settings.success_return}, confirmed",
-            f"re-tested {settings.retests} times",
+            f"re-tested {course.retests} times",
         ],
         "flip": [
             f"{settings.noise.stiffness:.0%} of the mean stiffness".replace("%", " %"),
             f"{1000 * settings.noise.attractor:.0f} mm, {settings.noise.rotation} rad",
-            f"shrinking by {1 - settings.power.decay:.0%}".replace("%", " %"),
+            f"shrinking by {1 - power.decay:.0%}".replace("%", " %"),
             f"moved by {settings.landing_gain} of the measured miss",
             f"along x, {settings.landing_limit} m at most",
             f"moved by {settings.turn_gain} of what was missing",
             f"{settings.turn_limit} at most",
-            f"exp((R_k − R_max)/({settings.power.sharpness} ",
+            f"exp((R_k − R_max)/({power.sharpness} ",
             f"at least {math.degrees(settings.success_angle):.0f} degrees",
             f"{math.degrees(settings.success_angle + settings.confirm_margin):.0f} degrees (ending",
-            f"{settings.budget} rollouts",
+            f"{course.budget} rollouts",
         ],
     }
     assert [words for words in stated[name] if words not in text] == []

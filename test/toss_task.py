@@ -1,19 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A toss without physics, for tests of the learner: a demonstrated policy, and how a trial ends."""
+"""A toss without physics, for tests: a demonstrated policy, and how a trial ends."""
 
 import math
 import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from wam_power_ros.learning.learner import generator_state
-from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.learning.policy import Basis, Policy, from_json
 from wam_power_ros.learning.power import Power
-from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.practice import session
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import Line
+from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.trial import Trial
-from wam_power_ros.tasks.flip.assessment import Assessment
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK
+from wam_power_ros.tasks.flip.settings import FlipSettings
+from wam_power_ros.tasks.task import Assessment
 
 
 def demonstrated_policy(id: str = "flick-1", count: int = 8, seed: int = 0) -> Policy:
@@ -44,7 +52,55 @@ def learner_state(learner: Power) -> list[Any]:
     return [known.z.tolist(), known.returns.tolist(), generator_state(learner._rng)]
 
 
-def toss(trial: Trial, settings: PracticeSettings, noise: float = 0.1) -> Assessment:
+class AnyArm:
+    """An arm on which every policy is feasible, but for those that `refuse` names a reason for."""
+
+    def __init__(self, refuse: Callable[[Policy], str] = lambda policy: "") -> None:
+        self._refuse = refuse
+
+    def infeasible(self, policy: Policy) -> Fault | None:
+        """See `practice.ArmModel`."""
+        why = self._refuse(policy)
+        return Fault(FaultKind.TOOL_SPEED, why) if why else None
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """See `practice.ArmModel`."""
+        return np.array([0.6, 0.0, 0.5])
+
+
+ANY_ARM = AnyArm()
+_SETTINGS: WeakKeyDictionary[Practice, SessionSettings] = WeakKeyDictionary()
+
+
+def practice_of(
+    candidates: Sequence[Policy],
+    settings: SessionSettings,
+    seed: int,
+    log: Sequence[Line] = (),
+    arm: AnyArm = ANY_ARM,
+) -> Practice:
+    """The practice of a session of the flip."""
+    practice = Practice.of(settings, {}, candidates, seed, arm, log)
+    _SETTINGS[practice] = settings
+    return practice
+
+
+def practice_in(folder: Path) -> Practice:
+    """The practice of a session as it is on disk; nothing is locked."""
+    header, _, _ = session.read(folder)
+    policies = [
+        from_json((folder / "candidates" / f"{name}.json").read_text())
+        for name in header.candidates
+    ]
+    return practice_of(policies, header.settings, header.seed, session.read_log(folder))
+
+
+def settings_of(practice: Practice) -> SessionSettings:
+    """Settings with which `practice_of` began."""
+    return _SETTINGS[practice]
+
+
+def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:
     """Outcome of a trial: a function of its id and policy alone, like one of the stand-in.
 
     Turning grows along one direction of z and landing moves away with it; the catch shift (or the
@@ -56,9 +112,9 @@ def toss(trial: Trial, settings: PracticeSettings, noise: float = 0.1) -> Assess
     along[-1] = 0.0
     strength = float(along @ z)
     flick = 0.0
-    if settings.variant == "planar":
+    if task.variant == "planar":
         strength -= float(along[-2] * z[-2])
-        flick = TURN_OF_FLICK * settings.noise.flick * z[-2]
+        flick = TURN_OF_FLICK * task.noise.flick * z[-2]
     angle = 1.6 + 0.5 * strength + flick + 0.3 * noise * rng.normal()
     error = 0.12 + 0.05 * strength - 0.016 * z[-1] + 0.1 * noise * rng.normal()
     caught = abs(error) < 0.05 and angle > 1.2
@@ -75,7 +131,7 @@ def toss(trial: Trial, settings: PracticeSettings, noise: float = 0.1) -> Assess
         "flipped": flipped,
     }
     ret = sum(terms.values())
-    success = ret >= settings.success_return and (
-        settings.success_angle == 0.0 or (caught and flipped and angle >= settings.success_angle)
+    success = ret >= task.success_return and (
+        task.success_angle == 0.0 or (caught and flipped and angle >= task.success_angle)
     )
     return Assessment(ret, terms, flight, success)

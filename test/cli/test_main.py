@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 import yaml
 from rich.console import Console
-from toss_task import demonstrated_policy, toss
+from toss_task import demonstrated_policy, practice_of, toss
 
 from wam_power_ros.cli import main
-from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
@@ -24,10 +23,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def some_records(count: int) -> list[Record]:
-    practice = Practice([demonstrated_policy()], preset("flip", budget=count, confirm=0), seed=0)
+    practice = practice_of([demonstrated_policy()], preset("flip", budget=count, confirm=0), seed=0)
     records = []
     while len(records) < count and (trial := practice.next_trial()) is not None:
-        records.append(practice.note(trial, toss(trial, practice.settings)))
+        records.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
     return records
 
 
@@ -150,7 +149,7 @@ def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far() -> No
 
 def test_the_summary_counts_the_retests_by_tracker_and_by_truth() -> None:
     record = some_records(3)[-1]
-    good = {**(record.flight or {}), "resting": True, "flipped": True, "tossed": True}
+    good = {**(record.observation or {}), "resting": True, "flipped": True, "tossed": True}
     truth = {"caught": True, "flipped": False}
     tests = [
         record.model_copy(update={"kind": "retest", "flight": good, "truth": truth}),

@@ -69,7 +69,7 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
     limits = TorqueControllerParams.of_file(own, "torque_controller", *over)
     of_the_lab = {name: getattr(arm, name) for name in ("hold_to_run", "allow_no_realtime")}
     assert limits.model_copy(update=of_the_lab) == arm
-    assert learner.pancake_reset == learner.reset_faults == simulated
+    assert learner.scene_reset == learner.reset_faults == simulated
     assert arm.hold_to_run == (not arm.allow_no_realtime) == (not simulated)
     assert params["demonstration_recorder"].source == ("sim" if simulated else "hardware")
 

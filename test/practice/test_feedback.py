@@ -8,16 +8,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from toss_task import demonstrated_policy, learner_state, toss
+from toss_task import (
+    ANY_ARM,
+    AnyArm,
+    demonstrated_policy,
+    learner_state,
+    practice_in,
+    practice_of,
+    settings_of,
+    toss,
+)
 
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionError, read, read_log, read_practice
+from wam_power_ros.practice.session import Session, SessionError, read, read_log
 from wam_power_ros.practice.session_log import (
     Event,
-    Given,
     Line,
+    NewDemonstration,
     Rating,
     Record,
     line_of,
@@ -27,27 +36,27 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.reporting.session_report import render
 from wam_power_ros.reporting.terminal import line, returned
-from wam_power_ros.tasks.flip.assessment import Assessment
+from wam_power_ros.tasks.task import Assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 LATER = demonstrated_policy("flick-9", seed=9)
-SETTINGS = preset("flip", budget=40, retests=2, confirm=0, power={"decay": 0.98})
+SETTINGS = preset("flip", budget=40, retests=2, confirm=0, learner={"decay": 0.98})
 presets = pytest.mark.parametrize("name", ["paper", "flip"])
 
 
 def started(name: str = "flip", **changes: object) -> Practice:
-    return Practice(CANDIDATES, preset(name, **{"confirm": 0, **changes}), 0)
+    return practice_of(CANDIDATES, preset("flip", name, **{"confirm": 0, **changes}), 0)
 
 
 def run(practice: Practice, rollouts: int, judge: Callable[[Trial], Assessment]) -> None:
     for _ in range(rollouts):
         if (trial := practice.next_trial()) is not None:
-            practice.note(trial, judge(trial))
+            practice.learn_assessed(trial, judge(trial))
 
 
 def worth(ret: float | None, success: bool = False) -> Callable[[Trial], Assessment]:
     flight = {"tossed": True, "seen": False, "angle": 3.0}
-    return lambda trial: Assessment(ret, flight=flight, success=success, why="so it was")
+    return lambda trial: Assessment(ret, observation=flight, success=success, why="so it was")
 
 
 def next_trial(practice: Practice) -> str:
@@ -76,18 +85,18 @@ def with_a_person(
         perhaps()
         if number in (1, 12):
             name = f"flick-{90 + number}"
-            keep(practice.give(demonstrated_policy(name, seed=number), f"bags/{name}"))
-        keep(practice.note(trial, toss(trial, practice.settings)))
+            keep(practice.add_demonstration(demonstrated_policy(name, seed=number), f"bags/{name}"))
+        keep(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
 
 
 @presets
 def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str) -> None:
-    practice = started(name, budget=40, power={"decay": 0.98})
+    practice = started(name, budget=40, learner={"decay": 0.98})
     with_a_person(practice, 26)
     log = [line_of(line.to_json()) for line in practice.log]
-    assert {type(line) for line in log} == {Record, Rating, Given}
+    assert {type(line) for line in log} == {Record, Rating, NewDemonstration}
     for cut in range(len(log) + 1):
-        again = Practice.from_records(CANDIDATES, practice.settings, 0, log[:cut])
+        again = practice_of(CANDIDATES, settings_of(practice), 0, log[:cut])
         assert list(again.log) == log[:cut]
         record = next((line for line in log[cut:] if isinstance(line, Record)), None)
         between = log[cut : log.index(record)] if record else []
@@ -96,7 +105,7 @@ def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str
             trial = again.next_trial()
             assert (trial.kind, trial.z.tolist()) == (record.kind, record.z)
         for entry in log[cut:]:
-            again.replay(entry)
+            again.apply(entry)
         assert next_trial(again) == next_trial(practice)
         assert again.records == practice.records == with_ratings(log)
         assert learner_state(again.learner) == learner_state(practice.learner)
@@ -105,7 +114,7 @@ def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str
 def test_a_rating_changes_the_elite_from_the_next_trial_on_and_not_the_one_under_way() -> None:
     practice, other = started(), started()
     for each in (practice, other):
-        run(each, 8, lambda trial: toss(trial, SETTINGS))
+        run(each, 8, lambda trial: toss(trial, SETTINGS.task_settings))
     under_way = practice.next_trial()
     worst = min((r for r in practice.records if r.kind == "explore"), key=lambda record: record.ret)
     rating = practice.rate(1.0, worst.number)
@@ -114,11 +123,13 @@ def test_a_rating_changes_the_elite_from_the_next_trial_on_and_not_the_one_under
     assert practice.next_trial() is under_way
     assert other.next_trial().z.tolist() == under_way.z.tolist()
     for each in (practice, other):
-        each.note(under_way, toss(under_way, each.settings))
+        each.learn_assessed(under_way, toss(under_way, each.task.settings))
     assert not np.allclose(practice.learner.mean, other.learner.mean)
-    told = Power(practice.learner.size, practice.settings.power, np.random.default_rng())
+    told = Power(
+        practice.learner.size, settings_of(practice).learner_settings, np.random.default_rng()
+    )
     for record in practice.records:
-        if record.demonstration == practice.parameters.policy0.id:
+        if record.demonstration == practice.parametrization.policy0.id:
             told.tell(np.array(record.learnt_as), record.ret + (record.number == worst.number))
     np.testing.assert_array_equal(practice.learner.mean, told.mean)
 
@@ -132,7 +143,7 @@ def test_ratings_add_up_and_no_return_falls_below_zero() -> None:
     for _ in range(4):
         note = practice.rate(-0.3, 4).note
     assert note == "trial-0004 punished: return 0.000 -> 0.000"
-    assert practice.records[3].worth == 0.0 and practice.records[3].ret == 0.5
+    assert practice.records[3].rated_return == 0.0 and practice.records[3].ret == 0.5
 
 
 def test_a_person_has_a_say_in_which_demonstration_is_learnt_from() -> None:
@@ -150,7 +161,7 @@ def test_a_punished_rollout_confirms_nothing_and_is_no_evidence_of_success() -> 
     run(practice, 6, worth(0.5))
     run(practice, 2, worth(0.9, success=True))
     assert [record.kind for record in practice.records[-2:]] == ["mean", "mean"]
-    assert practice.next_trial().why == "confirms a mean, 3 of 4"
+    assert practice.next_trial().purpose == "confirms a mean, 3 of 4"
     practice.rate(-0.1)
     run(practice, 1, worth(0.9, success=True))
     assert practice.next_trial().kind == "explore"
@@ -176,14 +187,14 @@ def test_what_cannot_be_rated_is_refused_with_a_reason() -> None:
     run(practice, 4, worth(0.5))
     refused("nothing is learnt any more: budget of 4 rollouts used")
     with pytest.raises(ValueError, match="nothing is learnt any more"):
-        practice.give(LATER)
+        practice.add_demonstration(LATER)
 
 
 def test_a_better_demonstration_is_learnt_from_anew_with_what_is_left_of_the_budget() -> None:
     practice = started(budget=12, retests=1)
     run(practice, 6, worth(0.5))
     drawn = practice.next_trial()
-    given = practice.give(LATER, "bags/9")
+    given = practice.add_demonstration(LATER, "bags/9")
     assert given.note == "flick-9 is reproduced after rollout 7: bags/9"
     assert practice.next_trial() is drawn and practice.candidates[-1].id == "flick-9"
     run(practice, 1, worth(0.5))
@@ -192,7 +203,7 @@ def test_a_better_demonstration_is_learnt_from_anew_with_what_is_left_of_the_bud
     run(practice, 1, worth(0.6))
     why = "return 0.600 against 0.500 of the last 5, from flick-1"
     assert practice.choice == practice.records[-1].note == f"learns from flick-9: {why}"
-    assert practice.learner.count == 1 and practice.parameters.policy0.id == "flick-9"
+    assert practice.learner.count == 1 and practice.parametrization.policy0.id == "flick-9"
     assert practice.best.policy.id == "trial-0008"
     run(practice, 9, worth(0.7))
     assert {record.demonstration for record in practice.records[8:]} == {"flick-9"}
@@ -203,7 +214,7 @@ def test_a_demonstration_that_is_no_better_changes_nothing_but_the_budget() -> N
     practice, other = started(budget=12), started(budget=12)
     for each in (practice, other):
         run(each, 6, worth(0.5))
-    practice.give(LATER)
+    practice.add_demonstration(LATER)
     run(practice, 1, worth(0.5))
     assert (
         practice.records[-1].note
@@ -216,7 +227,7 @@ def test_a_demonstration_that_is_no_better_changes_nothing_but_the_budget() -> N
 def test_a_demonstration_given_before_the_choice_is_one_of_the_series() -> None:
     practice = started()
     run(practice, 1, worth(0.5))
-    practice.give(LATER)
+    practice.add_demonstration(LATER)
     assert practice.next_trial().demonstration == "flick-2"
     run(practice, 1, worth(0.5))
     assert practice.choice == "" and practice.next_trial().demonstration == "flick-9"
@@ -228,31 +239,31 @@ def test_a_demonstration_given_while_a_mean_is_confirmed_does_not_end_that() -> 
     practice = started(confirm=4, success_angle=0.1, confirm_margin=0.0)
     run(practice, 6, worth(0.5))
     run(practice, 2, worth(0.9, success=True))
-    practice.give(LATER)
+    practice.add_demonstration(LATER)
     run(practice, 1, worth(0.2))
-    assert practice.next_trial().why == "confirms a mean, 3 of 4"
-    practice.give(demonstrated_policy("flick-10", seed=10))
+    assert practice.next_trial().purpose == "confirms a mean, 3 of 4"
+    practice.add_demonstration(demonstrated_policy("flick-10", seed=10))
     run(practice, 2, worth(0.95, success=True))
     assert practice.choice.startswith("learns from flick-10")
     assert practice.next_trial().kind != "mean" or practice.next_trial().z.tolist() == [0.0] * 50
 
 
 def test_demonstrations_that_do_not_fit_are_refused_with_a_reason() -> None:
-    def forbidden(policy: Policy) -> str:
+    def infeasible(policy: Policy) -> str:
         return "joint 4 at 9.00 rad/s" if policy.id == "fast" else ""
 
-    practice = Practice(CANDIDATES, SETTINGS, 0, forbidden)
+    practice = practice_of(CANDIDATES, SETTINGS, 0, arm=AnyArm(infeasible))
     for policy, reason in (
         (demonstrated_policy("flick-2"), "there is a demonstration 'flick-2' already"),
-        (demonstrated_policy("fast"), "the arm must not try fast: joint 4 at 9.00 rad/s"),
+        (demonstrated_policy("fast"), "fast is infeasible: joint 4 at 9.00 rad/s"),
         (demonstrated_policy("short", count=2), "shifts the last 3 attractors, .* has 2"),
     ):
         with pytest.raises(ValueError, match=reason):
-            practice.give(policy)
+            practice.add_demonstration(policy)
     assert practice.log == () and len(practice.candidates) == 2
-    practice.give(LATER)
+    practice.add_demonstration(LATER)
     with pytest.raises(ValueError, match="'flick-9' already"):
-        practice.give(LATER)
+        practice.add_demonstration(LATER)
 
 
 def test_events_out_of_place_are_refused() -> None:
@@ -261,34 +272,34 @@ def test_events_out_of_place_are_refused() -> None:
     rating = practice.rate(0.3)
     fresh = started()
     with pytest.raises(ValueError, match="after record 0 cannot take effect after record 3"):
-        fresh.replay(rating)
+        fresh.apply(rating)
     with pytest.raises(ValueError, match="rollout 3 was rated before it was on record"):
-        fresh.replay(rating.model_copy(update={"after": 1}))
+        fresh.apply(rating.model_copy(update={"after": 1}))
 
 
 def session(folder: Path, rollouts: int) -> Path:
     with Session.begin(folder, SETTINGS, 0, CANDIDATES) as session:
-        with_a_person(session.practice(), rollouts, session.append)
+        with_a_person(session.practice(ANY_ARM), rollouts, session.append)
     return folder
 
 
 def test_a_session_killed_after_any_line_and_resumed_is_the_same_session(tmp_path: Path) -> None:
     folder = session(tmp_path / "s", 20)
     whole = (folder / "rollouts.jsonl").read_bytes()
-    expected = next_trial(read_practice(folder))
+    expected = next_trial(practice_in(folder))
     lines = whole.splitlines(keepends=True)
     log = read_log(folder)
     assert len(log) == len(lines) > 24
-    cut = next(place for place, line in enumerate(log) if isinstance(line, Given)) + 1
+    cut = next(place for place, line in enumerate(log) if isinstance(line, NewDemonstration)) + 1
     for kept in (cut - 1, cut, cut + 1):
         (folder / "rollouts.jsonl").write_bytes(b"".join(lines[:kept]) + lines[kept][:30])
         with Session.open(folder) as resumed:
-            practice = resumed.practice()
+            practice = resumed.practice(ANY_ARM)
             for line in log[kept:]:
-                practice.replay(line)
+                practice.apply(line)
                 resumed.append(line)
         assert (folder / "rollouts.jsonl").read_bytes() == whole
-        assert next_trial(read_practice(folder)) == expected
+        assert next_trial(practice_in(folder)) == expected
     _, candidates, records = read(folder)
     assert [policy.id for policy in candidates] == ["flick-1", "flick-2", "flick-91", "flick-102"]
     assert records == with_ratings(log) and any(record.adjustment for record in records)
@@ -310,7 +321,7 @@ def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
         text = b"".join([*lines[:place], damaged, *lines[place + 1 :]])
         (folder / "rollouts.jsonl").write_bytes(text)
         with pytest.raises(SessionError, match=reason):
-            read_practice(folder)
+            practice_in(folder)
 
 
 def test_table_log_and_report_show_what_a_person_did(tmp_path: Path) -> None:
@@ -318,7 +329,7 @@ def test_table_log_and_report_show_what_a_person_did(tmp_path: Path) -> None:
     header, candidates, records = read(folder)
     rated = next(record for record in records if record.adjustment is not None)
     assert returned(rated) == f"{rated.ret:.3f} {rated.adjustment:+.3g}"
-    event: Event = next(entry for entry in read_log(folder) if isinstance(entry, Given))
+    event: Event = next(entry for entry in read_log(folder) if isinstance(entry, NewDemonstration))
     assert line(event).strip() == f"a person: {event.note}"
     page = render(header, candidates[0], None, records)
     assert returned(rated) in page and "A person rewarded" in page

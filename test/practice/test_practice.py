@@ -8,16 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toss_task import demonstrated_policy, learner_state, toss
+from toss_task import AnyArm, demonstrated_policy, learner_state, practice_of, settings_of, toss
 
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.practice.choose_demonstration import choose_demonstration
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_log import Record
-from wam_power_ros.practice.settings import PracticeSettings, preset
+from wam_power_ros.practice.session_log import Record, line_of
+from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
-from wam_power_ros.tasks.flip.assessment import Assessment, assess, choose_demonstration
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, flip_parametrization
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK
+from wam_power_ros.tasks.task import Assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 Judge = Callable[[Trial], Assessment]
@@ -25,21 +26,21 @@ presets = pytest.mark.parametrize("name", ["paper", "flip"])
 
 
 def started(name: str, seed: int = 0, **changes: object) -> Practice:
-    return Practice(CANDIDATES, preset(name, **changes), seed)
+    return practice_of(CANDIDATES, preset("flip", name, **changes), seed)
 
 
 def run(practice: Practice, judge: Judge | None = None, rollouts: int = 10_000) -> list[Record]:
     """Go on for a number of rollouts or to the end."""
-    judge = judge or (lambda trial: toss(trial, practice.settings))
+    judge = judge or (lambda trial: toss(trial, practice.task.settings))
     records = []
     while len(records) < rollouts and (trial := practice.next_trial()) is not None:
-        records.append(practice.note(trial, judge(trial)))
+        records.append(practice.learn_assessed(trial, judge(trial)))
     return records
 
 
 def good(ret: float = 1.0, angle: float = 3.0) -> Assessment:
     flight = {"tossed": True, "seen": True, "angle": angle, "landing_error": [0.0, 0.0, 0.0]}
-    return Assessment(ret, flight=flight, success=True)
+    return Assessment(ret, observation=flight, success=True)
 
 
 def bad(ret: float = 0.5) -> Assessment:
@@ -53,7 +54,7 @@ def image(practice: Practice) -> str:
         [
             None
             if trial is None
-            else [trial.kind, trial.why, trial.attempt, to_json(trial.policy)],
+            else [trial.kind, trial.purpose, trial.attempt, to_json(trial.policy)],
             None if trial is None else trial.z.tolist(),
             None if best is None else [to_json(best.policy), best.why],
             None if learner is None else learner_state(learner),
@@ -73,7 +74,9 @@ def test_every_demonstration_is_reproduced_once_and_one_is_chosen(name: str) -> 
     assert first[0].note == "" and first[1].note == practice.choice
     assert practice.choice.startswith("learns from flick-")
     assert practice.learner.count == 1  # the reproduction, as z = 0
-    assert {record.demonstration for record in run(practice)} == {practice.parameters.policy0.id}
+    assert {record.demonstration for record in run(practice)} == {
+        practice.parametrization.policy0.id
+    }
 
 
 @presets
@@ -84,21 +87,23 @@ def test_replaying_records_rebuilds_the_practice_at_every_boundary(name: str, se
             return Assessment(None, why="lost")
         if trial.number % 11 == 5:
             return Assessment(0.0, why="over-speed")
-        return toss(trial, preset(name))
+        return toss(trial, preset("flip", name).task_settings)
 
     practice = started(name, seed, budget=24, retests=3)
     lines: list[str] = []
     images = [image(practice)]
     while (trial := practice.next_trial()) is not None:
-        lines.append(practice.note(trial, judge(trial)).to_json())
+        lines.append(practice.learn_assessed(trial, judge(trial)).to_json())
         images.append(image(practice))
     assert practice.finished and len(lines) > 27
     for cut, expected in enumerate(images):
-        records = [Record.from_json(line) for line in lines[:cut]]
-        again = Practice.from_records(CANDIDATES, practice.settings, seed, records)
+        records = [line_of(line) for line in lines[:cut]]
+        again = practice_of(CANDIDATES, settings_of(practice), seed, records)
         assert image(again) == expected
         while (trial := again.next_trial()) is not None and len(again.records) < cut + 2:
-            assert again.note(trial, judge(trial)).to_json() == lines[len(again.records) - 1]
+            assert (
+                again.learn_assessed(trial, judge(trial)).to_json() == lines[len(again.records) - 1]
+            )
 
 
 @presets
@@ -107,7 +112,13 @@ def test_a_session_is_a_function_of_candidates_settings_and_seed(name: str) -> N
     for practice in (a, other):
         run(practice)
     while (trial := b.next_trial()) is not None:  # with other company
-        b.note(trial, toss(trial, b.settings), bag="x", truth={"caught": True}, clock={"took": 2.0})
+        b.learn_assessed(
+            trial,
+            toss(trial, b.task.settings),
+            bag="x",
+            truth={"caught": True},
+            clock={"took": 2.0},
+        )
     same = {"bag", "truth", "clock"}
     assert [r.model_dump(exclude=same) for r in a.records] == [
         r.model_dump(exclude=same) for r in b.records
@@ -125,16 +136,16 @@ def test_a_trial_stays_the_same_until_it_is_learnt_from() -> None:
 
 
 def test_a_rollout_that_says_nothing_is_tried_again_and_leaves_the_course_of_learning() -> None:
-    settings = preset("flip", budget=20, retests=0, power={"decay": 0.97})
-    undisturbed = Practice(CANDIDATES, settings, 3)
-    run(undisturbed, lambda trial: toss(trial, settings, noise=0.0))
-    disturbed = Practice(CANDIDATES, settings, 3)
+    settings = preset("flip", budget=20, retests=0, learner={"decay": 0.97})
+    undisturbed = practice_of(CANDIDATES, settings, 3)
+    run(undisturbed, lambda trial: toss(trial, settings.task_settings, noise=0.0))
+    disturbed = practice_of(CANDIDATES, settings, 3)
     calls = iter(range(10_000))
 
     def judge(trial: Trial) -> Assessment:
         if next(calls) % 4 == 1:
             return Assessment(None, why="the pancake was never seen")
-        return toss(trial, settings, noise=0.0)
+        return toss(trial, settings.task_settings, noise=0.0)
 
     run(disturbed, judge)
     lost = [record for record in disturbed.records if record.ret is None]
@@ -178,37 +189,41 @@ def test_a_policy_that_ends_in_over_speed_is_learnt_from_with_return_zero() -> N
     run(practice, rollouts=3)
     before = practice.learner.count
     trial = practice.next_trial()
-    record = practice.note(trial, Assessment(0.0, why="elbow too fast"), fault="elbow at 2.1 m/s")
+    record = practice.learn_assessed(
+        trial, Assessment(0.0, why="elbow too fast"), fault="elbow at 2.1 m/s"
+    )
     assert record.learnt and record.ret == 0.0 and record.fault and practice.used == 4
     assert practice.learner.count == before + 1
 
 
 def test_a_reproduction_that_ended_in_a_fault_is_not_chosen() -> None:
     practice = started("flip")
-    practice.note(practice.next_trial(), Assessment(0.0), fault="elbow at 2.1 m/s, limit 2.00")
-    practice.note(practice.next_trial(), bad(0.0))
+    practice.learn_assessed(
+        practice.next_trial(), Assessment(0.0), fault="elbow at 2.1 m/s, limit 2.00"
+    )
+    practice.learn_assessed(practice.next_trial(), bad(0.0))
     assert "flick-2" in practice.choice
 
 
 def test_flick_and_catch_shift_are_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
     practice = started("flip")
-    settings = practice.settings
+    settings = practice.task.settings
     for record in run(practice, rollouts=12):
         moved = np.subtract(record.learnt_as, record.z)
         assert not moved[:-2].any()
-        error = record.flight["landing_error"][0]
+        error = record.observation["landing_error"][0]
         assert moved[-1] == pytest.approx(settings.landing_gain * error / 0.016)
-        lacking = settings.turn_gain * (math.pi - record.flight["angle"]) / TURN_OF_FLICK
+        lacking = settings.turn_gain * (math.pi - record.observation["angle"]) / TURN_OF_FLICK
         limited = np.clip(lacking, -settings.turn_limit, settings.turn_limit)
         assert moved[-2] == pytest.approx(limited / settings.noise.flick)
     trial = practice.next_trial()
     assessment = toss(trial, settings)
-    far = {**assessment.flight, "landing_error": [9.0, 0.0, 0.0]}
-    limited = practice.note(trial, replace(assessment, flight=far))
+    far = {**assessment.observation, "landing_error": [9.0, 0.0, 0.0]}
+    limited = practice.learn_assessed(trial, replace(assessment, observation=far))
     assert limited.learnt_as[-1] - limited.z[-1] == pytest.approx(0.25 / 0.016)
     for change in ({"tossed": False}, {"seen": False}):
         trial = practice.next_trial()
-        record = practice.note(trial, replace(assessment, flight={**far, **change}))
+        record = practice.learn_assessed(trial, replace(assessment, observation={**far, **change}))
         assert record.learnt_as == record.z
 
 
@@ -223,7 +238,7 @@ def test_the_mean_runs_every_fifth_time_and_counts() -> None:
     while not practice.stopped:
         mean = None if practice.learner is None else practice.learner.mean.tolist()
         trial = practice.next_trial()
-        records.append(practice.note(trial, bad(0.1 + 0.01 * (trial.number % 5))))
+        records.append(practice.learn_assessed(trial, bad(0.1 + 0.01 * (trial.number % 5))))
         assert (trial.z.tolist() == mean) == (trial.kind == "mean")
     kinds = [record.kind for record in records if record.kind in ("explore", "mean")]
     assert kinds == (["explore"] * 4 + ["mean"]) * 6
@@ -280,10 +295,12 @@ def test_the_budget_ends_learning_and_the_answer_is_retested_unlearnt(name: str)
     assert [record.kind for record in records[15:]] == ["retest"] * 4
     assert not any(record.learnt for record in records[15:])
     assert practice.learner.count == 14  # one reproduction was of the other demonstration
-    assert records[15].z == practice.parameters.clip(practice.learner.mean).tolist()
+    assert records[15].z == practice.parametrization.clip(practice.learner.mean).tolist()
     assert practice.best.policy.id == "trial-0016" and len(practice.best.returns) == 4
     with pytest.raises(ValueError, match="not the one that is due"):
-        practice.note(Trial(**{**vars(started(name).next_trial()), "id": "trial-0020"}), bad())
+        practice.learn_assessed(
+            Trial(**{**vars(started(name).next_trial()), "id": "trial-0020"}), bad()
+        )
 
 
 def test_the_best_policy_was_run_without_noise_and_is_not_a_lucky_one() -> None:
@@ -300,7 +317,7 @@ def test_the_best_policy_was_run_without_noise_and_is_not_a_lucky_one() -> None:
     assert practice.records[-1].kind == "mean"
     assert practice.best.policy.id == "trial-0007"  # .78 +- .09 beats .85 +- .20
     best = practice.best
-    executed, _ = practice.parameters.policy(np.array(practice.records[6].z), "trial-0007")
+    executed, _ = practice.parametrization.policy(np.array(practice.records[6].z), "trial-0007")
     assert to_json(best.policy) == to_json(executed)
 
 
@@ -319,34 +336,20 @@ def test_sessions_with_the_papers_settings_raise_the_return(seed: int) -> None:
     assert np.mean(returns[-10:]) > np.mean(returns[:10]) + 0.05
 
 
-def reproduced(id: str, ret: float | None, **flight: object) -> Record:
-    practice = Practice([demonstrated_policy(id)], preset("flip"), 0)
-    observed = {"tossed": True, "angle": 1.6, "apex": 0.4, "landing_error": [0.14, 0.0, 0.0]}
-    assessment = Assessment(ret, flight={**observed, "seen": True, **flight}, why="seen or not")
-    return practice.note(practice.next_trial(), assessment)
+def reproduced(id: str, ret: float | None, fault: str = "") -> Record:
+    practice = practice_of([demonstrated_policy(id)], preset("flip"), 0)
+    assessment = Assessment(ret, why="seen or not")
+    return practice.learn_assessed(practice.next_trial(), assessment, fault=fault)
 
 
 def test_the_demonstration_is_chosen_by_how_it_reproduces() -> None:
-    flat = reproduced("flat", 0.9, tossed=False)
-    weak = reproduced("weak", 0.5, angle=math.radians(50))
-    low = reproduced("low", 0.5, apex=0.15)
-    near = reproduced("short", 0.5, landing_error=[-0.05, 0.0, 0.0])
-    aside = reproduced("aside", 0.5, landing_error=[0.14, 0.1, 0.0])
-    nice = reproduced("nice", 0.4)
-    blind = reproduced("blind", None)
-    settings = preset("flip", choice="flick")
-    index, why = choose_demonstration([flat, weak, low, near, aside, nice, blind], settings)
-    assert index == 5
-    assert why == (
-        "its reproduction is the nearest to a good toss of 7: 92 deg, 0.40 m high, "
-        "+0.14 m outward of the pan; cost 0.0"
-    )
-    index, why = choose_demonstration([weak, flat, nice], preset("flip", choice="return"))
-    assert (index, why) == (1, "highest return of 3 reproductions, 0.900")
-    index, why = choose_demonstration([flat, blind], settings)
-    assert (index, why) == (0, "none tossed; highest return of 2 reproductions, 0.900")
+    weak, good, nice = (reproduced(f"d{k}", ret) for k, ret in enumerate((0.5, 0.9, 0.4)))
+    blind, faulty = reproduced("blind", None), reproduced("faulty", 1.0, "tool at 9 m/s")
+    index, why = choose_demonstration([weak, good, nice, blind, faulty])
+    assert (index, why) == (1, "highest return of 5 reproductions, 0.900")
+    assert choose_demonstration([blind, weak])[0] == 1
     with pytest.raises(ValueError, match=r"\(blind: seen or not\)"):
-        choose_demonstration([blind], settings)
+        choose_demonstration([blind])
 
 
 def paths(trial: Trial, end: float, seen: np.ndarray) -> tuple[EndEffectorPath, BodyPath]:
@@ -362,158 +365,97 @@ def test_a_pancake_that_stays_in_the_pan_is_a_poor_but_usable_rollout() -> None:
     for name in ("paper", "flip"):
         practice = started(name)
         trial = practice.next_trial()
-        record = practice.learn(trial, *paths(trial, 1.86, np.arange(0.01, 1.85, 1 / 30)))
+        record = practice.learn(trial, Rollout(*paths(trial, 1.86, np.arange(0.01, 1.85, 1 / 30))))
         assert record.learnt and 0.0 <= record.ret < 0.6 and not record.success
-        assert record.flight["tossed"] is False and sum(record.terms.values()) == pytest.approx(
-            record.ret
-        )
-
-
-@pytest.mark.requirement("S-47")
-def test_a_rollout_that_cannot_be_judged_says_why() -> None:
-    practice = started("flip")
-    trial = practice.next_trial()
-    frames = np.arange(0.01, 1.85, 1 / 30)
-
-    def why(end: float = 1.86, seen: np.ndarray = frames, fault: Fault | None = None) -> str:
-        pan, pancake = paths(trial, end, seen)
-        assessment = assess(trial.policy, pan, pancake, practice.settings, fault)
-        assert assessment.ret is None
-        return assessment.why
-
-    assert why(end=1.2) == "cut short at 1.19 s of 1.85 s"
-    assert why(seen=np.zeros(0)) == "the pancake was never seen"
-    gap = frames[(frames < 0.5) | (frames > 0.9)]
-    assert why(seen=gap).startswith("the pancake was lost from view for 0.43 s from 0.48 s")
-    assert why(seen=frames[frames < 1.0]) == (
-        "the pancake was lost from view at 0.98 s, not having fallen"
-    )
-    lost = Fault(FaultKind.STATES_LOST, "no joint state for 12 ms")
-    assert why(fault=lost) == "no joint state for 12 ms"
-
-
-@pytest.mark.parametrize("name", ["paper", "flip"])
-def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name: str) -> None:
-    practice = started(name)
-    trial = practice.next_trial()
-    t = np.arange(0.005, 1.85, 1 / 120)
-    pan, still = paths(trial, 1.86, t)
-    free = np.clip(t - 0.5, 0.0, 0.6)  # thrown at 0.5 s, half a turn, caught 0.6 s later
-    rise = 2.943 * free - 4.905 * free**2
-    half = 0.5 * np.pi * free / 0.6
-    position = still.position + np.outer(rise, [0.0, 0.0, 1.0])
-    quat_xyzw = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1)
-
-    def judged(seen: np.ndarray) -> Assessment:
-        pancake = BodyPath(trial.id, t[seen], position[seen], quat_xyzw[seen])
-        return assess(trial.policy, pan, pancake, practice.settings)
-
-    whole = judged(t > 0.0).ret
-    rng = np.random.default_rng(2)
-    outcomes = []
-    for _ in range(24):
-        begin, length = rng.uniform(0.0, 1.8), rng.uniform(0.02, 0.5)
-        outcomes.append(judged((t < begin) | (t > begin + length)).ret)
-    usable = [ret for ret in outcomes if ret is not None]
-    assert 4 < len(usable) < 20
-    np.testing.assert_allclose(usable, whole, atol=0.05)
-
-
-@pytest.mark.parametrize(
-    ("kind", "text", "own"),
-    [
-        (FaultKind.JOINT_SPEED, "joint 4 at 5.20 rad/s, limit 5.00", True),
-        (FaultKind.JOINT_POSITION, "joint 4 at 3.200 rad, limits -0.900 to 3.100", True),
-        (FaultKind.TOOL_SPEED, "tool at 4.10 m/s, limit 4.00", True),
-        (FaultKind.GUARDED_SPEED, "wrist at 2.10 m/s, limit 2.00", True),
-        (FaultKind.WORKSPACE, "tool at x = 1.200 m, workspace 0.200 to 1.100", True),
-        (FaultKind.PLANE, "tool is 0.012 m behind the plane [0.0, 0.0, 1.0, 0.1]", True),
-        (FaultKind.STATES_LOST, "no joint state for 12 ms", False),
-        (FaultKind.TRACKING, "a joint is 0.310 rad away from where it should be", False),
-        (FaultKind.RELEASED, "tool at rest: the enabling switch was released, limit", False),
-    ],
-)
-def test_a_motion_limit_counts_as_return_0_and_any_other_fault_as_no_rollout(
-    kind: FaultKind, text: str, own: bool
-) -> None:
-    practice = started("flip")
-    trial = practice.next_trial()
-    pan, pancake = paths(trial, 0.5, np.arange(0.0, 0.5, 1 / 30))
-    record = practice.learn(trial, pan, pancake, fault=Fault(kind, text))
-    assert (record.ret, record.learnt) == ((0.0, True) if own else (None, False))
-    assert record.fault == text and text in record.why
-    assert practice.used == own  # what counts is not tried again
+        assert record.observation["tossed"] is False and sum(
+            record.terms.values()
+        ) == pytest.approx(record.ret)
 
 
 def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None:
     practice = started("flip")
     trial = practice.next_trial()
     pan, pancake = paths(trial, 1.86, np.arange(0.0, 1.85, 1 / 30))
-    with pytest.raises(ValueError, match="pancake path is of rollout 'other'"):
-        practice.learn(trial, pan, replace(pancake, id="other"))
+    with pytest.raises(ValueError, match="path of the body is of rollout 'other'"):
+        practice.learn(trial, Rollout(pan, replace(pancake, id="other")))
+    with pytest.raises(ValueError, match="paths are of rollout 'other'"):
+        practice.learn(trial, Rollout(replace(pan, id="other"), replace(pancake, id="other")))
     with pytest.raises(ValueError, match="'trial-0009' is not the one that is due"):
-        practice.note(replace(trial, id="trial-0009"), bad())
+        practice.learn_assessed(replace(trial, id="trial-0009"), bad())
     with pytest.raises(ValueError, match="ret"):
-        practice.note(trial, bad(-1.0))
+        practice.learn_assessed(trial, bad(-1.0))
     with pytest.raises(ValueError, match="ret"):
-        practice.note(trial, bad(math.nan))
+        practice.learn_assessed(trial, bad(math.nan))
     assert practice.next_trial() is trial and practice.records == ()
 
 
 def test_records_of_another_session_are_refused() -> None:
     practice = started("flip", 1)
     records = run(practice, rollouts=10)
-    settings = practice.settings
+    settings = settings_of(practice)
     for candidates, other, seed, taken, reason in [
         (CANDIDATES, settings, 2, records, "record 1: the generator is not this session's"),
         (CANDIDATES[::-1], settings, 1, records, "record 1: demonstration is 'flick-1'"),
-        (CANDIDATES, preset("paper"), 1, records, "record 1: z is not"),
+        (CANDIDATES, preset("flip", "paper"), 1, records, "record 1: z is not"),
         (CANDIDATES, preset("flip", mean_every=3), 1, records, "record 5: kind is 'explore'"),
         (CANDIDATES, settings, 1, records[1:], "record 1: number is 2"),
         (CANDIDATES, preset("flip", budget=6, retests=0), 1, records, "record 7 .* after"),
     ]:
         with pytest.raises(ValueError, match=reason):
-            Practice.from_records(candidates, other, seed, taken)
+            practice_of(candidates, other, seed, taken)
 
 
 def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
-    with pytest.raises(ValueError, match="'quick' is not one of paper, flip"):
-        preset("quick")
+    with pytest.raises(ValueError, match="'quick' of 'flip' is not one of flip, paper"):
+        preset("flip", "quick")
+    with pytest.raises(ValueError, match="task 'fly' is not one of flip, reach"):
+        preset("fly")
+    with pytest.raises(ValueError, match=r"learner 'genetic' is not one of .*cma_es.*power"):
+        preset("flip", learner={"name": "genetic"})
     with pytest.raises(ValueError, match="sigmma"):
-        preset("flip", power={"sigmma": 3})
+        preset("flip", learner={"sigmma": 3})
     with pytest.raises(ValueError, match="need a catch shift"):
         preset("flip", variant="full")
-    with pytest.raises(ValueError, match="confirm needs"):
-        preset("paper", success_return=0.0)
+    with pytest.raises(ValueError, match="a success needs"):
+        preset("flip", "paper", success_return=0.0)
     with pytest.raises(ValueError, match="budget"):
-        preset("paper", budget=0)
+        preset("flip", "paper", budget=0)
     with pytest.raises(ValueError, match="at least one demonstration"):
-        Practice([], preset("flip"), 0)
+        practice_of([], preset("flip"), 0)
     with pytest.raises(ValueError, match="different ids"):
-        Practice([CANDIDATES[0]] * 2, preset("flip"), 0)
+        practice_of([CANDIDATES[0]] * 2, preset("flip"), 0)
     with pytest.raises(ValueError, match="budget of 2 rollouts leaves none"):
-        Practice(CANDIDATES, preset("flip", budget=2), 0)
+        practice_of(CANDIDATES, preset("flip", budget=2), 0)
 
 
 def test_a_preset_changes_only_what_is_named() -> None:
-    changed = preset("flip", power={"sigma": 3}, budget=10)
-    assert changed.power.sigma == 3 and changed.power.weights == "sharpened"
-    assert PracticeSettings.model_validate(changed.model_dump(mode="json")) == changed
+    changed = preset("flip", learner={"sigma": 3}, budget=10)
+    assert changed.learner_settings.sigma == 3
+    assert changed.learner_settings.weights == "sharpened"
+    assert changed.practice.budget == 10
+    assert SessionSettings.model_validate(changed.model_dump(mode="json")) == changed
+    assert preset("flip", noise={"flick": 0.1}).task_settings.noise.flick == 0.1
+
+
+def test_another_learner_begins_with_its_own_settings() -> None:
+    changed = preset("flip", learner={"name": "cma_es", "population": 8})
+    assert changed.learner == "cma_es" and changed.learner_settings.population == 8
+    assert SessionSettings.model_validate(changed.model_dump(mode="json")) == changed
 
 
 def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
     practice = started("flip")
     run(practice, rollouts=4)
     trial = practice.next_trial()
-    record = practice.note(
+    record = practice.learn_assessed(
         trial,
         Assessment(0.1 + 0.2, {"a": 1 / 3, "b": math.nan}, None, False, "x\ny"),
         truth={"angle": np.float64(1.5), "n": np.arange(2), "ok": np.bool_(True)},
         clock={"took": 1.25},
     )
     line = record.to_json()
-    assert "\n" not in line and json.loads(line)["schema"] == "wam_power_ros/rollout/1"
-    again = Record.from_json(line)
+    assert "\n" not in line and json.loads(line)["schema"] == "wam_power_ros/rollout/2"
+    again = line_of(line)
     assert again == record and again.to_json() == line
     assert again.terms["b"] is None
     assert again.truth == {"angle": 1.5, "n": [0, 1], "ok": True}
@@ -524,83 +466,90 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
         line.replace('"kind": "explore"', '"kind": "guess"'),
         line.replace('"learnt": true', '"learnt": false'),
         line.replace('"attempt": 1', '"attempt": 1, "more": 2'),
-        line.replace("rollout/1", "rollout/2"),
+        line.replace("rollout/2", "rollout/1"),
     ):
         assert damage != line
         with pytest.raises(ValueError):
-            Record.from_json(damage)
+            line_of(damage)
 
 
 @pytest.mark.requirement("S-31")
-def test_forbidden_samples_are_drawn_again_and_only_what_is_allowed_is_tried() -> None:
-    def forbidden(policy: Policy) -> str:
+def test_infeasible_samples_are_rejected_and_only_feasible_ones_are_tried() -> None:
+    def infeasible(policy: Policy) -> str:
         return "too far out" if policy.attractors[3, 0] > CANDIDATES[0].attractors[3, 0] else ""
 
-    practice = Practice(CANDIDATES[:1], preset("flip", budget=20, retests=0), 3, forbidden)
+    practice = practice_of(
+        CANDIDATES[:1], preset("flip", budget=20, retests=0), 3, arm=AnyArm(infeasible)
+    )
     tried = []
     while (trial := practice.next_trial()) is not None:
         tried.append(trial)
-        practice.note(trial, toss(trial, practice.settings))
+        practice.learn_assessed(trial, toss(trial, practice.task.settings))
     explored = [trial for trial in tried if trial.kind == "explore"]
-    assert not any(forbidden(trial.policy) for trial in explored)
-    assert sum(record.redrawn for record in practice.records) > 0
+    assert not any(infeasible(trial.policy) for trial in explored)
+    assert sum(record.rejections for record in practice.records) > 0
 
 
 def parity(policy: Policy) -> str:
     return "odd" if int(policy.attractors[0, 0] * 1e6) % 2 else ""
 
 
-def test_a_replayed_practice_redraws_without_asking_what_is_forbidden() -> None:
+def test_a_replayed_practice_draws_without_simulating_again() -> None:
     def never(policy: Policy) -> str:
         raise AssertionError(f"asked about {policy.id}")
 
-    practice = Practice(CANDIDATES, preset("flip", budget=20, retests=0), 3, parity)
+    settings = preset("flip", budget=20, retests=0)
+    practice = practice_of(CANDIDATES, settings, 3, arm=AnyArm(parity))
     records = run(practice, rollouts=12)
-    assert any(record.redrawn for record in records)
-    again = Practice.from_records(CANDIDATES, practice.settings, 3, records, never)
+    assert any(record.rejections for record in records)
+    again = practice_of(CANDIDATES, settings_of(practice), 3, records, AnyArm(never))
     assert again.records == practice.records
 
 
 @pytest.mark.requirement("S-31")
-def test_when_everything_is_forbidden_only_what_ran_before_is_run_again() -> None:
-    practice = Practice(CANDIDATES, preset("flip", budget=8, retests=2), 3, lambda policy: "no")
+def test_when_everything_is_infeasible_only_what_ran_before_is_run_again() -> None:
+    practice = practice_of(
+        CANDIDATES, preset("flip", budget=8, retests=2), 3, arm=AnyArm(lambda policy: "no")
+    )
     records = run(practice)
     assert len(records) == 10
     after = [record for record in records if record.kind != "reproduction"]
     ran = {tuple(record.z) for record in records if record.kind == "reproduction"}
     assert after and {tuple(record.z) for record in after} <= ran
-    assert {record.redrawn for record in after if record.kind == "explore"} == {25}
+    assert {record.rejections for record in after if record.kind == "explore"} == {25}
 
 
 @pytest.mark.requirement("S-31")
-def test_a_forbidden_mean_or_answer_is_drawn_back_to_what_ran_without_a_fault() -> None:
+def test_an_infeasible_mean_or_answer_is_shrunk_to_what_ran_without_a_fault() -> None:
     settings = preset("flip", budget=24, retests=1, mean_every=4, confirm=0)
-    drawn_back = 0
+    shrunk = 0
     for seed in range(2):
-        practice = Practice(CANDIDATES[:1], settings, seed, parity)
+        practice = practice_of(CANDIDATES[:1], settings, seed, arm=AnyArm(parity))
         while (trial := practice.next_trial()) is not None:
             assert trial.kind == "reproduction" or not parity(trial.policy)
-            drawn_back += trial.kind == "mean" and trial.redrawn > 0
-            practice.note(trial, toss(trial, practice.settings))
-        again = Practice.from_records(CANDIDATES[:1], settings, seed, practice.records)
+            shrunk += trial.kind == "mean" and trial.rejections > 0
+            practice.learn_assessed(trial, toss(trial, practice.task.settings))
+        again = practice_of(CANDIDATES[:1], settings, seed, practice.records)
         assert again.records == practice.records and again.next_trial() is None
-    assert drawn_back > 0
+    assert shrunk > 0
 
 
 def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:
     limit = CANDIDATES[0].attractors[-1, 0] + 0.02
 
-    def forbidden(policy: Policy) -> str:
+    def infeasible(policy: Policy) -> str:
         return "out of reach" if policy.attractors[-1, 0] > limit else ""
 
     def far(trial: Trial) -> Assessment:
         flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
-        return Assessment(0.5, flight=flight)
+        return Assessment(0.5, observation=flight)
 
-    practice = Practice(CANDIDATES[:1], preset("flip", budget=2, retests=0), 3, forbidden)
+    practice = practice_of(
+        CANDIDATES[:1], preset("flip", budget=2, retests=0), 3, arm=AnyArm(infeasible)
+    )
     trial = practice.next_trial()
-    record = practice.note(trial, far(trial))
-    parameters = flip_parametrization(CANDIDATES[0], "planar", practice.settings.noise)
+    record = practice.learn_assessed(trial, far(trial))
+    parameters = practice.task.parametrization(CANDIDATES[0])
     learnt = parameters.policy(np.array(record.learnt_as), "learnt")[0]
     moved = learnt.attractors[-1, 0] - CANDIDATES[0].attractors[-1, 0]
-    assert 0.0 < moved <= 0.02  # a quarter of .7 * .1 m: the whole and the half are forbidden
+    assert 0.0 < moved <= 0.02  # a quarter of .7 * .1 m: the whole and the half are infeasible

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import pytest
 import yaml
-from toss_task import demonstrated_policy, toss
+from toss_task import ANY_ARM, demonstrated_policy, practice_in, practice_of, toss
 
 from wam_power_ros.learning.policy import Policy, from_json, to_json
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionError, SessionHeader, read, read_practice
+from wam_power_ros.practice.session import Session, SessionError, SessionHeader, read
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import Assessment
 
@@ -29,8 +29,10 @@ HERE = Path(__file__).resolve().parents[1]
 
 def begun(folder: Path, rollouts: int = 0, seed: int = 5) -> Path:
     """A session of some rollouts, closed again."""
-    with Session.begin(folder, SETTINGS, seed, CANDIDATES, task={"home": [0.0, 20.0]}) as session:
-        go_on(session, session.practice(), rollouts)
+    with Session.begin(
+        folder, SETTINGS, seed, CANDIDATES, context={"home": [0.0, 20.0]}
+    ) as session:
+        go_on(session, session.practice(ANY_ARM), rollouts)
     return folder
 
 
@@ -39,7 +41,9 @@ def go_on(session: Session, practice: Practice, rollouts: int) -> None:
         trial = practice.next_trial()
         if trial is None:
             return
-        session.append(practice.note(trial, toss(trial, practice.settings), clock={"pid": 1}))
+        session.append(
+            practice.learn_assessed(trial, toss(trial, practice.task.settings), clock={"pid": 1})
+        )
 
 
 def next_trial(practice: Practice) -> str:
@@ -51,10 +55,10 @@ def next_trial(practice: Practice) -> str:
 
 def expected_next_trials() -> list[str]:
     """What an undisturbed session would try after each number of rollouts."""
-    practice = Practice(CANDIDATES, SETTINGS, 5)
+    practice = practice_of(CANDIDATES, SETTINGS, 5)
     expected = [next_trial(practice)]
     while (trial := practice.next_trial()) is not None:
-        practice.note(trial, toss(trial, SETTINGS))
+        practice.learn_assessed(trial, toss(trial, SETTINGS.task_settings))
         expected.append(next_trial(practice))
     return expected
 
@@ -63,7 +67,7 @@ def test_a_session_opens_as_it_was_closed(tmp_path: Path) -> None:
     folder = begun(tmp_path / "deep" / "s", 7)
     with Session.open(folder) as session:
         assert session.settings == SETTINGS and session.seed == 5
-        assert session.header.task == {"home": [0.0, 20.0]}
+        assert session.context == {"home": [0.0, 20.0]}
         assert session.header.versions["python"] == sys.version.split()[0]
         assert [to_json(policy) for policy in session.candidates] == list(map(to_json, CANDIDATES))
         assert [record.number for record in session.records] == list(range(1, 8))
@@ -71,7 +75,7 @@ def test_a_session_opens_as_it_was_closed(tmp_path: Path) -> None:
         header, candidates, records = read(folder)
         assert header == session.header and records == session.records
         assert list(map(to_json, candidates)) == list(map(to_json, CANDIDATES))
-        assert next_trial(read_practice(folder)) == next_trial(session.practice())
+        assert next_trial(practice_in(folder)) == next_trial(session.practice(ANY_ARM))
 
 
 @pytest.mark.requirement("S-62")
@@ -94,7 +98,7 @@ def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
             assert log.read_bytes() == whole + torn[:length]
             with Session.open(folder) as session:
                 assert len(session.records) == cut
-                assert next_trial(session.practice()) == expected[cut]
+                assert next_trial(session.practice(ANY_ARM)) == expected[cut]
             assert log.read_bytes() == whole
             warned = [r for r in caplog.records if r.levelno == logging.WARNING]
             assert len(warned) == (length > 0)
@@ -104,21 +108,21 @@ def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
 def test_a_resumed_session_writes_what_an_uninterrupted_one_writes(tmp_path: Path) -> None:
     whole = begun(tmp_path / "whole", 99) / "rollouts.jsonl"
     pieces = begun(tmp_path / "pieces", 2)
-    while not read_practice(pieces).finished:
+    while not practice_in(pieces).finished:
         with Session.open(pieces) as session:
-            go_on(session, session.practice(), 5)
+            go_on(session, session.practice(ANY_ARM), 5)
     assert (pieces / "rollouts.jsonl").read_bytes() == whole.read_bytes()
 
 
 WRITER = """
 import sys
 from wam_power_ros.practice.session import Session
-from toss_task import toss
+from toss_task import ANY_ARM, practice_in, practice_of, toss
 
 with Session.open(sys.argv[1]) as session:
-    practice = session.practice()
+    practice = session.practice(ANY_ARM)
     while (trial := practice.next_trial()) is not None:
-        session.append(practice.note(trial, toss(trial, practice.settings)))
+        session.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
         print(trial.number, flush=True)  # acknowledged
         session.save_policy(practice.best.policy)
 """
@@ -157,10 +161,10 @@ def test_kill_9_loses_no_acknowledged_rollout(tmp_path: Path) -> None:
         assert acknowledged <= len(records) <= acknowledged + 1
         if (folder / "policy.json").exists():
             from_json((folder / "policy.json").read_text())  # whole, whenever it was
-    practice = Practice(CANDIDATES, settings, 0)
+    practice = practice_of(CANDIDATES, settings, 0)
     for record in read(folder)[2]:
         trial = practice.next_trial()
-        assert practice.note(trial, toss(trial, settings)) == record
+        assert practice.learn_assessed(trial, toss(trial, settings.task_settings)) == record
 
 
 @pytest.mark.requirement("S-63")
@@ -171,7 +175,7 @@ def test_only_one_learner_writes_a_session(tmp_path: Path) -> None:
             Session.open(folder)
         with pytest.raises(SessionError, match="being written by another learner"):
             Session.begin(folder, SETTINGS, 0, CANDIDATES)
-        go_on(session, session.practice(), 1)
+        go_on(session, session.practice(ANY_ARM), 1)
     Session.open(folder).close()
 
 
@@ -202,9 +206,9 @@ def test_a_log_that_may_not_grow_is_left_as_it_was(tmp_path: Path) -> None:
     log = folder / "rollouts.jsonl"
     before = log.read_bytes()
     with Session.open(folder) as session:
-        practice = session.practice()
+        practice = session.practice(ANY_ARM)
         trial = practice.next_trial()
-        record = practice.note(trial, toss(trial, SETTINGS))
+        record = practice.learn_assessed(trial, toss(trial, SETTINGS.task_settings))
         limits = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 100, limits[1]))
         try:
@@ -247,7 +251,7 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
     changed = json.dumps({**record, "z": [1.0] * len(record["z"])}).encode() + b"\n"
     log.write_bytes(b"".join([lines[0], changed, *lines[2:]]))
     with Session.open(folder) as session, pytest.raises(SessionError, match="record 2: z is not"):
-        session.practice()
+        session.practice(ANY_ARM)
 
 
 @pytest.mark.parametrize(
@@ -258,7 +262,12 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
         ({"schema": "wam_power_ros/session/9"}, "schema: "),
         ({"candidates": []}, "candidates: "),
         ({"surprise": 1}, "surprise: Extra inputs"),
-        ({"settings": {"variant": "planar"}}, "settings.noise: Field required"),
+        ({"settings": {"task": "flip"}}, "settings.task_settings: Field required"),
+        ({"settings": {"task": "fly", "learner": "power"}}, "settings: .*task 'fly' is not one of"),
+        (
+            {"settings": {"task": "flip", "learner": "power", "task_settings": {"ret": "eq5"}}},
+            "settings.variant: Field required",
+        ),
     ],
 )
 def test_a_malformed_header_is_named(tmp_path: Path, change: dict, reason: str) -> None:
@@ -301,7 +310,7 @@ def test_a_reader_sees_the_old_policy_or_the_new_one(tmp_path: Path) -> None:
             saved: Policy = from_json((folder / "policy.json").read_text())
             assert to_json(saved) == to_json(policy)
     assert sorted(path.name for path in folder.iterdir()) == [
-        ".lock", "bags", "candidates", "policy.json", "rollouts.jsonl", "session.yaml",
+        ".lock", "bags", "candidates", "policy.json", "rollouts.jsonl", "session.yaml", "task.json"
     ]  # fmt: skip
 
 
@@ -321,8 +330,10 @@ def test_every_setting_is_in_the_header(tmp_path: Path) -> None:
 def test_an_aborted_rollout_is_logged_with_its_reason(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s")
     with Session.open(folder) as session:
-        practice = session.practice()
+        practice = session.practice(ANY_ARM)
         trial = practice.next_trial()
-        session.append(practice.note(trial, Assessment(None, why="the pancake was never seen")))
+        session.append(
+            practice.learn_assessed(trial, Assessment(None, why="the pancake was never seen"))
+        )
     (record,) = read(folder)[2]
     assert not record.learnt and record.ret is None and record.why == "the pancake was never seen"

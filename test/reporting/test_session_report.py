@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from toss_task import demonstrated_policy
+from toss_task import ANY_ARM, demonstrated_policy
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.practice.practice import Practice
@@ -41,7 +41,7 @@ def folder(tmp_path: Path) -> Path:
     candidates = [demonstrated_policy("demonstration-1")]
     truth = {"caught": True, "flipped": True, "peak_elbow_speed": 0.4, "peak_forearm_speed": 1.37}
     with Session.begin(tmp_path / "session", settings, 5, candidates) as session:
-        practice: Practice = session.practice()
+        practice: Practice = session.practice(ANY_ARM)
         for angle in TURNS:
             trial = practice.next_trial()
             assert trial is not None
@@ -88,7 +88,7 @@ def test_an_exhibit_without_a_film_says_why(folder: Path) -> None:
 
 def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:
     candidates = [demonstrated_policy("demonstration-1")]
-    Session.begin(tmp_path, preset("paper"), 0, candidates).close()
+    Session.begin(tmp_path, preset("flip", "paper"), 0, candidates).close()
     assert "session.yaml" in session_report.write(tmp_path).read_text()
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from conftest import ROOT, Probe, Processes
 from std_srvs.srv import SetBool, Trigger
 from test_session_over_dds import JOINTS, SEED, learnt, lines
+from toss_task import practice_of
 
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
@@ -21,11 +22,11 @@ from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import PANCAKE, fit
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session, read_log
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import answers, interface
+from wam_power_ros.ros.answers import Code
 
 TAUGHT, LATER = sorted((ROOT / "bags").glob("demo_*"))[:2]
 SETTINGS = preset("flip", budget=5, retests=0)
@@ -59,10 +60,11 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
         return [line for line in read_log(folder) if isinstance(line, Record)]
 
     def say(service: str) -> str:
-        answer = probe.call(Trigger, service, deadline=300.0)
-        assert answer.success, answer.message
-        assert read_log(folder)[-1].note == answer.message  # on disk before it is answered
-        return answer.message
+        response = probe.call(Trigger, service, deadline=300.0)
+        answer = answers.read(response.success, response.message)
+        assert answer.success, answer
+        assert read_log(folder)[-1].note == answer.text  # on disk before it is answered
+        return answer.text
 
     (folder / "logs").mkdir()
     (folder / "logs" / DOMAIN).write_text(processes.environment["ROS_DOMAIN_ID"])
@@ -83,7 +85,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert say(interface.LEARNER_REWARD).startswith("trial-0001 rewarded: return ")
     assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
     refused = probe.call(Trigger, interface.LEARNER_DEMONSTRATION, deadline=300.0)
-    assert (refused.success, refused.message) == (False, interface.NO_BAG)
+    assert answers.read(refused.success, refused.message).code is Code.NOTHING
     status, answer = tell("demonstration", LATER.parent)  # no bag, but a folder of them
     assert status == 2 and answer.startswith("refused: ") and str(LATER.parent) in answer, answer
     status, answer = tell("demonstration", LATER)
@@ -109,14 +111,14 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
 
     # The same in one process, undisturbed: what a person did, at the places the log has it.
     bench = Environment(World(WorldSettings(), SEED))
-    practice = Practice([candidate], SETTINGS, SEED, bench.forbids)
+    practice = practice_of([candidate], SETTINGS, SEED, arm=bench)
     events = [line for line in read_log(folder) if not isinstance(line, Record)]
     assert len(events) == 3
     while (trial := practice.next_trial()) is not None:
-        pan, pancake, truth, fault = bench.run(trial.policy)
-        practice.learn(trial, pan, pancake, fault=fault, truth=truth)
+        rollout, truth = bench.run(trial.policy)
+        practice.learn(trial, rollout, truth=truth)
         for event in events:
             if event.after == trial.number:
-                practice.replay(event)
+                practice.apply(event)
     undisturbed = [line.to_json() for line in practice.log if isinstance(line, Record)]
     assert learnt(undisturbed) == learnt([record.to_json() for record in rollouts()])

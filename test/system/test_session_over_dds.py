@@ -39,7 +39,7 @@ from wam_power_ros.learning.dmp import PANCAKE, fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.practice.session import Session
-from wam_power_ros.practice.settings import PracticeSettings, preset
+from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface, pose_messages
 
 SEED = 43
@@ -149,7 +149,7 @@ def expected(candidate: Policy) -> list[dict[str, Any]]:
     return learnt(rows)
 
 
-def begin(folder: Path, candidate: Policy, settings: PracticeSettings = SETTINGS) -> Path:
+def begin(folder: Path, candidate: Policy, settings: SessionSettings = SETTINGS) -> Path:
     Session.begin(folder, settings, SEED, [candidate]).close()
     return folder
 

@@ -169,7 +169,7 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Re
             size = path.stat().st_size if path.exists() else 0
             if size != seen:
                 seen = size
-                settings, log = session.read(folder)[0].settings, session.read_log(folder)
+                settings, log = session.read(folder)[0].settings.practice, session.read_log(folder)
                 display.show(log, settings.budget + settings.retests)
             time.sleep(0.2)
     return with_ratings(log)

@@ -55,7 +55,7 @@ def _give(node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:
         # topics and services are not ordered: the learner may not have received the bag yet
         if answer is None:
             raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
-        early = bag is not None and (answer.code is Code.NOTHING or answer.text == interface.NO_BAG)
+        early = bag is not None and answer.code is Code.NOTHING
         if not early or time.monotonic() > end:
             return answer.success, answer.text
         calls.until(lambda: False, timeout=0.05)

@@ -20,7 +20,7 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault
+from wam_power_ros.learning.rollout import Fault, Rollout
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.tracking.tracker import Tracker, TrackerSettings
@@ -64,10 +64,13 @@ class Environment:
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
 
-    def forbids(self, policy: Policy) -> str:
-        """Why a rehearsal of this policy would end in a fault, empty when it would not."""
-        fault = simulate_policy(self.arm, self.controller.settings, policy).fault
-        return "" if fault is None else fault.text
+    def infeasible(self, policy: Policy) -> Fault | None:
+        """Fault in which a simulated execution of a policy ends, None when there is none."""
+        return simulate_policy(self.arm, self.controller.settings, policy).fault
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Position of the tool at joint angles q [m]. Shape (3,)."""
+        return self.arm.tool_pose(q)[0]
 
     def tick(self) -> None:
         """State to torque, torque to state."""
@@ -105,13 +108,8 @@ class Environment:
         controller.set_gravity_compensation(False)
         return np.array(stamps), np.array(q)
 
-    def run(self, policy: Policy) -> tuple[EndEffectorPath, BodyPath, Truth, Fault | None]:
-        """Execute a policy.
-
-        Returns:
-            The pan's path, the pancake's as the tracker saw it, what really happened, and the
-            controller's fault, None when there was none.
-        """
+    def run(self, policy: Policy) -> tuple[Rollout, Truth]:
+        """Execute a policy; returns its rollout and the simulator's ground truth."""
         world = self.world
         self._place(policy.id, policy.q_start)
         controller = self.controller
@@ -130,14 +128,13 @@ class Environment:
         start_ns = controller.rollout_stamp_ns
         if pan is None or start_ns is None or truth is None:
             raise RuntimeError(f"rollout {policy.id} left no path")
-        fault = controller.latched
         end_ns = start_ns + round(float(pan.t[-1]) * 1e9)
         for _ in range(_LATE_TICKS):
             if self.tracker.latest_ns >= end_ns:
                 break
             self.tick()
         pancake = self.tracker.path(policy.id, start_ns, end_ns)
-        return pan, pancake, truth, fault
+        return Rollout(pan, pancake, controller.latched), truth
 
     def _place(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Hold the arm still at a place it has been put to; only a stand-in can do that."""

@@ -19,7 +19,7 @@ from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.filmstrip import TRACE_RATE
 from wam_power_ros.experiments.render import render
 from wam_power_ros.learning import policy
-from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session
 from wam_power_ros.reporting import figures, session_report
 from wam_power_ros.tasks.flip.flight import observe_flight
@@ -42,11 +42,12 @@ def run(folder: Path, film: bool) -> session_report.Exhibit:
     world = World(seed=header.seed)
     world.trace = []
     environment = Environment(world)
-    calm = environment.run(policy.with_id(answer, f"answer{QUIET}"))
-    sys.stdout.write(f"without noise the answer {_outcome(calm[2], calm[3])}\n")
-    pan, pancake, truth, fault = environment.run(answer)
-    flight = observe_flight(pan, pancake, header.settings.delta_h)
-    caption = f"{_outcome(truth, fault)}."
+    noise_free = environment.run(policy.with_id(answer, f"answer{QUIET}"))
+    sys.stdout.write(f"without noise the answer {_outcome(*noise_free)}\n")
+    rollout, truth = environment.run(answer)
+    pan, pancake = rollout.tool, rollout.body
+    flight = observe_flight(pan, pancake, header.settings.task_settings.delta_h)
+    caption = f"{_outcome(rollout, truth)}."
     path = folder / "film.webp"
     if film:
         poses = world.trace[:: round(TRACE_RATE / FILM_RATE)]
@@ -60,9 +61,9 @@ def run(folder: Path, film: bool) -> session_report.Exhibit:
     )
 
 
-def _outcome(truth: Truth, fault: Fault | None) -> str:
-    if fault is not None:
-        return fault.text
+def _outcome(rollout: Rollout, truth: Truth) -> str:
+    if rollout.fault is not None:
+        return rollout.fault.text
     return (
         f"turned {abs(truth['angle_deg']):.0f}° until it came down, "
         f"{'flipped' if truth['flipped'] else 'not flipped'} and "

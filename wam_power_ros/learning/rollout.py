@@ -105,6 +105,30 @@ class BodyPath:
         _check_path(self)
 
 
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """A finished rollout.
+
+    Attributes:
+        tool: Path of the tool.
+        body: Path of the tracked body, None for a task that tracks none.
+        fault: Fault of the controller that ended the rollout, None when there was none.
+
+    Raises:
+        ValueError: The two paths are of different policies.
+    """
+
+    tool: EndEffectorPath
+    body: BodyPath | None = None
+    fault: Fault | None = None
+
+    def __post_init__(self) -> None:
+        if self.body is not None and self.body.id != self.tool.id:
+            raise ValueError(
+                f"path of the body is of rollout {self.body.id!r}, the tool's of {self.tool.id!r}"
+            )
+
+
 def _check_path(path: EndEffectorPath | BodyPath) -> None:
     """Replace the arrays of a path by checked, read-only ones."""
     check_id(path.id)

@@ -80,7 +80,7 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
     if simulated or not names:  # the stand-in does what takes a person in the lab
         whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}
-        whole["learner"] |= {"pancake_reset": True, "reset_faults": True}
+        whole["learner"] |= {"scene_reset": True, "reset_faults": True}
         whole["demonstration_recorder"]["source"] = "sim"
         if whole["wam_sim"]["pace"] == "lockstep":  # it keeps the time, and waits for everyone
             for node in set(NODES) - set(STAND_INS):
@@ -156,8 +156,7 @@ def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
         "learner": {
             **{name: arm[name] for name in ("joint_names", "model_joint_names", "tool_frame")},
             "urdf": arm["urdf"],
-            "body": mocap["body"],
-            "pancake_reset": False,
+            "scene_reset": False,
             "reset_faults": False,
         },
     }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What speaks for a policy: its noise-free runs."""
+"""The best policy so far, judged by its runs without exploration."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class Best:
     """The policy a session would answer with now.
 
     Attributes:
-        policy: the policy, named after the first trial that ran it.
-        returns: returns of its noise-free runs.
-        successes: number of these runs that succeeded.
-        why: the evidence for it, in words.
+        policy: The policy, named after the first trial that ran it.
+        returns: Returns of its runs without exploration.
+        successes: Number of these runs that succeeded.
+        why: Reason for the choice, for a person.
     """
 
     policy: Policy
@@ -31,15 +31,15 @@ class Best:
 
 
 @dataclass
-class Evidence:
-    """Noise-free runs of one policy.
+class Runs:
+    """Runs of one policy without exploration.
 
     Attributes:
-        id: name of the first of them.
-        demonstration: id of the candidate it starts from.
-        z: coordinates of the policy. Shape (size,)
-        returns: of the runs, ratings included.
-        successes: number of runs that succeeded.
+        id: Id of the first of them.
+        demonstration: Id of the candidate the policy starts from.
+        z: Coordinates of the policy. Shape (size,).
+        returns: Returns of the runs, ratings included.
+        successes: Number of runs that succeeded.
     """
 
     id: str
@@ -49,22 +49,62 @@ class Evidence:
     successes: int = 0
 
     def lower_bound(self, return_noise: float) -> float:
-        """What its return is likely to exceed, noise of one return being `return_noise`."""
+        """Mean return less its standard error, one return having this standard deviation."""
         return float(np.mean(self.returns)) - return_noise / math.sqrt(len(self.returns))
 
 
-def evidence_of(records: Sequence[Record]) -> list[Evidence]:
-    """What is known of each policy that was run without noise, in the order of first runs.
+def runs_without_exploration(records: Sequence[Record]) -> list[Runs]:
+    """Runs of each policy that was executed without exploration, in the order of first runs.
 
     Args:
-        records: of a session, oldest first.
+        records: Records of a session, oldest first.
     """
-    found: dict[tuple[str, bytes], Evidence] = {}
+    found: dict[tuple[str, bytes], Runs] = {}
     for record in records:
-        if record.worth is not None and record.kind != "explore":
+        if record.rated_return is not None and record.kind != "explore":
             z = np.array(record.z)
-            default = Evidence(record.id, record.demonstration, z)
-            evidence = found.setdefault((record.demonstration, z.tobytes()), default)
-            evidence.returns.append(record.worth)
-            evidence.successes += record.succeeded
+            new = Runs(record.id, record.demonstration, z)
+            runs = found.setdefault((record.demonstration, z.tobytes()), new)
+            runs.returns.append(record.rated_return)
+            runs.successes += record.succeeded
     return list(found.values())
+
+
+def choose_best(
+    records: Sequence[Record],
+    demonstration: str | None,
+    answer: np.ndarray | None,
+    stopped: str,
+    return_noise: float,
+) -> tuple[Runs, str] | None:
+    """The runs that speak for the best policy, and why; None before a usable run.
+
+    Only runs without exploration count: reproductions, means and re-tests, never an exploring
+    rollout that was lucky. While learning: of the policies of the demonstration that is learnt from
+    the one of highest lower bound, the later one of equals. Once the session has stopped: its
+    answer.
+
+    Args:
+        records: Records of the session, oldest first.
+        demonstration: Id of the candidate that is learnt from, None before the choice.
+        answer: Coordinates of the session's answer, None while it learns. Shape (size,).
+        stopped: Reason why nothing more is learnt.
+        return_noise: Standard deviation of the return of one policy.
+    """
+    known = [
+        runs
+        for runs in runs_without_exploration(records)
+        if demonstration in (None, runs.demonstration)
+    ]
+    if not known:
+        return None
+    answers = [runs for runs in known if answer is not None and (runs.z == answer).all()]
+    if answers:
+        best, rule = answers[0], f"the answer: {stopped}"
+    else:
+        best = max(reversed(known), key=lambda runs: runs.lower_bound(return_noise))
+        rule = f"lower bound {best.lower_bound(return_noise):.3f}, highest of {len(known)} policies"
+    return best, (
+        f"{best.id}: {best.successes} of {len(best.returns)} runs without exploration succeeded, "
+        f"mean return {np.mean(best.returns):.3f}; {rule}"
+    )

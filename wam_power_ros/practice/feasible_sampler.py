@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the arm may try of what a learner wants: the forbidden is drawn again, or drawn back."""
+"""Rejection sampling of infeasible policies; after 20 rejections, shrink to the best feasible one.
+
+A policy is infeasible when its simulation on the rigid-body model ends in a fault.
+"""
 
 from __future__ import annotations
 
@@ -7,72 +10,74 @@ from collections.abc import Callable
 
 import numpy as np
 
+from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.rollout import Fault
 
-REDRAWS_MAX = 20
-HALVINGS_MAX = 5  # of the way from what ran without a fault to what is forbidden
+REJECTIONS_MAX = 20
+HALVINGS_MAX = 5  # of the way from what ran without a fault to what is infeasible
+
+Infeasible = Callable[[Policy], Fault | None]  # fault in which a policy would end, None for none
 
 
-class Permission:
-    """The coordinates that may be tried about one demonstration.
+class FeasibleSampler:
+    """Feasible coordinates about one demonstration.
 
-    What it takes to come to them is counted, and the count goes into the log: where it is known,
-    in a replay, nothing is asked.
+    The number of rejections goes into the log: where it is known, in a replay, nothing is asked.
 
     Args:
-        parameters: of the demonstration.
-        forbidden: why the arm must not try a policy, empty if it may; the same policy must always
-            get the same answer, and an answer's is asked for before every re-test.
+        parametrization: Parametrization of the demonstration.
+        infeasible: Fault in which a policy would end, None when it is feasible; the same policy
+            must always get the same answer.
     """
 
-    def __init__(self, parameters: Parametrization, forbidden: Callable[[Policy], str]) -> None:
-        self._parameters = parameters
-        self._forbidden = forbidden
+    def __init__(self, parametrization: Parametrization, infeasible: Infeasible) -> None:
+        self._parametrization = parametrization
+        self._infeasible = infeasible
 
     def sample(
-        self, learner: Power, ran: np.ndarray, redrawn: int | None = None
+        self, learner: Learner, ran: np.ndarray, rejections: int | None = None
     ) -> tuple[np.ndarray, int]:
-        """A learner's sample that is not forbidden; the last one drawn back if 20 are.
+        """A feasible sample of a learner; the last of 20 infeasible ones is shrunk.
 
         Args:
-            learner: that is asked.
-            ran: coordinates that ran without a fault. Shape (size,)
-            redrawn: the count, where it is known.
+            learner: Learner that is asked.
+            ran: Coordinates that ran without a fault. Shape (size,).
+            rejections: Number of rejections, where it is known.
 
         Returns:
-            Coordinates (size,), and how many samples were forbidden and how often the last was
-            drawn back.
+            Coordinates (size,), and the number of rejections and halvings.
         """
-        asked = REDRAWS_MAX if redrawn is None else min(redrawn + 1, REDRAWS_MAX)
+        asked = REJECTIONS_MAX if rejections is None else min(rejections + 1, REJECTIONS_MAX)
         for count in range(asked):
             z = learner.ask()
-            if redrawn is None and not self._forbids(z):
+            if rejections is None and self._is_feasible(z):
                 return z, count
-        if redrawn is not None and redrawn < REDRAWS_MAX:
-            return z, redrawn
-        z, halved = self.drawn_back(z, ran, None if redrawn is None else redrawn - REDRAWS_MAX)
-        return z, REDRAWS_MAX + halved
+        if rejections is not None and rejections < REJECTIONS_MAX:
+            return z, rejections
+        halvings = None if rejections is None else rejections - REJECTIONS_MAX
+        z, halvings = self.shrunk(z, ran, halvings)
+        return z, REJECTIONS_MAX + halvings
 
-    def drawn_back(
-        self, z: np.ndarray, ran: np.ndarray, halved: int | None = None
+    def shrunk(
+        self, z: np.ndarray, ran: np.ndarray, halvings: int | None = None
     ) -> tuple[np.ndarray, int]:
-        """What is wanted or, where that is forbidden, the first allowed of some nearer to what ran.
+        """Coordinates themselves or, where infeasible, the first feasible ones on the way to `ran`.
 
         Args:
-            z: that is wanted. Shape (size,)
-            ran: coordinates that ran without a fault, allowed whatever is asked. Shape (size,)
-            halved: the count, where it is known.
+            z: Wanted coordinates. Shape (size,).
+            ran: Coordinates that ran without a fault; taken without asking. Shape (size,).
+            halvings: Number of halvings, where it is known.
 
         Returns:
-            Coordinates (size,), and how often they were drawn back.
+            Coordinates (size,), and the number of times the way to them was halved.
         """
         nearer = [z, *(ran + 0.5**count * (z - ran) for count in range(1, HALVINGS_MAX)), ran]
-        if halved is None:
-            allowed = (count for count in range(HALVINGS_MAX) if not self._forbids(nearer[count]))
-            halved = next(allowed, HALVINGS_MAX)
-        return nearer[halved], halved
+        if halvings is None:
+            feasible = (count for count in range(HALVINGS_MAX) if self._is_feasible(nearer[count]))
+            halvings = next(feasible, HALVINGS_MAX)
+        return nearer[halvings], halvings
 
-    def _forbids(self, z: np.ndarray) -> bool:
-        return bool(self._forbidden(self._parameters.policy(z, "sample")[0]))
+    def _is_feasible(self, z: np.ndarray) -> bool:
+        return self._infeasible(self._parametrization.policy(z, "sample")[0]) is None

@@ -1,157 +1,186 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a session: which policy is tried next, and what is made of its outcome.
+"""The course of a session: which policy is tried next, and how a finished rollout is used.
 
 A session reproduces every demonstration once on the arm, chooses the one to learn from by its
 reproduction, explores, runs the mean now and then, stops by a rule, and re-tests its answer.
-Meanwhile a person may rate rollouts and give further demonstrations. Everything `Practice` knows
-follows from its candidates, settings, seed and log, so replaying the lines of a log rebuilds it bit
-for bit. No ROS, no files, no clock.
+Meanwhile a person may rate rollouts and add demonstrations. Everything `Practice` knows follows
+from its arguments and its log, and every line of the log, live or replayed, goes through
+`Practice.apply`; so replaying a log rebuilds the practice bit for bit. No ROS, no files, no clock.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from wam_power_ros.learning.learner import generator_state
+from wam_power_ros.learning.learner import Learner, Model, generator_state
 from wam_power_ros.learning.parametrization import Parametrization
-from wam_power_ros.learning.policy import Policy, check_id, to_json
-from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault
-from wam_power_ros.practice.best_policy import Best, evidence_of
-from wam_power_ros.practice.feasible_sampler import Permission
-from wam_power_ros.practice.session_log import Event, Given, Kind, Line, Rating, Record, plain
-from wam_power_ros.practice.settings import PracticeSettings
-from wam_power_ros.practice.stopping_rule import Confirmation
-from wam_power_ros.practice.trial import Retry, Trial
-from wam_power_ros.tasks.flip.assessment import Assessment, assess, choose_demonstration
-from wam_power_ros.tasks.flip.landing_correction import corrected
-from wam_power_ros.tasks.flip.parametrization import flip_parametrization
+from wam_power_ros.learning.policy import Policy, check_id
+from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.practice.best_policy import Best, choose_best
+from wam_power_ros.practice.choose_demonstration import choose_demonstration
+from wam_power_ros.practice.feasible_sampler import FeasibleSampler
+from wam_power_ros.practice.feedback import make_demonstration, make_rating
+from wam_power_ros.practice.session_log import (
+    Event,
+    Kind,
+    Line,
+    NewDemonstration,
+    Rating,
+    Record,
+    plain,
+)
+from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
+from wam_power_ros.practice.stopping_rule import StoppingRule
+from wam_power_ros.practice.trial import Draw, Trial
+from wam_power_ros.tasks.task import Assessment, Task
 
-_RECENT = 5  # rollouts whose mean return a demonstration given later has to exceed
-RATING_MAX = 1.0  # of one rating: a whole return
-E = TypeVar("E", Rating, Given)
+RECENT = 5  # rollouts whose mean return a demonstration added later has to exceed
+L = TypeVar("L", Record, Rating, NewDemonstration)
+LearnerFactory = Callable[[int, np.random.Generator, Model | None], Learner]
 
 
-def reproduced(candidate: Policy, settings: PracticeSettings) -> Policy:
-    """The policy that reproduces a demonstration: the candidate in the parameters of a session."""
-    parameters = flip_parametrization(candidate, settings.variant, settings.noise)
-    return parameters.policy(np.zeros(parameters.size), candidate.id)[0]
+class ArmModel(Protocol):
+    """What a practice asks the model of the arm."""
+
+    def infeasible(self, policy: Policy) -> Fault | None:
+        """Fault in which a simulated execution of a policy ends, None when there is none.
+
+        The same policy must always get the same answer.
+        """
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Position of the tool at joint angles q [m]. Shape (3,)."""
+
+
+def reproduction_of(candidate: Policy, task: Task) -> Policy:
+    """The policy that reproduces a demonstration: the candidate at z = 0 of its parametrization."""
+    parametrization = task.parametrization(candidate)
+    return parametrization.policy(np.zeros(parametrization.size), candidate.id)[0]
+
+
+def check_candidates(candidates: Sequence[Policy], settings: PracticeSettings) -> None:
+    """Check what a session begins with.
+
+    Raises:
+        ValueError: No candidates, two of the same id, or a budget that leaves no practice.
+    """
+    ids = [policy.id for policy in candidates]
+    if not ids:
+        raise ValueError("no candidate: a session needs at least one demonstration")
+    if len(set(ids)) != len(ids):
+        raise ValueError(f"candidates must have different ids, got {ids}")
+    if settings.budget <= len(ids):
+        raise ValueError(
+            f"a budget of {settings.budget} rollouts leaves none to practise "
+            f"after {len(ids)} reproductions"
+        )
 
 
 class Practice:
     """A session from its first reproduction to its last re-test.
 
-    Call `next_trial`, execute it, call `learn` with what came of it, make the record durable, and
-    so on until `next_trial` has none. The rules:
+    Call `next_trial`, execute it, call `learn` with its rollout, make the record durable, and so on
+    until `next_trial` has none. The rules:
 
-    * Each candidate is reproduced once; `choose_demonstration` chooses one; the learner is told
+    * Each candidate is reproduced once; `choose_demonstration` chooses one; the learner is given
       its reproduction as z = 0.
-    * A rollout that was cut short or in which the pancake was lost from view says nothing about
-      its policy: it is not learnt from and the same z is tried again, up to `attempts` times, so
-      that a passing failure leaves the course of learning as it would have been. Then it is
-      dropped.
-    * A rollout ended by a motion limit (over-speed, workspace) is learnt from with return 0: the
-      policy brought that about itself.
-    * What is forbidden is not tried: a sample is drawn again, and a mean, an answer or the last of
-      20 such samples is drawn back, halfway and halfway again, to the best rollout so far that
-      ended without a fault.
+    * A rollout without a return says nothing about its policy: it is not learnt from and the same z
+      is tried again, up to `attempts` times, so that a passing failure leaves the course of
+      learning as it would have been. Then it is dropped.
+    * A rollout ended by a limit of motion is learnt from with return 0: the policy caused it.
+    * An infeasible policy is not tried, see `FeasibleSampler`.
     * A mean that succeeds is run again, unchanged, until it fails or has succeeded `confirm` times
       in a row; all these runs are learnt from. Returns are noisy and an elite keeps its lucky
-      rollouts for ever; running the mean again is what tells luck from skill.
+      rollouts for ever; running the mean again separates luck from skill.
     * The session stops at that, or when the budget is used. Its answer is the confirmed mean or
       the last one; it is re-tested and not changed any more.
-    * A person may add to the return of any usable rollout until then (`rate`): the learner is told
-      everything again, with `Record.worth` for its return. A punished rollout is no success.
-    * A person may give a further demonstration until then (`give`). It is reproduced next. If that
-      is worth more than the mean of the last five rollouts, it is learnt from instead, from the
+    * A person may add to the return of any usable rollout until then (`rate`): the learner is given
+      everything again, with `Record.rated_return`. A punished rollout is no success.
+    * A person may add a demonstration until then (`add_demonstration`). It is reproduced next. If
+      its return exceeds the mean of the last five rollouts, it is learnt from instead, from the
       beginning and with what is left of the budget; if not, learning goes on as it was. The two
       are not mixed: a weighted mean of different demonstrations smooths out the peaks of
       acceleration that make a toss ([Kormushev2010], Sec. IV).
-    * What a person does takes effect on the next trial that is drawn, not on the one under way.
+    * Ratings and demonstrations take effect on the next trial that is drawn, not on the one under
+      way.
     """
 
     def __init__(
         self,
         candidates: Sequence[Policy],
         settings: PracticeSettings,
+        task: Task,
+        learner: LearnerFactory,
         seed: int,
-        forbidden: Callable[[Policy], str] = lambda policy: "",
+        arm: ArmModel,
     ) -> None:
         """Begin a session.
 
         Args:
-            candidates: policies fitted to the demonstrations, each with an id of its own.
-            settings: see there.
-            seed: of the exploration, >= 0.
-            forbidden: why the arm must not try a policy, empty if it may; the same policy must
-                always get the same answer. Not asked about these candidates: ask it yourself
-                about what `reproduced` gives of each.
+            candidates: Policies fitted to the demonstrations, each with an id of its own.
+            settings: Settings of its course.
+            task: Task that is practised.
+            learner: Makes a learner, see `SessionSettings.make_learner`.
+            seed: Seed of the exploration, >= 0.
+            arm: Model of the arm. It is not asked about these candidates: ask it yourself about
+                `reproduction_of` each.
 
         Raises:
-            ValueError: no candidates, two of the same id, or a budget that leaves no practice.
+            ValueError: No candidates, two of the same id, or a budget that leaves no practice.
         """
-        ids = [policy.id for policy in candidates]
-        if not ids:
-            raise ValueError("no candidate: a session needs at least one demonstration")
-        if len(set(ids)) != len(ids):
-            raise ValueError(f"candidates must have different ids, got {ids}")
-        if settings.budget <= len(ids):
-            raise ValueError(
-                f"a budget of {settings.budget} rollouts leaves none to practise "
-                f"after {len(ids)} reproductions"
-            )
+        check_candidates(candidates, settings)
         self.settings = settings
+        self.task = task
         self.seed = seed
-        self._forbidden = forbidden
+        self._make_learner = learner
+        self._arm = arm
         self._candidates = list(candidates)
-        self._parameters = {
-            policy.id: flip_parametrization(policy, settings.variant, settings.noise)
-            for policy in candidates
-        }
+        self._parametrizations = {p.id: task.parametrization(p) for p in candidates}
         self._rng = np.random.Generator(np.random.PCG64(seed))
         self._records: list[Record] = []
         self._log: list[Line] = []
-        self._events: list[Event] = []  # that wait for the end of the trial under way
+        self._waiting: list[Event] = []  # for the end of the trial under way
         self._pending: Trial | None = None
-        self._retry: Retry | None = None
+        self._retry: Draw | None = None
         self._reproductions: list[int] = []  # numbers of the rollouts, one a candidate
         self._demonstration: str | None = None
         self._choice = ""
-        self._learner: Power | None = None
-        self._permission: Permission | None = None  # with the learner
+        self._learner: Learner | None = None
+        self._sampler: FeasibleSampler | None = None  # with the learner
         self._used = 0  # usable rollouts, of the budget
         self._practised = 0  # trials of the practice that are over, dropped ones included
-        self._confirmation = Confirmation(settings)
+        self._rule = StoppingRule(settings, task.confirms)
         self._stopped = ""
         self._answer: np.ndarray | None = None
         self._retested = 0
 
     @classmethod
-    def from_records(
+    def of(
         cls,
+        settings: SessionSettings,
+        context: Mapping[str, Any],
         candidates: Sequence[Policy],
-        settings: PracticeSettings,
         seed: int,
-        log: Sequence[Line],
-        forbidden: Callable[[Policy], str] = lambda policy: "",
+        arm: ArmModel,
+        log: Sequence[Line] = (),
     ) -> Practice:
-        """Practice as it was after the last line of `log`.
+        """Practice of a session as it was after the last line of `log`.
 
         Raises:
-            ValueError: the log is not that of such a session; names the first line that differs.
+            ValueError: The log is not that of such a session; names the first line that differs.
         """
-        practice = cls(candidates, settings, seed, forbidden)
+        task = settings.make_task(context)
+        practice = cls(candidates, settings.practice, task, settings.make_learner, seed, arm)
         for line in log:
-            practice.replay(line)
+            practice.apply(line)
         return practice
 
     @property
     def log(self) -> tuple[Line, ...]:
-        """All that happened so far, oldest first: what `from_records` needs."""
+        """All lines so far, oldest first."""
         return tuple(self._log)
 
     @property
@@ -161,28 +190,30 @@ class Practice:
 
     @property
     def candidates(self) -> tuple[Policy, ...]:
-        """Policies of all demonstrations, those given later included."""
-        waiting = [event.candidate() for event in self._events if isinstance(event, Given)]
+        """Policies of all demonstrations, those added later included."""
+        waiting = [e.candidate() for e in self._waiting if isinstance(e, NewDemonstration)]
         return (*self._candidates, *waiting)
 
     @property
-    def parameters(self) -> Parametrization | None:
-        """Parameters of the chosen demonstration, None before the choice."""
-        return None if self._demonstration is None else self._parameters[self._demonstration]
+    def parametrization(self) -> Parametrization | None:
+        """Parametrization of the chosen demonstration, None before the choice."""
+        if self._demonstration is None:
+            return None
+        return self._parametrizations[self._demonstration]
 
     @property
-    def learner(self) -> Power | None:
-        """The learner, None before the choice. Not to be told by anyone else."""
+    def learner(self) -> Learner | None:
+        """The learner, None before the choice; to be read only."""
         return self._learner
 
     @property
     def choice(self) -> str:
-        """Which demonstration is learnt from and why, empty before the choice."""
+        """Demonstration that is learnt from and why, empty before the choice."""
         return self._choice
 
     @property
     def used(self) -> int:
-        """Rollouts used of the budget."""
+        """Number of rollouts used of the budget."""
         return self._used
 
     @property
@@ -197,7 +228,7 @@ class Practice:
 
     @property
     def stopped(self) -> str:
-        """Why nothing more is learnt, empty while learning; re-tests may be outstanding."""
+        """Reason why nothing more is learnt, empty while learning; re-tests may be outstanding."""
         return self._stopped
 
     @property
@@ -211,91 +242,57 @@ class Practice:
 
     @property
     def best(self) -> Best | None:
-        """The policy to save as the best so far, None before a usable noise-free run.
-
-        Only noise-free runs count: reproductions, means and re-tests, never an exploring rollout
-        that was lucky. While learning: of the chosen demonstration's policies the one of highest
-        mean return less `return_noise` / sqrt(runs), the later one of equals. Once the session has
-        stopped: its answer.
-        """
-        noise = self.settings.return_noise
-        known = [
-            evidence
-            for evidence in evidence_of(self._records)
-            if self._demonstration in (None, evidence.demonstration)
-        ]
-        if not known:
-            return None
-        answers = [e for e in known if self._answer is not None and (e.z == self._answer).all()]
-        if answers:
-            best, rule = answers[0], f"the answer: {self._stopped}"
-        else:
-            best = max(reversed(known), key=lambda evidence: evidence.lower_bound(noise))
-            rule = f"lower bound {best.lower_bound(noise):.3f}, highest of {len(known)} policies"
-        policy, _ = self._parameters[best.demonstration].policy(best.z, best.id)
-        runs = len(best.returns)
-        why = (
-            f"{best.id}: {best.successes} of {runs} noise-free runs succeeded, "
-            f"mean return {np.mean(best.returns):.3f}; {rule}"
+        """The policy to save as the best so far, see `choose_best`."""
+        chosen = choose_best(
+            self._records,
+            self._demonstration,
+            self._answer,
+            self._stopped,
+            self.settings.return_noise,
         )
-        return Best(policy, tuple(best.returns), best.successes, why)
+        if chosen is None:
+            return None
+        runs, why = chosen
+        policy, _ = self._parametrizations[runs.demonstration].policy(runs.z, runs.id)
+        return Best(policy, tuple(runs.returns), runs.successes, why)
 
     def next_trial(self) -> Trial | None:
-        """Rollout to execute now, the same until it is learnt from; None when finished."""
+        """Rollout to execute now, the same until it is on record; None when finished."""
         return self._next_trial(None)
-
-    def _next_trial(self, redrawn: int | None) -> Trial | None:
-        """The next trial; `redrawn` is known when it is replayed."""
-        if self._pending is None and not self.finished:
-            kind, demonstration, z, attempt, redrawn, why = self._plan(redrawn)
-            number = len(self._records) + 1
-            id = f"trial-{number:04d}"
-            parameters = self._parameters[demonstration]
-            policy, z = parameters.policy(z, id)
-            theta = parameters.theta(z)
-            z.setflags(write=False)
-            theta.setflags(write=False)
-            self._pending = Trial(
-                number, id, kind, demonstration, policy, z, theta, attempt, redrawn, why
-            )
-        return self._pending
 
     def learn(
         self,
         trial: Trial,
-        pan: EndEffectorPath,
-        pancake: BodyPath,
+        rollout: Rollout,
         *,
-        fault: Fault | None = None,
         bag: str = "",
         truth: Mapping[str, Any] | None = None,
         clock: Mapping[str, Any] | None = None,
     ) -> Record:
-        """Judge the executed trial and learn from it.
+        """Assess the executed trial and learn from it.
 
         Args:
-            trial: what `next_trial` gave.
-            pan: path of the pan in the base frame.
-            pancake: path of the pancake in the base frame.
-            fault: the controller's fault if it ended the rollout, else None.
-            bag: name of the rollout's bag.
-            truth: the stand-in's own account, logged only.
-            clock: wall-clock figures, logged only.
+            trial: What `next_trial` returned.
+            rollout: Its rollout.
+            bag: Name of the rollout's bag.
+            truth: Ground truth of the simulator, logged only.
+            clock: Wall-clock figures, logged only.
 
         Returns:
-            What is to be appended to the log before the next trial.
+            The record, to be appended to the log before the next trial.
 
         Raises:
-            ValueError: not the trial that is due, or a path of another rollout.
+            ValueError: Not the trial that is due, or a path of another rollout.
         """
-        for name, path in (("pan", pan), ("pancake", pancake)):
-            if path.id != trial.id:
-                raise ValueError(f"{name} path is of rollout {path.id!r}, expected {trial.id!r}")
-        assessment = assess(trial.policy, pan, pancake, self.settings, fault)
-        text = "" if fault is None else fault.text
-        return self.note(trial, assessment, fault=text, bag=bag, truth=truth, clock=clock)
+        if rollout.tool.id != trial.id:
+            raise ValueError(f"paths are of rollout {rollout.tool.id!r}, expected {trial.id!r}")
+        assessment = self.task.assess(trial.policy, rollout)
+        fault = "" if rollout.fault is None else rollout.fault.text
+        return self.learn_assessed(
+            trial, assessment, fault=fault, bag=bag, truth=truth, clock=clock
+        )
 
-    def note(
+    def learn_assessed(
         self,
         trial: Trial,
         assessment: Assessment,
@@ -305,134 +302,109 @@ class Practice:
         truth: Mapping[str, Any] | None = None,
         clock: Mapping[str, Any] | None = None,
     ) -> Record:
-        """Like `learn`, with the rollout judged elsewhere: for skills other than the pancake.
+        """Like `learn`, of a rollout that was assessed elsewhere.
 
         Raises:
-            ValueError: not the trial that is due, or a return that cannot be learnt from.
+            ValueError: Not the trial that is due, or a return that cannot be learnt from.
         """
-        if self._pending is None or trial.id != self._pending.id:
-            due = None if self._pending is None else self._pending.id
-            raise ValueError(f"rollout {trial.id!r} is not the one that is due ({due})")
-        trial = self._pending
-        learnt, learnt_as = assessment.ret is not None and trial.kind != "retest", None
-        if learnt:
-            parameters = self._parameters[trial.demonstration]
-            learnt_as = corrected(trial, assessment, parameters, self.settings, self._forbidden)
+        due = self._pending
+        if due is None or trial.id != due.id:
+            expected = None if due is None else due.id
+            raise ValueError(f"rollout {trial.id!r} is not the one that is due ({expected})")
+        learnt = assessment.ret is not None and due.kind != "retest"
         why = assessment.why
-        if trial.kind == "retest" and not why:
+        if due.kind == "retest" and not why:
             why = "a re-test is not learnt from"
-        record = Record(
-            number=trial.number,
-            id=trial.id,
-            kind=trial.kind,
-            demonstration=trial.demonstration,
-            attempt=trial.attempt,
-            redrawn=trial.redrawn,
-            z=trial.z.tolist(),
-            theta=trial.theta.tolist(),
-            learnt=learnt,
-            learnt_as=None if learnt_as is None else learnt_as.tolist(),
-            ret=None if assessment.ret is None else float(assessment.ret),
-            terms=plain(assessment.terms),
-            success=bool(assessment.success),
-            why=why,
-            note="",
-            flight=None if assessment.flight is None else plain(assessment.flight),
-            fault=fault,
-            generator=generator_state(self._rng),
-            bag=bag,
-            truth=None if truth is None else plain(truth),
-            clock=plain(clock or {}),
-        )
-        return self._take_up(record.model_copy(update={"note": self._follow(record)}))
-
-    def rate(
-        self, amount: float, number: int | None = None, clock: Mapping[str, Any] | None = None
-    ) -> Rating:
-        """Take a person's word that a rollout was worth more, or less, than its return.
-
-        Args:
-            amount: to be added to its return; several ratings of a rollout add up.
-            number: of the rollout, the last finished one when omitted.
-            clock: wall-clock figures, logged only.
-
-        Returns:
-            What is to be appended to the log before anything else.
-
-        Raises:
-            ValueError: not a rating, no such rollout, one that is not learnt from, or nothing is
-                learnt any more.
-        """
-        if not (np.isfinite(amount) and 0.0 < abs(amount) <= RATING_MAX):
-            raise ValueError(f"a rating must be within ±{RATING_MAX} and not 0, got {amount}")
-        self._check_still_learning()
-        if not self._records:
-            raise ValueError("there is no finished rollout to rate yet")
-        number = len(self._records) if number is None else number
-        if not 1 <= number <= len(self._records):
-            raise ValueError(f"rollout {number} is not one of the {len(self._records)} on record")
-        record = self._records[number - 1]
-        if record.worth is None:
-            raise ValueError(f"{record.id} has no return and is not learnt from: {record.why}")
-        waiting = [e for e in self._events if isinstance(e, Rating) and e.rollout == number]
-        so_far = (record.adjustment or 0.0) + sum(event.amount for event in waiting)
-        before, after = (max((record.ret or 0.0) + part, 0.0) for part in (so_far, so_far + amount))
-        note = f"{record.id} {'rewarded' if amount > 0.0 else 'punished'}: "
-        return self._accept(
-            Rating(
-                after=self._effective,
-                rollout=number,
-                amount=float(amount),
-                note=f"{note}return {before:.3f} -> {after:.3f}",
+        return self.apply(
+            Record(
+                number=due.number,
+                id=due.id,
+                kind=due.kind,
+                demonstration=due.demonstration,
+                attempt=due.attempt,
+                rejections=due.rejections,
+                z=due.z.tolist(),
+                theta=due.theta.tolist(),
+                learnt=learnt,
+                learnt_as=self._in_hindsight(due, assessment).tolist() if learnt else None,
+                ret=None if assessment.ret is None else float(assessment.ret),
+                terms=plain(assessment.terms),
+                success=bool(assessment.success),
+                why=why,
+                note="",
+                observation=plain(assessment.observation),
+                fault=fault,
+                generator=generator_state(self._rng),
+                bag=bag,
+                truth=plain(truth),
                 clock=plain(clock or {}),
             )
         )
 
-    def give(self, policy: Policy, bag: str = "", clock: Mapping[str, Any] | None = None) -> Given:
-        """Take up a further demonstration: its policy is reproduced next.
-
-        Args:
-            policy: fitted to the demonstration, with an id of its own.
-            bag: the demonstration, logged only.
-            clock: wall-clock figures, logged only.
+    def rate(
+        self, amount: float, number: int | None = None, clock: Mapping[str, Any] | None = None
+    ) -> Rating:
+        """Add a person's rating to the return of a rollout; see `make_rating`.
 
         Returns:
-            What is to be appended to the log before anything else.
+            The line, to be appended to the log before anything else.
 
         Raises:
-            ValueError: the id is taken, the policy does not have the parameters that are learnt,
-                the arm must not try it, or nothing is learnt any more.
+            ValueError: Not a rating, no such rollout, one that is not learnt from, or nothing is
+                learnt any more.
+        """
+        self._check_still_learning()
+        return self.apply(
+            make_rating(self._records, self._waiting, self._effective, amount, number, clock)
+        )
+
+    def add_demonstration(
+        self, policy: Policy, bag: str = "", clock: Mapping[str, Any] | None = None
+    ) -> NewDemonstration:
+        """Add a further demonstration: its policy is reproduced next.
+
+        Args:
+            policy: Policy fitted to the demonstration, with an id of its own.
+            bag: Bag of the demonstration, logged only.
+            clock: Wall-clock figures, logged only.
+
+        Returns:
+            The line, to be appended to the log before anything else.
+
+        Raises:
+            ValueError: The id is taken, the policy does not have the parameters that are learnt,
+                it is infeasible, or nothing is learnt any more.
         """
         self._check_still_learning()
         check_id(policy.id)
         if policy.id in [candidate.id for candidate in self.candidates]:
             raise ValueError(f"there is a demonstration {policy.id!r} already")
-        if why := self._forbidden(reproduced(policy, self.settings)):
-            raise ValueError(f"the arm must not try {policy.id}: {why}")
-        return self._accept(
-            Given(
-                after=self._effective,
-                id=policy.id,
-                policy=json.loads(to_json(policy)),
-                bag=bag,
-                note=f"{policy.id} is reproduced after rollout {self._effective}"
-                + (f": {bag}" if bag else ""),
-                clock=plain(clock or {}),
-            )
-        )
+        if fault := self._arm.infeasible(reproduction_of(policy, self.task)):
+            raise ValueError(f"{policy.id} is infeasible: {fault.text}")
+        return self.apply(make_demonstration(policy, self._effective, bag, clock))
 
-    def replay(self, line: Line) -> None:
-        """Take up a line of a log as if it had just been made.
+    def apply(self, line: L) -> L:
+        """Take up a line of the log, one that was just made or one that is replayed.
 
-        A record's figures are used, so a log goes on where it was even where another processor
-        would have rounded its last digit differently.
+        A replayed record's figures are used, so a log goes on where it was even where another
+        processor would have rounded its last digit differently.
+
+        Returns:
+            The line as it belongs into the log.
 
         Raises:
-            ValueError: it is not what comes next in this session.
+            ValueError: It is not what comes next in this session.
         """
         if isinstance(line, Record):
-            self._replay(line)
-            return
+            self._check_is_due(line)
+            note = self._advance(line)
+            line = line if line.note else line.model_copy(update={"note": note})
+            self._records[-1] = line
+            self._log.append(line)
+            waiting, self._waiting = self._waiting, []
+            for event in waiting:
+                self._take_effect(event)
+            return line
         if line.after not in (len(self._records), len(self._records) + 1):
             raise ValueError(
                 f"a line after record {len(self._records)} cannot take effect "
@@ -440,10 +412,93 @@ class Practice:
             )
         if isinstance(line, Rating) and line.rollout > len(self._records):
             raise ValueError(f"rollout {line.rollout} was rated before it was on record")
-        self._accept(line)
+        self._log.append(line)
+        if line.after == len(self._records):
+            self._take_effect(line)
+        else:
+            self._waiting.append(line)
+        return line
 
-    def _replay(self, record: Record) -> None:
-        trial = self._next_trial(record.redrawn)
+    # Drawing
+
+    def _next_trial(self, rejections: int | None) -> Trial | None:
+        """The next trial; `rejections` is known when it is replayed."""
+        if self._pending is None and not self.finished:
+            draw = self._draw(rejections)
+            number = len(self._records) + 1
+            trial_id = f"trial-{number:04d}"
+            parametrization = self._parametrizations[draw.demonstration]
+            policy, z = parametrization.policy(draw.z, trial_id)
+            theta = parametrization.theta(z)
+            z.setflags(write=False)
+            theta.setflags(write=False)
+            self._pending = Trial(
+                **{**vars(draw), "z": z}, number=number, id=trial_id, policy=policy, theta=theta
+            )
+        return self._pending
+
+    def _draw(self, rejections: int | None) -> Draw:
+        if self._retry is not None:
+            return self._retry
+        if len(self._reproductions) < len(self._candidates):
+            candidate = self._candidates[len(self._reproductions)]
+            zero = np.zeros(self._parametrizations[candidate.id].size)
+            return Draw("reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}")
+        learner, sampler = self._learner, self._sampler
+        if learner is None or sampler is None or self._demonstration is None:
+            raise ValueError("a session that never chose a demonstration is over")
+        ran = self._best_without_fault(learner.size)
+        kind: Kind = "mean"
+        if self._answer is not None:
+            kind = "retest"
+            z, rejections = sampler.shrunk(self._answer, ran, rejections)
+            self._answer = z
+            purpose = f"re-test {self._retested + 1} of {self.settings.retests}"
+        elif self._rule.z is not None:
+            z, rejections = self._rule.z, 0
+            purpose = f"confirms a mean, {self._rule.count + 1} of {self.settings.confirm}"
+        elif self._rule.mean_is_due or self._is_mean_turn():
+            z, rejections = sampler.shrunk(learner.mean, ran, rejections)
+            purpose = "the mean, without exploration"
+        else:
+            kind = "explore"
+            z, rejections = sampler.sample(learner, ran, rejections)
+            purpose = "explores"
+        return Draw(kind, self._demonstration, z, 1, rejections, purpose)
+
+    def _best_without_fault(self, size: int) -> np.ndarray:
+        """The z of the rollout of highest return; 0 if each had a fault."""
+        ran = [
+            record
+            for record in self._records
+            if record.demonstration == self._demonstration
+            and record.rated_return is not None
+            and not record.fault
+        ]
+        if not ran:
+            return np.zeros(size)
+        return np.array(max(ran, key=lambda record: record.rated_return or 0.0).z)
+
+    def _is_mean_turn(self) -> bool:
+        every = self.settings.mean_every
+        return every > 0 and (self._practised + 1) % every == 0
+
+    def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
+        """Coordinates a rollout is learnt from at: corrected, but not to where it is infeasible."""
+        parametrization = self._parametrizations[trial.demonstration]
+        shift = self.task.hindsight(assessment, parametrization)
+        if shift is not None:
+            for share in (1.0, 0.5, 0.25):
+                z = trial.z + share * shift
+                if self._arm.infeasible(parametrization.policy(z, "corrected")[0]) is None:
+                    return z
+        return trial.z
+
+    # Taking up
+
+    def _check_is_due(self, record: Record) -> None:
+        """Raise ValueError if a record is not of the trial that is due."""
+        trial = self._next_trial(record.rejections)
         if trial is None:
             raise ValueError(f"record {record.number} ({record.id}) comes after the session's end")
         for name in ("number", "id", "kind", "demonstration", "attempt"):
@@ -459,43 +514,22 @@ class Practice:
                 f"record {record.number}: {'the generator' if same_z else 'z'} is not this "
                 "session's: other settings, seed or candidates?"
             )
-        self._follow(record)
-        self._take_up(record)
-
-    def _take_up(self, record: Record) -> Record:
-        """Close the trial: only now does what a person did meanwhile take effect."""
-        self._records[-1] = record
-        self._log.append(record)
-        events, self._events = self._events, []
-        for event in events:
-            self._apply(event)
-        return record
 
     @property
     def _effective(self) -> int:
-        """Number of rollouts after which what a person does now takes effect."""
+        """Number of rollouts after which a line made now takes effect."""
         return len(self._records) + (self._pending is not None)
 
     def _check_still_learning(self) -> None:
         if self._stopped:
             raise ValueError(f"nothing is learnt any more: {self._stopped}")
 
-    def _accept(self, event: E) -> E:
-        self._log.append(event)
-        if event.after == len(self._records):
-            self._apply(event)
-        else:
-            self._events.append(event)
-        return event
-
-    def _apply(self, event: Event) -> None:
+    def _take_effect(self, event: Event) -> None:
         if self._stopped:  # by the very rollout that was under way when it came
             return
-        if isinstance(event, Given):
+        if isinstance(event, NewDemonstration):
             policy = event.candidate()
-            self._parameters[policy.id] = flip_parametrization(
-                policy, self.settings.variant, self.settings.noise
-            )
+            self._parametrizations[policy.id] = self.task.parametrization(policy)
             self._candidates.append(policy)
             return
         record = self._records[event.rollout - 1]
@@ -503,75 +537,31 @@ class Practice:
         record = record.model_copy(update={"adjustment": total})
         self._records[event.rollout - 1] = record
         if self._learner is not None:
-            self._learner = self._taught_again()
+            self._learner = self._learner_of_records()
         if not record.succeeded:
-            self._confirmation.forget(record)
+            self._rule.forget(record)
 
-    def _taught_again(self) -> Power:
-        """A learner that was told all rollouts of the demonstration in their order."""
-        learner = Power(
-            self._parameters[str(self._demonstration)].size, self.settings.power, self._rng
+    def _learner_of_records(self) -> Learner:
+        """A learner that was given all rollouts of the demonstration in their order."""
+        parametrization = self._parametrizations[str(self._demonstration)]
+        start = self._arm.tool_position(parametrization.policy0.q_start)
+        learner = self._make_learner(
+            parametrization.size, self._rng, self.task.model(parametrization, start)
         )
         for record in self._records:
             if record.demonstration == self._demonstration and record.learnt_as is not None:
-                learner.tell(np.array(record.learnt_as), float(record.worth or 0.0))
+                learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
         return learner
 
-    def _plan(self, redrawn: int | None) -> tuple[Kind, str, np.ndarray, int, int, str]:
-        """Kind, demonstration, z, attempt, redraws and purpose of the next trial."""
-        if self._retry is not None:
-            retry = self._retry
-            why = f"attempt {retry.attempt}: {retry.why}"
-            return retry.kind, retry.demonstration, retry.z, retry.attempt, 0, why
-        if len(self._reproductions) < len(self._candidates):
-            candidate = self._candidates[len(self._reproductions)]
-            zero = np.zeros(self._parameters[candidate.id].size)
-            return "reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}"
-        learner, permission = self._learner, self._permission
-        if learner is None or permission is None or self._demonstration is None:
-            raise ValueError("a session that never chose a demonstration is over")
-        ran = self._best_without_fault(learner.size)
-        kind: Kind = "mean"
-        if self._answer is not None:
-            kind = "retest"
-            z, redrawn = permission.drawn_back(self._answer, ran, redrawn)
-            self._answer = z
-            why = f"re-test {self._retested + 1} of {self.settings.retests}"
-        elif self._confirmation.z is not None:
-            z, redrawn = self._confirmation.z, 0
-            why = f"confirms a mean, {self._confirmation.count + 1} of {self.settings.confirm}"
-        elif self._confirmation.wanted or self._is_mean_turn():
-            z, redrawn = permission.drawn_back(learner.mean, ran, redrawn)
-            why = "the mean, without noise"
-        else:
-            kind = "explore"
-            z, redrawn = permission.sample(learner, ran, redrawn)
-            why = f"explores about the mean with noise {learner.noise:.2f}"
-        return kind, self._demonstration, z, 1, redrawn, why
-
-    def _best_without_fault(self, size: int) -> np.ndarray:
-        """The z of the rollout that was worth most; 0 if each had a fault."""
-        ran = [
-            record
-            for record in self._records
-            if record.demonstration == self._demonstration
-            and record.worth is not None
-            and not record.fault
-        ]
-        return np.array(max(ran, key=lambda record: record.worth).z) if ran else np.zeros(size)
-
-    def _is_mean_turn(self) -> bool:
-        every = self.settings.mean_every
-        return every > 0 and (self._practised + 1) % every == 0
-
-    def _follow(self, record: Record) -> str:
-        """Bring everything up to date with a record, live or replayed; says what was decided."""
+    def _advance(self, record: Record) -> str:
+        """Bring everything up to date with a record; returns the decision for its note."""
         self._pending = None
         self._records.append(record)
         z = np.array(record.z)
         if record.ret is None and record.attempt < self.settings.attempts:
             attempt = record.attempt + 1
-            self._retry = Retry(record.kind, record.demonstration, z, attempt, record.why)
+            purpose = f"attempt {attempt}: {record.why}"
+            self._retry = Draw(record.kind, record.demonstration, z, attempt, 0, purpose)
             return f"not learnt from ({record.why}), tried again"
         self._retry = None
         if record.kind == "retest":
@@ -579,12 +569,11 @@ class Practice:
             return "" if record.ret is not None else "dropped"
         self._used += record.ret is not None
         if record.kind == "reproduction":
-            note = self._follow_reproduction(record)
+            note = self._advance_reproduction(record)
         else:
-            note = self._practise(record, z)
+            note = self._advance_practice(record, z)
         if self._learner is not None and not self._stopped:
-            known = self._confirmation.z
-            answer = self._learner.mean if known is None else known
+            answer = self._learner.mean if self._rule.z is None else self._rule.z
             limit = 3 * self.settings.budget
             if self._used >= self.settings.budget:
                 self._stop(answer, f"budget of {self.settings.budget} rollouts used")
@@ -592,7 +581,7 @@ class Practice:
                 self._stop(answer, f"{limit} rollouts, of which only {self._used} were usable")
         return "; ".join(part for part in (note, self._stopped) if part)
 
-    def _follow_reproduction(self, record: Record) -> str:
+    def _advance_reproduction(self, record: Record) -> str:
         self._reproductions.append(record.number)
         if self._learner is not None:
             return self._compare(record)
@@ -600,7 +589,7 @@ class Practice:
             return ""
         reproductions = [self._records[number - 1] for number in self._reproductions]
         try:
-            index, why = choose_demonstration(reproductions, self.settings)
+            index, why = choose_demonstration(reproductions)
         except ValueError as error:
             self._stopped = str(error)
             return ""
@@ -608,42 +597,41 @@ class Practice:
         return self._choice
 
     def _compare(self, record: Record) -> str:
-        """Learn from a demonstration that was given later, if it is the better one."""
+        """Learn from a demonstration that was added later, if it is the better one."""
         recent = [
-            float(other.worth)
+            float(other.rated_return)
             for other in self._records
-            if other.demonstration == self._demonstration and other.worth is not None
-        ][-_RECENT:]
+            if other.demonstration == self._demonstration and other.rated_return is not None
+        ][-RECENT:]
         level = float(np.mean(recent))
         if record.ret is None or record.fault:
             return f"goes on with {self._demonstration}: {record.why}"
         compared = f"return {record.ret:.3f} against {level:.3f} of the last {len(recent)}"
         if record.ret <= level:
             return f"goes on with {self._demonstration}: {compared}"
-        self._confirmation = Confirmation(self.settings)  # the old one's is of no use
+        self._rule = StoppingRule(self.settings, self.task.confirms)  # the old one's is of no use
         self._learn_from(record.demonstration, f"{compared}, from {self._demonstration}")
         return self._choice
 
     def _learn_from(self, demonstration: str, why: str) -> None:
         self._demonstration = demonstration
         self._choice = f"learns from {demonstration}: {why}"
-        self._learner = self._taught_again()
-        self._permission = Permission(self._parameters[demonstration], self._forbidden)
+        self._learner = self._learner_of_records()
+        self._sampler = FeasibleSampler(self._parametrizations[demonstration], self._arm.infeasible)
 
-    def _practise(self, record: Record, z: np.ndarray) -> str:
-        """Follow a trial that explored or ran the mean."""
+    def _advance_practice(self, record: Record, z: np.ndarray) -> str:
+        """Take up a trial that explored or ran the mean."""
         learner = self._learner
         if learner is None:
             raise ValueError(f"record {record.number}: {record.kind} before the choice")
         self._practised += 1
         if record.learnt_as is not None and record.ret is not None:
             learner.tell(np.array(record.learnt_as), record.ret)
-        note = self._confirmation.follow(record)
-        if self._confirmation.complete:
+        note = self._rule.add(record)
+        if self._rule.complete:
             self._stop(z, f"a mean succeeded {self.settings.confirm} times in a row")
         return note or ("" if record.ret is not None else "dropped")
 
     def _stop(self, answer: np.ndarray, why: str) -> None:
-        parameters = self._parameters[str(self._demonstration)]
-        self._answer = parameters.clip(answer)
+        self._answer = self._parametrizations[str(self._demonstration)].clip(answer)
         self._stopped = why

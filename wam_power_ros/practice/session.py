@@ -3,13 +3,14 @@
 
     session.yaml     everything needed to run it again; written last, so it is complete or absent
     candidates/      the policies fitted to the demonstrations, one JSON file each
-    rollouts.jsonl   one `Record`, `Rating` or `Given` a line, append-only, on disk before it is
-                     acknowledged
+    task.json        what the task must remember of the demonstrations, see `Task.context_of`
+    rollouts.jsonl   one `Record`, `Rating` or `NewDemonstration` a line, append-only, on disk
+                     before it is acknowledged
     policy.json      the best policy so far, replaced atomically
     bags/            recordings
     .lock            held while a learner writes
 
-Kill anything at any moment: `Session.open(folder).practice()` goes on bit-identically.
+Kill anything at any moment: `Session.open(folder).practice(arm)` goes on bit-identically.
 """
 
 from __future__ import annotations
@@ -30,11 +31,18 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from wam_power_ros.learning import policy as policy_module
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_log import Given, Line, Rating, Record, line_of, with_ratings
-from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.practice.practice import ArmModel, Practice, check_candidates
+from wam_power_ros.practice.session_log import (
+    Line,
+    NewDemonstration,
+    Rating,
+    Record,
+    line_of,
+    with_ratings,
+)
+from wam_power_ros.practice.settings import SessionSettings
+from wam_power_ros.tasks.task import Task
 
-SCHEMA = "wam_power_ros/session/1"
 _PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
 _LINE_MAX = 1_000_000  # bytes of a record, far more than any has
 
@@ -49,24 +57,24 @@ class SessionHeader(BaseModel):
     """Contents of session.yaml.
 
     Attributes:
-        schema_: version of this layout ("schema" in YAML).
-        seed: of the exploration (and of the stand-in, where there is one).
-        settings: of the practice.
-        candidates: ids of the candidate policies, in their order.
-        demonstrations: bags they were fitted to, as given.
-        task: whatever else is needed to run it again, such as fit settings or the stand-in's.
-        versions: of the software that began it, see `versions`.
-        clock: wall-clock figures, such as when it began.
+        schema_: Version of this layout ("schema" in YAML).
+        seed: Seed of the exploration (and of the stand-in, where there is one).
+        settings: Settings of practice, task and learner.
+        candidates: Ids of the candidate policies, in their order.
+        demonstrations: Bags they were fitted to, as given.
+        versions: Versions of the software that began it, see `versions`.
+        clock: Wall-clock figures, such as when it began.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
-    schema_: Literal["wam_power_ros/session/1"] = Field(default=SCHEMA, alias="schema")
+    schema_: Literal["wam_power_ros/session/2"] = Field(
+        default="wam_power_ros/session/2", alias="schema"
+    )
     seed: int = Field(ge=0)
-    settings: PracticeSettings
+    settings: SessionSettings
     candidates: list[str] = Field(min_length=1)
     demonstrations: list[str]
-    task: dict[str, Any]
     versions: dict[str, str]
     clock: dict[str, Any]
 
@@ -93,10 +101,11 @@ class Session:
     """A session folder, held for writing; close it, or use it as a context manager.
 
     Attributes:
-        folder: where it is.
-        header: contents of session.yaml.
-        candidates: the policies it began with.
-        bags: folder for the recordings.
+        folder: Folder of the session.
+        header: Contents of session.yaml.
+        context: Contents of task.json.
+        candidates: Policies it began with.
+        bags: Folder for the recordings.
     """
 
     def __init__(self, folder: Path, lock: int) -> None:
@@ -104,7 +113,7 @@ class Session:
         self.folder = folder
         self.bags = folder / "bags"
         self._lock = lock
-        self.header, self.candidates = _read_head(folder)
+        self.header, self.candidates, self.context = _read_head(folder)
         self._log, self._size = _read_log(folder / "rollouts.jsonl")
         self._file = self._open_log()
 
@@ -113,34 +122,43 @@ class Session:
         """Whether a session was begun in a folder, so that it is to be opened."""
         return (Path(folder) / "session.yaml").is_file()
 
+    @staticmethod
+    def task_of(folder: Path | str) -> str:
+        """Name of the task of a session.
+
+        Raises:
+            SessionError: No session, or a malformed one.
+        """
+        return _read_head(Path(folder))[0].settings.task
+
     @classmethod
     def begin(
         cls,
         folder: Path | str,
-        settings: PracticeSettings,
+        settings: SessionSettings,
         seed: int,
         candidates: Sequence[Policy],
         *,
+        context: Mapping[str, Any] | None = None,
         demonstrations: Sequence[str] = (),
-        task: Mapping[str, Any] | None = None,
         clock: Mapping[str, Any] | None = None,
     ) -> Session:
         """Begin a session in a new folder, or in one whose beginning was interrupted.
 
         Args:
-            folder: becomes the session; missing parents are made.
-            settings: of the practice.
-            seed: of the exploration.
-            candidates: policies fitted to the demonstrations.
-            demonstrations: bags the candidates were fitted to.
-            task: whatever else is needed to run it again, as data for YAML.
-            clock: wall-clock figures.
+            folder: Becomes the session; missing parents are made.
+            settings: Settings of the session.
+            seed: Seed of the exploration.
+            candidates: Policies fitted to the demonstrations.
+            context: What the task must remember of them, see `Task.context_of`.
+            demonstrations: Bags the candidates were fitted to.
+            clock: Wall-clock figures.
 
         Raises:
-            SessionError: there is a session already, or another process holds the folder.
+            SessionError: There is a session already, or another process holds the folder.
             ValueError: `Practice` would refuse the arguments.
         """
-        Practice(candidates, settings, seed)
+        check_candidates(candidates, settings.practice)
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         lock = _lock(folder)
@@ -152,7 +170,6 @@ class Session:
                 settings=settings,
                 candidates=[policy.id for policy in candidates],
                 demonstrations=list(demonstrations),
-                task=dict(task or {}),
                 versions=versions(),
                 clock=dict(clock or {}),
             )
@@ -162,6 +179,7 @@ class Session:
             for policy in candidates:
                 path = folder / "candidates" / f"{policy.id}.json"
                 _replace(path, policy_module.to_json(policy))
+            _replace(folder / "task.json", json.dumps(dict(context or {})) + "\n")
             _replace(folder / "session.yaml", text)
             _sync_folder(folder.parent)
             return cls(folder, lock)
@@ -174,7 +192,7 @@ class Session:
         """Go on with a session. A last line torn by a crash is cut off, with a warning.
 
         Raises:
-            SessionError: no session, one that another process holds, or a malformed file; names
+            SessionError: No session, one that another process holds, or a malformed file; names
                 the file and line.
         """
         folder = Path(folder)
@@ -188,8 +206,8 @@ class Session:
             raise
 
     @property
-    def settings(self) -> PracticeSettings:
-        """Settings of the practice."""
+    def settings(self) -> SessionSettings:
+        """Settings of the session."""
         return self.header.settings
 
     @property
@@ -207,20 +225,28 @@ class Session:
         """The rollouts on disk, oldest first, with their ratings."""
         return with_ratings(self._log)
 
-    def practice(self) -> Practice:
+    def practice(self, arm: ArmModel) -> Practice:
         """The practice as it was after the last line on disk.
 
+        Args:
+            arm: Model of the arm it goes on with.
+
         Raises:
-            SessionError: the rollouts are not those of this session's settings and seed.
+            SessionError: The rollouts are not those of this session's settings and seed.
         """
-        return _practice(self.folder, self.header, self.candidates, self._log)
+        try:
+            return Practice.of(
+                self.settings, self.context, self.candidates, self.seed, arm, self._log
+            )
+        except ValueError as error:
+            raise SessionError(f"{self.folder / 'rollouts.jsonl'}: {error}") from error
 
     def append(self, entry: Line) -> None:
         """Put a rollout, or what a person did, on disk; when this returns, it is there to stay.
 
         Raises:
-            SessionError: not the next rollout, or something that takes effect at another time.
-            OSError: it could not be written; the log is as it was, as far as the disk allows.
+            SessionError: Not the next rollout, or something that takes effect at another time.
+            OSError: It could not be written; the log is as it was, as far as the disk allows.
         """
         if self._file is None:
             raise SessionError(f"{self.folder} is closed")
@@ -243,7 +269,7 @@ class Session:
         _replace(self.folder / "policy.json", policy_module.to_json(policy))
 
     def close(self) -> None:
-        """Let go of the folder. Closing twice is fine."""
+        """Release the folder. Closing twice is fine."""
         if self._file is not None:
             os.close(self._file)
             os.close(self._lock)
@@ -277,6 +303,19 @@ class Session:
         return file
 
 
+def read_task(folder: Path | str) -> Task:
+    """The task of a session, for reports.
+
+    Raises:
+        SessionError: As `read`, or its task or context is not acceptable.
+    """
+    header, _, context = _read_head(Path(folder))
+    try:
+        return header.settings.make_task(context)
+    except (ValueError, KeyError) as error:
+        raise SessionError(f"{folder}: {error}") from error
+
+
 def read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], tuple[Record, ...]]:
     """Header, candidates and rollouts of a session, for looking at: nothing is locked or changed.
 
@@ -284,10 +323,10 @@ def read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], tuple[R
     meanwhile; a line not yet complete is not returned.
 
     Raises:
-        SessionError: no session, or a malformed file; names the file and line.
+        SessionError: No session, or a malformed file; names the file and line.
     """
     header, candidates, log = _read(folder)
-    later = [line.candidate() for line in log if isinstance(line, Given)]
+    later = [line.candidate() for line in log if isinstance(line, NewDemonstration)]
     return header, (*candidates, *later), with_ratings(log)
 
 
@@ -295,39 +334,21 @@ def read_log(folder: Path | str) -> tuple[Line, ...]:
     """All lines of a session's log, for looking at.
 
     Raises:
-        SessionError: as `read`.
+        SessionError: As `read`.
     """
     return tuple(_read(folder)[2])
-
-
-def read_practice(folder: Path | str) -> Practice:
-    """The practice of a session as it is on disk, for looking at.
-
-    Raises:
-        SessionError: as `read`, or the rollouts are not those of this session.
-    """
-    return _practice(Path(folder), *_read(folder))
 
 
 def _read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], list[Line]]:
     folder = Path(folder)
     if not Session.exists(folder):
         raise SessionError(f"{folder} holds no session: there is no session.yaml")
-    header, candidates = _read_head(folder)
+    header, candidates, _ = _read_head(folder)
     log, _ = _read_log(folder / "rollouts.jsonl")
     return header, candidates, log
 
 
-def _practice(
-    folder: Path, header: SessionHeader, candidates: Sequence[Policy], log: Sequence[Line]
-) -> Practice:
-    try:
-        return Practice.from_records(candidates, header.settings, header.seed, log)
-    except ValueError as error:
-        raise SessionError(f"{folder / 'rollouts.jsonl'}: {error}") from error
-
-
-def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...]]:
+def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str, Any]]:
     path = folder / "session.yaml"
     try:
         header = SessionHeader.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
@@ -343,7 +364,12 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...]]:
         if candidate.id != id:
             raise SessionError(f"{path}: holds policy {candidate.id!r}, expected {id!r}")
         candidates.append(candidate)
-    return header, tuple(candidates)
+    path = folder / "task.json"
+    try:
+        context = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError) as error:
+        raise SessionError(f"{path}: {_brief(error)}") from error
+    return header, tuple(candidates), context
 
 
 def _read_log(path: Path) -> tuple[list[Line], int]:

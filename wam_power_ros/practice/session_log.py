@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lines of a session's log: rollouts, and what a person had to say meanwhile.
+"""The lines of a session's log: rollouts, and a person's ratings and demonstrations.
 
-A `Record` is one executed rollout. A `Rating` and a `Given` may come at any moment, also while the
-next trial, drawn already, is under way. Each says after which rollout it takes effect, so that a
-log replayed line by line draws the same policies as the session did.
+A `Record` is one executed rollout. A `Rating` and a `NewDemonstration` may come at any moment, also
+while the next trial, drawn already, is under way. Each says after which rollout it takes effect, so
+that a log replayed line by line draws the same policies as the session did.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from wam_power_ros.learning.policy import Policy, from_json
 
 Kind = Literal["reproduction", "explore", "mean", "retest"]
-SCHEMA = "wam_power_ros/rollout/1"
 
 
 class _Line(BaseModel):
@@ -34,32 +33,35 @@ class Record(_Line):
     """One executed rollout, a line of the session's log.
 
     Attributes:
-        schema_: version of this layout ("schema" in JSON).
-        number, id, kind, demonstration, attempt, redrawn: of the trial.
-        z, theta: what was executed, in scaled coordinates and in their own units.
-        learnt: whether the learner was or may be told.
-        learnt_as: coordinates it is told, landing correction included; None when not learnt.
-        ret, terms: return and its terms; `ret` is None when nothing can be said about the rollout.
-        success: whether it met the success rule.
-        why: why it was not learnt from, or what is remarkable.
-        note: what the practice decided after this rollout, in words.
-        flight: what the tracker saw, the fields of `Flight` [s, m, rad]; None when nothing.
-        fault: the controller's fault, if any.
-        generator: state of the random generator after this trial was drawn.
-        bag: name of its bag.
-        adjustment: sum of a person's ratings of it, see `with_ratings`; in the log itself ratings
+        schema_: Version of this layout ("schema" in JSON).
+        number, id, kind, demonstration, attempt, rejections: See `Trial`.
+        z, theta: Executed parameters, in scaled coordinates and in their own units.
+        learnt: Whether the rollout is learnt from.
+        learnt_as: Coordinates it is learnt from at, hindsight included; None when not learnt from.
+        ret, terms: Return and its terms; `ret` is None when the rollout says nothing about its
+            policy.
+        success: Whether it met the task's criterion of success.
+        why: Reason why it was not learnt from, or a remark.
+        note: Decision of the practice after this rollout, for a person.
+        observation: What the task observed of the rollout, as data for JSON; None when nothing.
+        fault: Text of the controller's fault, empty when there was none.
+        generator: State of the random generator after this trial was drawn.
+        bag: Name of its bag.
+        adjustment: Sum of a person's ratings of it, see `with_ratings`; in the log itself ratings
             are lines of their own and this is None.
-        truth: what really happened, from the stand-in; None on hardware. Never learnt from.
-        clock: wall-clock figures; all that differs between two runs of one seed is in here.
+        truth: Ground truth of the simulator; None on hardware. Never learnt from.
+        clock: Wall-clock figures; all that differs between two runs of one seed is in here.
     """
 
-    schema_: Literal["wam_power_ros/rollout/1"] = Field(default=SCHEMA, alias="schema")
+    schema_: Literal["wam_power_ros/rollout/2"] = Field(
+        default="wam_power_ros/rollout/2", alias="schema"
+    )
     number: int = Field(ge=1)
     id: str
     kind: Kind
     demonstration: str
     attempt: int = Field(ge=1)
-    redrawn: int = Field(default=0, ge=0)
+    rejections: int = Field(default=0, ge=0)
     z: list[float]
     theta: list[float]
     learnt: bool
@@ -69,7 +71,7 @@ class Record(_Line):
     success: bool
     why: str
     note: str
-    flight: dict[str, Any] | None
+    observation: dict[str, Any] | None
     fault: str
     generator: dict[str, Any]
     bag: str
@@ -88,35 +90,26 @@ class Record(_Line):
         return self
 
     @property
-    def worth(self) -> float | None:
-        """The return that is learnt from: ratings included, not below 0; None without a return."""
+    def rated_return(self) -> float | None:
+        """Return that is learnt from: ratings included, not below 0; None without a return."""
         return None if self.ret is None else max(self.ret + (self.adjustment or 0.0), 0.0)
 
     @property
     def succeeded(self) -> bool:
-        """Whether it met the success rule and no person thought otherwise."""
+        """Whether it was a success and was not punished."""
         return self.success and (self.adjustment or 0.0) >= 0.0
-
-    @classmethod
-    def from_json(cls, text: str) -> Record:
-        """Record of a line.
-
-        Raises:
-            ValueError: not JSON, or not a record; the message names the field.
-        """
-        return cls.model_validate(json.loads(text))
 
 
 class Rating(_Line):
     """A person's reward or punishment for a rollout.
 
     Attributes:
-        schema_: version of this layout ("schema" in JSON).
-        after: takes effect when so many rollouts are on record.
-        rollout: number of the rollout that is rated.
-        amount: is added to its return.
-        note: what it did, in words.
-        clock: wall-clock figures.
+        schema_: Version of this layout ("schema" in JSON).
+        after: Number of rollouts on record when it takes effect.
+        rollout: Number of the rollout that is rated.
+        amount: Is added to its return.
+        note: Its effect, for a person.
+        clock: Wall-clock figures.
     """
 
     schema_: Literal["wam_power_ros/rating/1"] = Field(
@@ -129,17 +122,17 @@ class Rating(_Line):
     clock: dict[str, Any]
 
 
-class Given(_Line):
-    """A demonstration given in the middle of learning.
+class NewDemonstration(_Line):
+    """A demonstration added in the middle of learning.
 
     Attributes:
-        schema_: version of this layout ("schema" in JSON).
-        after: it is reproduced next when so many rollouts are on record.
-        id: of the policy.
-        policy: fitted to the demonstration, as `policy.to_json` writes it.
-        bag: the demonstration, as it was named.
-        note: what it did, in words.
-        clock: wall-clock figures.
+        schema_: Version of this layout ("schema" in JSON).
+        after: Number of rollouts on record when it is reproduced next.
+        id: Id of the policy.
+        policy: Policy fitted to the demonstration, as `policy.to_json` writes it.
+        bag: Bag of the demonstration, as it was named.
+        note: Its effect, for a person.
+        clock: Wall-clock figures.
     """
 
     schema_: Literal["wam_power_ros/demonstration/1"] = Field(
@@ -153,20 +146,20 @@ class Given(_Line):
     clock: dict[str, Any]
 
     @model_validator(mode="after")
-    def _is_a_policy(self) -> Given:
+    def _is_a_policy(self) -> NewDemonstration:
         if self.candidate().id != self.id:
             raise ValueError(f"holds policy {self.candidate().id!r}, expected {self.id!r}")
         return self
 
     def candidate(self) -> Policy:
-        """The policy."""
+        """The policy that was fitted to it."""
         return from_json(json.dumps(self.policy))
 
 
-Event = Rating | Given
-Line = Record | Rating | Given
-_KINDS: dict[Any, type[Record] | type[Rating] | type[Given]] = {
-    kind.model_fields["schema_"].default: kind for kind in (Record, Rating, Given)
+Event = Rating | NewDemonstration
+Line = Record | Rating | NewDemonstration
+_KINDS: dict[Any, type[Record] | type[Rating] | type[NewDemonstration]] = {
+    kind.model_fields["schema_"].default: kind for kind in (Record, Rating, NewDemonstration)
 }
 
 
@@ -174,7 +167,7 @@ def line_of(text: str) -> Line:
     """Line of a log.
 
     Raises:
-        ValueError: not JSON, or none of the three; the message names the field.
+        ValueError: Not JSON, or none of the three kinds; the message names the field.
     """
     data = json.loads(text)
     schema = data.get("schema") if isinstance(data, dict) else None
@@ -193,7 +186,7 @@ def with_ratings(log: Sequence[Line]) -> tuple[Record, ...]:
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any of its types
-    """The same as data for JSON; what is not finite becomes None."""
+    """The same value as data for JSON; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

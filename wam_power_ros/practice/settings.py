@@ -1,139 +1,150 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of a session, and the two sets of them that are used."""
+"""Settings of a session: of its practice, its task and its learner."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validator
 
-from wam_power_ros.learning.power import Power
-from wam_power_ros.tasks.flip.parametrization import FlipNoise
-from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
+from wam_power_ros.learning.learner import Learner, Model
+from wam_power_ros.practice import plugins
+from wam_power_ros.tasks.task import Task
 
 
 class PracticeSettings(BaseModel):
-    """Settings of a session; `preset` has the two sets that are used.
+    """Settings of the course of a session, whatever its task.
 
     Attributes:
-        variant: what of the policy is learnt, see `flip_parametrization`.
-        noise: one standard deviation of exploration a group.
-        power: settings of the learner.
-        ret: return that is learnt from: "eq5" (the paper's Eq. 5) or "landing" (`landing_return`).
-        pancake_weights: of Eq. 5.
-        landing_weights: of `landing_return`.
-        choice: rule that chooses the demonstration, see `choose_demonstration`.
-        budget: number of usable rollouts, reproductions included and re-tests not.
-        mean_every: every n-th trial of the practice runs the mean; 0: only to confirm a success.
-        landing_gain: part of a measured landing error by which a trial's catch shift is moved
-            before it is learnt from; 0: none. Needs the variant "planar".
-        landing_limit: most the catch shift is moved for one trial [m].
-        turn_gain: part of what a trial's rotation lacked of half a turn by which its flick is moved
-            before it is learnt from; 0: none. Needs the variant "planar".
-        turn_limit: most the flick is moved for one trial [1].
-        success_return: return from which a trial is a success; 0: the return does not matter.
-        success_angle: rotation in the air from which a trial is a success if it was also caught
-            and flipped [rad]; 0: the flip does not matter.
-        confirm: runs of one mean that must succeed in a row for the session to stop; 0: never.
-        confirm_margin: how much further than `success_angle` these must turn [rad]. Stopping at
-            the first streak selects policies that barely succeed; the margin is against that.
-        retests: runs of the final answer, not learnt from.
-        attempts: how often one policy is tried when nothing can be learnt from its rollouts.
-        return_noise: standard deviation of the return of one policy, for `Practice.best`.
-        delta_h: height over the pan at which a falling pancake is judged [m].
-        settle_time: time a rollout goes on after the movement [s].
+        budget: Number of usable rollouts, reproductions included and re-tests not.
+        mean_every: Every n-th trial of the practice runs the mean; 0 runs it only to confirm a
+            success.
+        confirm: Number of runs of one mean that must succeed in a row for the session to stop; 0
+            for no such rule.
+        retests: Number of runs of the final answer, not learnt from.
+        attempts: Number of times a policy is tried when its rollouts say nothing about it.
+        return_noise: Standard deviation of the return of one policy, for `Practice.best`.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    variant: Literal["full", "diagonal", "symmetric", "attractors", "planar"]
-    noise: FlipNoise
-    power: Power.Settings
-    ret: Literal["eq5", "landing"]
-    pancake_weights: PancakeWeights = PancakeWeights()
-    landing_weights: LandingWeights = LandingWeights()
-    choice: Literal["return", "flick"]
     budget: int = Field(ge=1)
     mean_every: int = Field(ge=0)
-    landing_gain: float = Field(ge=0.0, le=1.0)
-    landing_limit: float = Field(default=0.25, gt=0.0, le=1.0)
-    turn_gain: float = Field(default=0.0, ge=0.0, le=1.0)
-    turn_limit: float = Field(default=0.1, gt=0.0, le=1.0)
-    success_return: float = Field(ge=0.0, allow_inf_nan=False)
-    success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     confirm: int = Field(ge=0)
-    confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     retests: int = Field(ge=0)
     attempts: int = Field(default=3, ge=1)
     return_noise: float = Field(default=0.1, ge=0.0, allow_inf_nan=False)
-    delta_h: float = Field(default=0.12, gt=0.0, le=1.0)
-    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
-    @model_validator(mode="after")
-    def _fit_together(self) -> PracticeSettings:
-        if max(self.landing_gain, self.turn_gain) > 0.0 and self.variant != "planar":
-            raise ValueError(
-                f"landing_gain {self.landing_gain} and turn_gain {self.turn_gain} need a catch "
-                f"shift and a flick: variant 'planar', not {self.variant!r}"
+
+class SessionSettings(BaseModel):
+    """All settings of a session, as `session.yaml` holds them.
+
+    Attributes:
+        task: Name of the task.
+        task_settings: Its settings, of the task's own `Settings`.
+        learner: Name of the learner.
+        learner_settings: Its settings, of the learner's own `Settings`.
+        practice: Settings of the course of the session.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    task: str
+    task_settings: SerializeAsAny[BaseModel]
+    learner: str
+    learner_settings: SerializeAsAny[BaseModel]
+    practice: PracticeSettings
+
+    @model_validator(mode="before")
+    @classmethod
+    def _by_name(cls, values: Any) -> Any:  # noqa: ANN401 - whatever was read
+        """Task and learner check their own settings."""
+        if not isinstance(values, Mapping) or not {"task", "learner"} <= values.keys():
+            return values
+        found = dict(values)
+        for key, models in (
+            ("task", plugins.task_type(str(values["task"])).Settings),
+            ("learner", plugins.learner_type(str(values["learner"])).Settings),
+        ):
+            own = found.get(f"{key}_settings", {})
+            found[f"{key}_settings"] = models.model_validate(
+                own.model_dump() if isinstance(own, BaseModel) else own
             )
-        if self.confirm > 0 and self.success_return == 0.0 and self.success_angle == 0.0:
-            raise ValueError("confirm needs a success_return or a success_angle")
-        return self
+        return found
+
+    def make_task(self, context: Mapping[str, Any]) -> Task:
+        """The task; `context` as its `context_of` gave it."""
+        return plugins.task_type(self.task)(self.task_settings, context)
+
+    def make_learner(
+        self, size: int, rng: np.random.Generator, task_model: Model | None
+    ) -> Learner:
+        """A learner that was told nothing.
+
+        Args:
+            size: Number of parameters.
+            rng: Source of the exploration.
+            task_model: Model of the task for a learner that needs one.
+
+        Raises:
+            ValueError: The learner needs a model and the task has none.
+        """
+        kind = plugins.learner_type(self.learner)
+        if kind.needs_model and task_model is None:
+            raise ValueError(f"learner {self.learner!r} needs a model, task {self.task!r} has none")
+        learner: Learner = kind(
+            size, self.learner_settings, rng, task_model if kind.needs_model else None
+        )
+        return learner
+
+    @property
+    def needs_model(self) -> bool:
+        """Whether the learner needs a model of the task."""
+        return bool(plugins.learner_type(self.learner).needs_model)
 
 
-_PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {
-        "variant": "full",
-        "noise": {"stiffness": 0.1, "attractor": 0.01, "rotation": 0.05, "catch_shift": 0.01},
-        "power": {"sigma": 6, "weights": "return", "decay": 1.0},
-        "ret": "eq5",
-        "choice": "return",
-        "budget": 50,
-        "mean_every": 0,
-        "landing_gain": 0.0,
-        "success_return": 0.9,
-        "success_angle": 0.0,
-        "confirm": 3,
-        "retests": 10,
-    },
-    "flip": {
-        "variant": "planar",
-        "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
-        "power": {"sigma": 6, "weights": "sharpened", "sharpness": 0.3, "decay": 0.97},
-        "ret": "landing",
-        "choice": "return",
-        "budget": 60,
-        "mean_every": 5,
-        "landing_gain": 0.7,
-        "turn_gain": 0.5,
-        "success_return": 0.0,
-        "success_angle": math.radians(150.0),
-        "confirm": 8,
-        "confirm_margin": math.radians(10.0),
-        "retests": 10,
-    },
-}
-
-
-def preset(name: str, **changes: Any) -> PracticeSettings:  # noqa: ANN401 - checked by the model
-    """Settings of a session by name, with some of them changed.
+def preset(
+    task: str,
+    name: str = "",
+    learner: Mapping[str, Any] | None = None,
+    **changes: Any,  # noqa: ANN401 - checked by the models
+) -> SessionSettings:
+    """Settings of a session by the name of a preset of its task, with some of them changed.
 
     Args:
-        name: "paper" (Eq. 5, full matrices, sigma 6, no decay, stop at R >= .9 reproducibly) or
-            "flip" (ours: planar, sharpened weights, landing correction, a true and caught flip).
-        **changes: fields of `PracticeSettings`; a mapping for `noise` or `power` changes only the
-            fields it names.
+        task: Name of the task.
+        name: Name of the preset; the task's first when empty.
+        learner: Changes of the learner's settings; with another `name` than the preset's, all of
+            its settings but the defaults.
+        **changes: Fields of `PracticeSettings` or of the task's own settings; a mapping for a field
+            that is a mapping changes only what it names.
 
     Raises:
-        ValueError: unknown name, unknown field or a value out of range.
+        ValueError: Unknown task, preset, learner or field, or a value out of range.
     """
-    if name not in _PRESETS:
-        raise ValueError(f"preset {name!r} is not one of {', '.join(_PRESETS)}")
-    values = dict(_PRESETS[name])
+    kind = plugins.task_type(task)
+    name = name or next(iter(kind.presets))
+    if name not in kind.presets:
+        raise ValueError(f"preset {name!r} of {task!r} is not one of {', '.join(kind.presets)}")
+    values = dict(kind.presets[name])
+    learning = dict(values.pop("learner"))
+    if learner and learner.get("name", learning["name"]) != learning["name"]:
+        learning = {}
+    learning |= learner or {}
     for key, value in changes.items():
-        if key in ("noise", "power") and isinstance(value, Mapping):
+        if isinstance(value, Mapping) and isinstance(values.get(key), Mapping):
             value = {**values[key], **value}
         values[key] = value
-    return PracticeSettings.model_validate(values)
+    course = {key: values.pop(key) for key in PracticeSettings.model_fields if key in values}
+    learner_name = learning.pop("name")
+    return SessionSettings.model_validate(
+        {
+            "task": task,
+            "task_settings": values,
+            "learner": learner_name,
+            "learner_settings": learning,
+            "practice": course,
+        }
+    )

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Telling skill from luck: a mean that has succeeded is run again, unchanged."""
+"""Stopping rule: the mean must succeed N times in a row."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -9,54 +11,49 @@ from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings
 
 
-class Confirmation:
-    """Successes in a row of one mean.
+class StoppingRule:
+    """Number of successes in a row of one mean.
 
     Attributes:
-        z: coordinates of the mean that is run again, None without. Shape (size,)
-        count: its successes in a row.
-        wanted: whether the mean is to be run next because an exploring rollout has succeeded.
+        z: Coordinates of the mean that is run again, None when there is none. Shape (size,).
+        count: Number of its successes in a row.
+        mean_is_due: Whether the mean is to be run next because an exploring rollout succeeded.
 
     Args:
-        settings: how many successes are asked for; 0 asks for none.
+        settings: Number of successes that are needed; 0 for no such rule.
+        confirms: Whether a success counts, see `Task.confirms`.
     """
 
-    def __init__(self, settings: PracticeSettings) -> None:
+    def __init__(self, settings: PracticeSettings, confirms: Callable[[Record], bool]) -> None:
         self._settings = settings
+        self._confirms = confirms
         self.z: np.ndarray | None = None
         self.count = 0
-        self.wanted = False
+        self.mean_is_due = False
 
     @property
     def complete(self) -> bool:
-        """Whether there were as many as are asked for."""
+        """Whether there were as many successes as are needed."""
         return 0 < self._settings.confirm == self.count
 
-    def follow(self, record: Record) -> str:
-        """Count a rollout of the practice; says what it means, if anything."""
-        wanted = self._settings.confirm
-        if wanted == 0:
+    def add(self, record: Record) -> str:
+        """Count a rollout of the practice; returns a remark for the log, or nothing."""
+        needed = self._settings.confirm
+        if needed == 0:
             return ""
         if record.kind == "mean":
-            self.wanted, before = False, self.count
-            if record.success and self._has_margin(record):
+            self.mean_is_due, before = False, self.count
+            if record.success and self._confirms(record):
                 self.z, self.count = np.array(record.z), before + 1
-                return f"{self.count} of {wanted} successes in a row"
+                return f"{self.count} of {needed} successes in a row"
             self.z, self.count = None, 0
             return f"ended after {before} successes in a row" if before else ""
         if record.success and self._settings.mean_every == 0:
-            self.wanted = True
+            self.mean_is_due = True
             return "a success: the mean is run to confirm it"
         return ""
 
     def forget(self, record: Record) -> None:
-        """Begin anew if a rollout that is no success any more was one of these."""
+        """Begin anew if a rollout that no longer counts as a success was one of these."""
         if self.z is not None and record.kind == "mean" and record.z == self.z.tolist():
             self.z, self.count = None, 0
-
-    def _has_margin(self, record: Record) -> bool:
-        settings = self._settings
-        if settings.success_angle == 0.0 or settings.confirm_margin == 0.0:
-            return True
-        turned = abs((record.flight or {}).get("angle", 0.0))
-        return turned >= settings.success_angle + settings.confirm_margin

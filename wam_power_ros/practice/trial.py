@@ -12,41 +12,39 @@ from wam_power_ros.practice.session_log import Kind
 
 
 @dataclass(frozen=True)
-class Trial:
+class Draw:
+    """Coordinates that a session wants to try, and why.
+
+    Attributes:
+        kind: "reproduction" of a demonstration, "explore", "mean" or "retest" (not learnt from).
+        demonstration: Id of the candidate it starts from.
+        z: Coordinates. Shape (size,).
+        attempt: 1, or more when earlier rollouts of the same z said nothing about it.
+        rejections: Number of infeasible samples before this one; from 20 on, and for a mean or an
+            answer, the number of times the way to it was halved instead, see `FeasibleSampler`.
+        purpose: What the trial is for, for a person.
+    """
+
+    kind: Kind
+    demonstration: str
+    z: np.ndarray
+    attempt: int
+    rejections: int
+    purpose: str
+
+
+@dataclass(frozen=True)
+class Trial(Draw):
     """A rollout to be executed.
 
     Attributes:
-        number: position in the session, from 1.
-        id: name of the rollout and of its policy, "trial-0007".
-        kind: "reproduction" of a demonstration, "explore", "mean" or "retest" (not learnt from).
-        demonstration: id of the candidate it starts from.
-        policy: what to execute.
-        z: coordinates of that policy. Shape (size,)
-        theta: the same in their own units. Shape (size,)
-        attempt: 1, or more when earlier rollouts of the same z could not be learnt from.
-        redrawn: number of samples that were forbidden before this one; from 20 on, and for a
-            mean, the times it was drawn back by half instead.
-        why: what the trial is for, in words.
+        number: Position in the session, from 1.
+        id: Name of the rollout and of its policy, "trial-0007".
+        policy: Policy to execute, at the coordinates z.
+        theta: Its learnt parameters in their own units. Shape (size,).
     """
 
     number: int
     id: str
-    kind: Kind
-    demonstration: str
     policy: Policy
-    z: np.ndarray
     theta: np.ndarray
-    attempt: int
-    redrawn: int
-    why: str
-
-
-@dataclass(frozen=True)
-class Retry:
-    """A policy to be tried again, as nothing could be learnt from its rollout; see `Trial`."""
-
-    kind: Kind
-    demonstration: str
-    z: np.ndarray
-    attempt: int
-    why: str

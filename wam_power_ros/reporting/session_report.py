@@ -86,7 +86,9 @@ def render(
             )
         )
     parts += [_speeds(records), _table(records), _settings(header)]
-    return html_page.page(f"Session of seed {header.seed}, return {header.settings.ret}", parts)
+    return html_page.page(
+        f"Session of seed {header.seed}, return {header.settings.task_settings.ret}", parts
+    )
 
 
 def write(folder: Path, exhibit: Exhibit | None = None, why_no_film: str = "") -> Path:
@@ -129,9 +131,10 @@ def _cards(records: Sequence[Record]) -> str:
 
 
 def _verdict(header: SessionHeader, records: Sequence[Record]) -> str:
+    own = header.settings.task_settings
     said = [
-        f"The session has seed {header.seed}, learns {header.settings.variant} parameters from the "
-        f"return {header.settings.ret!r} and may use {header.settings.budget} rollouts."
+        f"The session has seed {header.seed}, learns {own.variant} parameters from the "
+        f"return {own.ret!r} and may use {header.settings.practice.budget} rollouts."
     ]
     first = next((r for r in records if outcome(r) == "flipped, caught"), None)
     if first is not None:
@@ -152,12 +155,12 @@ def _verdict(header: SessionHeader, records: Sequence[Record]) -> str:
     unusable = [record for record in records if record.ret is None]
     if unusable:
         said.append(f"{len(unusable)} rollouts could not be judged and were not learnt from.")
-    judged = [r for r in records if r.truth is not None and r.flight is not None]
+    judged = [r for r in records if r.truth is not None and r.observation is not None]
     if judged:
         agree = sum(
-            bool(r.truth.get("caught")) == bool(r.flight.get("resting"))
+            bool(r.truth.get("caught")) == bool(r.observation.get("resting"))
             for r in judged
-            if r.truth is not None and r.flight is not None
+            if r.truth is not None and r.observation is not None
         )
         said.append(
             f"On whether it was caught, the tracker agreed with the simulator in {agree} of "
@@ -194,11 +197,11 @@ def _curves(header: SessionHeader, records: Sequence[Record]) -> str:
         ["The return of Eq. 5 in every rollout. The paper's curve is the mean of six sessions."],
         html_page.image(figures.svg(figures.learning_curve(eq5, marks, paper=True))),
     )
-    if header.settings.ret != "eq5":
+    if header.settings.task_settings.ret != "eq5":
         own = np.array([math.nan if r.ret is None else r.ret for r in records])
         html += html_page.section(
             "What was learnt from",
-            [f"The session's own return, {header.settings.ret!r}."],
+            [f"The session's own return, {header.settings.task_settings.ret!r}."],
             html_page.image(figures.svg(figures.learning_curve(own, marks, paper=False))),
         )
     names = list(dict.fromkeys(name for record in records for name in record.terms))

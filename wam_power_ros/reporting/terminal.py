@@ -29,7 +29,7 @@ def outcome(record: Record) -> str:
     """What became of the pancake, by the tracker's view, in words."""
     if record.fault:
         return f"fault: {record.fault}"
-    flight = record.flight
+    flight = record.observation
     if flight is None:
         return record.why or "not seen"
     caught = "caught" if flight.get("resting") else "dropped"
@@ -40,7 +40,7 @@ def outcome(record: Record) -> str:
 
 def angle(record: Record) -> float | None:
     """How far the pancake had turned at t_f [degree], None when that is not known."""
-    turned = (record.flight or {}).get("angle")
+    turned = (record.observation or {}).get("angle")
     return None if turned is None else abs(math.degrees(turned))
 
 
@@ -52,12 +52,12 @@ def returned(record: Record) -> str:
 
 def paper_return(record: Record) -> float:
     """Eq. 5 of a rollout, whatever the session learnt from; NaN when no pancake was seen."""
-    seen = set(record.flight or ()) == {field.name for field in dataclasses.fields(Flight)}
-    if record.ret is None or record.flight is None or not seen:
+    seen = set(record.observation or ()) == {field.name for field in dataclasses.fields(Flight)}
+    if record.ret is None or record.observation is None or not seen:
         return math.nan
     fields = {
         name: np.array(value) if isinstance(value, list) else value
-        for name, value in record.flight.items()
+        for name, value in record.observation.items()
     }
     return pancake_return(Flight(**fields)).total
 
@@ -80,8 +80,8 @@ def rollout_table(records: Sequence[Record], shown: int = SHOWN) -> Table:
     table.add_column("pancake", no_wrap=True)
     best = 0.0
     for place, record in enumerate(records):
-        better = record.worth is not None and record.worth > best
-        best = max(best, record.worth or 0.0)
+        better = record.rated_return is not None and record.rated_return > best
+        best = max(best, record.rated_return or 0.0)
         if place < len(records) - shown:
             continue
         turned = angle(record)
@@ -192,7 +192,7 @@ class Display:
         records = with_ratings(self._log)
         if not records:
             return Group(Text("the first rollout is on its way", style="italic"), self._progress)
-        returns = [record.worth for record in records if record.worth is not None]
+        returns = [record.rated_return for record in records if record.rated_return is not None]
         notes = [entry.note for entry in self._log if entry.note]
         parts = [rollout_table(records), Text(spark(returns), style="green")]
         return Group(*parts, Text(notes[-1] if notes else "", style="italic"), self._progress)

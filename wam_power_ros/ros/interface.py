@@ -39,7 +39,6 @@ WAM_MOVE_HOME = "/wam/moveHome"
 WAM_IDLE = "/wam/idle"
 DEMONSTRATE = "/demonstrator/demonstrate"  # stand-in only
 
-NO_BAG = f"no bag was named on {LEARNER_BAG}"  # yet: topics and services are not ordered
 
 # Topics and services of a tracked body, which follow its name; its frame is the name itself
 BODY_LEAVES = ("pose", "state", "truth", "reset", "drop")  # the last three: stand-in only

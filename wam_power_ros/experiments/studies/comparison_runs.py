@@ -28,6 +28,7 @@ from wam_power_ros.learning.screened_power import ScreenedPower
 from wam_power_ros.learning.shaped_power import ShapedPower
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
+from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.reach.obstacle_model import FreePath
 
@@ -97,17 +98,17 @@ def pancake_run(
     environment = Environment(World(seed=seed))
     (demonstrated,) = teach(environment, seed, 1, pitch_rate=NOVICE)
     noise = {"stiffness": stiffness, "attractor": attractor}
-    paper = preset("paper", variant=VARIANT, noise=noise)
-    parameters = Parametrization(demonstrated, VARIANT, paper.noise)
+    paper = preset("flip", "paper", variant=VARIANT, noise=noise).task_settings
+    parameters = flip_parametrization(demonstrated, VARIANT, paper.noise)
     start, _ = environment.arm.tool_pose(demonstrated.q_start)
     model = TossModel(parameters, start, paper.pancake_weights)
     learner = learner_of(settings, parameters.size, seed, model)
 
     def returned(z: np.ndarray, id: str) -> tuple[float, bool]:
         policy, _ = parameters.policy(z, id)
-        pan, pancake, _, fault = environment.run(policy)
-        ret = assess(policy, pan, pancake, paper, fault).ret
-        return ret or 0.0, bool(fault)
+        rollout, _ = environment.run(policy)
+        ret = assess(policy, rollout, paper).ret
+        return ret or 0.0, rollout.fault is not None
 
     returns, faults = [], 0
     for k in range(rollouts):

@@ -90,11 +90,11 @@ def session(
     """
     environment = stand_in(seed)
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
-    practice = Practice(candidates, preset(name, **changes), seed, environment.forbids)
+    practice = Practice.of(preset("flip", name, **changes), {}, candidates, seed, environment)
     rated, refused, sizes = 0, "", []
     while (trial := practice.next_trial()) is not None:
-        pan, pancake, truth, fault = environment.run(trial.policy)
-        record = practice.learn(trial, pan, pancake, fault=fault, truth=truth)
+        rollout, truth = environment.run(trial.policy)
+        record = practice.learn(trial, rollout, truth=truth)
         if practice.learner is not None:
             sizes.append(practice.learner.sigma)
         if practice.stopped:
@@ -106,7 +106,7 @@ def session(
         if record.number == given_after:
             (later,) = teach(environment, seed + 10_000, 1)  # another throw of the same hand
             try:
-                practice.give(with_id(later, LATER))
+                practice.add_demonstration(with_id(later, LATER))
             except ValueError as error:
                 refused = str(error)
     retests = [record for record in practice.records if record.kind == "retest"]
@@ -155,7 +155,7 @@ def jobs(scale: Scale) -> list[Job]:
                 f"{SIGMA}{s}",
                 f"seed-{seed}",
                 session,
-                {**novice, "changes": {**paper, "power": {"sigma": s}}},
+                {**novice, "changes": {**paper, "learner": {"sigma": s}}},
             )
             for s in (AUTO, 6, *([] if quick else [20]))  # a session takes half a minute
         ]

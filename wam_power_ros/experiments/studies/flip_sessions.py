@@ -26,7 +26,7 @@ from wam_power_ros.learning.dmp import PANCAKE, FitSettings, activations, fit
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.practice.settings import PracticeSettings, preset
+from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.returns import pancake_return
 
@@ -121,7 +121,7 @@ def teach(
 def practise(
     environment: Environment,
     candidates: list[Policy],
-    settings: PracticeSettings,
+    settings: SessionSettings,
     seed: int,
     report: Callable[[Record], None] | None = None,
 ) -> Practice:
@@ -134,10 +134,10 @@ def practise(
         seed: of the exploration.
         report: called with every record.
     """
-    practice = Practice(candidates, settings, seed, environment.forbids)
+    practice = Practice.of(settings, {}, candidates, seed, environment)
     while (trial := practice.next_trial()) is not None:
-        pan, pancake, truth, fault = environment.run(trial.policy)
-        record = practice.learn(trial, pan, pancake, fault=fault, truth=truth)
+        rollout, truth = environment.run(trial.policy)
+        record = practice.learn(trial, rollout, truth=truth)
         if report is not None:
             report(record)
     return practice
@@ -172,11 +172,11 @@ def session(
     """
     environment = stand_in(seed, **(condition or {}))
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
-    settings = preset(name, **(changes or {}))
+    settings = preset("flip", name, **(changes or {}))
     practice = practise(environment, candidates, settings, seed)
     records, best = practice.records, practice.best
     trials = [record for record in records if record.kind != "retest"]
-    parameters = practice.parameters
+    parameters = practice.parametrization
     chosen = "" if parameters is None else parameters.policy0.id
     curve = [record.ret for record in trials if record.demonstration == chosen]
     result = {
@@ -200,11 +200,10 @@ def session(
     }
     for place, (where, other) in enumerate((carried or {}).items()):
         elsewhere = stand_in(seed, **other)
-        runs = [
-            elsewhere.run(with_id(best.policy, f"carried-{place}-{k}"))[2:] for k in range(repeats)
-        ]
+        runs = [elsewhere.run(with_id(best.policy, f"carried-{place}-{k}")) for k in range(repeats)]
         result["carried"][where] = [
-            _outcome(truth, "" if fault is None else fault.text) for truth, fault in runs
+            _outcome(truth, "" if rollout.fault is None else rollout.fault.text)
+            for rollout, truth in runs
         ]
     if keep_paths:
         result["figure_paths"] = _figure_paths(
@@ -215,7 +214,7 @@ def session(
 
 def _kept(record: Record) -> dict[str, Any]:
     """The part of a record that is kept."""
-    flight, truth = record.flight, record.truth or {}
+    flight, truth = record.observation, record.truth or {}
     return {
         "kind": record.kind,
         "ret": record.ret,
@@ -269,7 +268,8 @@ def _figure_paths(
     environment.demonstrate(script, f"demonstration-{number}")
     shown = {"demonstration": _traced(environment, world.trace)}
     for name, policy in (("reproduction", demonstrated), ("answer", answer)):
-        pan, pancake, _, _ = environment.run(policy)
+        rollout, _ = environment.run(policy)
+        pan, pancake = rollout.tool, rollout.body
         flight = observe_flight(pan, pancake)
         shown[name] = {
             "pan": _plain(pan.t, pan.position, pan.quat_xyzw),

@@ -134,7 +134,8 @@ def _executed(
     environment: Environment, policy: Policy, scenario: Scenario
 ) -> tuple[np.ndarray, str]:
     """The tool's path (T, 3) [m] at the samples of the scenario, and the fault if any."""
-    pan, _, _, fault = environment.run(policy)
+    rollout, _ = environment.run(policy)
+    pan, fault = rollout.tool, rollout.fault
     t = np.arange(scenario.steps) * scenario.period
     path = np.stack([np.interp(t, pan.t, x) for x in pan.position.T], axis=1)
     return path, "" if fault is None else fault.text

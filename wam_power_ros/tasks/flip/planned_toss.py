@@ -17,10 +17,11 @@ from wam_power_ros import rotations
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.flip.flight import DELTA_H
-from wam_power_ros.tasks.flip.returns import PancakeWeights
+from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
 GRAVITY = 9.81  # [m/s^2]
 PERIOD = 0.005  # [s] of the planned movement; 0.002 predicts no better
+CATCH_RADIUS = 0.1  # [m] of landing error at which a catch has become unlikely
 SPIN_SHARE = 0.6  # of the pan's turning that the pancake keeps; fits tosses of tuning seeds
 
 
@@ -84,15 +85,38 @@ def plan_tosses(
     )
 
 
-def planned_terms(tosses: Tosses, weights: PancakeWeights) -> np.ndarray:
-    """Terms orientation, position and altitude of Eq. 5 for planned tosses. Shape (B, 3)."""
-    folded = np.arccos(np.cos(tosses.angle)) / np.pi
-    near = np.exp(-np.linalg.norm(tosses.landing_error, axis=1))
+def planned_terms(tosses: Tosses, weights: PancakeWeights | LandingWeights) -> np.ndarray:
+    """Terms of the return of planned tosses.
+
+    Args:
+        tosses: Planned tosses of B policies.
+        weights: Of Eq. 5 (terms orientation, position, altitude), or of `landing_return` (terms
+            rotation, altitude, landing, caught).
+
+    Returns:
+        Shape (B, 3) or (B, 4).
+    """
+    miss = np.linalg.norm(tosses.landing_error, axis=1)
+    apex = np.maximum(tosses.apex, 0.0)
+    if isinstance(weights, PancakeWeights):
+        folded = np.arccos(np.cos(tosses.angle)) / np.pi
+        return np.stack(
+            [
+                weights.orientation * folded,
+                weights.position * np.exp(-miss),
+                weights.altitude * apex,
+            ],
+            axis=1,
+        )
+    turned = np.maximum(0.0, 1.0 - np.abs(tosses.angle - np.pi) / np.pi)
+    turned = np.where(tosses.tossed, turned, 0.0)
+    height = np.minimum(apex, weights.altitude_cap) / weights.altitude_cap
     return np.stack(
         [
-            weights.orientation * folded,
-            weights.position * near,
-            weights.altitude * np.maximum(tosses.apex, 0.0),
+            weights.rotation * turned,
+            weights.altitude * height,
+            weights.landing * turned**2 * np.exp(-miss / weights.landing_scale),
+            weights.caught * turned**2 * np.exp(-((miss / CATCH_RADIUS) ** 2)),
         ],
         axis=1,
     )
@@ -109,7 +133,7 @@ class TossModel:
         self,
         parameters: Parametrization,
         start: np.ndarray,
-        weights: PancakeWeights | None = None,
+        weights: PancakeWeights | LandingWeights | None = None,
         trust: float = 0.3,
         noise: float = 0.05,
     ) -> None:
@@ -127,12 +151,13 @@ class TossModel:
         self._terms: list[np.ndarray] = []
         self._left_over: list[float] = []
         self._ridge = (noise / trust) ** 2
-        self._w = np.zeros(4)
+        self._w: np.ndarray | None = None  # of the terms and a constant, None before a rollout
 
     def predict(self, z: np.ndarray) -> np.ndarray:
         """Returns to expect at z (B, size). Shape (B,)."""
         terms = self._planned(z)
-        return terms.sum(axis=1) + self._features(terms) @ self._w
+        known = terms.sum(axis=1)
+        return known if self._w is None else known + self._features(terms) @ self._w
 
     def learn(self, z: np.ndarray, ret: float) -> None:
         """Take in that z (size,) returned `ret`."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollout -> return: the paper's two (Eqs. 4 and 5), and one for a true flip that lands.
+"""Returns of a toss: Eq. 5, and one for a true flip that lands.
 
 Every return is at least zero, as PoWER needs.
 """
@@ -135,54 +135,6 @@ def landing_return(flight: Flight, weights: LandingWeights | None = None) -> Ret
         landing=weights.landing * rotation**2 * near,
         caught=weights.caught * rotation**2 * float(flight.resting),
     )
-
-
-def reaching_return(
-    path: np.ndarray,
-    demonstrated: np.ndarray,
-    goal: np.ndarray,
-    *,
-    w1: float = 0.5,
-    w2: float = 0.5,
-    unit: float = 0.1,
-) -> float | np.ndarray:
-    """Return of a reaching rollout, or of many at once (Eq. 4).
-
-        R = sum_{t < t_e} w1/T exp(-|x_R(t) - x_D(t)|) + w2 exp(-|x_R(t_e) - x_G|)
-
-    T is the number of samples and t_e the last. On collision the end-effector stays where it is;
-    that is the scenario's business, this formula sees only the path.
-
-    Args:
-        path: x_R [m]. Shape (T, 3), or (B, T, 3) for many.
-        demonstrated: x_D [m]. Shape (T, 3).
-        goal: x_G [m]. Shape (3,).
-        w1: Of following the demonstration.
-        w2: Of reaching the goal.
-        unit: Of length in the exponents [m]. The paper names none; only decimetres give both
-            returns it reports, 0.61 before and 0.73 after learning.
-
-    Returns:
-        One return, or shape (B,).
-
-    Raises:
-        ValueError: Shapes that do not fit, or a value that is not finite.
-    """
-    path, demonstrated = np.asarray(path, dtype=float), np.asarray(demonstrated, dtype=float)
-    if path.ndim not in (2, 3) or path.shape[-2:] != demonstrated.shape or path.shape[-1] != 3:
-        raise ValueError(
-            f"path {path.shape} and demonstrated {demonstrated.shape} must be (T, 3), "
-            "the path optionally with a leading count"
-        )
-    if not (np.isfinite(path).all() and np.isfinite(demonstrated).all()):
-        raise ValueError("path and demonstrated must be finite")
-    if not unit > 0.0:
-        raise ValueError(f"unit = {unit} m must be positive")
-    steps = path.shape[-2]
-    astray = np.linalg.norm(path[..., :-1, :] - demonstrated[:-1], axis=-1) / unit
-    missed = np.linalg.norm(path[..., -1, :] - goal, axis=-1) / unit
-    total = w1 / steps * np.exp(-astray).sum(axis=-1) + w2 * np.exp(-missed)
-    return float(total) if path.ndim == 2 else total
 
 
 def _sum(**terms: float) -> Return:

@@ -11,7 +11,7 @@ import numpy as np
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.dmp import REACHING, fit, reproduce_many
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.tasks.flip.returns import reaching_return
+from wam_power_ros.tasks.reach.returns import reaching_return
 
 STEPS = 200  # T of Eq. 4
 RADIUS = 0.09  # [m] of the sphere
@@ -24,12 +24,12 @@ class Scenario:
     Attributes:
         demonstrations: Positions [m]. Shape (count, T, 3).
         period: Time between samples [s].
-        radius: Of the obstacle, a sphere about the middle of the mean demonstration [m].
+        radius: Radius of the obstacle, a sphere [m]; 0 for none.
         policy: The least-squares fit, two primitives: where learning starts.
         start: Where rollouts begin [m]. Shape (3,).
+        obstacle: Centre of the sphere [m]. Shape (3,).
         demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
         goal: x_G, its last position [m]. Shape (3,).
-        obstacle: Centre of the sphere [m]. Shape (3,).
 
     Raises:
         ValueError: A shape or a value out of range.
@@ -40,26 +40,25 @@ class Scenario:
     radius: float
     policy: Policy
     start: np.ndarray
+    obstacle: np.ndarray
     demonstrated: np.ndarray = field(init=False)
     goal: np.ndarray = field(init=False)
-    obstacle: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         paths = np.array(self.demonstrations, dtype=float)
         if paths.ndim != 3 or paths.shape[1] < 3 or paths.shape[2] != 3 or len(paths) < 1:
             raise ValueError(f"demonstrations {paths.shape} must be (count >= 1, T >= 3, 3)")
-        for name in ("period", "radius"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} = {getattr(self, name)} must be positive")
+        if not 0.0 < self.period < np.inf:
+            raise ValueError(f"period = {self.period} must be positive")
+        if not 0.0 <= self.radius < np.inf:
+            raise ValueError(f"radius = {self.radius} must be 0 or more")
         mean = paths.mean(axis=0)
-        steps = len(mean)
-        middle = 0.5 * (mean[(steps - 1) // 2] + mean[steps // 2])
         for name, array in (
             ("demonstrations", paths),
             ("demonstrated", mean),
             ("start", np.array(self.start, dtype=float)),
             ("goal", mean[-1].copy()),
-            ("obstacle", middle),
+            ("obstacle", np.array(self.obstacle, dtype=float)),
         ):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -128,6 +127,13 @@ class Scenario:
         return np.asarray(reaching_return(path, self.demonstrated, self.goal))
 
 
+def middle(demonstrations: np.ndarray) -> np.ndarray:
+    """Middle of the mean of demonstrations (count, T, 3): where the obstacle stands [m]. (3,)."""
+    mean = np.asarray(demonstrations).mean(axis=0)
+    half = (len(mean) - 1) // 2
+    return np.asarray(0.5 * (mean[half] + mean[len(mean) // 2]))
+
+
 def held(path: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Paths (B, T, 3) that stay at sample `last` (B,) of theirs from there on."""
     index = np.minimum(np.arange(path.shape[1]), last[:, None])  # (B, T)
@@ -142,16 +148,28 @@ def taught(
     Args:
         demonstrations: At least one.
         steps: Samples T of a rollout.
-        radius: Of the obstacle [m].
+        radius: Radius of the obstacle, which stands in the middle of the mean demonstration [m].
 
     Raises:
         ValueError: A value out of range.
     """
     policy = fit(demonstrations, REACHING, "demonstration")
-    grid = np.linspace(0.0, 1.0, steps)
-    paths = [
-        np.stack([np.interp(grid, d.t / d.duration, x) for x in d.position.T], axis=1)
-        for d in demonstrations
-    ]
+    paths = stretched(demonstrations, steps)
     start = demonstrations[0].position[0]  # where the tool is at the policy's q_start
-    return Scenario(np.stack(paths), policy.basis.duration / (steps - 1), radius, policy, start)
+    period = policy.basis.duration / (steps - 1)
+    return Scenario(paths, period, radius, policy, start, middle(paths))
+
+
+def stretched(demonstrations: Sequence[Demonstration], steps: int = STEPS) -> np.ndarray:
+    """Positions of the tool at `steps` instants, evenly over each demonstration [m].
+
+    Returns:
+        Shape (count, steps, 3).
+    """
+    grid = np.linspace(0.0, 1.0, steps)
+    return np.stack(
+        [
+            np.stack([np.interp(grid, d.t / d.duration, x) for x in d.position.T], axis=1)
+            for d in demonstrations
+        ]
+    )

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Assessment of a rollout of the flip: what it is worth, and when it says nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from toss_task import demonstrated_policy
+
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.assessment import assess, flight_of
+from wam_power_ros.tasks.task import Assessment
+
+POLICY = demonstrated_policy("trial-0001")
+SETTINGS = preset("flip").task_settings
+
+
+def paths(end: float, seen: np.ndarray) -> tuple[EndEffectorPath, BodyPath]:
+    """A pan that rests and a pancake that rests in it, seen at some times."""
+    t = np.arange(0.0, end, 0.01)
+    level = [0.0, 0.0, 0.0, 1.0]
+    pan = EndEffectorPath(POLICY.id, t, np.tile([0.6, 0.0, 0.5], (len(t), 1)), [level] * len(t))
+    position = np.tile([0.6, 0.0, 0.503], (len(seen), 1))
+    return pan, BodyPath(POLICY.id, seen, position, np.tile(level, (len(seen), 1)))
+
+
+@pytest.mark.requirement("S-47")
+def test_a_rollout_that_cannot_be_judged_says_why() -> None:
+    frames = np.arange(0.01, 1.85, 1 / 30)
+
+    def why(end: float = 1.86, seen: np.ndarray = frames, fault: Fault | None = None) -> str:
+        assessment = assess(POLICY, Rollout(*paths(end, seen), fault), SETTINGS)
+        assert assessment.ret is None
+        return assessment.why
+
+    assert why(end=1.2) == "cut short at 1.19 s of 1.85 s"
+    assert why(seen=np.zeros(0)) == "the pancake was never seen"
+    gap = frames[(frames < 0.5) | (frames > 0.9)]
+    assert why(seen=gap).startswith("the pancake was lost from view for 0.43 s from 0.48 s")
+    assert why(seen=frames[frames < 1.0]) == (
+        "the pancake was lost from view at 0.98 s, not having fallen"
+    )
+    assert (
+        why(fault=Fault(FaultKind.STATES_LOST, "no joint state for 12 ms"))
+        == "no joint state for 12 ms"
+    )
+
+
+@pytest.mark.parametrize("name", ["paper", "flip"])
+def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name: str) -> None:
+    settings = preset("flip", name).task_settings
+    t = np.arange(0.005, 1.85, 1 / 120)
+    pan, still = paths(1.86, t)
+    free = np.clip(t - 0.5, 0.0, 0.6)  # thrown at 0.5 s, half a turn, caught 0.6 s later
+    rise = 2.943 * free - 4.905 * free**2
+    half = 0.5 * np.pi * free / 0.6
+    position = still.position + np.outer(rise, [0.0, 0.0, 1.0])
+    quat_xyzw = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1)
+
+    def judged(seen: np.ndarray) -> Assessment:
+        pancake = BodyPath(POLICY.id, t[seen], position[seen], quat_xyzw[seen])
+        return assess(POLICY, Rollout(pan, pancake), settings)
+
+    whole = judged(t > 0.0).ret
+    rng = np.random.default_rng(2)
+    outcomes = []
+    for _ in range(24):
+        begin, length = rng.uniform(0.0, 1.8), rng.uniform(0.02, 0.5)
+        outcomes.append(judged((t < begin) | (t > begin + length)).ret)
+    usable = [ret for ret in outcomes if ret is not None]
+    assert 4 < len(usable) < 20
+    np.testing.assert_allclose(usable, whole, atol=0.05)
+
+
+@pytest.mark.parametrize("kind", list(FaultKind))
+def test_limits_of_motion_are_the_policys_own_fault_and_nothing_else_is(kind: FaultKind) -> None:
+    fault = Fault(kind, "wrist at 2.10 m/s, limit 2.00")  # whatever the words are
+    assessment = assess(POLICY, Rollout(*paths(0.5, np.arange(0.0, 0.5, 1 / 30)), fault), SETTINGS)
+    own = kind.name in (
+        "JOINT_POSITION",
+        "JOINT_SPEED",
+        "GUARDED_SPEED",
+        "TOOL_SPEED",
+        "WORKSPACE",
+        "PLANE",
+    )
+    assert assessment.ret == (0.0 if own else None)
+    assert fault.text in assessment.why
+
+
+def test_the_flight_comes_back_out_of_an_observation() -> None:
+    rollout = Rollout(*paths(1.86, np.arange(0.01, 1.85, 1 / 30)))
+    observation = dict(assess(POLICY, rollout, SETTINGS).observation)
+    flight = flight_of(observation)
+    assert flight is not None and not flight.tossed
+    np.testing.assert_array_equal(flight.position, observation["position"])
+    assert flight_of({"angle": 1.0}) is None

@@ -1,0 +1,352 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Execution of a trial over ROS: policy out, services called, paths of the finished rollout in.
+
+Publish the policy, bring the arm to its start, see the body at rest where the task wants it, begin
+a recording, execute, and collect the paths, the fault and the recording. Questions and answers can
+be lost and nodes can be started again: nothing waits long for one answer, and what may have begun
+is begun again from its start.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path as FilePath
+from typing import Any, Protocol, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Odometry, Path
+from rclpy.executors import Executor
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.learning import policy as policies
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.pose_messages import StateReading
+from wam_power_ros.ros.service_client import ServiceClient, ServiceError
+
+T = TypeVar("T")
+STARTS_MAX = 5  # attempts to begin one rollout
+ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
+CLOCKS_APART = 0.2  # clocks of arm and motion capture at most; the tracker allows no more [s]
+FAULT_TIMEOUT = 2.5  # for the diagnostics that name a fault, published once a second [s]
+READY_STATES = 3  # states of the body in a row that must be ready
+CONTROLLER = "torque_controller"  # node whose diagnostics report faults
+Ready = Callable[[StateReading | None], str]  # what is missing before a rollout; empty for nothing
+
+
+class RolloutError(RuntimeError):
+    """The rollout cannot be executed; the message says what was waited for or refused."""
+
+
+class NotBegunError(RolloutError):
+    """The rollout has not begun, as far as is known: a fault came first, or no answer."""
+
+
+class RolloutParams(Protocol):
+    """Parameters of the node that concern the execution of rollouts."""
+
+    scene_reset: bool
+    reset_faults: bool
+    record_rollouts: bool
+    service_timeout: float
+    rollout_timeout: float
+    patience: float
+
+
+@dataclass(frozen=True)
+class Executed:
+    """A rollout that has been executed.
+
+    Attributes:
+        rollout: Paths, and the fault if any.
+        bag: Name of its recording, empty when there is none.
+        truth: Ground truth of the simulator, None on hardware.
+    """
+
+    rollout: Rollout
+    bag: str
+    truth: dict[str, Any] | None
+
+
+class RolloutClient:
+    """Executes policies through the services of controller, recorder and stand-in."""
+
+    def __init__(self, node: Node, executor: Executor, params: RolloutParams, body: str) -> None:
+        """Create the publishers, subscriptions and clients on `node`.
+
+        Args:
+            node: Node that they belong to.
+            executor: Dispatches its callbacks while something is waited for.
+            params: Parameters of the node.
+            body: Name of the tracked body, "" for none.
+        """
+        self._node = node
+        self._log = node.get_logger()
+        self._params = params
+        self._services = ServiceClient(node, executor, params.service_timeout)
+        self._body = body
+        self._tool_path: tuple[int, EndEffectorPath] | None = None  # stamp of its start [ns]
+        self._body_path: tuple[int, BodyPath] | None = None
+        self._truth: dict[str, Any] | None = None
+        self._fault: Fault | None = None
+        self._mode = ""  # of the controller, published once a second
+        self._diagnoses = 0  # messages with the controller's diagnostics
+        self._ready: Ready = lambda state: "nothing is awaited"
+        self._missing = ""
+        self._ready_states = 0  # in a row
+        self._ready_ns = 0  # stamp of the last of them
+        self._policies = node.create_publisher(String, interface.POLICY, interface.LATCHED)
+        self._reset = interface.body_topic(body, "reset")
+        self._truth_topic = interface.body_topic(body, "truth")
+        subscribe = node.create_subscription
+        subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_tool_path, interface.LATCHED)
+        subscribe(String, self._truth_topic, self._on_truth, interface.LATCHED)
+        subscribe(
+            DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
+        )
+        if body:
+            path, state = interface.rollout_topic(body), interface.body_topic(body, "state")
+            subscribe(Path, path, self._on_body_path, interface.LATCHED)
+            subscribe(Odometry, state, self._on_state, interface.STATE_OUT)
+        names = (interface.MOVE_TO_START, interface.EXECUTE, interface.RESET, self._reset)
+        for name in names:
+            self._services.prepare(Trigger, name)
+        self._services.prepare(SetBool, interface.RECORD)
+
+    def execute(self, policy: Policy, whole: float, ready: Ready) -> Executed:
+        """Execute a policy once.
+
+        Args:
+            policy: Policy to execute.
+            whole: Duration of its complete rollout [s].
+            ready: Says what is missing before it may begin.
+
+        Raises:
+            RolloutError: It could not be begun, or its end did not come in time.
+        """
+        self._ready = ready
+        for attempt in range(STARTS_MAX):
+            try:
+                ready_ns = self._start(policy)
+                break
+            except NotBegunError as why:  # nothing was tried, or is not counted: no trial is spent
+                self._log.warning(f"{policy.id} from its start again: {why}")
+                if attempt == STARTS_MAX - 1:
+                    raise
+        tool, body = self._paths(policy.id, ready_ns)
+        bag = self._end_bag() if self._params.record_rollouts else ""
+        if self._node.count_publishers(self._truth_topic):
+            self.until(
+                lambda: self._truth_of(policy.id) is not None,
+                f"ground truth of {policy.id}",
+                self._params.rollout_timeout,
+            )
+        fault = self._fault_of(tool, whole)
+        return Executed(Rollout(tool, body, fault), bag, self._truth_of(policy.id))
+
+    def until(self, condition: Callable[[], object], what: str, timeout: float) -> None:
+        """Spin until `condition()`; logs what it waits for.
+
+        Raises:
+            RolloutError: It did not come true within `timeout` [s of wall time].
+            ExternalShutdownException: The node was shut down meanwhile.
+        """
+        if not self._services.until(condition, what, timeout):
+            raise RolloutError(f"not within {timeout:.0f} s: {what}")
+
+    # Messages in
+
+    def _on_tool_path(self, message: Path) -> None:
+        self._tool_path = self._read(lambda: pose_messages.path(message, EndEffectorPath))
+
+    def _on_body_path(self, message: Path) -> None:
+        self._body_path = self._read(lambda: pose_messages.path(message, BodyPath))
+
+    def _on_state(self, message: Odometry) -> None:
+        state = self._read(lambda: pose_messages.odometry(message))
+        if state is not None:
+            self._missing = self._ready(state)
+            self._ready_states = 0 if self._missing else self._ready_states + 1
+            self._ready_ns = state.stamp_ns
+
+    def _on_truth(self, message: String) -> None:
+        self._truth = self._read(lambda: json.loads(message.data))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.startswith(f"{CONTROLLER}:"):
+                values = {each.key: each.value for each in status.values}
+                self._mode = values.get("mode", "")
+                self._diagnoses += 1
+                self._fault = None
+                if status.level == DiagnosticStatus.ERROR:
+                    kinds = {kind.value: kind for kind in FaultKind}
+                    kind = kinds.get(values.get("fault kind", ""), FaultKind.SOFTWARE)
+                    self._fault = Fault(kind, status.message)
+
+    def _read(self, convert: Callable[[], T]) -> T | None:
+        try:
+            return convert()
+        except ValueError as error:
+            self._log.warning(f"message ignored: {error}", throttle_duration_sec=1.0)
+            return None
+
+    # Services
+
+    def _call(self, name: str, request: SetBool.Request | None = None) -> Answer | None:
+        """Answer of a service; None if none has come.
+
+        Raises:
+            RolloutError: The service is not offered in time.
+        """
+        late = time.monotonic() + ANSWER_TIMEOUT
+        moving = Mode.MOVE_TO_START.value  # it answers when the arm has arrived
+        try:
+            answer = self._services.call(
+                Trigger if request is None else SetBool,
+                name,
+                request,
+                self._params.patience,
+                abandon=lambda: time.monotonic() > late and self._mode != moving,
+            )
+        except ServiceError as error:
+            raise RolloutError(str(error)) from error
+        if answer is None:
+            self._log.warning(f"{name} does not answer")
+        return answer
+
+    def _record(self, begin: bool) -> Answer | None:
+        return self._call(interface.RECORD, SetBool.Request(data=begin))
+
+    def _begin_bag(self, policy_id: str) -> None:
+        answer = self._record(True)
+        if (answer is None or not answer.success) and self._end_bag():  # left open by a kill
+            answer = self._record(True)
+        if answer is None or not answer.success:
+            self._log.warning(f"{policy_id} is not recorded: {answer or 'no answer'}")
+
+    def _end_bag(self) -> str:
+        """Name of the bag that was being recorded, or nothing."""
+        answer = self._record(False)
+        return FilePath(answer.text).name if answer is not None and answer.success else ""
+
+    # One rollout
+
+    def _start(self, policy: Policy) -> int:
+        """Begin the rollout of a policy.
+
+        Returns:
+            Stamp of a state at which the body was ready before it [ns], 0 without a body.
+
+        Raises:
+            NotBegunError: The controller came to a fault before, or nothing was answered.
+        """
+        self._reach_start(policy)
+        if self._params.scene_reset:
+            self._insist(self._reset, policy.id)
+        self._ready_states = self._ready_ns = 0
+        if self._body:
+            self.until(
+                lambda: self._ready_states >= READY_STATES,
+                f"the {self._body} is ready ({self._missing or 'not seen yet'})",
+                self._params.patience,
+            )
+        ready_ns = self._ready_ns
+        if self._params.record_rollouts:
+            self._begin_bag(policy.id)
+        self._truth = self._fault = None
+        self._insist(interface.EXECUTE, policy.id)
+        return ready_ns
+
+    def _reach_start(self, policy: Policy) -> None:
+        """Bring the arm to the start of the policy, out of a fault if need be."""
+        end = time.monotonic() + self._params.patience
+        while True:  # the policy each time: during a rollout, a killed learner's, it is refused
+            self._policies.publish(String(data=policies.to_json(policy)))
+            answer = self._call(interface.MOVE_TO_START)
+            if answer is not None and answer.success and _is_about(answer, policy.id):
+                return
+            if time.monotonic() > end:
+                raise RolloutError(f"{interface.MOVE_TO_START} refused: {answer or 'no answer'}")
+            if answer is not None and answer.code is Code.FAULT and self._params.reset_faults:
+                self._call(interface.RESET)
+            else:
+                self._log.warning(
+                    f"the arm is not at its start: {answer or 'no answer'}", once=True
+                )
+            self._services.until(lambda: False, timeout=0.1)
+
+    def _insist(self, name: str, policy_id: str) -> None:
+        """Call a service until it has done it for this policy.
+
+        Topics and services are not ordered: it may be asked before the policy has come, and then
+        refuses, or answers for the last one.
+        """
+        end = time.monotonic() + self._params.service_timeout
+        while True:
+            answer = self._call(name)
+            if answer is None:  # it may have begun: from the start again, rather than twice
+                raise NotBegunError(f"{name}: no answer")
+            if answer.success and _is_about(answer, policy_id):
+                return
+            if answer.code is Code.FAULT:
+                reason = "no reason reported yet" if self._fault is None else self._fault.text
+                raise NotBegunError(f"{answer.text} ({reason})")
+            if answer.code is Code.NOT_AT_START and _is_about(answer, policy_id):
+                raise NotBegunError(f"{name}: {answer.text}")  # a call that seemed lost moved it
+            if time.monotonic() > end:
+                raise RolloutError(f"{name} for {policy_id} refused: {answer}")
+            self._services.until(lambda: False, timeout=0.05)
+
+    def _paths(self, policy_id: str, ready_ns: int) -> tuple[EndEffectorPath, BodyPath | None]:
+        """The paths of the rollout that began after the body was ready.
+
+        A rollout of the same trial whose learner was killed has left its paths on the latched
+        topics: they began earlier.
+        """
+        earliest_ns = ready_ns - round(CLOCKS_APART * 1e9)
+        timeout = self._params.rollout_timeout
+        self.until(
+            lambda: _is_of(self._tool_path, policy_id, earliest_ns), f"path of {policy_id}", timeout
+        )
+        start_ns, tool = self._tool_path
+        if not self._body:
+            return tool, None
+        self.until(
+            lambda: _is_of(self._body_path, policy_id, start_ns) and self._body_path[0] == start_ns,
+            f"path of the {self._body} in {policy_id}",
+            timeout,
+        )
+        return tool, self._body_path[1]
+
+    def _fault_of(self, tool: EndEffectorPath, whole: float) -> Fault | None:
+        """The controller's fault when it cut the rollout short, as its diagnostics report it."""
+        if tool.t[-1] > whole - 0.05:
+            return None
+        before = self._diagnoses  # the message under way may be from before the end
+        self._services.until(
+            lambda: self._fault is not None or self._diagnoses > before + 1,
+            "diagnostics of the controller",
+            FAULT_TIMEOUT,
+        )
+        return self._fault
+
+    def _truth_of(self, policy_id: str) -> dict[str, Any] | None:
+        truth = self._truth
+        return truth if truth is not None and truth.get("id") == policy_id else None
+
+
+def _is_about(answer: Answer, policy_id: str) -> bool:
+    return answer.values.get("policy", answer.text) == policy_id
+
+
+def _is_of(arrived: tuple[int, Any] | None, policy_id: str, earliest_ns: int) -> bool:
+    return arrived is not None and arrived[1].id == policy_id and arrived[0] >= earliest_ns

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks and learners by name: ours, and those of other packages, found by their entry points."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from wam_power_ros.tasks.task import Task
+
+TASKS = "wam_power_ros.tasks"
+LEARNERS = "wam_power_ros.learners"
+
+
+def names(group: str) -> list[str]:
+    """Names of the entry points of a group, `TASKS` or `LEARNERS`."""
+    return sorted({point.name for point in entry_points(group=group)})
+
+
+def task_type(name: str) -> type[Task]:
+    """Class of a task.
+
+    Raises:
+        ValueError: No installed package has a task of this name, or it cannot be imported.
+    """
+    found: type[Task] = _load(TASKS, name, "task")
+    return found
+
+
+def learner_type(name: str) -> Any:  # noqa: ANN401 - a class; its settings are checked by itself
+    """Class of a learner.
+
+    Raises:
+        ValueError: No installed package has a learner of this name, or it cannot be imported.
+    """
+    return _load(LEARNERS, name, "learner")
+
+
+def _load(group: str, name: str, what: str) -> Any:  # noqa: ANN401
+    points: list[EntryPoint] = [p for p in entry_points(group=group) if p.name == name]
+    if not points:
+        raise ValueError(f"{what} {name!r} is not one of {', '.join(names(group)) or 'none'}")
+    try:
+        return points[0].load()
+    except (ImportError, AttributeError) as error:
+        raise ValueError(
+            f"{what} {name!r} ({points[0].value}) cannot be loaded: {error}"
+        ) from error

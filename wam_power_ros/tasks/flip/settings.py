@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of flipping a pancake, and its two presets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from wam_power_ros.tasks.flip.parametrization import FlipNoise
+from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
+
+
+class FlipSettings(BaseModel):
+    """Settings of the task.
+
+    Attributes:
+        variant: Part of the policy that is learnt, see `flip_parametrization`.
+        noise: Standard deviation of exploration of each group of parameters.
+        ret: Return that is learnt from: "eq5" (Eq. 5) or "landing" (`landing_return`).
+        pancake_weights: Weights of Eq. 5.
+        landing_weights: Weights of `landing_return`.
+        landing_gain: Share of a measured landing error by which a rollout's catch shift is
+            corrected before it is learnt from; 0 for none. Needs the variant "planar".
+        landing_limit: Largest correction of the catch shift for one rollout [m].
+        turn_gain: Share of the rotation that was missing to half a turn by which a rollout's flick
+            is corrected before it is learnt from; 0 for none. Needs the variant "planar".
+        turn_limit: Largest correction of the flick for one rollout [1].
+        success_return: Least return of a success; 0 when the return does not matter.
+        success_angle: Least rotation in the air of a success, which must also be caught and
+            flipped [rad]; 0 when the flip does not matter.
+        confirm_margin: Rotation beyond `success_angle` that a success must have to count towards
+            the stopping rule [rad]: stopping at the first streak selects policies that barely
+            succeed.
+        delta_h: Height above the pan at which a falling pancake is judged [m].
+        settle_time: Time a rollout goes on after the movement [s].
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    variant: Literal["full", "diagonal", "symmetric", "attractors", "planar"]
+    noise: FlipNoise
+    ret: Literal["eq5", "landing"]
+    pancake_weights: PancakeWeights = PancakeWeights()
+    landing_weights: LandingWeights = LandingWeights()
+    landing_gain: float = Field(ge=0.0, le=1.0)
+    landing_limit: float = Field(default=0.25, gt=0.0, le=1.0)
+    turn_gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    turn_limit: float = Field(default=0.1, gt=0.0, le=1.0)
+    success_return: float = Field(ge=0.0, allow_inf_nan=False)
+    success_angle: float = Field(ge=0.0, allow_inf_nan=False)
+    confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+    delta_h: float = Field(default=0.12, gt=0.0, le=1.0)
+    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
+
+    @model_validator(mode="after")
+    def _fit_together(self) -> FlipSettings:
+        if max(self.landing_gain, self.turn_gain) > 0.0 and self.variant != "planar":
+            raise ValueError(
+                f"landing_gain {self.landing_gain} and turn_gain {self.turn_gain} need a catch "
+                f"shift and a flick: variant 'planar', not {self.variant!r}"
+            )
+        if self.success_return == 0.0 and self.success_angle == 0.0:
+            raise ValueError("a success needs a success_return or a success_angle")
+        return self
+
+
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "flip": {
+        "variant": "planar",
+        "noise": {"stiffness": 0.16, "attractor": 0.016, "rotation": 0.05, "catch_shift": 0.016},
+        "learner": {"name": "power", "sigma": 6, "weights": "sharpened", "decay": 0.97},
+        "ret": "landing",
+        "budget": 60,
+        "mean_every": 5,
+        "landing_gain": 0.7,
+        "turn_gain": 0.5,
+        "success_return": 0.0,
+        "success_angle": math.radians(150.0),
+        "confirm": 8,
+        "confirm_margin": math.radians(10.0),
+        "retests": 10,
+    },
+    "paper": {
+        "variant": "full",
+        "noise": {"stiffness": 0.1, "attractor": 0.01, "rotation": 0.05, "catch_shift": 0.01},
+        "learner": {"name": "power", "sigma": 6, "weights": "return", "decay": 1.0},
+        "ret": "eq5",
+        "budget": 50,
+        "mean_every": 0,
+        "landing_gain": 0.0,
+        "success_return": 0.9,
+        "success_angle": 0.0,
+        "confirm": 3,
+        "retests": 10,
+    },
+}

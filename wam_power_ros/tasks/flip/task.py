@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Flipping a pancake: toss it out of the pan, half a turn in the air, catch it (Eq. 5)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from wam_power_ros.learning.demonstration import Demonstration
+from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.learner import Model
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.tasks.flip import assessment as flip_assessment
+from wam_power_ros.tasks.flip.landing_correction import landing_correction
+from wam_power_ros.tasks.flip.parametrization import flip_parametrization
+from wam_power_ros.tasks.flip.planned_toss import TossModel
+from wam_power_ros.tasks.flip.settings import PRESETS, FlipSettings
+from wam_power_ros.tasks.task import Assessment, BodyState, Judged, Pose
+
+_AT_CENTRE = 0.10  # [m] from the pan's centre, at most, before a rollout
+_HEIGHTS = (-0.01, 0.03)  # [m] of the pancake's centre above the pan's floor
+_AT_REST_SPEED = 0.05  # [m/s]
+
+
+class Flip:
+    """The task `flip`; see `tasks.task.Task`."""
+
+    name: ClassVar[str] = "flip"
+    body: ClassVar[str] = "pancake"
+    together: ClassVar[bool] = False
+    Settings: ClassVar[type[FlipSettings]] = FlipSettings
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
+
+    def __init__(self, settings: FlipSettings, context: Mapping[str, Any]) -> None:
+        """Make the task; it needs no context."""
+        self.settings = settings
+
+    @classmethod
+    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
+        """Fit eight primitives; see `Task`."""
+        return fit(demonstrations, PANCAKE, policy_id)
+
+    @classmethod
+    def context_of(
+        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
+    ) -> dict[str, Any]:
+        """Nothing to remember; see `Task`."""
+        return {}
+
+    @property
+    def settle_time(self) -> float:
+        """Time a rollout goes on after the movement [s]."""
+        return self.settings.settle_time
+
+    def parametrization(self, policy: Policy) -> Parametrization:
+        """What is learnt of a policy."""
+        return flip_parametrization(policy, self.settings.variant, self.settings.noise)
+
+    def ready(self, body: BodyState | None, tool: Pose) -> str:
+        """Whether the pancake rests in the pan, which may be tilted; see `Task`."""
+        if body is None:
+            return "the pancake is not seen"
+        x, y, height = tool.rotation.T @ (body.position - tool.position)
+        if math.hypot(x, y) >= _AT_CENTRE or not _HEIGHTS[0] < height < _HEIGHTS[1]:
+            return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m from its floor"
+        speed = float(np.linalg.norm(body.velocity))
+        return "" if speed < _AT_REST_SPEED else f"the pancake moves at {speed:.2f} m/s"
+
+    def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
+        """Return and success of a rollout of `policy`."""
+        return flip_assessment.assess(policy, rollout, self.settings)
+
+    def hindsight(
+        self, assessment: Assessment, parametrization: Parametrization
+    ) -> np.ndarray | None:
+        """Correct the catch shift and the flick; see `landing_correction`."""
+        return landing_correction(assessment, parametrization, self.settings)
+
+    def confirms(self, record: Judged) -> bool:
+        """Whether the pancake turned further than a success needs, by `confirm_margin`."""
+        settings = self.settings
+        if settings.success_angle == 0.0 or settings.confirm_margin == 0.0:
+            return True
+        turned = abs((record.observation or {}).get("angle", 0.0))
+        return turned >= settings.success_angle + settings.confirm_margin
+
+    def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
+        """The toss that a policy plans, corrected by what rollouts returned."""
+        settings = self.settings
+        weights = settings.pancake_weights if settings.ret == "eq5" else settings.landing_weights
+        return TossModel(parametrization, start, weights)
+
+    def outcome(self, record: Judged) -> str:
+        """Rotation of the pancake and where it ended, as the tracker saw it."""
+        if record.fault:
+            return f"fault: {record.fault}"
+        flight = record.observation
+        if flight is None:
+            return record.why or "not seen"
+        caught = "caught" if flight.get("resting") else "dropped"
+        if not flight.get("tossed"):
+            return "not tossed" if flight.get("resting") else "not tossed, dropped"
+        turned = f"{abs(math.degrees(flight.get('angle', 0.0))):.0f}° "
+        return turned + (f"flipped, {caught}" if flight.get("flipped") else caught)
+
+    def summary(self, records: Sequence[Judged]) -> list[str]:
+        """Flips, catches, Eq. 5 and, in simulation, true flips of the re-tests."""
+        retests = [record for record in records if record.kind == "retest"]
+        if not retests:
+            return []
+        seen = [record.observation for record in retests if record.observation]
+        caught = sum(bool(flight.get("flipped") and flight.get("resting")) for flight in seen)
+        flights = [flight for each in seen if (flight := flip_assessment.flight_of(each))]
+        returns = [flip_assessment.pancake_return(flight).total for flight in flights]
+        eq5 = f"; Eq. 5 {np.mean(returns):.3f}, at least {min(returns):.3f}" if returns else ""
+        lines = [f"re-tests of the answer: {caught} of {len(retests)} flipped and caught{eq5}"]
+        truths = [record.truth for record in retests if record.truth]
+        if truths:
+            landed = sum(bool(t.get("caught") and t.get("flipped")) for t in truths)
+            true = sum(bool(t.get("true_flip")) for t in truths)
+            lines.append(
+                f"simulator's ground truth: {landed} of {len(truths)} flipped and caught, {true} "
+                "by a true flip (150 to 240 degrees in the air)"
+            )
+        return lines

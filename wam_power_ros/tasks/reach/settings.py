@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of reaching, and its presets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from wam_power_ros.learning.parametrization import NoiseScales
+
+
+class ReachSettings(BaseModel):
+    """Settings of the task.
+
+    Attributes:
+        variant: Part of the policy that is learnt, see `Parametrization`.
+        noise: Standard deviation of exploration of each group of parameters.
+        goal_tolerance: Largest distance of the tool from the goal at the end of a success [m].
+        settle_time: Time a rollout goes on after the movement [s].
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    variant: Literal["full", "diagonal", "symmetric", "attractors"]
+    noise: NoiseScales
+    goal_tolerance: float = Field(default=0.05, gt=0.0, le=1.0)
+    settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
+
+
+_COMMON: Mapping[str, Any] = {
+    "learner": {"name": "power", "sigma": 3, "decay": 0.965},  # of the authors' own scripts
+    "budget": 60,
+    "mean_every": 5,
+    "confirm": 0,
+    "retests": 5,
+}
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "full": {
+        **_COMMON,
+        "variant": "full",
+        "noise": {"stiffness": 0.6, "attractor": 0.00625, "rotation": 0.1},
+    },
+    "diagonal": {
+        **_COMMON,
+        "variant": "diagonal",
+        "noise": {"stiffness": 0.6, "attractor": 0.1, "rotation": 0.1},
+    },
+}
