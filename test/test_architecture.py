@@ -36,7 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "learning": {"rotations"},
     "control": {"rotations", "learning"},
     "tracking": {"rotations", "learning"},
-    "tasks": {"rotations", "learning", "practice"},  # TEMPORARY: until the Task seam
+    "tasks": {"rotations", "learning"},
     "practice": {"learning", "tasks"},
     "params": {"rotations", "learning", "control", "tracking"},
     "conformance": {"rotations", "learning", "control", "tracking"},

@@ -42,8 +42,7 @@ from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.node_runner import number_by_process
-from wam_power_ros.ros.scheduling import executor_for
+from wam_power_ros.ros.node_runner import executor_for, number_by_process
 from wam_power_ros.tasks.task import Pose, Task
 
 

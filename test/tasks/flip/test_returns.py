@@ -15,7 +15,6 @@ from wam_power_ros.tasks.flip.returns import (
     PancakeWeights,
     landing_return,
     pancake_return,
-    reaching_return,
 )
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -150,36 +149,3 @@ def test_a_senseless_weight_is_refused(weights: type, value: float) -> None:
 def test_a_scale_of_zero_is_refused() -> None:
     with pytest.raises(ValueError, match="landing_scale"):
         LandingWeights(landing_scale=0.0)
-
-
-def test_equation_4_of_a_perfect_path_is_almost_one() -> None:
-    path = np.linspace([0.0, 0.0, 0.0], [0.5, 0.0, 0.0], 200)
-    # 199 of the 200 steps earn w1/T, the last earns w2.
-    assert reaching_return(path, path, path[-1]) == pytest.approx(0.5 * 199 / 200 + 0.5)
-
-
-def test_equation_4_counts_each_step_by_its_distance() -> None:
-    demonstrated = np.zeros((4, 3))
-    path = np.array([[0.1, 0, 0], [0, 0.2, 0], [0, 0, 0.3], [0.4, 0, 0]])
-    expected = 0.5 / 4 * sum(math.exp(-d) for d in (1, 2, 3)) + 0.5 * math.exp(-4)
-    assert reaching_return(path, demonstrated, np.zeros(3)) == pytest.approx(expected)
-    metres = 0.2 / 4 * sum(math.exp(-d / 10) for d in (1, 2, 3)) + 0.8 * math.exp(-0.4)
-    assert reaching_return(
-        path, demonstrated, np.zeros(3), w1=0.2, w2=0.8, unit=1.0
-    ) == pytest.approx(metres)
-
-
-def test_many_paths_at_once_give_what_one_at_a_time_gives() -> None:
-    rng = np.random.default_rng(0)
-    paths, demonstrated, goal = rng.normal(size=(6, 20, 3)), rng.normal(size=(20, 3)), np.ones(3)
-    many = reaching_return(paths, demonstrated, goal)
-    assert many == pytest.approx([reaching_return(path, demonstrated, goal) for path in paths])
-
-
-def test_a_path_that_does_not_fit_is_refused() -> None:
-    with pytest.raises(ValueError, match="must be"):
-        reaching_return(np.zeros((5, 3)), np.zeros((6, 3)), np.zeros(3))
-    with pytest.raises(ValueError, match="finite"):
-        reaching_return(np.full((5, 3), math.nan), np.zeros((5, 3)), np.zeros(3))
-    with pytest.raises(ValueError, match="unit"):
-        reaching_return(np.zeros((5, 3)), np.zeros((5, 3)), np.zeros(3), unit=0.0)
