@@ -31,7 +31,7 @@ def test_barretts_services_hold_idle_and_give_the_arm_back(
     assert probe.call(SetBool, interface.WAM_GRAVITY_COMPENSATE, SetBool.Request(data=True)).success
 
 
-def test_an_arm_that_waits_frozen_for_a_rollout_moves_home_when_told_to(
+def test_an_arm_that_waits_frozen_for_a_rollout_moves_home_on_request(
     probe: Probe, processes: Processes
 ) -> None:
     hardware = Hardware(probe, processes, "lockstep")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstrator: what it wants, how hard it pulls, how it lets go."""
+"""The demonstrator: its targets, its forces, and how it lets go."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_the_wanted_velocities_are_those_of_the_wanted_poses(
         np.testing.assert_allclose(omega, turned / (2 * small), atol=1e-5)
 
 
-def test_the_demonstrator_pulls_towards_what_it_wants_and_no_harder_than_a_person() -> None:
+def test_the_demonstrator_pulls_towards_its_target_and_no_harder_than_a_person() -> None:
     puller = demonstrator()
     assert not puller.wrench(0.0, POSITION, ROTATION, STILL).any()
     aside = puller.wrench(0.0, POSITION + ASIDE, ROTATION, STILL)

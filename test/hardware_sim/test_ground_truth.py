@@ -18,7 +18,7 @@ def calm() -> World:
     return World(CALM, seed=3)
 
 
-def test_a_torque_beyond_the_envelope_is_clipped_and_told(calm: World) -> None:
+def test_a_torque_beyond_the_envelope_is_clipped_and_counted(calm: World) -> None:
     gravity = begin(calm)
     run(calm, gravity, 10)
     assert calm.truth()["saturated"] == 0.0

@@ -90,7 +90,7 @@ def test_the_tool_plate_is_where_barretts_table_has_it(
     np.testing.assert_allclose(position, tool_plate, atol=6e-4 if q[1] == -2.0 else 1e-7)
 
 
-def test_the_arm_without_its_pan_weighs_what_the_facts_sheet_says(arm: Arm) -> None:
+def test_the_arm_without_its_pan_weighs_as_in_the_facts_sheet(arm: Arm) -> None:
     tree = ElementTree.fromstring(URDF)
     pan = tree.find("link[@name='pan']")
     pan.remove(pan.find("inertial"))

@@ -77,9 +77,7 @@ def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Pro
     assert "rms error 0.0" in message
 
 
-def test_a_driver_without_velocities_is_stood_in_for_too(
-    probe: Probe, processes: Processes
-) -> None:
+def test_a_driver_without_velocities_is_simulated_too(probe: Probe, processes: Processes) -> None:
     hardware = Hardware(probe, processes, "lockstep", velocity="empty")
     assert hardware.state().qd is None
     hardware.control()

@@ -46,7 +46,7 @@ def test_a_joint_stops_at_its_limit(calm: World, arm: Arm) -> None:
     assert arm.q_max[5] - 0.01 < calm.data.qpos[5] < arm.q_max[5] + 0.02
 
 
-def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_carries_itself(
+def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_compensates_gravity(
     calm: World,
 ) -> None:
     gravity = begin(calm)
@@ -62,11 +62,11 @@ def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_carries_
     assert np.abs(calm.data.qvel[:7]).max() < 0.02  # braked, and not fallen
     now = calm.joint_state()
     np.testing.assert_allclose(now.tau, Arm(calm.urdf, JOINTS).gravity(now.q), atol=0.5)
-    run(calm, pushed, 5)  # commands are heard again
+    run(calm, pushed, 5)  # commands take effect again
     assert (calm.joint_state().tau == pushed).all()
 
 
-def test_an_arm_that_carries_itself_brakes_itself() -> None:
+def test_the_gravity_compensation_of_the_watchdog_is_damped() -> None:
     speeds = []
     for damping in (0.0, 5.0):
         world = World(replace(CALM, watchdog_damping=damping))
@@ -214,7 +214,7 @@ def test_a_frozen_world_repeats_its_state_while_clock_and_cameras_go_on(world: W
     assert (frames[-1].position != frames[-2].position).all()  # a still pancake, not a dead camera
 
 
-def test_every_rollout_draws_draught_offset_and_arm_anew_and_a_quiet_one_none(
+def test_every_rollout_draws_wind_offset_and_arm_anew_and_a_quiet_one_none(
     world: World,
 ) -> None:
     def drawn(rollout_id: str) -> np.ndarray:

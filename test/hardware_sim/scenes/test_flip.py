@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pancake: where it lies, how it flies, and what is said of a toss."""
+"""The pancake in the pan and in the air, the truth about a toss, and the toss demonstrated."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_no_two_demonstrations_are_alike_and_the_seed_decides() -> None:
         np.testing.assert_array_equal(one, same)
         assert (one != other).any()
     for one, other in zip(astuple(script(1, 0.0)), astuple(script(2, 0.0)), strict=True):
-        np.testing.assert_array_equal(one, other)  # without scatter, the hand's intention
+        np.testing.assert_array_equal(one, other)  # without scatter, the intended toss
 
 
 @given(st.integers(0, 10_000))

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scenes by name, and a scene of somebody's own: a ball in the pan."""
+
+from __future__ import annotations
+
+import importlib.metadata
+
+import mujoco
+import numpy as np
+import pytest
+from simulated import LEVEL, holding_torque, run
+
+from hardware_sim import scenes
+from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
+from hardware_sim.scene import body_contact
+from hardware_sim.scenes import scene_type
+from hardware_sim.scenes.flip import Flip, wrist_flick
+from hardware_sim.scenes.reach import Reach
+from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.world import DROP_HEIGHT, World
+
+RADIUS = 0.02  # [m] of the ball
+
+
+class Ball:
+    """A ball that rests in the pan."""
+
+    body = "ball"
+    home = LEVEL
+    home_sd = 0.0
+
+    def __init__(self, settings: SceneSettings) -> None:
+        self._friction = settings.friction
+
+    def build(self, spec: mujoco.MjSpec) -> None:
+        """Add the ball, and beside it a flag on a hinge that nothing tracks."""
+        still = spec.worldbody.add_body(name="stand", pos=[1.5, 0.0, 0.0])
+        still.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
+        hinged = still.add_body(name="flag", pos=[0.0, 0.0, 0.5])
+        hinged.add_joint(name="flag", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0.0, 0.0, 1.0])
+        hinged.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.01, 0.1, 0.1], mass=0.1)
+        body = spec.worldbody.add_body(name="ball", pos=[0.0, 0.0, 2.0])
+        body.add_freejoint(name="ball")
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[RADIUS, 0.0, 0.0],
+            mass=0.05,
+            **body_contact(self._friction),
+        )
+
+    def place(
+        self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
+    ) -> None:
+        """Put the ball into the pan."""
+        data.joint("ball").qpos[:3] = position + rotation @ [*offset, RADIUS]
+
+    def script(self, rng: np.random.Generator) -> object:
+        """A toss."""
+        return wrist_flick(rng)
+
+    def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
+        """Whether the ball is in the pan, and how high it was."""
+        offset = now.rotation.T @ (now.body[:3] - now.position)
+        return {"held": bool(abs(offset[2] - RADIUS) < 0.01), "highest": log.body[:, 2].max()}
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World(WorldSettings(scene=SceneSettings(body_offset_sd=0.0)), make_scene=Ball)
+
+
+def test_the_scenes_of_this_package_are_found_by_name() -> None:
+    assert scene_type("flip") is Flip
+    assert scene_type("reach") is Reach
+
+
+def test_an_unknown_scene_is_refused_with_the_names_there_are() -> None:
+    with pytest.raises(ValueError, match=r"'pour' is not one of .*flip, .*reach"):
+        scene_type("pour")
+
+
+def test_a_scene_of_another_package_is_found_by_its_entry_point(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def installed(group: str) -> list[importlib.metadata.EntryPoint]:
+        point = importlib.metadata.EntryPoint
+        return [
+            point("ball", f"{Flip.__module__}:Flip", group),
+            point("broken", "no_such_package:Scene", group),
+        ]
+
+    monkeypatch.setattr(scenes, "entry_points", installed)
+    assert scene_type("ball") is Flip
+    with pytest.raises(ValueError, match=r"'broken' cannot be loaded: .*no_such_package"):
+        scene_type("broken")
+
+
+def test_the_body_of_a_scene_is_tracked_and_comes_to_rest_before_a_rollout(world: World) -> None:
+    world.reset("trial-0001", LEVEL)
+    world.release()
+    run(world, holding_torque(world), 100)
+    truth, frames = world.truth(), world.mocap_frames()
+    ball = world.data.joint("ball").qpos[:3]
+    assert truth["held"]
+    assert truth["highest"] == pytest.approx(ball[2], abs=1e-3)
+    assert len(frames) > 3
+    np.testing.assert_allclose(frames[-1].position, ball, atol=3e-3)
+    assert list(truth)[:3] == ["id", "held", "highest"]
+
+
+def test_the_body_of_a_scene_can_be_dropped(world: World) -> None:
+    world.reset("trial-0001", LEVEL)
+    world.release()
+    before = world.data.joint("flag").qpos.copy()
+    world.drop()
+    height = world.data.joint("ball").qpos[2]
+    assert height == pytest.approx(world.pan_pose[0][2] + DROP_HEIGHT)
+    run(world, holding_torque(world), 100)  # 0.2 s
+    assert height - world.data.joint("ball").qpos[2] == pytest.approx(0.5 * 9.81 * 0.04, rel=0.03)
+    assert world.truth()["held"] is False
+    np.testing.assert_array_equal(world.data.joint("flag").qpos, before)
+
+
+def test_a_tracked_body_must_be_on_a_free_joint() -> None:
+    class Fixed(Ball):
+        body = "stand"
+
+    class Hinged(Ball):
+        body = "flag"
+
+    for wrong in (Fixed, Hinged):
+        with pytest.raises(ValueError, match="must be on a free joint"):
+            World(make_scene=wrong)
