@@ -96,7 +96,7 @@ class SimulatedArm:
         own, *over = (share(file) for file in params.controller)
         controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
         self._controller = controller_params.controller(urdf)
-        self.obstacle = getattr(controller_params, "obstacle", (0.0, 0.0, 0.0, 0.0))
+        self.obstacle = controller_params.obstacle
         self._report = report
         self._verdicts: dict[str, Fault | None] = {}  # movement -> fault that ends it
 

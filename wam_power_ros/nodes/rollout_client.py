@@ -345,7 +345,7 @@ class RolloutClient:
 
 
 def _is_about(answer: Answer, policy_id: str) -> bool:
-    return answer.values.get("policy", answer.text) == policy_id
+    return answer.values.get("policy") == policy_id
 
 
 def _is_of(arrived: tuple[int, Any] | None, policy_id: str, earliest_ns: int) -> bool:

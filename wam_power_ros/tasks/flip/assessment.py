@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -50,11 +51,11 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
     return Assessment(result.total, result.terms, observation, success)
 
 
-def flight_of(observation: dict[str, Any]) -> Flight | None:
+def flight_of(observation: Mapping[str, Any]) -> Flight | None:
     """The flight that `assess` noted in an observation; None when it is not a whole one."""
     if set(observation) != {field.name for field in dataclasses.fields(Flight)}:
         return None
-    fields = {
+    fields: dict[str, Any] = {
         name: np.array(value) if isinstance(value, list) else value
         for name, value in observation.items()
     }

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The task of reaching: Eq. 4 of executed paths, stopped at the obstacle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wam_power_ros.learning.demonstration import Demonstration, from_positions
+from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.reach.returns import reaching_return
+from wam_power_ros.tasks.reach.scenario import middle, stretched
+from wam_power_ros.tasks.reach.task import Reach
+
+RADIUS = 0.05
+SETTINGS = preset("reach").task_settings
+
+
+def demonstrations(count: int = 2) -> list[Demonstration]:
+    s = np.linspace(0.0, 1.0, 500)[:, None]
+    s = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    start = np.array([0.7, -0.25, 0.6])
+    return [from_positions(start + s * [0.01 * k, 0.5, 0.0], 0.004) for k in range(count)]
+
+
+DEMONSTRATIONS = demonstrations()
+OBSTACLE = [*middle(stretched(DEMONSTRATIONS)), RADIUS]
+POLICY = Reach.policy_of(DEMONSTRATIONS, "trial-0001")
+
+
+def task(obstacle: list[float] = OBSTACLE) -> Reach:
+    return Reach(SETTINGS, Reach.context_of(DEMONSTRATIONS, obstacle))
+
+
+def path(y: np.ndarray, z: np.ndarray) -> EndEffectorPath:
+    """A path of the tool that holds its last position for the time in which the arm settles."""
+    t = np.arange(0.0, POLICY.basis.duration + 1.0, 0.01)
+    along = np.minimum(t / POLICY.basis.duration, 1.0)
+    grid = np.linspace(0.0, 1.0, len(y))
+    position = np.stack(
+        [np.full_like(t, 0.705), np.interp(along, grid, y), np.interp(along, grid, z)], axis=1
+    )
+    return EndEffectorPath(POLICY.id, t, position, np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)))
+
+
+def straight() -> EndEffectorPath:
+    return path(np.array([-0.25, 0.25]), np.array([0.6, 0.6]))
+
+
+def around() -> EndEffectorPath:
+    return path(np.array([-0.25, 0.0, 0.25]), np.array([0.6, 0.75, 0.6]))
+
+
+def cut(whole: EndEffectorPath, end: float) -> EndEffectorPath:
+    kept = whole.t < end
+    return EndEffectorPath(whole.id, whole.t[kept], whole.position[kept], whole.quat_xyzw[kept])
+
+
+def test_a_path_around_the_obstacle_is_worth_equation_4_and_a_success() -> None:
+    assessment = task().assess(POLICY, Rollout(around()))
+    assert assessment.success and not assessment.observation["touched"]
+    assert assessment.observation["clearance"] > 0.0
+    assert sum(assessment.terms.values()) == pytest.approx(assessment.ret)
+    t = np.linspace(0.0, POLICY.basis.duration, 200)
+    sampled = np.stack([np.interp(t, around().t, x) for x in around().position.T], axis=1)
+    demonstrated = stretched(DEMONSTRATIONS).mean(axis=0)
+    expected = reaching_return(sampled[np.newaxis], demonstrated, demonstrated[-1])
+    assert assessment.ret == pytest.approx(float(expected[0]))
+
+
+def test_a_path_into_the_obstacle_is_worth_what_it_is_when_it_stays_there() -> None:
+    through = task().assess(POLICY, Rollout(straight()))
+    stopped = task().assess(POLICY, Rollout(cut(straight(), 0.45 * POLICY.basis.duration)))
+    assert through.observation["touched"] and stopped.observation["touched"]
+    assert stopped.ret == pytest.approx(through.ret)  # what came after contact does not matter
+    assert through.ret < task().assess(POLICY, Rollout(around())).ret
+    assert not through.success
+    free = task([*OBSTACLE[:3], 0.0]).assess(POLICY, Rollout(straight()))
+    assert free.success and free.ret > through.ret
+
+
+def test_a_rollout_that_somebody_stopped_says_nothing() -> None:
+    early = task().assess(POLICY, Rollout(cut(straight(), 0.1 * POLICY.basis.duration)))
+    assert early.ret is None and early.why.startswith("cut short")
+
+
+@pytest.mark.parametrize(
+    ("kind", "ret"), [(FaultKind.TOOL_SPEED, 0.0), (FaultKind.STATES_LOST, None)]
+)
+def test_a_fault_counts_by_its_kind(kind: FaultKind, ret: float | None) -> None:
+    assert task().assess(POLICY, Rollout(around(), None, Fault(kind, "why"))).ret == ret
+
+
+def test_the_model_knows_the_free_path_and_learns_where_it_was_stopped() -> None:
+    reach = task()
+    parametrization = reach.parametrization(POLICY)
+    model = reach.model(parametrization, np.array([0.7, -0.25, 0.6]))
+    z = np.zeros((1, parametrization.size))
+    free = float(model.predict(z)[0])
+    assert free > 0.9  # it does not know the obstacle
+    model.learn(z[0], 0.35)
+    assert float(model.predict(z)[0]) < free
+
+
+def test_a_table_names_the_distance_and_the_contact() -> None:
+    class Row:
+        kind, ret, success, why, fault, truth = "explore", 0.5, True, "", "", None
+        observation = {"touched": True, "goal_distance": 0.234, "clearance": -0.01}
+
+    assert task().outcome(Row()) == "touched the obstacle, 23 cm from the goal"
+    Row.observation = {**Row.observation, "touched": False, "goal_distance": 0.012}
+    assert task().outcome(Row()) == "12 mm from the goal"
+    Row.kind = "retest"
+    assert task().summary([Row()]) == [
+        "re-tests of the answer: 1 of 1 passed the obstacle, least clearance -10 mm"
+    ]
