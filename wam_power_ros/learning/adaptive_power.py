@@ -7,17 +7,15 @@ import numpy as np
 from pydantic import Field
 
 from wam_power_ros.learning.learner import (
+    GaussianLearner,
     LearnerSettings,
-    Model,
-    Rollouts,
     best_first,
-    check_start,
     weighted_mean,
 )
 from wam_power_ros.learning.power import power_update
 
 
-class AdaptivePower:
+class AdaptivePower(GaussianLearner):
     """PoWER with one exploration variance per parameter, estimated from the elite."""
 
     class Settings(LearnerSettings):
@@ -36,36 +34,9 @@ class AdaptivePower:
         smallest: float = Field(default=0.1, gt=0.0, le=1.0)
         largest: float = Field(default=10.0, ge=1.0, allow_inf_nan=False)
 
-    needs_model = False
+    settings: Settings
 
-    def __init__(
-        self,
-        size: int,
-        settings: Settings,
-        rng: np.random.Generator,
-        model: Model | None = None,
-    ) -> None:
-        """Start at z = 0; see `LearnerClass`."""
-        check_start(AdaptivePower, size, model)
-        self.size = size
-        self.settings = settings
-        self._rng = rng
-        self._rollouts = Rollouts(size)
-        self._variance = np.ones(size)
-        self._mean = np.zeros(size)
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Return-weighted mean of the elite. Shape (size,)."""
-        return self._mean.copy()
-
-    def ask(self) -> np.ndarray:
-        """Draw the next coordinates, the mean plus noise. Shape (size,)."""
-        return self._mean + np.sqrt(self._variance) * self._rng.standard_normal(self.size)
-
-    def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout; see `Learner.tell`."""
-        self._rollouts.add(z, ret)
+    def _update(self) -> None:
         rollouts, returns = self._rollouts.z, self._rollouts.returns
         if returns.max() <= 0.0:
             return
@@ -73,5 +44,5 @@ class AdaptivePower:
         # sigma^2 = sum R (theta_k - theta)^2 / sum R, theta being the mean before the update.
         weights = returns[elite] / returns.max()
         variance = weighted_mean((rollouts[elite] - self._mean) ** 2, weights)
-        self._variance = np.clip(variance, self.settings.smallest, self.settings.largest)
+        self._noise = np.sqrt(np.clip(variance, self.settings.smallest, self.settings.largest))
         self._mean = power_update(self._mean, rollouts, returns, self.settings.sigma)

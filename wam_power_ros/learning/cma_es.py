@@ -7,10 +7,10 @@ import cmaes
 import numpy as np
 from pydantic import Field
 
-from wam_power_ros.learning.learner import LearnerSettings, Model, Rollouts, check_start
+from wam_power_ros.learning.learner import GaussianLearner, LearnerSettings, Model
 
 
-class CmaEs:
+class CmaEs(GaussianLearner):
     """CMA-ES, started with unit step size."""
 
     class Settings(LearnerSettings):
@@ -23,7 +23,8 @@ class CmaEs:
 
         population: int | None = Field(default=None, ge=5)
 
-    needs_model = False
+    settings: Settings
+    size_min = 2
 
     def __init__(
         self,
@@ -32,20 +33,11 @@ class CmaEs:
         rng: np.random.Generator,
         model: Model | None = None,
     ) -> None:
-        """Start at z = 0, with two parameters at least; see `LearnerClass`."""
-        check_start(CmaEs, size, model, size_min=2)
-        self.size = size
-        self.settings = settings
-        self._rng = rng
-        self._batch = Rollouts(size)
+        """Start at z = 0; see `LearnerClass`."""
+        super().__init__(size, settings, rng, model)
         self._optimizer = cmaes.CMA(
             mean=np.zeros(size), sigma=1.0, seed=0, population_size=settings.population
         )
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Mean of the search distribution. Shape (size,)."""
-        return self._optimizer.mean.copy()
 
     def ask(self) -> np.ndarray:
         """Draw the next coordinates from the search distribution. Shape (size,)."""
@@ -53,10 +45,9 @@ class CmaEs:
         self._optimizer.reseed_rng(int(self._rng.integers(2**32)))
         return self._optimizer.ask()
 
-    def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout; see `Learner.tell`."""
-        self._batch.add(z, ret)
-        if len(self._batch) == self._optimizer.population_size:
-            costs = (-self._batch.returns).tolist()  # the library minimises
-            self._optimizer.tell(list(zip(self._batch.z, costs, strict=True)))
-            self._batch.clear()
+    def _update(self) -> None:
+        if len(self._rollouts) == self._optimizer.population_size:
+            costs = (-self._rollouts.returns).tolist()  # the library minimises
+            self._optimizer.tell(list(zip(self._rollouts.z, costs, strict=True)))
+            self._mean = self._optimizer.mean.copy()
+            self._rollouts.clear()

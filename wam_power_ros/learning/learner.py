@@ -141,16 +141,58 @@ class Rollouts:
         self._z, self._returns = [], []
 
 
-def check_start(learner: type[Any], size: int, model: Model | None, size_min: int = 1) -> None:
-    """Check what a learner is constructed with.
+class GaussianLearner:
+    """A learner that explores with Gaussian noise about its mean; the learners derive from it.
 
-    Raises:
-        ValueError: If `size` is too small, or a model is given in vain.
+    A subclass has `Settings` of its own, and `_update`, which follows from the past rollouts.
+
+    Attributes:
+        size: Number of parameters.
+        settings: Settings of the learner.
     """
-    if size < size_min:
-        raise ValueError(f"size is {size}, {learner.__name__} needs at least {size_min}")
-    if model is not None and not learner.needs_model:
-        raise ValueError(f"{learner.__name__} uses no model, got {model}")
+
+    Settings: type[LearnerSettings] = LearnerSettings
+    needs_model = False
+    size_min = 1
+    settings: LearnerSettings
+
+    def __init__(
+        self,
+        size: int,
+        settings: LearnerSettings,
+        rng: np.random.Generator,
+        model: Model | None = None,
+    ) -> None:
+        """Start at z = 0; see `LearnerClass`."""
+        name = type(self).__name__
+        if size < self.size_min:
+            raise ValueError(f"size is {size}, {name} needs at least {self.size_min}")
+        if model is not None and not self.needs_model:
+            raise ValueError(f"{name} uses no model, got {model}")
+        self.size = size
+        self.settings = settings
+        self._rng = rng
+        self._rollouts = Rollouts(size)
+        self._mean = np.zeros(size)
+        self._noise: float | np.ndarray = 1.0  # standard deviation of the exploration
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Current estimate, without exploration noise. Shape (size,)."""
+        return self._mean.copy()
+
+    def ask(self) -> np.ndarray:
+        """Draw the next coordinates, the mean plus noise. Shape (size,)."""
+        return self._mean + self._noise * self._rng.standard_normal(self.size)
+
+    def tell(self, z: np.ndarray, ret: float) -> None:
+        """Learn from a rollout; see `Learner.tell`."""
+        self._rollouts.add(z, ret)
+        self._update()
+
+    def _update(self) -> None:
+        """Learn from the rollouts, the newest of which has just been added."""
+        raise NotImplementedError
 
 
 def best_first(returns: np.ndarray) -> np.ndarray:

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from wam_power_ros.learning.learner import LearnerSettings, Model, Rollouts, check_start
+from wam_power_ros.learning.learner import GaussianLearner, LearnerSettings
 
 
-class _PolicyGradient:
+class _PolicyGradient(GaussianLearner):
     """A step along an estimate of the gradient of the expected return."""
 
     class Settings(LearnerSettings):
@@ -29,46 +29,19 @@ class _PolicyGradient:
         rate: float = Field(default=1.0, gt=0.0, allow_inf_nan=False)
         decay: float = Field(gt=0.0, le=1.0)
 
-    needs_model = False
+    settings: Settings
 
-    def __init__(
-        self,
-        size: int,
-        settings: Settings,
-        rng: np.random.Generator,
-        model: Model | None = None,
-    ) -> None:
-        """Start at z = 0; see `LearnerClass`."""
-        check_start(type(self), size, model)
-        self.size = size
-        self.settings = settings
-        self._rng = rng
-        self._batch = Rollouts(size)
-        self._noise = 1.0
-        self._mean = np.zeros(size)
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Current estimate, without exploration noise. Shape (size,)."""
-        return self._mean.copy()
-
-    def ask(self) -> np.ndarray:
-        """Draw the next coordinates, the mean plus noise. Shape (size,)."""
-        return self._mean + self._noise * self._rng.standard_normal(self.size)
-
-    def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout; see `Learner.tell`."""
-        self._batch.add(z, ret)
-        if len(self._batch) < self.settings.population:
+    def _update(self) -> None:
+        if len(self._rollouts) < self.settings.population:
             return
-        returns = self._batch.returns
+        returns = self._rollouts.returns
         deviation = float(returns.std())
         if deviation > 0.0:
-            eps = (self._batch.z - self._mean) / self._noise  # (N, n)
+            eps = (self._rollouts.z - self._mean) / self._noise  # (N, n)
             gradient = self._gradient(eps, (returns - returns.mean()) / deviation)
             self._mean = self._mean + self.settings.rate * self._noise * gradient
         self._noise *= self.settings.decay
-        self._batch.clear()
+        self._rollouts.clear()
 
     def _gradient(self, eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
         """Gradient in units of the noise; eps = noise * grad log pi (N, n), returns (N,)."""

@@ -9,11 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from wam_power_ros.learning.learner import (
+    GaussianLearner,
     LearnerSettings,
-    Model,
-    Rollouts,
     best_first,
-    check_start,
     weighted_mean,
 )
 
@@ -142,7 +140,7 @@ def _weights(returns: np.ndarray, kind: Weights, sharpness: float) -> np.ndarray
     raise ValueError(f"weights {kind!r} is not one of return, sharpened")
 
 
-class Power:
+class Power(GaussianLearner):
     """PoWER with Gaussian exploration of unit variance about the mean [Kormushev2010]."""
 
     class Settings(LearnerSettings):
@@ -162,27 +160,7 @@ class Power:
         sharpness: float = Field(default=0.3, gt=0.0, allow_inf_nan=False)
         decay: float = Field(default=1.0, gt=0.0, le=1.0)
 
-    needs_model = False
-
-    def __init__(
-        self,
-        size: int,
-        settings: Settings,
-        rng: np.random.Generator,
-        model: Model | None = None,
-    ) -> None:
-        """Start at z = 0; see `LearnerClass`."""
-        check_start(Power, size, model)
-        self.size = size
-        self.settings = settings
-        self._rng = rng
-        self._rollouts = Rollouts(size)
-        self._mean = np.zeros(size)
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Weighted mean of the elite; z = 0 until a return was positive. Shape (size,)."""
-        return self._mean.copy()
+    settings: Settings
 
     @property
     def noise(self) -> float:
@@ -201,13 +179,8 @@ class Power:
         """Number of rollouts learnt from."""
         return len(self._rollouts)
 
-    def ask(self) -> np.ndarray:
-        """Draw the next coordinates, the mean plus noise. Shape (size,)."""
-        return self._mean + self.noise * self._rng.standard_normal(self.size)
-
-    def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout; see `Learner.tell`."""
-        self._rollouts.add(z, ret)
+    def _update(self) -> None:
+        self._noise = self.noise
         returns = self._rollouts.returns
         if returns.max() > 0.0:
             self._mean = power_update(

@@ -6,11 +6,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from wam_power_ros.learning.learner import LearnerSettings, Model, Rollouts, check_start
+from wam_power_ros.learning.learner import GaussianLearner, LearnerSettings, Model
 from wam_power_ros.learning.power import power_update
 
 
-class ScreenedPower:
+class ScreenedPower(GaussianLearner):
     """PoWER with screened exploration; ours.
 
     Much of a skill is known before the first rollout: the path of Eq. 1 and the return of a path.
@@ -45,6 +45,7 @@ class ScreenedPower:
         candidates: int = Field(default=200, ge=1)
         half_life: float = Field(default=16.0, gt=0.0)
 
+    settings: Settings
     needs_model = True
 
     def __init__(
@@ -55,35 +56,23 @@ class ScreenedPower:
         model: Model | None = None,
     ) -> None:
         """Start at z = 0 with a model that has learnt nothing; see `LearnerClass`."""
-        check_start(ScreenedPower, size, model)
+        super().__init__(size, settings, rng, model)
         if model is None:
             raise ValueError("ScreenedPower needs a model of the returns")
-        self.size = size
-        self.settings = settings
-        self._rng = rng
         self._model = model
-        self._rollouts = Rollouts(size)
-        self._mean = np.zeros(size)
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Return-weighted mean of the elite; z = 0 until a return was positive. Shape (size,)."""
-        return self._mean.copy()
 
     def ask(self) -> np.ndarray:
         """Draw candidates; return the first one of highest predicted return. Shape (size,)."""
-        settings, done = self.settings, len(self._rollouts)
-        noise = settings.decay**done
-        count = max(1, round(settings.candidates * 0.5 ** (done / settings.half_life)))
-        candidates = self._mean + noise * self._rng.standard_normal((count, self.size))
+        halvings = len(self._rollouts) / self.settings.half_life
+        count = max(1, round(self.settings.candidates * 0.5**halvings))
+        candidates = self._mean + self._noise * self._rng.standard_normal((count, self.size))
         if count == 1:
             return candidates[0]
         return candidates[int(np.argmax(self._model.predict(candidates)))]
 
-    def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout, the model included; see `Learner.tell`."""
-        self._rollouts.add(z, ret)
+    def _update(self) -> None:
         rollouts, returns = self._rollouts.z, self._rollouts.returns
-        self._model.learn(rollouts[-1], float(ret))
+        self._model.learn(rollouts[-1], float(returns[-1]))
+        self._noise = self.settings.decay ** len(returns)
         if returns.max() > 0.0:
             self._mean = power_update(self._mean, rollouts, returns, self.settings.sigma)

@@ -9,17 +9,15 @@ import numpy as np
 from pydantic import Field
 
 from wam_power_ros.learning.learner import (
+    GaussianLearner,
     LearnerSettings,
-    Model,
-    Rollouts,
     best_first,
-    check_start,
     weighted_mean,
 )
 from wam_power_ros.learning.power import Weights, power_update
 
 
-class ShapedPower:
+class ShapedPower(GaussianLearner):
     """PoWER with a warm-up, rank weights and mirrored sampling."""
 
     class Settings(LearnerSettings):
@@ -40,43 +38,20 @@ class ShapedPower:
         warm_up: int = Field(default=10, ge=0)
         mirrored: bool = True
 
-    needs_model = False
-
-    def __init__(
-        self,
-        size: int,
-        settings: Settings,
-        rng: np.random.Generator,
-        model: Model | None = None,
-    ) -> None:
-        """Start at z = 0; see `LearnerClass`."""
-        check_start(ShapedPower, size, model)
-        self.size = size
-        self.settings = settings
-        self._rng = rng
-        self._rollouts = Rollouts(size)
-        self._centre = np.zeros(size)  # mean about which the current pair is sampled
-        self._mean = np.zeros(size)
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Weighted mean of the elite; z = 0 during the warm-up. Shape (size,)."""
-        return self._mean.copy()
+    settings: Settings
+    _centre: np.ndarray  # mean about which the current pair is sampled
 
     def ask(self) -> np.ndarray:
         """Draw the next coordinates, or mirror the last ones. Shape (size,)."""
-        count = len(self._rollouts)
-        if self.settings.mirrored and count % 2 == 1:
+        if self.settings.mirrored and len(self._rollouts) % 2 == 1:
             return 2.0 * self._centre - self._rollouts.z[-1]
-        noise = self.settings.decay ** max(count - self.settings.warm_up, 0)
-        return self._mean + noise * self._rng.standard_normal(self.size)
+        return super().ask()
 
-    def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout; see `Learner.tell`."""
-        self._rollouts.add(z, ret)
-        if len(self._rollouts) % 2 == 1:
-            self._centre = self._mean
+    def _update(self) -> None:
         returns = self._rollouts.returns
+        if len(returns) % 2 == 1:
+            self._centre = self._mean
+        self._noise = self.settings.decay ** max(len(returns) - self.settings.warm_up, 0)
         if len(returns) < self.settings.warm_up or returns.max() <= 0.0:
             return
         sigma, weights = self.settings.sigma, self.settings.weights
