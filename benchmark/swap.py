@@ -24,7 +24,6 @@ from rich.table import Table
 
 from wam_power_ros.practice import session
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.reporting.terminal import outcome
 
 ROOT = Path(__file__).resolve().parents[1]
 SET_UPS = (
@@ -60,6 +59,7 @@ def main() -> int:
         learn(folder, count, options.patience, *words, *(["--simulate"] if names else []))
         took = time.monotonic() - start
         _, _, records = session.read(folder)
+        task = session.read_task(folder)
         new = list(records[len(first) : count])
         short |= len(new) < options.rollouts
         policies = policies or [list(record.theta) for record in new]
@@ -71,7 +71,7 @@ def main() -> int:
                 " + ".join(names) or "default",
                 record.number,
                 record.ret,
-                outcome(record),
+                task.outcome(record),
                 record.why,
             )
     Console(width=150).print(table)

@@ -20,6 +20,8 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
 
 ROOT = Path(__file__).resolve().parents[2]
+TASK = preset("flip").make_task({})
+OUTCOME = TASK.outcome
 
 
 def some_records(count: int) -> list[Record]:
@@ -129,7 +131,7 @@ def test_a_log_shows_every_rollout_once_on_a_line_of_its_own() -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80)) as display:
         for count in (0, 2, 2, 9):
-            display.show(records[:count], 9)
+            display.show(records[:count], 9, OUTCOME)
     lines = text.getvalue().splitlines()
     assert [int(line.split()[0]) for line in lines] == list(range(1, 10))
     assert all(f"return {record.ret:.3f}" in line for record, line in zip(records, lines, strict=1))
@@ -137,13 +139,13 @@ def test_a_log_shows_every_rollout_once_on_a_line_of_its_own() -> None:
 
 def test_a_terminal_shows_the_newest_rollouts_and_the_best_return_so_far() -> None:
     records = some_records(40)
-    table = terminal.rollout_table(records, shown=5)
+    table = terminal.rollout_table(records, OUTCOME, shown=5)
     numbers, bests = (list(table.columns[place].cells) for place in (0, -2))
     assert numbers == ["36", "37", "38", "39", "40"]
     assert bests[-1] == f"{max(record.ret or 0.0 for record in records):.3f}"
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=120, force_terminal=True)) as display:
-        display.show(records, 60)
+        display.show(records, 60, OUTCOME)
     assert "40 of at most 60 rollouts" in re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", text.getvalue())
 
 
@@ -152,9 +154,9 @@ def test_the_summary_counts_the_retests_by_tracker_and_by_truth() -> None:
     good = {**(record.observation or {}), "resting": True, "flipped": True, "tossed": True}
     truth = {"caught": True, "flipped": False}
     tests = [
-        record.model_copy(update={"kind": "retest", "flight": good, "truth": truth}),
-        record.model_copy(update={"kind": "retest", "flight": {**good, "resting": False}}),
+        record.model_copy(update={"kind": "retest", "observation": good, "truth": truth}),
+        record.model_copy(update={"kind": "retest", "observation": {**good, "resting": False}}),
     ]
-    text = terminal.summary(tests)
+    text = terminal.summary(tests, TASK)
     assert "1 of 2 flipped and caught" in text
-    assert "the simulator's own verdict: 0 of 1" in text
+    assert "simulator's ground truth: 0 of 1" in text

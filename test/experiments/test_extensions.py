@@ -42,7 +42,7 @@ def run(landed: float, used: int = 50, **other: object) -> dict[str, object]:
     flags = [k < round(10 * landed) for k in range(10)]
     outcomes = {"landed": flags, "true_flip": flags, "angle_deg": [100.0 + 80.0 * f for f in flags]}
     outcomes |= {"retests": [0.5 + 0.5 * landed] * 10, "used": used, "rated": 3, "refused": ""}
-    return {**outcomes, "choice": "", "sigma": 6.0, **other}
+    return {**outcomes, "choice": "", "learnt_from": "", "sigma": 6.0, **other}
 
 
 @pytest.mark.parametrize("better", [True, False])

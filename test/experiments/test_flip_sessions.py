@@ -85,6 +85,7 @@ def held(seed: int, landed: bool = True, angle: float = 175.0) -> dict[str, Any]
     retests = [rollout("retest", 1.0, landed, angle)] * 10
     return {
         "stopped": "a mean succeeded 8 times in a row",
+        "ended_by": "confirmation",
         "choice": "",
         "used": 20,
         "trials": [rollout("explore", ret) for ret in curve],

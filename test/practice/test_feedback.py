@@ -22,7 +22,7 @@ from toss_task import (
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionError, read, read_log
+from wam_power_ros.practice.session import Session, SessionError, read, read_log, read_task
 from wam_power_ros.practice.session_log import (
     Event,
     Line,
@@ -327,10 +327,11 @@ def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
 def test_table_log_and_report_show_what_a_person_did(tmp_path: Path) -> None:
     folder = session(tmp_path / "s", 20)
     header, candidates, records = read(folder)
+    task = read_task(folder)
     rated = next(record for record in records if record.adjustment is not None)
     assert returned(rated) == f"{rated.ret:.3f} {rated.adjustment:+.3g}"
     event: Event = next(entry for entry in read_log(folder) if isinstance(entry, NewDemonstration))
-    assert line(event).strip() == f"a person: {event.note}"
-    page = render(header, candidates[0], None, records)
+    assert line(event, task.outcome).strip() == f"a person: {event.note}"
+    page = render(header, task, candidates[0], None, records)
     assert returned(rated) in page and "A person rewarded" in page
     assert "Given in the middle of learning: flick-91, flick-102." in page

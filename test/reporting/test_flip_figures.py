@@ -22,7 +22,7 @@ def a_toss() -> tuple[EndEffectorPath, BodyPath]:
 
 
 def test_the_normal_of_a_flipped_pancake_points_down_in_the_figure() -> None:
-    side = flip_figures.rollout(*a_toss(), t_f=0.9).axes[0]
+    side = flip_figures.side_view(*a_toss(), t_f=0.9).axes[0]
     pan, pancake = side.collections
     assert np.all(pan.V > 0.0)
     assert pancake.V[0] == pytest.approx(flip_figures.NORMAL)
@@ -32,7 +32,7 @@ def test_the_normal_of_a_flipped_pancake_points_down_in_the_figure() -> None:
 def test_a_rollout_without_a_single_frame_is_drawn_all_the_same() -> None:
     pan, _ = a_toss()
     empty = BodyPath("toss", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
-    assert len(flip_figures.rollout(pan, empty).axes[0].lines) == 1
+    assert len(flip_figures.side_view(pan, empty).axes[0].lines) == 1
 
 
 def test_a_flipped_pancake_shows_its_other_side() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from toss_task import ANY_ARM, demonstrated_policy
 
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session, SessionError
 from wam_power_ros.practice.settings import preset
@@ -18,7 +18,7 @@ from wam_power_ros.reporting import session_report
 TURNS = [math.radians(degrees) for degrees in (60, 100, 150, 170, 175, 180)]
 
 
-def a_rollout(id: str, angle: float) -> tuple[EndEffectorPath, BodyPath]:
+def a_rollout(id: str, angle: float) -> Rollout:
     """A still pan; the pancake rests, rises by .45 m, turns by `angle` and lies in the pan."""
     t = np.arange(0.0, 1.86, 0.01)
     place = np.array([0.7, 0.0, 0.4])
@@ -31,7 +31,7 @@ def a_rollout(id: str, angle: float) -> tuple[EndEffectorPath, BodyPath]:
     half = 0.5 * angle * part
     half[part == 1.0] = 0.5 * math.pi * round(angle / math.pi)  # comes to lie flat
     quat = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=1)
-    return pan, BodyPath(id, frames, position, quat)
+    return Rollout(pan, BodyPath(id, frames, position, quat))
 
 
 @pytest.fixture
@@ -45,7 +45,7 @@ def folder(tmp_path: Path) -> Path:
         for angle in TURNS:
             trial = practice.next_trial()
             assert trial is not None
-            session.append(practice.learn(trial, *a_rollout(trial.id, angle), truth=truth))
+            session.append(practice.learn(trial, a_rollout(trial.id, angle), truth=truth))
             if practice.best is not None:
                 session.save_policy(practice.best.policy)
     return tmp_path / "session"
@@ -62,7 +62,7 @@ def test_a_report_lists_every_rollout_with_its_angle(folder: Path) -> None:
     html = session_report.write(folder).read_text()
     rows = re.findall(r"<tr(?: class=\"good\")?><td.*?</tr>", html)
     assert len(rows) == len(TURNS)
-    angles = [int(re.search(r"<td>(\d+)°</td>", row).group(1)) for row in rows]
+    angles = [int(re.search(r">(\d+)° ", row).group(1)) for row in rows]
     # at t_f = .12 m over the pan the turning is not over yet
     assert angles == sorted(angles)
     assert angles[-1] == pytest.approx(180.0 * 0.93, abs=6.0)
@@ -70,7 +70,7 @@ def test_a_report_lists_every_rollout_with_its_angle(folder: Path) -> None:
 
 def test_a_report_says_when_the_first_flip_was_and_which_speeds_were_needed(folder: Path) -> None:
     html = session_report.write(folder).read_text()
-    assert "first flipped and caught in rollout 2" in html  # 100 degrees topple over
+    assert "Rollout 2 was the first that was flipped and caught" in html  # 100 degrees topple over
     assert "1.37 m/s" in html and "over the factory fault speed" in html
 
 
@@ -78,12 +78,47 @@ def test_the_same_session_gives_the_same_report(folder: Path) -> None:
     assert session_report.write(folder).read_bytes() == session_report.write(folder).read_bytes()
 
 
-def test_an_exhibit_without_a_film_says_why(folder: Path) -> None:
-    pan, pancake = a_rollout("trial-0006", TURNS[5])
-    shown = session_report.Exhibit("caught.", pan, pancake, t_f=0.8)
+def test_a_shown_rollout_without_a_film_gives_the_reason(folder: Path) -> None:
+    shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
     html = session_report.write(folder, shown, "no <OpenGL> here").read_text()
     assert "The answer, trial-0006" in html
     assert "no &lt;OpenGL&gt; here" in html
+
+
+@pytest.fixture
+def reach(tmp_path: Path) -> Path:
+    """A session of reaching, three rollouts around the obstacle, the first of them stopped."""
+    part = np.linspace(0.0, 1.0, 201)  # of the movement
+    way = np.stack([0.4 + 0 * part, -0.25 + 0.5 * part, 0.5 + 0 * part], axis=1)
+    context = {"demonstrated": way.tolist(), "obstacle": [0.4, 0.0, 0.5, 0.09]}
+    settings = preset("reach", budget=4, confirm=0, retests=0)
+    policies = [demonstrated_policy("reach")]
+    with Session.begin(tmp_path / "r", settings, 5, policies, context=context) as session:
+        practice = session.practice(ANY_ARM)
+        for aside in (0.0, 0.12, 0.15):
+            trial = practice.next_trial()
+            assert trial is not None
+            path = way + np.outer(np.sin(np.pi * part), [aside, 0.0, 0.0])
+            duration = trial.policy.basis.duration
+            t = np.append(part * duration, duration + practice.task.settle_time + 0.01)
+            quat = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
+            rollout = Rollout(EndEffectorPath(trial.id, t, np.vstack([path, path[-1:]]), quat))
+            truth = {"touched": aside == 0.0}
+            session.append(practice.learn(trial, rollout, truth=truth))
+    return tmp_path / "r"
+
+
+def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Path) -> None:
+    rollout = Rollout(
+        EndEffectorPath("trial-0003", [0.0, 1.0], [[0.4, -0.2, 0.5]] * 2, [[0, 0, 0, 1.0]] * 2)
+    )
+    html = session_report.write(reach, session_report.ShownRollout("done", rollout)).read_text()
+    visible = re.sub(r"<style>.*?</style>", "", html, flags=re.DOTALL)
+    for word in ("pancake", "flip", "Eq. 5", "caught"):
+        assert word not in visible
+    assert "Rollout 2 was the first that was a success." in html
+    assert "obstacle was touched, the observation agreed with the simulator in 3 of 3" in html
+    assert html.count("data:image/svg+xml;base64,") == 3  # the answer, learning curve, terms
 
 
 def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def learn(options: argparse.Namespace) -> int:
     except ProcessError:
         print(f"\nThe session is in {short_path(folder)}. To resume:\n  {again}")
         raise
-    print(terminal.summary(records))
+    print(terminal.summary(records, session.read_task(folder)))
     return report(argparse.Namespace(session=folder))
 
 
@@ -170,7 +170,8 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Re
             if size != seen:
                 seen = size
                 settings, log = session.read(folder)[0].settings.practice, session.read_log(folder)
-                display.show(log, settings.budget + settings.retests)
+                outcome = session.read_task(folder).outcome
+                display.show(log, settings.budget + settings.retests, outcome)
             time.sleep(0.2)
     return with_ratings(log)
 

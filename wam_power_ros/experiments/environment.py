@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench in one process: stand-in world, controller and tracker wired by calls, not topics.
+"""Simulated world, controller and tracker in one process, connected by calls, not by topics.
 
-What the nodes exchange over DDS passes here as arrays, in the same order and through the same
-core, so a rollout of one seed and id comes out bit for bit as it does there.
+The arrays that the nodes exchange over DDS pass here in the same order through the same core, so a
+rollout of one seed and id comes out bit for bit as it does there.
 """
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import fields, replace
 
 import numpy as np
 import yaml
@@ -16,7 +16,6 @@ from hardware_sim.demonstrator import Demonstrator, Script
 from hardware_sim.ground_truth import Truth
 from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning.policy import Policy
@@ -25,33 +24,34 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.tracking.tracker import Tracker, TrackerSettings
 
-_STILL_TICKS = 25  # ticks a held arm repeats its state before a rollout begins
-_LATE_TICKS = 100  # that are waited at most for the rollout's last frame, as frames come late
+_STILL_TICKS = 25  # ticks in which a held arm repeats its state before a rollout begins
+_LATE_TICKS = 100  # ticks waited, at most, for the last camera frame of a rollout
 
 
 def tracker_settings() -> TrackerSettings:
     """The tracker's settings of config/pancake_tracker.yaml."""
     text = share("config/pancake_tracker.yaml").read_text()
     (values,) = (node["ros__parameters"] for node in yaml.safe_load(text).values())
-    names = {field.name for field in dataclasses.fields(TrackerSettings)}
+    names = {field.name for field in fields(TrackerSettings)}
     return TrackerSettings(**{name: values[name] for name in names})
 
 
 class Environment:
-    """One arm on which policies are tried, one at a time."""
+    """One simulated arm that executes demonstrations and policies, one at a time.
 
-    def __init__(
-        self,
-        world: World,
-        settings: ControllerSettings | None = None,
-        urdf: str | None = None,
-    ) -> None:
-        """Wire `world` to a controller and a tracker of its own, set as config/ sets the nodes.
+    Attributes:
+        world: Simulated world.
+        arm: Model of the arm as the controller has it.
+        controller: Torque controller.
+        tracker: Tracker of the scene's body.
+    """
+
+    def __init__(self, world: World, urdf: str | None = None) -> None:
+        """Connect a world to a controller and a tracker with the parameters of config/.
 
         Args:
-            world: where it happens.
-            settings: of the controller, those of config/ when omitted.
-            urdf: the arm as the controller believes it to be; as it is when omitted.
+            world: Simulated world; its obstacle, if any, is the controller's too.
+            urdf: Description of the arm for the controller; that of the world if omitted.
         """
         self.world = world
         file = share("config/torque_controller.yaml")
@@ -59,7 +59,8 @@ class Environment:
             urdf or world.urdf
         )
         self.arm = as_set.arm
-        self.controller = Controller(self.arm, settings or as_set.settings)
+        obstacle = world.settings.scene.obstacle
+        self.controller = Controller(self.arm, replace(as_set.settings, obstacle=obstacle))
         self._tracker_settings = tracker_settings()
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
@@ -73,20 +74,20 @@ class Environment:
         return self.arm.tool_pose(q)[0]
 
     def tick(self) -> None:
-        """State to torque, torque to state."""
+        """One control period: state to torque, torque to state."""
         world = self.world
         stamp_ns, q, qd, _ = world.joint_state()
         was = self.controller.mode
         tau = self.controller.step(stamp_ns, q, qd)
         if was is Mode.ROLLOUT and self.controller.mode is not was:
-            self._truth = world.truth()  # before the step, as the stand-in tells it
+            self._truth = world.truth()  # before the step, as the stand-in publishes it
         world.step(tau)
         for frame in world.mocap_frames():
             quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # as a message
             self.tracker.add(frame.stamp_ns, frame.position, quat_xyzw)
 
     def demonstrate(self, script: Script, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Let a hand move the gravity-compensated arm from home.
+        """Let the simulated demonstrator move the gravity-compensated arm from home.
 
         Returns:
             Stamps (M,) [ns] and joint positions (M, 7) [rad] as the driver reported them.
@@ -123,21 +124,22 @@ class Environment:
         world.release()
         while controller.mode is Mode.ROLLOUT:
             self.tick()
-        truth = self._truth
-        pan = controller.take_finished()
-        start_ns = controller.rollout_stamp_ns
-        if pan is None or start_ns is None or truth is None:
+        truth, start_ns = self._truth, controller.rollout_stamp_ns
+        tool = controller.take_finished()
+        if tool is None or start_ns is None or truth is None:
             raise RuntimeError(f"rollout {policy.id} left no path")
-        end_ns = start_ns + round(float(pan.t[-1]) * 1e9)
-        for _ in range(_LATE_TICKS):
-            if self.tracker.latest_ns >= end_ns:
-                break
-            self.tick()
-        pancake = self.tracker.path(policy.id, start_ns, end_ns)
-        return Rollout(pan, pancake, controller.latched), truth
+        body = None
+        if world.scene.body:
+            end_ns = start_ns + round(float(tool.t[-1]) * 1e9)
+            for _ in range(_LATE_TICKS):
+                if self.tracker.latest_ns >= end_ns:
+                    break
+                self.tick()
+            body = self.tracker.path(policy.id, start_ns, end_ns)
+        return Rollout(tool, body, controller.latched), truth
 
     def _place(self, rollout_id: str, q_start: np.ndarray) -> None:
-        """Hold the arm still at a place it has been put to; only a stand-in can do that."""
+        """Put the arm to a posture and hold it there; only a simulation can do that."""
         self.world.reset(rollout_id, q_start)
         self.controller = Controller(self.arm, self.controller.settings)
         self.tracker = Tracker(self._tracker_settings)

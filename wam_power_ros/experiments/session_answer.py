@@ -1,84 +1,108 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answer of a simulated session once more, in this process: its paths, and a film of it.
+"""Execute the answer of a simulated session again, in this process, for its report: paths and film.
 
-A rollout is a function of the session's seed and the policy with its id, so this is the very
-rollout that the session ran. Rendering needs OpenGL; which library MuJoCo takes is decided by
-MUJOCO_GL when it is first imported.
+A rollout is a function of the session's seed and of the policy with its id, so this is exactly the
+rollout that the session ran. Rendering needs OpenGL; MUJOCO_GL selects the library that MuJoCo
+loads when it is first imported.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from hardware_sim.ground_truth import Truth
+from hardware_sim.scenes import scene_type
+from hardware_sim.settings import SceneSettings, WorldSettings
 from hardware_sim.world import QUIET, World
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.filmstrip import TRACE_RATE
 from wam_power_ros.experiments.render import render
 from wam_power_ros.learning import policy
+from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session
 from wam_power_ros.reporting import figures, session_report
-from wam_power_ros.tasks.flip.flight import observe_flight
+from wam_power_ros.tasks.reach.task import Reach
+from wam_power_ros.tasks.task import Task
 
-FILM_RATE = 25.0  # [Hz], played at the speed of life
+FILM_RATE = 25.0  # [Hz], real time
+ARM = ("peak_", "saturated")  # ground truth about the arm, which the report has elsewhere
 
 
-def run(folder: Path, film: bool) -> session_report.Exhibit:
-    """Execute the answer of a session again; with `film` write `film.webp` beside it.
+@dataclass(frozen=True)
+class Outcome:
+    """Outcome of an executed policy, as `tasks.task.Judged` has it."""
+
+    ret: float | None
+    observation: Mapping[str, Any] | None
+    success: bool
+    why: str
+    fault: str
+    truth: Truth
+    kind: str = "retest"
+
+    @classmethod
+    def of(cls, task: Task, executed: Policy, rollout: Rollout, truth: Truth) -> Outcome:
+        """Assess a rollout."""
+        judged = task.assess(executed, rollout)
+        fault = "" if rollout.fault is None else rollout.fault.text
+        return cls(judged.ret, judged.observation, judged.success, judged.why, fault, truth)
+
+
+def run(folder: Path, film: bool) -> session_report.ShownRollout:
+    """Execute the answer of a session; with `film` write `film.webp` into its folder.
 
     Raises:
-        session.SessionError: No session there, or one without a policy yet.
+        session.SessionError: There is no session, or one without a policy yet.
         RuntimeError: There is no OpenGL for the film.
     """
     header, _, _ = session.read(folder)
+    task = session.read_task(folder)
     saved = folder / "policy.json"
     if not saved.exists():
         raise session.SessionError(f"{folder} holds no policy yet")
     answer = policy.from_json(saved.read_text())
-    world = World(seed=header.seed)
+    obstacle = (*task.obstacle, task.radius) if isinstance(task, Reach) else (0.0, 0.0, 0.0, 0.0)
+    settings = WorldSettings(scene=SceneSettings(obstacle=obstacle))
+    world = World(settings, header.seed, scene_type(task.name))
     world.trace = []
     environment = Environment(world)
-    noise_free = environment.run(policy.with_id(answer, f"answer{QUIET}"))
-    sys.stdout.write(f"without noise the answer {_outcome(*noise_free)}\n")
+    quiet = policy.with_id(answer, f"answer{QUIET}")
+    noise_free = Outcome.of(task, quiet, *environment.run(quiet))
+    sys.stdout.write(f"without noise: {_caption(task, noise_free)}\n")
     rollout, truth = environment.run(answer)
-    pan, pancake = rollout.tool, rollout.body
-    flight = observe_flight(pan, pancake, header.settings.task_settings.delta_h)
-    caption = f"{_outcome(rollout, truth)}."
+    caption = _caption(task, Outcome.of(task, answer, rollout, truth))
     path = folder / "film.webp"
     if film:
         poses = world.trace[:: round(TRACE_RATE / FILM_RATE)]
         figures.save_film(render(world, poses), path, FILM_RATE)
-    return session_report.Exhibit(
-        caption=caption,
-        pan=pan,
-        pancake=pancake,
-        t_f=flight.t_f,
-        film=path.read_bytes() if film else None,
-    )
+    return session_report.ShownRollout(caption, rollout, path.read_bytes() if film else None)
 
 
-def _outcome(rollout: Rollout, truth: Truth) -> str:
-    if rollout.fault is not None:
-        return rollout.fault.text
-    return (
-        f"turned {abs(truth['angle_deg']):.0f}° until it came down, "
-        f"{'flipped' if truth['flipped'] else 'not flipped'} and "
-        f"{'caught' if truth['caught'] else 'dropped'}"
-    )
+def _caption(task: Task, outcome: Outcome) -> str:
+    """Outcome of a rollout by the task's own observation and by the simulator's ground truth."""
+    ret = "no return" if outcome.ret is None else f"return {outcome.ret:.3f}"
+    truth = ", ".join(
+        f"{name} {value:.3g}" if isinstance(value, float) else name
+        for name, value in outcome.truth.items()
+        if value is True or (isinstance(value, float) and not name.startswith(ARM))
+    ).replace("_", " ")
+    return f"{task.outcome(outcome)}; {ret}. Ground truth: {truth}."
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """`python -m wam_power_ros.experiments.session_answer`: writes a session's report."""
+    """`python -m wam_power_ros.experiments.session_answer`: write the report of a session."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("session", type=Path)
     parser.add_argument("--no-film", metavar="WHY", help="leave the film out, for this reason")
     options = parser.parse_args(arguments)
-    exhibit = run(options.session, film=options.no_film is None)
-    session_report.write(options.session, exhibit, options.no_film or "")
+    shown = run(options.session, film=options.no_film is None)
+    session_report.write(options.session, shown, options.no_film or "")
     return 0
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -10,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.practice.session_log import Record
 from wam_power_ros.reporting.figures import (
     ACCENT,
     INK,
@@ -21,6 +23,10 @@ from wam_power_ros.reporting.figures import (
     legend,
     shared_legend,
 )
+from wam_power_ros.tasks.flip.assessment import flight_of
+from wam_power_ros.tasks.flip.flight import observe_flight
+from wam_power_ros.tasks.flip.returns import pancake_return
+from wam_power_ros.tasks.flip.task import Flip
 
 YELLOW, BROWN = "#e3a72f", "#7a4a1c"
 PANCAKE_RADIUS, PAN_RADIUS = 0.09, 0.14  # as drawn [m]
@@ -28,7 +34,34 @@ MARGIN = 0.03  # around what is drawn [m]
 NORMAL = 0.06  # drawn length of a normal [m]
 
 
-def rollout(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None) -> Figure:
+def flipped_and_caught(record: Record) -> bool:
+    """Whether the pancake was seen to flip and to rest in the pan."""
+    seen = record.observation or {}
+    return bool(not record.fault and seen.get("flipped") and seen.get("resting"))
+
+
+def angle_deg(record: Record) -> float | None:
+    """Rotation of the pancake at t_f [degree], None if it is not known."""
+    turned = (record.observation or {}).get("angle")
+    return None if turned is None else abs(math.degrees(turned))
+
+
+def equation_5(record: Record) -> float:
+    """Eq. 5 of a rollout, whatever the session learnt from; NaN if no pancake was seen."""
+    seen = None if record.ret is None else record.observation
+    flight = None if seen is None else flight_of(seen)
+    return math.nan if flight is None else pancake_return(flight).total
+
+
+def answer(task: Flip, rollout: Rollout) -> Figure:
+    """Figure of a rollout in the report of its session."""
+    if rollout.body is None:
+        raise ValueError(f"rollout {rollout.tool.id} of the task flip has no path of the pancake")
+    flight = observe_flight(rollout.tool, rollout.body, task.settings.delta_h)
+    return side_view(rollout.tool, rollout.body, flight.t_f)
+
+
+def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None) -> Figure:
     """A rollout seen from the side, as in Figs. 3-4 of the paper, and its heights over time.
 
     Arrows are the normals of pan and pancake; the pancake's is the direction fixed in it that

@@ -11,7 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.reporting.figures import INK, PAN, dress, shared_legend
+from wam_power_ros.tasks.reach.task import Reach
 
 OBSTACLE, GOAL, LEARNT, ROLLOUT, EXECUTED = "#c8504f", "#2f855a", "#1d5c3a", "#8fc3a5", "#e3a72f"
 MARGIN = 0.03  # around the paths [m]
@@ -74,8 +76,9 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     boxes = []  # of each panel and view: lowest and highest drawn coordinates
     for panel in panels.values():
         corners = panel.obstacle + panel.radius * np.array([[-1.0] * 3, [1.0] * 3])
-        learnt = [] if panel.learnt is None else [panel.learnt]
-        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *learnt, corners])
+        shown = panel.executed if panel.learnt is None else panel.learnt
+        bold = [] if shown is None else [shown]
+        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *bold, corners])
         for view in _views(panel):
             seen = (drawn - panel.start) @ view.T
             boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))
@@ -100,6 +103,12 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     grid[1, 0].set_ylabel("aside [m]")
     shared_legend(figure, grid[0], 4)
     return figure
+
+
+def answer(task: Reach, rollout: Rollout) -> Figure:
+    """Figure of a rollout in the report of its session."""
+    panel = Panel([task.demonstrated], task.obstacle, task.radius, executed=rollout.tool.position)
+    return paths({rollout.tool.id: panel})
 
 
 def _views(panel: Panel) -> tuple[np.ndarray, np.ndarray]:

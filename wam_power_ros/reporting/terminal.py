@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a session shows while it runs: its rollouts as a table that grows, line by line in a log."""
+"""Display of a running session: a growing table on a terminal, a line per rollout in a file."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
-import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,49 +14,28 @@ from rich.table import Table
 from rich.text import Text
 
 from wam_power_ros.practice.session_log import Line, Record, with_ratings
-from wam_power_ros.tasks.flip.flight import Flight
-from wam_power_ros.tasks.flip.returns import pancake_return
+from wam_power_ros.tasks.task import Task
 
 SHOWN = 14  # newest rollouts in the table
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
+Outcome = Callable[[Record], str]  # such as `Task.outcome`
 
 
-def outcome(record: Record) -> str:
-    """What became of the pancake, by the tracker's view, in words."""
-    if record.fault:
-        return f"fault: {record.fault}"
-    flight = record.observation
-    if flight is None:
-        return record.why or "not seen"
-    caught = "caught" if flight.get("resting") else "dropped"
-    if not flight.get("tossed"):
-        return "not tossed" if flight.get("resting") else "not tossed, dropped"
-    return f"flipped, {caught}" if flight.get("flipped") else caught
-
-
-def angle(record: Record) -> float | None:
-    """How far the pancake had turned at t_f [degree], None when that is not known."""
-    turned = (record.observation or {}).get("angle")
-    return None if turned is None else abs(math.degrees(turned))
+def number(value: float | None) -> str:
+    """A return or one of its terms; a dash for None."""
+    return "–" if value is None else f"{value:.3f}"
 
 
 def returned(record: Record) -> str:
-    """Its return, with what a person added or took: "0.712 +0.3"."""
+    """Return of a rollout and the sum of its ratings, such as "0.712 +0.3"."""
     rating = f" {record.adjustment:+.3g}" if record.adjustment is not None else ""
-    return _number(record.ret, ".3f") + rating
+    return number(record.ret) + rating
 
 
-def paper_return(record: Record) -> float:
-    """Eq. 5 of a rollout, whatever the session learnt from; NaN when no pancake was seen."""
-    seen = set(record.observation or ()) == {field.name for field in dataclasses.fields(Flight)}
-    if record.ret is None or record.observation is None or not seen:
-        return math.nan
-    fields = {
-        name: np.array(value) if isinstance(value, list) else value
-        for name, value in record.observation.items()
-    }
-    return pancake_return(Flight(**fields)).total
+def term_names(records: Sequence[Record]) -> list[str]:
+    """Names of all terms of the returns, in order of appearance."""
+    return list(dict.fromkeys(name for record in records for name in record.terms))
 
 
 def spark(values: Sequence[float], width: int = 60) -> str:
@@ -69,90 +45,75 @@ def spark(values: Sequence[float], width: int = 60) -> str:
     return "".join(BARS[round((len(BARS) - 1) * v / top)] if top > 0 else BARS[0] for v in shown)
 
 
-def rollout_table(records: Sequence[Record], shown: int = SHOWN) -> Table:
-    """The newest rollouts: return and its terms, angle, outcome, best so far."""
-    terms = list(dict.fromkeys(term for record in records for term in record.terms))
+def rollout_table(records: Sequence[Record], outcome: Outcome, shown: int = SHOWN) -> Table:
+    """The newest rollouts: return and its terms, best return so far, outcome."""
+    terms = term_names(records)
     table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("rollout", justify="right")
     table.add_column("kind")
-    for name in ["return", *terms, "angle", "best"]:
+    for name in ["return", *terms, "best"]:
         table.add_column(name, justify="right")
-    table.add_column("pancake", no_wrap=True)
+    table.add_column("outcome", no_wrap=True)
     best = 0.0
-    for place, record in enumerate(records):
+    for index, record in enumerate(records):
         better = record.rated_return is not None and record.rated_return > best
         best = max(best, record.rated_return or 0.0)
-        if place < len(records) - shown:
+        if index < len(records) - shown:
             continue
-        turned = angle(record)
         table.add_row(
             str(record.number),
             Text(record.kind, style=STYLES.get(record.kind, "")),
             Text(returned(record), style="bold green" if better else ""),
-            *(_number(record.terms.get(term), ".3f") for term in terms),
-            _number(turned, ".0f", "°"),
+            *(number(record.terms.get(term)) for term in terms),
             f"{best:.3f}",
             Text(outcome(record), style="green" if record.success else ""),
         )
     return table
 
 
-def summary(records: Sequence[Record]) -> str:
-    """A session in a few lines: rollouts, returns, successes, what was decided last."""
+def summary(records: Sequence[Record], task: Task) -> str:
+    """A session in a few lines: rollouts, returns, outcomes, speeds, the last decision."""
     returns = [record.ret for record in records if record.ret is not None]
     if not returns:
         return f"{len(records)} rollouts, none of them usable"
     best = max(records, key=lambda record: record.ret or 0.0)
+    last = returns[-5:]
     lines = [
         f"{len(records)} rollouts; return {returns[0]:.3f} at first, "
-        f"{sum(returns[-5:]) / len(returns[-5:]):.3f} over the last {len(returns[-5:])}, "
-        f"best {best.ret:.3f} in rollout {best.number} ({outcome(best)})"
+        f"{sum(last) / len(last):.3f} over the last {len(last)}, "
+        f"best {best.ret:.3f} in rollout {best.number} ({task.outcome(best)})",
+        *task.summary(records),
+        *_peaks([r.truth for r in records if r.kind == "retest" and r.truth]),
     ]
-    retests = [record for record in records if record.kind == "retest"]
-    if retests:
-        caught = sum(outcome(record) == "flipped, caught" for record in retests)
-        paper = [r for r in map(paper_return, retests) if math.isfinite(r)]
-        lines.append(
-            f"re-tests of the answer: {caught} of {len(retests)} flipped and caught; "
-            + (f"Eq. 5 {statistics.mean(paper):.3f}, at least {min(paper):.3f}" if paper else "")
-        )
-        known = [record.truth for record in retests if record.truth]
-        if known:
-            lines += _verdict(known)
-    stopped = [record.note for record in records if record.note]
-    if stopped:
-        lines.append(f"last decision: {stopped[-1]}")
+    notes = [record.note for record in records if record.note]
+    if notes:
+        lines.append(f"last decision: {notes[-1]}")
     return "\n".join(lines)
 
 
-def _verdict(truths: Sequence[Mapping[str, Any]]) -> list[str]:
-    """What the simulator knows of some rollouts, in lines."""
-    flipped = sum(bool(t.get("caught") and t.get("flipped")) for t in truths)
-    true = sum(bool(t.get("true_flip")) for t in truths)
-    lines = [
-        f"  the simulator's own verdict: {flipped} of {len(truths)} flipped and caught, "
-        f"{true} by a true flip (150 to 240 degrees in the air)"
+def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Peak speeds of the arm in the simulator's ground truth of some rollouts."""
+    if not truths or not all("peak_qd" in truth for truth in truths):
+        return []
+    qd = np.max([truth["peak_qd"] for truth in truths], axis=0)
+    elbow, forearm, tool = (
+        max(truth[f"peak_{point}_speed"] for truth in truths)
+        for point in ("elbow", "forearm", "pan")
+    )
+    beyond = sum(bool(truth["beyond_no_load"]) for truth in truths)
+    return [
+        f"  peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's no-load "
+        f"speed in {beyond} of {len(truths)}",
+        f"  peak speeds of elbow {elbow:.2f}, point 350 mm beyond it {forearm:.2f}, "
+        f"tool {tool:.2f} m/s",
     ]
-    if all("peak_qd" in truth for truth in truths):
-        qd = np.max([truth["peak_qd"] for truth in truths], axis=0)
-        elbow, forearm, pan = (
-            max(truth[f"peak_{point}_speed"] for truth in truths)
-            for point in ("elbow", "forearm", "pan")
-        )
-        beyond = sum(bool(truth["beyond_no_load"]) for truth in truths)
-        lines += [
-            f"  peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's "
-            f"no-load speed in {beyond} of {len(truths)}",
-            f"  peak speeds of elbow {elbow:.2f}, point 350 mm beyond it {forearm:.2f}, "
-            f"pan {pan:.2f} m/s",
-        ]
-    return lines
 
 
 class Display:
     """Shows records as they come: a live table on a terminal, one line each in a file."""
 
     def __init__(self, console: Console | None = None) -> None:
+        self._outcome: Outcome = lambda record: ""
         self._log: Sequence[Line] = ()
         self._console = console or Console()
         self._progress = Progress(
@@ -173,42 +134,40 @@ class Display:
         if self._console.is_terminal:
             self._live.stop()
 
-    def show(self, log: Sequence[Line], most: int) -> None:
-        """Show the session as it stands.
+    def show(self, log: Sequence[Line], most: int, outcome: Outcome) -> None:
+        """Show the session as it is now.
 
         Args:
-            log: All of it; what was not shown before is printed where there is no terminal.
-            most: So many rollouts there can be.
+            log: The whole log; its new lines are printed where there is no terminal.
+            most: Largest possible number of rollouts.
+            outcome: Outcome of a record in a few words, such as `Task.outcome`.
         """
+        self._outcome = outcome
         new = log[len(self._log) :]
         self._log = log
         count = sum(isinstance(entry, Record) for entry in log)
         self._progress.update(self._task, completed=count, total=max(most, count))
         if not self._console.is_terminal:
             for entry in new:
-                self._console.print(line(entry), highlight=False, soft_wrap=True, markup=False)
+                text = line(entry, outcome)
+                self._console.print(text, highlight=False, soft_wrap=True, markup=False)
 
     def _render(self) -> RenderableType:
         records = with_ratings(self._log)
         if not records:
-            return Group(Text("the first rollout is on its way", style="italic"), self._progress)
+            return Group(Text("waiting for the first rollout", style="italic"), self._progress)
         returns = [record.rated_return for record in records if record.rated_return is not None]
         notes = [entry.note for entry in self._log if entry.note]
-        parts = [rollout_table(records), Text(spark(returns), style="green")]
+        parts = [rollout_table(records, self._outcome), Text(spark(returns), style="green")]
         return Group(*parts, Text(notes[-1] if notes else "", style="italic"), self._progress)
 
 
-def line(entry: Line) -> str:
-    """A rollout, or what a person did, in one line."""
+def line(entry: Line, outcome: Outcome) -> str:
+    """A rollout, or an input of a person, in one line."""
     if not isinstance(entry, Record):
         return f"      a person: {entry.note}"
-    terms = ", ".join(f"{name} {_number(value, '.3f')}" for name, value in entry.terms.items())
+    terms = ", ".join(f"{name} {number(value)}" for name, value in entry.terms.items())
     return (
-        f"{entry.number:4d}  {entry.kind:12s}  return {_number(entry.ret, '.3f')} ({terms})  "
-        f"{_number(angle(entry), '.0f', '°'):>4s}  {outcome(entry)}"
-        + (f"  [{entry.note}]" if entry.note else "")
+        f"{entry.number:4d}  {entry.kind:12s}  return {number(entry.ret)} ({terms})  "
+        f"{outcome(entry)}" + (f"  [{entry.note}]" if entry.note else "")
     )
-
-
-def _number(value: float | None, form: str, unit: str = "") -> str:
-    return "–" if value is None else f"{value:{form}}{unit}"

@@ -122,7 +122,7 @@ def _person(results: Results) -> Chapter:
 
 def _demonstration(results: Results) -> Chapter:
     alone, helped = (results[f"{DEMONSTRATION}{which}"] for which in ("without", "with"))
-    taken = sum(LATER in run["choice"] for run in helped.values())
+    taken = sum(run["learnt_from"] == LATER for run in helped.values())
     refused = sum(bool(run["refused"]) for run in helped.values())
     return Chapter(
         "A demonstration in the middle of learning",

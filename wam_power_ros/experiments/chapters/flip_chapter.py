@@ -136,7 +136,7 @@ def _default(sessions: Sessions) -> Chapter:
     elbow, forearm = values(retests, "elbow_speed"), values(retests, "forearm_speed")
     trials = [row for run in sessions.runs for row in run["trials"]]
     faults = sum(bool(row["fault"]) for row in trials)
-    confirmed = sum("in a row" in run["stopped"] for run in sessions.runs)
+    confirmed = sum(run["ended_by"] == "confirmation" for run in sessions.runs)
     peaks = np.array([row["peak_qd"] for row in retests]).max(axis=0)
     speeds = ", ".join(f"J{k} {peak:.1f}" for k, peak in enumerate(peaks, start=1))
     claims = [

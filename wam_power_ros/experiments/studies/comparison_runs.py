@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One learner on one task for the comparison: reaching (Eq. 4) on Eq. 1, pancake (Eq. 5) in MuJoCo.
 
-Every learner has as many rollouts and is told the same. Settings come as data: a result depends on
-what is here, and on nothing that was tuned.
+Every learner has the same number of rollouts and receives the same returns. Settings come as data:
+a result depends on its arguments only, not on the table of tuned settings.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.reach.obstacle_model import FreePath
 
 VARIANT = "full"  # on both tasks
-NOVICE = 5.0  # [rad/s] intended pitch rate of the hand that teaches: leaves something to learn
+NOVICE = 5.0  # [rad/s] intended pitch rate of the demonstrator: leaves something to learn
 REPEATS = 3  # of the answer
 _CLASSES: dict[str, LearnerClass] = {
     "power": Power,
@@ -54,11 +54,11 @@ def reaching_runs(
     """Runs of a learner on the synthetic reach.
 
     Args:
-        settings: of the learner, as data.
-        stiffness: exploration, as a share of the mean stiffness.
-        attractor: exploration [m].
-        seeds: of the exploration.
-        rollouts: of each run.
+        settings: Settings of the learner, as data.
+        stiffness: Exploration of the stiffness, as a share of the mean stiffness.
+        attractor: Exploration of the attractors [m].
+        seeds: Seeds of the exploration.
+        rollouts: Number of rollouts of each run.
 
     Returns:
         Per seed: "final" return of the mean, "returns" of the rollouts, "means" after each.
@@ -86,11 +86,11 @@ def pancake_run(
     A rollout that ends in a fault, or in which the pancake is lost from view, returns 0.
 
     Args:
-        settings: of the learner, as data.
-        stiffness: exploration, as a share of the mean stiffness.
-        attractor: exploration [m].
-        seed: of hand, stand-in and exploration.
-        rollouts: of the run, the reproduction of the demonstration being the first.
+        settings: Settings of the learner, as data.
+        stiffness: Exploration of the stiffness, as a share of the mean stiffness.
+        attractor: Exploration of the attractors [m].
+        seed: Seed of demonstrator, stand-in and exploration.
+        rollouts: Number of rollouts; the first reproduces the demonstration.
 
     Returns:
         "returns" of the rollouts, "repeats" of the final mean, number of "faults" of the rollouts.

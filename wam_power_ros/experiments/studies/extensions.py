@@ -14,7 +14,7 @@ import numpy as np
 
 from hardware_sim.scenes.flip import PITCH_RATE
 from wam_power_ros.experiments.jobs import Job
-from wam_power_ros.experiments.studies.flip_sessions import NOVICE, stand_in, teach
+from wam_power_ros.experiments.studies.flip_sessions import NOVICE, rollouts, stand_in, teach
 from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evaluate, generator
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.parametrization import Parametrization
@@ -27,13 +27,13 @@ REACHING, REACHING_NOISY = "wishes-sigma-reaching", "wishes-sigma-reaching-noisy
 SIGMA, PERSON, DEMONSTRATION = "wishes-sigma-pancake-", "wishes-person", "wishes-demonstration-"
 AUTO = "auto"
 LATER = "demonstration-later"  # id of the policy of a demonstration given while learning
-HELD_OUT = range(501, 509)  # seeds nothing was tuned on
+HELD_OUT = range(501, 509)  # seeds without any tuning
 HELD_OUT_REACHING = range(501, 531)
 TUNING = range(21, 22)  # for "quick"
 SIZES: tuple[int | str, ...] = (AUTO, 3, 6, 10, 20)
 RETURN_NOISE = 0.1  # standard deviation; what returns of one pancake policy have
 RATING, RATINGS_MAX = 0.3, 20  # of the simulated person
-POOR = 4.0  # [rad/s] pitch rate of a hand that hardly turns the pancake
+POOR = 4.0  # [rad/s] pitch rate of a demonstrator that hardly turns the pancake
 GIVEN_AFTER = 20  # rollouts
 Scale = Literal["full", "quick"]
 
@@ -42,10 +42,10 @@ def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> d
     """Reaching with an elite of some size, full matrices, a run for every seed.
 
     Args:
-        sigma: of PoWER.
-        seeds: of the exploration.
-        noise: standard deviation of what is added to a return before it is told.
-        rollouts: of each run.
+        sigma: Size of the elite of PoWER.
+        seeds: Seeds of the exploration.
+        noise: Standard deviation of the noise added to each return.
+        rollouts: Number of rollouts of each run.
 
     Returns:
         Noise-free return of the final mean, and the median size of the elite, of each run.
@@ -79,22 +79,21 @@ def session(
     """One session of the pancake, with a person who may take part.
 
     Args:
-        seed: of the hand, the stand-in and the exploration.
-        name: of the preset.
-        changes: to the preset.
-        demonstrations: how many are taught at first.
-        pitch_rate: of the hand that teaches these, see `wrist_flick`.
-        ratings: most rollouts that the person rates: what really was a true flip is rewarded,
-            what was not caught is punished.
-        given_after: rollout after which the usual hand gives a demonstration; 0: none is given.
+        seed: Seed of the demonstrator, the stand-in and the exploration.
+        name: Name of the preset.
+        changes: Changes to the preset.
+        demonstrations: Number of demonstrations at first.
+        pitch_rate: Pitch rate of their demonstrator, see `wrist_flick` [rad/s].
+        ratings: Largest number of rollouts that the person rates: true flips are rewarded,
+            drops are punished, by the simulator's ground truth.
+        given_after: Rollout after which the usual demonstrator gives a demonstration; 0 for none.
     """
     environment = stand_in(seed)
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
     practice = Practice.of(preset("flip", name, **changes), {}, candidates, seed, environment)
     rated, refused, sizes = 0, "", []
-    while (trial := practice.next_trial()) is not None:
-        rollout, truth = environment.run(trial.policy)
-        record = practice.learn(trial, rollout, truth=truth)
+    for record in rollouts(environment, practice):
+        truth = record.truth or {}
         if practice.learner is not None:
             sizes.append(practice.learner.sigma)
         if practice.stopped:
@@ -104,16 +103,18 @@ def session(
             practice.rate(amount)
             rated += 1
         if record.number == given_after:
-            (later,) = teach(environment, seed + 10_000, 1)  # another throw of the same hand
+            (later,) = teach(environment, seed + 10_000, 1)  # another throw
             try:
                 practice.add_demonstration(with_id(later, LATER))
             except ValueError as error:
                 refused = str(error)
+    chosen = practice.parametrization
     retests = [record for record in practice.records if record.kind == "retest"]
     truths = [record.truth or {} for record in retests]
     return {
         "stopped": practice.stopped,
         "choice": practice.choice,
+        "learnt_from": "" if chosen is None else chosen.policy0.id,
         "used": practice.used,
         "rated": rated,
         "refused": refused,
@@ -140,7 +141,7 @@ def jobs(scale: Scale) -> list[Job]:
         }
         wanted += [Job(study, f"sigma-{s}", search, {"sigma": s, **arguments}) for s in sizes]
     series = 1 if quick else 3
-    # Reproductions of the demonstrations that are not chosen are none of the paper's rollouts.
+    # Reproductions of demonstrations that are not chosen are not among the paper's rollouts.
     paper = {
         "budget": series - 1 + (4 if quick else 50),
         "confirm": 0,

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whole sessions of the pancake task in one process: teach a series, choose, practise, re-test.
 
-`jobs` are the sessions of the reproduction: the shipped default and how far its policies carry,
-the paper's preset beside Fig. 5, and the ablation of what the paper says about compliance.
+`jobs` are the sessions of the reproduction: the shipped default and its policies in other
+conditions, the paper's preset beside Fig. 5, and the ablation of the paper's stiffness matrices.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 from xml.etree import ElementTree
 
@@ -32,9 +32,9 @@ from wam_power_ros.tasks.flip.returns import pancake_return
 
 DEFAULT, PAPER, LONG = "pancake-default", "pancake-paper", "pancake-paper-100"  # studies
 LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
-HELD_OUT = range(301, 331)  # seeds nothing was tuned on
+HELD_OUT = range(301, 331)  # seeds without any tuning
 TUNING = range(21, 23)  # for "quick"
-NOVICE = 5.0  # [rad/s] intended pitch rate of the hand that teaches for Fig. 5
+NOVICE = 5.0  # [rad/s] intended pitch rate of the demonstrator for Fig. 5
 PROFILE = 41  # points of a stiffness profile
 FIRES = (3, 0.9)  # rollouts in a row of at least this return: "reproducible" in the paper
 CONDITIONS: dict[str, dict[str, Any]] = {
@@ -54,7 +54,7 @@ LEARNT_UNDER = (
     "wind 0.3 m/s",
     "2 ms more delay",
     "80 V",
-)  # sessions held there, too
+)  # sessions are held there, too
 LESS = ("attractors", "diagonal", "symmetric")  # than the full matrices of the paper's sessions
 Scale = Literal["full", "quick"]
 
@@ -66,13 +66,13 @@ def stand_in(
     believed_pan: float = 1.0,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
-    """A bench with the sensing and the motors of the stand-in, as it is or in some other condition.
+    """Environment with sensors and motors of the stand-in, in its own or in another condition.
 
     Args:
-        seed: of every noise.
-        friction: between pancake and pan; None for the stand-in's.
-        believed_pan: share of the pan's mass that the controller believes in.
-        **world: fields of `WorldSettings`.
+        seed: Seed of all noise.
+        friction: Friction between pancake and pan; None for that of the stand-in.
+        believed_pan: Mass of the pan in the controller's model, as a share of its mass.
+        **world: Fields of `WorldSettings`.
     """
     scene = SceneSettings() if friction is None else SceneSettings(friction=friction)
     world_ = World(WorldSettings(scene=scene, **world), seed)
@@ -100,14 +100,14 @@ def teach(
     settings: FitSettings = PANCAKE,
     pitch_rate: float = PITCH_RATE,
 ) -> list[Policy]:
-    """Policies fitted to a small series of demonstrations by the hand.
+    """Policies fitted to a small series of demonstrations by the simulated demonstrator.
 
     Args:
-        environment: where it is taught.
-        seed: of the hand; demonstration k of a seed is always the same.
-        count: of demonstrations.
-        settings: of the fit.
-        pitch_rate: of the hand, see `wrist_flick`.
+        environment: Environment in which it is taught.
+        seed: Seed of the demonstrator; demonstration k of a seed is always the same.
+        count: Number of demonstrations.
+        settings: Settings of the fit.
+        pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
     """
     policies = []
     for number in range(count):
@@ -125,22 +125,27 @@ def practise(
     seed: int,
     report: Callable[[Record], None] | None = None,
 ) -> Practice:
-    """One session on the environment, from the reproductions to the last re-test.
+    """A session in one process, from the reproductions to the last re-test.
 
     Args:
-        environment: where it is practised.
-        candidates: fitted policies to choose from.
-        settings: of the session.
-        seed: of the exploration.
-        report: called with every record.
+        environment: Environment in which it practises.
+        candidates: Fitted policies to choose from.
+        settings: Settings of the session.
+        seed: Seed of the exploration.
+        report: Called with every record.
     """
     practice = Practice.of(settings, {}, candidates, seed, environment)
-    while (trial := practice.next_trial()) is not None:
-        rollout, truth = environment.run(trial.policy)
-        record = practice.learn(trial, rollout, truth=truth)
+    for record in rollouts(environment, practice):
         if report is not None:
             report(record)
     return practice
+
+
+def rollouts(environment: Environment, practice: Practice) -> Iterator[Record]:
+    """Execute the trials of a practice one after another and learn from them."""
+    while (trial := practice.next_trial()) is not None:
+        rollout, truth = environment.run(trial.policy)
+        yield practice.learn(trial, rollout, truth=truth)
 
 
 # The sessions of the reproduction
@@ -160,15 +165,15 @@ def session(
     """One session from its first demonstration to the last re-test, as plain data.
 
     Args:
-        seed: of the hand, the stand-in and the exploration.
-        name: of the preset.
-        demonstrations: how many are taught.
-        pitch_rate: of the hand, see `wrist_flick`.
-        changes: to the preset.
-        condition: of the bench it is taught and practised on, arguments of `stand_in`.
-        carried: name -> other condition in which the answer is run again.
-        repeats: of the answer in each of these.
-        keep_paths: keep the paths of the demonstration, its reproduction and the answer.
+        seed: Seed of the demonstrator, the stand-in and the exploration.
+        name: Name of the preset.
+        demonstrations: Number of demonstrations.
+        pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
+        changes: Changes to the preset.
+        condition: Condition of the environment, arguments of `stand_in`.
+        carried: Name -> other condition in which the answer is run again.
+        repeats: Runs of the answer in each of these.
+        keep_paths: Whether the paths of demonstration, reproduction and answer are kept.
     """
     environment = stand_in(seed, **(condition or {}))
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
@@ -181,11 +186,12 @@ def session(
     curve = [record.ret for record in trials if record.demonstration == chosen]
     result = {
         "stopped": practice.stopped,
+        "ended_by": "confirmation" if _confirmed(practice, settings) else "budget",
         "choice": practice.choice,
         "used": practice.used,
         "trials": [_kept(record) for record in trials],
         "retests": [_kept(record) for record in records if record.kind == "retest"],
-        "curve": curve,  # of the chosen demonstration, its reproduction first
+        "curve": curve,  # returns with the chosen demonstration, its reproduction first
         "fires": _fires(curve),
         "carried": {},
         "k33": {},
@@ -210,6 +216,17 @@ def session(
             environment, seed, pitch_rate, parameters.policy0, best.policy
         )
     return result
+
+
+def _confirmed(practice: Practice, settings: SessionSettings) -> bool:
+    """Whether a session stopped because one mean succeeded often enough in a row."""
+    wanted = settings.practice.confirm
+    usable = [r for r in practice.records if r.kind != "retest" and r.ret is not None]
+    last = usable[-wanted:] if wanted else []
+    return len(last) == wanted > 0 and all(
+        r.kind == "mean" and r.z == last[0].z and r.success and practice.task.confirms(r)
+        for r in last
+    )
 
 
 def _kept(record: Record) -> dict[str, Any]:
@@ -241,7 +258,7 @@ def _outcome(truth: Truth, fault: str) -> dict[str, Any]:
 
 
 def _fires(returns: Sequence[float | None]) -> int | None:
-    """Rollout at which the paper's rule would first stop: so many good returns in a row."""
+    """Rollout at which the paper's rule first stops: enough good returns in a row."""
     wanted, level = FIRES
     in_a_row = 0
     for number, ret in enumerate(returns, start=1):
@@ -283,7 +300,7 @@ def _figure_paths(
 
 
 def _traced(environment: Environment, trace: Sequence[np.ndarray]) -> dict[str, Any]:
-    """Paths of pan and pancake in a trace of the world, one of 100 a second."""
+    """Paths of pan and pancake in a trace of the world, at 100 Hz."""
     rows = np.array(trace)
     t = 0.01 * np.arange(len(rows))
     n = environment.arm.n
@@ -312,7 +329,7 @@ def jobs(scale: Scale) -> list[Job]:
     seeds = TUNING if quick else HELD_OUT
     one = slice(1 if quick else None)  # of several things, in "quick" only the first
     series = 2 if quick else 3  # demonstrations
-    # Reproductions of the demonstrations that are not chosen are none of the paper's rollouts.
+    # Reproductions of demonstrations that are not chosen are not among the paper's rollouts.
     budgets = {count: series - 1 + (3 if quick else count) for count in (50, 100)}
     retests = {"retests": 1 if quick else 30}
     fewer = {"retests": 1 if quick else 10}

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reaching taught on the simulated arm, learnt on Eq. 1 or on the arm by the torque controller.
 
-The four demonstrations are bags/reach_*. The sphere is in nobody's way but the path's: the arm
-does not feel it. What was learnt on Eq. 1 is executed, and whether that path clears the sphere is
-reported; practice on the arm is told what the executed paths return.
+The four demonstrations are bags/reach_*. The arm does not feel the sphere: a policy learnt on Eq. 1
+is executed, and whether its path clears the sphere is reported; practice on the arm learns from the
+returns of executed paths.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ TAUGHT, EXECUTED, PRACTISED = (
     "reaching-practised",
 )  # studies
 NOISE_SEED = 7  # of the stand-in
-PRACTICE = 60  # rollouts on the arm, at most
-APPRENTICES = 3  # seeds that practise on the arm
+PRACTICE_MAX = 60  # rollouts on the arm
+PRACTISING = 3  # number of seeds that practise on the arm
 
 
 def jobs(seeds: Sequence[int], rollouts: int) -> list[Job]:
@@ -53,8 +53,8 @@ def jobs(seeds: Sequence[int], rollouts: int) -> list[Job]:
         found.append(Job(TAUGHT, f"{variant}-{seeds[0]}-{seeds[-1]}", taught_runs, arguments))
         one = {"variant": variant, "seed": seeds[0], "rollouts": rollouts}
         found.append(Job(EXECUTED, variant, executed_run, one))
-        for seed in seeds[:APPRENTICES]:
-            one = {"variant": variant, "seed": seed, "rollouts": min(rollouts, PRACTICE)}
+        for seed in seeds[:PRACTISING]:
+            one = {"variant": variant, "seed": seed, "rollouts": min(rollouts, PRACTICE_MAX)}
             found.append(Job(PRACTISED, f"{variant}-{seed}", practised_run, one))
     return found
 
@@ -66,7 +66,7 @@ def taught_runs(variant: str, seeds: list[int], rollouts: int) -> dict[str, Any]
 
 
 def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
-    """The policy PoWER ends with, executed on the arm beside what Eq. 1 plans for it."""
+    """Final policy of PoWER, executed on the arm, and its path as Eq. 1 plans it."""
     scenario = taught_scenario()
     (run,) = study(variant, [seed], rollouts, scenario)
     parameters = Parametrization(scenario.policy, variant, NOISE[variant])
@@ -94,11 +94,11 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
 
 
 def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
-    """PoWER whose rollouts are executed on the arm: Eq. 4 of executed paths, a fault returns 0.
+    """PoWER with rollouts executed on the arm: Eq. 4 of executed paths, 0 after a fault.
 
     Returns:
-        "returns" of the rollouts, the demonstration's reproduction not among them; "faults" of
-        them; return, "clearance" [m] of the sphere and "fault" of the final mean, executed.
+        "returns" of the rollouts, without a reproduction of the demonstration; number of their
+        "faults"; return, "clearance" [m] of the sphere and "fault" of the executed final mean.
     """
     scenario = taught_scenario()
     parameters = Parametrization(scenario.policy, variant, NOISE[variant])
@@ -143,7 +143,7 @@ def _executed(
 
 @cache
 def taught_scenario() -> Scenario:
-    """The scenario of the shipped bags: positions of the tool."""
+    """Scenario of the shipped demonstrations: positions of the tool."""
     arm = Environment(World(seed=NOISE_SEED)).arm
     bags = sorted(share("bags").glob("reach_*"))
     demonstrations = [from_joint_samples(arm, *read_demonstration(bag, JOINTS)) for bag in bags]

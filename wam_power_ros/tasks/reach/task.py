@@ -35,6 +35,12 @@ class Reach:
 
     A rollout whose tool enters the obstacle is stopped there by the controller and scored by Eq. 4
     as a path that stays at its last sample before the obstacle.
+
+    Attributes:
+        settings: Settings of the task.
+        demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
+        obstacle: Centre of the sphere [m]. Shape (3,).
+        radius: Radius of the sphere, 0 for none [m].
     """
 
     name: ClassVar[str] = "reach"
@@ -51,9 +57,9 @@ class Reach:
             context: As `context_of` gave it.
         """
         self.settings = settings
-        self._demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
+        self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
         *centre, radius = context["obstacle"]
-        self._obstacle, self._radius = np.array(centre, dtype=float), float(radius)
+        self.obstacle, self.radius = np.array(centre, dtype=float), float(radius)
 
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
@@ -96,7 +102,7 @@ class Reach:
         why = cut_short(policy, rollout, self.settings.settle_time)
         if why and not touched:  # samples may miss a graze that the controller did not
             away = float(np.linalg.norm(tool.position[-1] - scenario.obstacle))
-            touched = self._radius > 0.0 and away < self._radius + _GRAZE
+            touched = self.radius > 0.0 and away < self.radius + _GRAZE
             if not touched:
                 return Assessment(None, why=why)
         following, goal = (
@@ -151,6 +157,6 @@ class Reach:
         ]
 
     def _scenario(self, policy: Policy, start: np.ndarray) -> Scenario:
-        period = policy.basis.duration / (len(self._demonstrated) - 1)
-        paths = self._demonstrated[np.newaxis]
-        return Scenario(paths, period, self._radius, policy, start, self._obstacle)
+        period = policy.basis.duration / (len(self.demonstrated) - 1)
+        paths = self.demonstrated[np.newaxis]
+        return Scenario(paths, period, self.radius, policy, start, self.obstacle)

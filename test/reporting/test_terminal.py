@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A running session is shown whatever its task is."""
+
+import io
+
+import pytest
+from rich.console import Console
+from toss_task import demonstrated_policy, practice_of, toss
+
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.reporting import terminal
+
+
+@pytest.fixture
+def practice() -> Practice:
+    """A session of the flip after six rollouts."""
+    settings = preset("flip", budget=6, confirm=0, retests=0)
+    practice = practice_of([demonstrated_policy()], settings, seed=0)
+    while (trial := practice.next_trial()) is not None:
+        practice.learn_assessed(trial, toss(trial, practice.task.settings))
+    return practice
+
+
+def test_terms_and_outcomes_are_those_of_the_task(practice: Practice) -> None:
+    table = terminal.rollout_table(practice.records, lambda record: f"outcome {record.number}")
+    terms = list(practice.records[0].terms)
+    assert [column.header for column in table.columns] == [
+        *("rollout", "kind", "return"),
+        *terms,
+        *("best", "outcome"),
+    ]
+    assert [str(cell) for cell in table.columns[-1].cells] == [f"outcome {n}" for n in range(1, 7)]
+
+
+def test_a_line_has_number_return_terms_and_outcome(practice: Practice) -> None:
+    record = practice.records[2]
+    text = terminal.line(record, lambda _: "went well")
+    assert text.split()[:2] == ["3", record.kind]
+    for name, value in record.terms.items():
+        assert f"{name} {value:.3f}" in text
+    assert f"return {record.ret:.3f}" in text and "went well" in text
+
+
+def test_the_summary_has_the_peak_speeds_of_the_retests(practice: Practice) -> None:
+    truth = {"peak_qd": [0.5] * 7, "beyond_no_load": True, "peak_elbow_speed": 0.61}
+    truth |= {"peak_forearm_speed": 1.37, "peak_pan_speed": 2.5}
+    tests = [practice.records[0].model_copy(update={"kind": "retest", "truth": truth})]
+    text = terminal.summary([*practice.records, *tests], practice.task)
+    assert "elbow 0.61, point 350 mm beyond it 1.37, tool 2.50 m/s" in text
+    assert "no-load speed in 1 of 1" in text
+
+
+def test_bars_grow_with_the_values() -> None:
+    assert terminal.spark([0.0, 0.5, 1.0]) == "▁▅█"
+    assert terminal.spark([0.0, 0.0]) == "▁▁"
+    assert len(terminal.spark([1.0] * 100)) == 60
+
+
+def test_a_file_gets_every_line_once(practice: Practice) -> None:
+    text = io.StringIO()
+    console = Console(file=text, width=80)
+    with terminal.Display(console) as display:
+        display.show(practice.log[:2], 6, practice.task.outcome)
+        display.show(practice.log, 6, practice.task.outcome)
+    assert [int(line.split()[0]) for line in text.getvalue().splitlines()] == [1, 2, 3, 4, 5, 6]
