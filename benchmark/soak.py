@@ -36,12 +36,13 @@ from wam_power_ros.bags import reader
 from wam_power_ros.cli.processes import Processes, Running, private_domain
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code, read
+from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
 WARM_UP = 0.2  # share of the time before memory is sampled
@@ -211,7 +212,7 @@ def taught() -> Policy:
     """Policy fitted to the first shipped demonstration of the flip."""
     bag = min(share("bags").glob("demo_*"))
     arm = Arm(share("urdf/wam7.urdf").read_text(), JOINTS)
-    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))], PANCAKE, "soak")
+    return fit([from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS))], FLIP_FIT, "soak")
 
 
 def start(processes: Processes, folder: Path) -> dict[str, Running]:

@@ -18,8 +18,9 @@ from wam_power_ros.bags import reader
 from wam_power_ros.bags.reader import TYPES, BagWriter, read_demonstration, unfinished
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import REACHING, fit
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.params.resources import share
+from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 NAMES = ("wam_j1", "wam_j2", "wam_j3")
 START = 1_700_000_000_123_456_789
@@ -302,7 +303,7 @@ def test_the_shipped_reaches_are_half_a_metre_in_an_arc_and_two_primitives_follo
     assert (mean[:, 2] - straight[:, 2]).max() == pytest.approx(0.06, abs=0.015)
     assert all(np.linalg.norm(d.rotation_vector, axis=1).max() < np.deg2rad(10.0) for d in taught)
 
-    policy = fit(taught, REACHING, "reach")
+    policy = fit(taught, REACH_FIT, "reach")
     followed, _ = reproduced(policy, mean[0])
     beside = np.linalg.norm(mean[None] - followed[:, None], axis=2).min(axis=1)
     assert np.sqrt(np.mean(beside**2)) < 0.015  # where it goes; when, two primitives cannot tell

@@ -120,7 +120,7 @@ def test_power_climbs_a_hill_from_every_seed(weights: str) -> None:
     assert np.mean(final) < 0.8
 
 
-def test_a_learner_told_nothing_good_stays_where_it_started() -> None:
+def test_without_a_positive_return_the_mean_stays_at_zero() -> None:
     learner = Power(3, Power.Settings(), rng(0))
     learner.tell(np.ones(3), 0.0)
     assert not learner.mean.any()
@@ -128,7 +128,7 @@ def test_a_learner_told_nothing_good_stays_where_it_started() -> None:
     np.testing.assert_array_equal(learner.mean, 2.0 * np.ones(3))
 
 
-def test_noise_shrinks_with_every_rollout_told() -> None:
+def test_noise_shrinks_with_every_rollout() -> None:
     learner = Power(2, Power.Settings(decay=0.9), rng(0))
     for _ in range(3):
         learner.tell(learner.ask(), 1.0)
@@ -168,7 +168,7 @@ def test_the_gain_of_an_elite_is_that_of_the_formula() -> None:
     assert choose_sigma(z, ret) == max(gains, key=gains.get)
 
 
-def test_where_nothing_can_be_told_the_elite_is_the_papers() -> None:
+def test_without_a_positive_gain_the_elite_has_the_size_of_the_paper() -> None:
     z, ret = searched(0, 0.1)
     assert choose_sigma(z[:7], ret[:7]) == 6
     assert choose_sigma(z, np.zeros(60)) == 6

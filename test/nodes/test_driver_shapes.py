@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import REACHING, fit
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params import overlay
@@ -28,6 +28,7 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.answers import read
 from wam_power_ros.ros.stamps import sensor_stamp
+from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # the machine may take its time
 
@@ -175,7 +176,7 @@ def test_another_arm_reaches_by_urdf_and_yaml_alone(
     q = led_to(arm, home, way, arc)
     stamps_ns = 1_000_000_000 + 2_000_000 * np.arange(len(q))
     taught = from_joint_samples(arm, stamps_ns, q)
-    policy = fit([taught], REACHING, "reach")
+    policy = fit([taught], REACH_FIT, "reach")
     path = bench.execute(policy)
     assert {tuple(state.name) for state in bench.states} == {tuple(set_up["joint_names"])}
     planned, _ = reproduced(policy, taught.position[0])

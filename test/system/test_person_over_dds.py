@@ -20,13 +20,14 @@ from wam_power_ros.cli.launcher import DOMAIN
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.session import Session, read_log
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import answers, interface
 from wam_power_ros.ros.answers import Code
+from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 TAUGHT, LATER = sorted((ROOT / "bags").glob("demo_*"))[:2]
 SETTINGS = preset("flip", budget=5, retests=0)
@@ -35,7 +36,7 @@ SETTINGS = preset("flip", budget=5, retests=0)
 def fitted(bag: Path) -> Policy:
     arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), JOINTS)
     stamps_ns, q = reader.read_demonstration(bag, JOINTS)
-    return fit([from_joint_samples(arm, stamps_ns, q, trim=True)], PANCAKE, "demonstration-1")
+    return fit([from_joint_samples(arm, stamps_ns, q, trim=True)], FLIP_FIT, "demonstration-1")
 
 
 def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing(

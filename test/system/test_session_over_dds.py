@@ -35,12 +35,13 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import practise
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 SEED = 43
 JOINTS = [f"wam_j{i}" for i in range(1, 8)]
@@ -137,7 +138,7 @@ def demonstration(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def candidate(demonstration: Path) -> Policy:
     arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), JOINTS)
     stamps_ns, q = reader.read_demonstration(demonstration, JOINTS)
-    return fit([from_joint_samples(arm, stamps_ns, q)], PANCAKE, "demonstration-1")
+    return fit([from_joint_samples(arm, stamps_ns, q)], FLIP_FIT, "demonstration-1")
 
 
 @pytest.fixture(scope="module")

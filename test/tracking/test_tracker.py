@@ -37,7 +37,7 @@ def stamp(index: float) -> int:
 def resting(
     tracker: Tracker, first: int, count: int, rng: np.random.Generator, at: np.ndarray = PAN
 ) -> list:
-    """Frames of a pancake that lies still, with the noise of a real system."""
+    """Frames of a body at rest, with the noise of a real system."""
     return [
         tracker.add(stamp(index), at + rng.normal(0.0, 0.0005, 3), LEVEL)
         for index in range(first, first + count)
@@ -50,7 +50,7 @@ def seen(tracker: Tracker, count: int = 10) -> np.random.Generator:
     return rng
 
 
-def test_a_pancake_that_lies_still_is_ok_for_as_long_as_it_likes() -> None:
+def test_a_body_at_rest_stays_valid() -> None:
     tracker = Tracker(SETTINGS)
     states = resting(tracker, 0, 300, np.random.default_rng(0))
     assert states[0] is None  # one frame has no velocity
@@ -144,7 +144,7 @@ def test_a_swap_of_bodies_never_enters_and_scattered_jumps_lose_the_pancake() ->
     assert tracker.at(stamp(15)) is None
 
 
-def test_a_pancake_put_elsewhere_by_hand_is_found_again() -> None:
+def test_a_body_moved_by_hand_while_hidden_is_found_again() -> None:
     tracker = Tracker(SETTINGS)
     rng = seen(tracker)
     states = resting(tracker, 10, 8, rng, at=PAN + np.array([0.0, 0.0, -1.2]))
@@ -162,7 +162,7 @@ def test_the_velocity_after_a_jump_has_nothing_of_the_old_place_in_it() -> None:
     assert np.linalg.norm(state.velocity) < 0.5
 
 
-def test_a_hidden_pancake_coasts_for_a_tenth_of_a_second_and_then_is_lost() -> None:
+def test_a_hidden_body_is_extrapolated_for_a_tenth_of_a_second_and_then_lost() -> None:
     tracker = Tracker(SETTINGS)
     velocity = np.array([0.5, 0.0, 1.0])
     for index in range(6):
@@ -287,7 +287,7 @@ def flight(axes: np.ndarray) -> BodyPath:
     return BodyPath(id="a", t=t, position=position @ axes.T, quat_xyzw=quat)
 
 
-def test_a_free_fall_tells_which_way_is_down() -> None:
+def test_a_free_fall_shows_the_direction_of_gravity() -> None:
     down = falling(flight(np.eye(3)))
     assert down[2] < -9.0
     assert np.linalg.norm(down[:2]) < 0.5
@@ -351,7 +351,7 @@ frames = st.lists(
 @given(frames=frames)
 @settings(max_examples=150, deadline=None)
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_whatever_comes_in_what_goes_out_is_finite_and_in_order(frames: list) -> None:
+def test_any_frames_give_finite_states_and_a_path_in_order(frames: list) -> None:
     tracker = Tracker(SETTINGS)
     for when, position, quat in frames:
         for state in (tracker.add(when, position, quat), tracker.at(when + 90_000_000)):

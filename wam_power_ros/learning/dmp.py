@@ -222,14 +222,6 @@ class FitSettings:
                 raise ValueError(f"{name} = {getattr(self, name)} must be positive")
 
 
-# Flip: 8 spring-dampers as in the paper; the rest is tuned for a movement of about 0.85 s.
-PANCAKE = FitSettings(count=8, width=0.5, k_min=150.0, k_max=500.0, damping=32.0)
-# Reach: 2 spring-dampers as in the paper; stiffness and damping of Calinon's public example code.
-# Its variance of 0.08 duration / count is a width of 0.28 for a movement of 2 s. With 0.5, as for
-# the flip, PoWER ends higher on tuning seeds, with full and with diagonal matrices.
-REACHING = FitSettings(count=2, width=0.5, k_min=100.0, k_max=200.0, damping=20.0)
-
-
 def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_id: str) -> Policy:
     """Fit a policy to demonstrations by least squares (paper Sec. II-A and its reference [21]).
 

@@ -22,13 +22,14 @@ from wam_power_ros import rotations
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import PANCAKE, FitSettings, activations, fit
+from wam_power_ros.learning.dmp import FitSettings, activations, fit
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.returns import pancake_return
+from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 DEFAULT, PAPER, LONG = "pancake-default", "pancake-paper", "pancake-paper-100"  # studies
 LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
@@ -97,7 +98,7 @@ def teach(
     environment: Environment,
     seed: int,
     count: int,
-    settings: FitSettings = PANCAKE,
+    settings: FitSettings = FLIP_FIT,
     pitch_rate: float = PITCH_RATE,
 ) -> list[Policy]:
     """Policies fitted to a small series of demonstrations by the simulated demonstrator.

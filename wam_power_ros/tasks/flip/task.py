@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import PANCAKE, fit
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
@@ -19,7 +19,7 @@ from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
-from wam_power_ros.tasks.flip.settings import PRESETS, FlipSettings
+from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
 from wam_power_ros.tasks.task import Assessment, BodyState, Judged, Pose
 
 _AT_CENTRE = 0.10  # [m] from the pan's centre, at most, before a rollout
@@ -43,7 +43,7 @@ class Flip:
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
         """Fit eight primitives; see `Task`."""
-        return fit(demonstrations, PANCAKE, policy_id)
+        return fit(demonstrations, FLIP_FIT, policy_id)
 
     @classmethod
     def context_of(

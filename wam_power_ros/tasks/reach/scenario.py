@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import REACHING, fit, reproduce_many
+from wam_power_ros.learning.dmp import fit, reproduce_many
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.tasks.reach.returns import reaching_return
+from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 STEPS = 200  # T of Eq. 4
 RADIUS = 0.09  # [m] of the sphere
@@ -153,7 +154,7 @@ def taught(
     Raises:
         ValueError: A value out of range.
     """
-    policy = fit(demonstrations, REACHING, "demonstration")
+    policy = fit(demonstrations, REACH_FIT, "demonstration")
     paths = stretched(demonstrations, steps)
     start = demonstrations[0].position[0]  # where the tool is at the policy's q_start
     period = policy.basis.duration / (steps - 1)

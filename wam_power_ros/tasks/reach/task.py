@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import REACHING, fit
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
@@ -17,7 +17,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.reach.obstacle_model import FreePath
 from wam_power_ros.tasks.reach.returns import reaching_terms
 from wam_power_ros.tasks.reach.scenario import STEPS, Scenario, stretched
-from wam_power_ros.tasks.reach.settings import PRESETS, ReachSettings
+from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
@@ -64,7 +64,7 @@ class Reach:
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
         """Fit two primitives to all demonstrations; see `Task`."""
-        return fit(demonstrations, REACHING, policy_id)
+        return fit(demonstrations, REACH_FIT, policy_id)
 
     @classmethod
     def context_of(
