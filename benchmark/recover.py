@@ -39,9 +39,10 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
 from benchmark.nodes import JOINTS, environment, node_command
-from wam_power_ros.bags import reader
-from wam_power_ros.bags.reader import BagWriter, unfinished
+from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.recovery import recover
+from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli.processes import Processes, Running, private_domain
 from wam_power_ros.ros import interface, joint_messages
 
@@ -52,23 +53,23 @@ LOSS_MAX = 1.0  # [s] lost by a kill
 
 def write(path: Path, states: int, close: bool) -> Path:
     """Write a bag as the recorder does; returns its MCAP file."""
-    make, serialize = reader.TYPES.types, reader.TYPES.serialize_cdr
+    make, serialize = layout.TYPES.types, layout.TYPES.serialize_cdr
     rng = np.random.default_rng(0)
     writer = BagWriter(path)
     writer.event("start", "demo", START, {"joint_names": str(JOINTS).replace("'", '"')})
-    writer.add(reader.STATES, reader.JOINT_STATE, [reader.qos(reliable=True, latched=False)])
+    writer.add(layout.STATES, layout.JOINT_STATE, [layout.qos(reliable=True, latched=False)])
     for index in range(states):
         stamp_ns = START + 2_000_000 * index
         sec, nanosec = divmod(stamp_ns, 1_000_000_000)
         stamp = make["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
-        state = make[reader.JOINT_STATE](
+        state = make[layout.JOINT_STATE](
             header=make["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
             name=JOINTS,
             position=rng.normal(size=7),
             velocity=rng.normal(size=7),
             effort=rng.normal(size=7),
         )
-        writer.write(reader.STATES, stamp_ns, bytes(serialize(state, reader.JOINT_STATE)))
+        writer.write(layout.STATES, stamp_ns, bytes(serialize(state, layout.JOINT_STATE)))
         if index % FLUSH == FLUSH - 1:
             writer.flush()
     if close:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_reader import NAMES, QOS, START, joint_state, random_q
+from bag_samples import NAMES, QOS, START, joint_state, random_q
 
-from wam_power_ros.bags import background_writer, reader
+from wam_power_ros.bags import background_writer, layout, reader, writer
 from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.bags.recovery import recover
 
@@ -36,7 +36,7 @@ class Disk:
 def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
     """One that hangs until it is set free."""
     disk = Disk()
-    monkeypatch.setattr(reader.os, "fsync", disk)
+    monkeypatch.setattr(writer.os, "fsync", disk)
     monkeypatch.setattr(background_writer, "WRITE_PERIOD", 0.01)
     yield disk
     disk.free.set()
@@ -44,7 +44,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
 
 def begun(folder: Path) -> Recording:
     recorded = Recording(folder / "demo", "demo", {"joint_names": "[]"})
-    recorded.add("/joint_states", reader.JOINT_STATE, QOS)
+    recorded.add("/joint_states", layout.JOINT_STATE, QOS)
     return recorded
 
 

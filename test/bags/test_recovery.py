@@ -10,12 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from bag_samples import LATCHED, NAMES, QOS, START, demonstration, joint_state, random_q, string
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
-from test_reader import LATCHED, NAMES, QOS, START, demonstration, joint_state, random_q, string
+from rosbags.typesys import Stores, get_typestore
 
-from wam_power_ros.bags import reader
-from wam_power_ros.bags.reader import BagWriter, read_demonstration, unfinished
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.layout import unfinished
+from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.bags.recovery import recover
+from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,7 +32,7 @@ sys.path[:0] = {sys.path!r}
 from pathlib import Path
 from test_recovery import *
 writer = BagWriter(Path({str(tmp_path)!r}) / "demo")
-writer.add("/joint_states", reader.JOINT_STATE, QOS)
+writer.add("/joint_states", layout.JOINT_STATE, QOS)
 for index, row in enumerate(random_q()):
     writer.write("/joint_states", START, joint_state(START + index, NAMES, row))
     if index == 399:
@@ -59,8 +62,8 @@ def test_a_file_cut_anywhere_gives_back_every_complete_message(
     tmp_path: Path, closed: bool
 ) -> None:
     writer = BagWriter(tmp_path / "demo")
-    writer.add("/robot_description", reader.STRING, LATCHED)
-    writer.add("/joint_states", reader.JOINT_STATE, QOS)
+    writer.add("/robot_description", layout.STRING, LATCHED)
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
     q, ends = random_q(60), []
     for index, row in enumerate(q):
         writer.write("/joint_states", START + index, joint_state(START + index, NAMES, row))
@@ -94,12 +97,12 @@ def test_many_cuts_of_a_recorders_bag_are_recovered_as_the_benchmark_has_it() ->
     command = [sys.executable, "-m", "benchmark.recover", "--cuts", "12", "--kills", "0"]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert "never closed: cut at 12 places, 0 wrong" in ended.stdout
+    assert "unclosed: cut at 12 places, 0 wrong" in ended.stdout
 
 
 def test_a_full_disk_leaves_the_bag_unfinished_and_recoverable(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "demo")
-    writer.add("/joint_states", reader.JOINT_STATE, QOS)
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
     q = random_q(1000)
     allowed = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, allowed[1]))
@@ -150,7 +153,7 @@ def test_what_was_noted_at_the_start_outlives_a_kill(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "demo")
     names = ("q1", "q2", "q3")  # of another driver: only the notes tell their order
     writer.event("start", "demo", START, {"joint_names": json.dumps(names)})
-    writer.add("/joint_states", reader.JOINT_STATE, QOS)
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
     for index, row in enumerate(random_q(20)):
         stamp_ns = START + 2_000_000 * index
         writer.write("/joint_states", stamp_ns, joint_state(stamp_ns, names, row))
@@ -176,14 +179,14 @@ def test_a_lost_metadata_file_is_all_that_a_bag_without_one_lacks(tmp_path: Path
 
 def foreign(path: Path, compression: CompressionMode, storage: StoragePlugin) -> Path:
     """A bag of another recorder, with a type that is not of the common interfaces."""
-    store = reader.get_typestore(reader.Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
     store.register({"lab_msgs/msg/Lamp": ([], [("on", (1, ("bool", 0)))])})
     writer = Writer(path, version=9, storage_plugin=storage)
     if compression is not CompressionMode.NONE:
         writer.set_compression(compression, CompressionFormat.ZSTD)
     with writer:
         lamp = writer.add_connection("/lamp", "lab_msgs/msg/Lamp", typestore=store)
-        text = writer.add_connection("/text", reader.STRING, typestore=store)
+        text = writer.add_connection("/text", layout.STRING, typestore=store)
         writer.write(lamp, START, b"\x00\x01\x00\x00\x01")
         writer.write(text, START + 1, string("x"))
     return path

@@ -9,15 +9,15 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+from bag_samples import NAMES, QOS, START, joint_state, random_q
 from conftest import ROOT, Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
-from test_reader import NAMES, QOS, START, joint_state, random_q
 
-from wam_power_ros.bags import reader
-from wam_power_ros.bags.reader import BagWriter
+from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.console.play_bag import select_topics
 from wam_power_ros.ros import interface
@@ -41,7 +41,7 @@ def messages(path: Path, *topics: str) -> dict[str, list[bytes]]:
 
 def span(path: Path) -> int:
     """Time of reception of the first to the last joint state [ns]."""
-    stamps = [stamp_ns for _, stamp_ns, _ in reader.messages(path, [reader.STATES])]
+    stamps = [stamp_ns for _, stamp_ns, _ in reader.messages(path, [layout.STATES])]
     return stamps[-1] - stamps[0]
 
 
@@ -55,7 +55,7 @@ def offered(path: Path) -> dict[str, set[tuple[str, str]]]:
 def test_a_shipped_demonstration_is_heard_and_recorded_again_message_by_message(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
-    topics = [reader.STATES, "/pancake/pose", "/pancake/state", "/robot_description"]
+    topics = [layout.STATES, "/pancake/pose", "/pancake/state", "/robot_description"]
     wanted = messages(DEMONSTRATION, *topics)
     assert min(len(found) for found in wanted.values()) >= 1
     processes.node(RECORDER, "demonstration_recorder.yaml", directory=tmp_path / "bags")
@@ -65,16 +65,16 @@ def test_a_shipped_demonstration_is_heard_and_recorded_again_message_by_message(
     player = playing(processes, DEMONSTRATION, "--rate", 0.5, "--wait", 60, "--topics", *topics)
     probe.until(lambda: player.poll() is not None, "the end of the bag", 120.0)
     assert player.returncode == 0, processes.output(player)
-    count = len(wanted[reader.STATES])
+    count = len(wanted[layout.STATES])
     probe.until(
-        lambda: f"{reader.STATES}', value='{count}'" in str(said[-1:]), "every state written"
+        lambda: f"{layout.STATES}', value='{count}'" in str(said[-1:]), "every state written"
     )
     answer = probe.call(SetBool, interface.RECORD, SetBool.Request(data=False))
     assert answer.success, answer.message
     again = Path(answer.message)
     assert messages(again, *topics) == wanted
     before = offered(DEMONSTRATION)
-    assert offered(again) == {name: before[name] for name in (*topics, reader.EVENT)}
+    assert offered(again) == {name: before[name] for name in (*topics, layout.EVENT)}
     assert span(again) > 1.3 * span(DEMONSTRATION)  # 2, but for what a busy machine delays
 
 
@@ -82,17 +82,17 @@ def test_what_commands_or_releases_an_arm_is_never_played(tmp_path: Path) -> Non
     writer = BagWriter(tmp_path / "bag")
     states = {"/a/joint_states": "heard", "/b/torques": "not", "/c/joint_commands": "not"}
     for topic in states:
-        writer.add(topic, reader.JOINT_STATE, QOS)
+        writer.add(topic, layout.JOINT_STATE, QOS)
     writer.add("/d/array", "std_msgs/msg/Float64MultiArray", QOS)
     writer.add("/e/trajectory", "trajectory_msgs/msg/JointTrajectory", QOS)
     writer.add(interface.ENABLE, "std_msgs/msg/Bool", QOS)
     state = joint_state(START, NAMES, random_q(1)[0])
     for topic in ("/a/joint_states", "/c/joint_commands"):
         writer.write(topic, START, state)
-    message = reader.TYPES.deserialize_cdr(state, reader.JOINT_STATE)
+    message = layout.TYPES.deserialize_cdr(state, layout.JOINT_STATE)
     message.effort, message.position, message.velocity = message.position, *2 * [message.effort[:0]]
     writer.write(
-        "/b/torques", START, bytes(reader.TYPES.serialize_cdr(message, reader.JOINT_STATE))
+        "/b/torques", START, bytes(layout.TYPES.serialize_cdr(message, layout.JOINT_STATE))
     )
     path = writer.close({})
     topics, left_out = select_topics(path)
@@ -115,7 +115,7 @@ def test_no_torque_is_played_and_nothing_beside_a_driver(
 
 def test_ctrl_c_ends_a_bag_that_is_played(probe: Probe, processes: Processes) -> None:
     heard = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_IN)
-    player = playing(processes, REACH, "--rate", 0.01, "--topics", reader.STATES)
+    player = playing(processes, REACH, "--rate", 0.01, "--topics", layout.STATES)
     probe.until(lambda: heard, "a state")
     assert processes.end(player) == 130
     assert "Traceback" not in processes.output(player)

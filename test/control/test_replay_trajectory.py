@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from wam_power_ros.bags import reader
+from wam_power_ros.bags import layout, reader
 from wam_power_ros.cli import main
 from wam_power_ros.console.replay import with_possible_speed
 from wam_power_ros.control.arm import Arm
@@ -150,6 +150,6 @@ def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
     assert process.wait(600.0) == 130, said
     assert "Stopped: the arm holds." in said
     (made,) = (tmp_path / "bags").iterdir()
-    assert not made.name.endswith(reader.UNFINISHED)
+    assert not made.name.endswith(layout.UNFINISHED)
     _, q = reader.read_demonstration(made, NAMES)
     assert np.abs(q[-1] - q[-10]).max() < 1e-3  # it holds

@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool
 
-from wam_power_ros.bags import reader
+from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.ros import interface, joint_messages, pose_messages
@@ -150,7 +150,7 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
         "/effort_controller/commands": ("reliable", "volatile"),
         "/pancake/pose": ("best_effort", "volatile"),
         "/robot_description": ("reliable", "transient_local"),
-        reader.EVENT: ("reliable", "transient_local"),
+        layout.EVENT: ("reliable", "transient_local"),
     }
     assert topics["/robot_description"]["message_count"] == 1
 
@@ -165,7 +165,7 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     assert found["/joint_states"][0].name == NAMES
     assert found["/effort_controller/commands"][0].data == [0.5] * 7
     assert found["/robot_description"][0].data == "<robot name='wam'/>"
-    events = [json.loads(message.data)["event"] for message in found[reader.EVENT]]
+    events = [json.loads(message.data)["event"] for message in found[layout.EVENT]]
     assert events == ["start", "stop"]
 
 

@@ -30,7 +30,7 @@ from std_srvs.srv import SetBool
 
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
-from wam_power_ros.bags import reader
+from wam_power_ros.bags import layout, reader
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import practise
@@ -293,7 +293,7 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
     kept: list[bytes] = []
     for rollout in ROLLOUTS[:2]:
         killed = learner(processes, folder)
-        recording = reader.unfinished(folder / "bags" / f"rollout_{rollout}")
+        recording = layout.unfinished(folder / "bags" / f"rollout_{rollout}")
         probe.until(recording.exists, f"recording of {rollout}", 120.0)
         probe.spin(float(np.random.default_rng(SEED).uniform(0.1, 0.6)))
         assert processes.end(killed, signal.SIGKILL) == -signal.SIGKILL
@@ -326,7 +326,7 @@ def test_answers_that_do_not_come_cost_a_session_time_and_nothing_else(
     folder = begin(tmp_path / "session", candidate)
     controller = all_but_the_learner(processes, folder)
     learning = learner(processes, folder)
-    recording = reader.unfinished(folder / "bags" / f"rollout_{ROLLOUTS[0]}")
+    recording = layout.unfinished(folder / "bags" / f"rollout_{ROLLOUTS[0]}")
     probe.until(recording.exists, f"recording of {ROLLOUTS[0]}", 120.0)
     controller.send_signal(signal.SIGSTOP)  # before it has answered that the rollout begins
     try:

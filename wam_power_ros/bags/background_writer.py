@@ -15,7 +15,8 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
-from wam_power_ros.bags.reader import BagWriter, Gaps
+from wam_power_ros.bags.gaps import Gaps
+from wam_power_ros.bags.writer import BagWriter
 
 WRITE_PERIOD = 0.3  # [s] a kill loses what came since, and what it takes to write it
 WAITING_MAX = 100_000  # messages: a disk that hangs for minutes is as good as full

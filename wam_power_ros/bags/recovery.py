@@ -19,8 +19,9 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
-from wam_power_ros.bags import reader
-from wam_power_ros.bags.reader import BagWriter, unfinished
+from wam_power_ros.bags import layout, plain_yaml, reader
+from wam_power_ros.bags.layout import unfinished
+from wam_power_ros.bags.writer import BagWriter
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER_SIZE = 9  # of a record: opcode and size
@@ -63,8 +64,8 @@ def recover(path: Path) -> Recovered:
         FileExistsError: There is a recovered bag already.
         OSError: The disk refused.
     """
-    if path.name.endswith(reader.UNFINISHED):
-        path = path.with_name(path.name.removesuffix(reader.UNFINISHED))
+    if path.name.endswith(layout.UNFINISHED):
+        path = path.with_name(path.name.removesuffix(layout.UNFINISHED))
     files = _files(path)
     bag = path.with_suffix("") if path.is_file() else path
     writer = BagWriter(bag.with_name(bag.name + "_recovered"))
@@ -74,7 +75,7 @@ def recover(path: Path) -> Recovered:
             copy.file(file)
         if (metadata := files[0].with_name("metadata.yaml")).is_file():
             copy.notes |= _notes(metadata)
-        state_topic = copy.notes.get("state_topic", reader.STATES)
+        state_topic = copy.notes.get("state_topic", layout.STATES)
         made = writer.close(
             {**copy.notes, **writer.completeness(state_topic), "recovered": json.dumps(True)}
         )
@@ -108,7 +109,7 @@ def _files(path: Path) -> list[Path]:
 
 def _notes(file: Path) -> dict[str, str]:
     try:
-        return reader.custom_data(reader.plain_yaml(file))
+        return reader.custom_data(plain_yaml.read(file))
     except ValueError:
         return {}  # damaged as well
 
@@ -155,7 +156,7 @@ class _Copy:
             if topic is not None:
                 cdr = body[22:]
                 self.writer.write(topic, stamp_ns, cdr)
-                if topic == reader.EVENT and not self.notes:
+                if topic == layout.EVENT and not self.notes:
                     self.notes = _event_notes(cdr)
         elif opcode == 0x0C and _text(body, 0)[0] == "rosbag2":  # metadata, of a closed bag
             for _, text in _map(body, _text(body, 0)[1]):
@@ -224,7 +225,7 @@ def _map(body: bytes, at: int) -> Iterator[tuple[str, str]]:
 
 def _metadata_notes(text: str) -> dict[str, str]:
     try:
-        return reader.custom_data(reader.parse_plain(text.encode(), "the metadata record"))
+        return reader.custom_data(plain_yaml.parse(text.encode(), "the metadata record"))
     except ValueError:
         return {}
 
@@ -232,7 +233,7 @@ def _metadata_notes(text: str) -> dict[str, str]:
 def _event_notes(cdr: bytes) -> dict[str, str]:
     """What our recorder noted when it began."""
     try:
-        notes = json.loads(reader.TYPES.deserialize_cdr(cdr, reader.STRING).data).get("notes", {})
+        notes = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data).get("notes", {})
         return {str(key): str(value) for key, value in notes.items()}
     except Exception:  # whatever bytes make the decoder raise
         return {}
@@ -241,9 +242,9 @@ def _event_notes(cdr: bytes) -> dict[str, str]:
 def _profiles(text: str) -> list[Qos]:
     """QoS profiles as a channel's metadata has them; none when they cannot be read."""
     try:
-        items = reader.parse_plain(text.encode(), PROFILES) or []
+        items = plain_yaml.parse(text.encode(), PROFILES) or []
         return [
-            reader.qos(
+            layout.qos(
                 item["reliability"] not in BEST_EFFORT,
                 item["durability"] in LATCHED,
                 int(item["depth"]),

@@ -23,7 +23,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import QosDurability, QosReliability
 
-from wam_power_ros.bags import reader
+from wam_power_ros.bags import layout, reader
 from wam_power_ros.console.prompt import say
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import participant
@@ -70,9 +70,9 @@ def _danger(path: Path, name: str, msgtype: str) -> str:
         return "it enables an arm"
     if msgtype in COMMAND_TYPES or COMMAND_NAMES.search(name):
         return "it commands an arm"
-    if msgtype == reader.JOINT_STATE:
+    if msgtype == layout.JOINT_STATE:
         for _, _, cdr in reader.messages(path, [name]):
-            state = reader.TYPES.deserialize_cdr(cdr, msgtype)
+            state = layout.TYPES.deserialize_cdr(cdr, msgtype)
             torques_alone = len(state.effort) and not len(state.position) + len(state.velocity)
             return "it commands an arm" if torques_alone else ""
     return ""

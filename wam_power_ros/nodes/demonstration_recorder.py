@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
 from wam_power_ros import __version__
-from wam_power_ros.bags import reader
+from wam_power_ros.bags import layout
 from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.learning import policy
 from wam_power_ros.params.node_params import Params
@@ -89,8 +89,8 @@ class DemonstrationRecorder(Node):
         # A driver keeps ten states for a reader that is late, no more; in lockstep all are kept.
         lockstep = self.get_parameter("use_sim_time").value
         self._granted = scheduling.request(0 if lockstep else params.realtime_priority)
-        for left in sorted(self._directory.glob(f"*{reader.UNFINISHED}")):
-            name = left.name.removesuffix(reader.UNFINISHED)
+        for left in sorted(self._directory.glob(f"*{layout.UNFINISHED}")):
+            name = left.name.removesuffix(layout.UNFINISHED)
             self.get_logger().warning(
                 f"{left} was never closed; to recover it: wam-power recover {left.with_name(name)}"
             )
@@ -127,7 +127,7 @@ class DemonstrationRecorder(Node):
         self._topics.look()
         kind = "rollout" if self._policy_id else self._params.stem
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
-        path = reader.free_path(self._directory, f"{kind}_{stem}")
+        path = layout.free_path(self._directory, f"{kind}_{stem}")
         self._recording = Recording(path, kind, self._notes)
         self._policy_id = self._trouble = self._note = ""
         self._topics.lost.clear()

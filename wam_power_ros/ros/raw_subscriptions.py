@@ -17,7 +17,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rosbags.interfaces import Qos
 
-from wam_power_ros.bags import reader
+from wam_power_ros.bags import layout
 from wam_power_ros.ros import interface
 
 LOOK_PERIOD = 0.25  # [s]
@@ -65,9 +65,9 @@ class RawTopics:
         infos = self._node.get_publishers_info_by_topic(name)
         tap = self._taps[name]
         return [
-            reader.qos(_is_reliable(info), _is_latched(info), info.qos_profile.depth)
+            layout.qos(_is_reliable(info), _is_latched(info), info.qos_profile.depth)
             for info in infos
-        ] or [reader.qos(tap.reliable, tap.latched)]
+        ] or [layout.qos(tap.reliable, tap.latched)]
 
     def look(self) -> None:
         """Subscribe to what has a publisher by now."""
@@ -84,7 +84,7 @@ class RawTopics:
             if (reliable or not tap.reliable) and (latched or not tap.latched):
                 return
             self._node.destroy_subscription(tap.subscription)  # a newcomer offers less
-        elif msgtype not in reader.TYPES.fielddefs:
+        elif msgtype not in layout.TYPES.fielddefs:
             self._node.get_logger().error(f"{name}: cannot record type {msgtype}", once=True)
             return
         qos = QoSProfile(

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML of bags: plain data comes back, anything else is refused by the name of its file."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wam_power_ros.bags import plain_yaml
+
+TEXT = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=10)
+DATA = st.recursive(
+    TEXT | st.integers() | st.booleans() | st.none(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(TEXT, inner, max_size=3),
+    max_leaves=12,
+)
+
+
+@given(DATA)
+def test_plain_data_comes_back(data: object) -> None:
+    assert plain_yaml.parse(yaml.safe_dump(data).encode(), "x") == data
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (b"a: &x [1]\nb: *x", "has an alias"),
+        (b"[" * 30 + b"]" * 30, "nested deeper"),
+        (b"a: !!python/object/apply:os.getcwd []", "not plain YAML"),
+        (b"a: {", "not plain YAML"),
+        (b"\xff\xfe\x00", "not plain YAML"),
+    ],
+)
+def test_anything_else_is_refused_with_its_origin(text: bytes, says: str) -> None:
+    with pytest.raises(ValueError, match=f"the record.*{says}"):
+        plain_yaml.parse(text, "the record")
+
+
+def test_a_file_that_is_too_large_is_not_even_read(tmp_path: Path) -> None:
+    file = tmp_path / "metadata.yaml"
+    file.write_bytes(b"a" * (plain_yaml.SIZE_MAX + 1))
+    with pytest.raises(ValueError, match=r"metadata\.yaml has 1000001 bytes"):
+        plain_yaml.read(file)
+    file.write_text("a: 1")
+    assert plain_yaml.read(file) == {"a": 1}

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags being written: unfinished until closed, then whole, with the metadata of Jazzy."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+from bag_samples import (
+    NAMES,
+    QOS,
+    START,
+    demonstration,
+    joint_state,
+    random_q,
+)
+
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.layout import TYPES, unfinished
+from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.bags.writer import BagWriter, has_header, header_stamp
+
+
+def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", random_q(5))
+    info = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert (info["version"], info["storage_identifier"]) == (9, "mcap")
+    assert info["relative_file_paths"] == ["demo.mcap"]
+    assert json.loads(info["custom_data"]["joint_names"]) == list(NAMES)
+    topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
+    assert topics["/joint_states"]["message_count"] == 10
+    latched = topics["/robot_description"]["topic_metadata"]
+    assert latched["offered_qos_profiles"][0]["durability"] == "transient_local"
+    assert latched["offered_qos_profiles"][0]["reliability"] == "reliable"
+    assert latched["offered_qos_profiles"][0]["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
+    for item in topics.values():
+        assert item["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
+
+
+def test_a_bag_under_way_is_recognisable_and_appears_whole(tmp_path: Path) -> None:
+    path = tmp_path / "demo"
+    writer = BagWriter(path)
+    assert not path.exists()
+    assert unfinished(path).is_dir()
+    with pytest.raises(FileExistsError):
+        BagWriter(path)
+    with pytest.raises(ValueError, match="never closed"):
+        read_demonstration(path, NAMES)
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
+    writer.write("/joint_states", START, joint_state(START, NAMES, [1.0, 2.0, 3.0]))
+    writer.close({})
+    assert not unfinished(path).exists()
+    assert read_demonstration(path, NAMES)[1].tolist() == [[1.0, 2.0, 3.0]]
+    with pytest.raises(FileExistsError):
+        BagWriter(path)
+
+
+def test_the_stamp_of_a_serialized_header_is_read_without_decoding() -> None:
+    assert header_stamp(joint_state(START, NAMES, [0.0] * 3)) == START
+    with pytest.raises(ValueError, match="cannot hold a header"):
+        header_stamp(b"\0\1\0\0")
+    assert has_header(layout.JOINT_STATE)
+    assert not has_header(layout.STRING)
+
+
+def test_a_topic_of_an_unknown_type_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag")
+    with pytest.raises(ValueError, match="/odd: type my_msgs/msg/Odd"):
+        writer.add("/odd", "my_msgs/msg/Odd", QOS)
+    assert writer.counts == {}
+    writer.abandon()
+
+
+def test_a_bag_that_is_there_is_never_written_over(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", random_q(5))
+    with pytest.raises(FileExistsError):
+        BagWriter(path)
+    assert layout.free_path(tmp_path, "demo") == tmp_path / "demo_2"
+    BagWriter(tmp_path / "demo_2").abandon()  # unfinished: taken as well
+    assert layout.free_path(tmp_path, "demo") == tmp_path / "demo_3"
+
+
+def test_an_event_can_be_read_back_with_its_notes(tmp_path: Path) -> None:
+    from wam_power_ros.bags.reader import messages
+
+    writer = BagWriter(tmp_path / "bag")
+    writer.event("start", "demo", START, {"source": "sim"})
+    writer.event("stop", "requested", START + 1)
+    path = writer.close({})
+    events = [
+        json.loads(TYPES.deserialize_cdr(cdr, layout.STRING).data)
+        for _, _, cdr in messages(path, [layout.EVENT])
+    ]
+    assert events == [
+        {"event": "start", "reason": "demo", "notes": {"source": "sim"}},
+        {"event": "stop", "reason": "requested"},
+    ]

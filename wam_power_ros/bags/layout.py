@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Layout of our bags: folders, topics of our own, message types, QoS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.typesys import Stores, get_typestore
+
+TYPES = get_typestore(Stores.ROS2_JAZZY)
+JOINT_STATE = "sensor_msgs/msg/JointState"
+STRING = "std_msgs/msg/String"
+STATES = "/joint_states"
+EVENT = "/recorder/event"  # start and stop of the recording, in the bag only
+UNFINISHED = ".unfinished"
+INFINITE = QosTime(9223372036, 854775807)  # how rosbag2 writes a duration without end
+
+
+def qos(reliable: bool, latched: bool, depth: int = 10) -> Qos:
+    """A publisher's QoS as a bag notes it, so that playing it back offers the same."""
+    return Qos(
+        history=QosHistory.KEEP_LAST,
+        depth=max(depth, 1),  # the graph does not tell: it says 0
+        reliability=QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT,
+        durability=QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE,
+        deadline=INFINITE,
+        lifespan=INFINITE,
+        liveliness=QosLiveliness.AUTOMATIC,
+        liveliness_lease_duration=INFINITE,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def unfinished(path: Path) -> Path:
+    """Where the bag `path` is kept until it is closed."""
+    return path.with_name(path.name + UNFINISHED)
+
+
+def free_path(directory: Path, stem: str) -> Path:
+    """The first of stem, stem_2, stem_3... that is no bag yet, finished or not."""
+    path, number = directory / stem, 1
+    while path.exists() or unfinished(path).exists():
+        number += 1
+        path = directory / f"{stem}_{number}"
+    return path

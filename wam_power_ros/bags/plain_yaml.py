@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML of a bag, read as plain data: large, deeply nested or self-referring text is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import yaml
+
+SIZE_MAX = 1_000_000  # [bytes]
+DEPTH_MAX = 20  # levels of nesting
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # builds plain data, runs nothing
+
+
+def read(file: Path) -> object:
+    """Return the plain data in a YAML file.
+
+    Raises:
+        ValueError: When it is too large, nested too deeply, has an alias, or is not YAML.
+    """
+    size = file.stat().st_size
+    if size > SIZE_MAX:
+        raise ValueError(f"{file} has {size} bytes, at most {SIZE_MAX} are believed")
+    return parse(file.read_bytes(), str(file))
+
+
+def parse(text: bytes, where: str) -> object:
+    """Return the plain data in YAML text; `where` names its origin in messages.
+
+    Raises:
+        ValueError: When it is nested too deeply, has an alias, or is not YAML.
+    """
+    depth = 0
+    try:
+        decoded = text.decode()
+        for event in yaml.parse(decoded, Loader=LOADER):
+            if isinstance(event, yaml.AliasEvent):
+                raise ValueError(f"{where} has an alias, which no bag needs")
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            depth -= isinstance(event, yaml.CollectionEndEvent)
+            if depth > DEPTH_MAX:
+                raise ValueError(f"{where} is nested deeper than {DEPTH_MAX}")
+        return yaml.load(decoded, Loader=LOADER)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{where} is not plain YAML: {error}") from None
