@@ -39,7 +39,9 @@ def test_the_bars_of_the_terms_add_up_to_the_return() -> None:
 def test_stiffness_about_its_own_mean_is_in_percent() -> None:
     part = np.linspace(0.0, 1.0, 11)
     profile = 300.0 + 30.0 * (part - 0.5)
-    figure = figures.stiffness({"level": np.full(5, 450.0), "learnt": profile * np.ones((3, 1))})
+    figure = figures.stiffness(
+        {"level": np.full(5, 450.0), "learnt": profile * np.ones((3, 1))}, paper=True
+    )
     absolute, relative = figure.axes
     np.testing.assert_allclose(absolute.lines[1].get_ydata(), 450.0)
     np.testing.assert_allclose(absolute.lines[2].get_ydata(), profile)

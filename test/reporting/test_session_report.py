@@ -105,6 +105,7 @@ def reach(tmp_path: Path) -> Path:
             rollout = Rollout(EndEffectorPath(trial.id, t, np.vstack([path, path[-1:]]), quat))
             truth = {"touched": aside == 0.0}
             session.append(practice.learn(trial, rollout, truth=truth))
+        session.save_policy(trial.policy)
     return tmp_path / "r"
 
 
@@ -118,7 +119,9 @@ def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Pat
         assert word not in visible
     assert "Rollout 2 was the first that was a success." in html
     assert "obstacle was touched, the observation agreed with the simulator in 3 of 3" in html
-    assert html.count("data:image/svg+xml;base64,") == 3  # the answer, learning curve, terms
+    assert (
+        html.count("data:image/svg+xml;base64,") == 4
+    )  # the answer, learning curve, terms, stiffness
 
 
 def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:

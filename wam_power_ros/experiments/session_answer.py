@@ -91,7 +91,7 @@ def _caption(task: Task, outcome: Outcome) -> str:
         f"{name} {value:.3g}" if isinstance(value, float) else name
         for name, value in outcome.truth.items()
         if value is True or (isinstance(value, float) and not name.startswith(ARM))
-    ).replace("_", " ")
+    )
     return f"{task.outcome(outcome)}; {ret}. Ground truth: {truth}."
 
 

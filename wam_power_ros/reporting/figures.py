@@ -58,6 +58,7 @@ def learning_curve(
         axes.axvline(number, color=ACCENT, lw=0.8, ls=":")
         axes.annotate(text, (number, 1.0), xytext=(3, -4), fontsize=8, color=ACCENT, **top)
     axes.set(xlabel="rollout", ylabel="return")
+    axes.xaxis.get_major_locator().set_params(integer=True)
     _from_zero(axes)
     legend(axes)
     return figure
@@ -78,26 +79,29 @@ def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) 
         axes.bar(numbers, heights, bottom=bottom, width=0.85, color=color, label=name)
         bottom += heights
     axes.set(xlabel="rollout", ylabel="return")
+    axes.xaxis.get_major_locator().set_params(integer=True)
     legend(axes)
     return figure
 
 
-def stiffness(profiles: Mapping[str, np.ndarray]) -> Figure:
-    """Vertical stiffness K33 over the movement, absolute and about its own mean, and the paper's.
+def stiffness(profiles: Mapping[str, np.ndarray], *, paper: bool) -> Figure:
+    """Vertical stiffness K33 over the movement, absolute and about its own mean.
 
     Args:
         profiles: Name -> K33 of one policy, or of several, evenly in time [1/s^2]. Shapes (T,) or
             (n, T), of which median and the middle 80 % are drawn.
+        paper: Draw the paper's policy of the pancake beside them.
     """
     figure = Figure(figsize=(9.4, 3.6), layout="constrained")
     absolute, relative = figure.subplots(1, 2)
     dress(absolute)
     dress(relative)
-    paper = paper_table("k33")
-    part = paper[:, 0] / paper[-1, 0]
-    own = np.interp(np.linspace(0.0, 1.0, 101), part, paper[:, 1]).mean()  # not evenly sampled
-    absolute.plot(part, paper[:, 1], "s--", ms=3, lw=1.2, color=PAPER, label="paper, learnt")
-    relative.plot(part, 100.0 * (paper[:, 1] / own - 1.0), "s--", ms=3, lw=1.2, color=PAPER)
+    if paper:
+        time, k33 = paper_table("k33").T
+        part = time / time[-1]
+        own = np.interp(np.linspace(0.0, 1.0, 101), part, k33).mean()  # not evenly sampled
+        absolute.plot(part, k33, "s--", ms=3, lw=1.2, color=PAPER, label="paper, learnt")
+        relative.plot(part, 100.0 * (k33 / own - 1.0), "s--", ms=3, lw=1.2, color=PAPER)
     for color, (name, given) in zip(CYCLE, profiles.items(), strict=False):
         rows = np.atleast_2d(np.asarray(given, dtype=float))
         t = np.linspace(0.0, 1.0, rows.shape[1])

@@ -76,9 +76,8 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     boxes = []  # of each panel and view: lowest and highest drawn coordinates
     for panel in panels.values():
         corners = panel.obstacle + panel.radius * np.array([[-1.0] * 3, [1.0] * 3])
-        shown = panel.executed if panel.learnt is None else panel.learnt
-        bold = [] if shown is None else [shown]
-        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *bold, corners])
+        learnt = [] if panel.learnt is None else [panel.learnt]
+        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *learnt, corners])
         for view in _views(panel):
             seen = (drawn - panel.start) @ view.T
             boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))
@@ -107,8 +106,8 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
 
 def answer(task: Reach, rollout: Rollout) -> Figure:
     """Figure of a rollout in the report of its session."""
-    panel = Panel([task.demonstrated], task.obstacle, task.radius, executed=rollout.tool.position)
-    return paths({rollout.tool.id: panel})
+    panel = Panel([task.demonstrated], task.obstacle, task.radius, learnt=rollout.tool.position)
+    return paths({f"{rollout.tool.id}, executed": panel})
 
 
 def _views(panel: Panel) -> tuple[np.ndarray, np.ndarray]:

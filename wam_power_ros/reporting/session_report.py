@@ -79,12 +79,12 @@ def render(
     if answer is not None:
         profiles = {} if start is None else {"start": vertical_stiffness(start)}
         profiles[answer.id] = vertical_stiffness(answer)
-        words = (
-            f"Vertical stiffness over the movement: the demonstration's and that of {answer.id}."
-            " The paper's policy changed by a few percent."
-        )
-        drawn = html_page.image(figures.svg(figures.stiffness(profiles)))
-        parts.append(html_page.section("Stiffness", [words], drawn))
+        text = f"Vertical stiffness over the movement: the demonstration's and that of {answer.id}."
+        if task.name == "flip":
+            text += " The paper's policy changed by a few percent."
+        drawn = figures.stiffness(profiles, paper=task.name == "flip")
+        image = html_page.image(figures.svg(drawn))
+        parts.append(html_page.section("Stiffness", [text], image))
     parts += [_speeds(records), _table(task, records), _settings(header)]
     return html_page.page(f"Session of seed {header.seed}, task {task.name}", parts)
 

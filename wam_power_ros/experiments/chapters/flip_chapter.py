@@ -402,7 +402,7 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
                 "k33-profiles",
                 "Vertical stiffness along the learnt movements: median and 80 % of the sessions, "
                 "beside the paper's.",
-                figures.stiffness(profiles),
+                figures.stiffness(profiles, paper=True),
             ),
             Figure.of(
                 "pancake-ablation",
