@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learners side by side: small runs of every one, and what the chapters make of them."""
+"""Learners side by side: small runs of every one, and the chapter of the comparison."""
 
 import json
 
@@ -30,7 +30,7 @@ def test_every_learner_runs_on_the_reach_and_the_same_twice(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", LEARNERS)
-def test_each_name_is_the_learner_it_says(name: str) -> None:
+def test_each_name_stands_for_its_learner(name: str) -> None:
     class Silent:
         def predict(self, z: np.ndarray) -> np.ndarray:
             return np.zeros(len(z))
@@ -63,7 +63,7 @@ def test_every_learner_with_a_claim_runs_on_every_held_out_seed() -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_what_was_tuned_is_of_the_grid(task: str) -> None:
+def test_every_tuned_choice_is_in_the_grid(task: str) -> None:
     for name, choice in TUNED[task].items():
         assert choice.settings in GRID[name]
         assert (choice.stiffness, choice.attractor) in comparison.NOISE[task]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pancake's sessions of the reproduction, and what their chapter says of them."""
+"""The pancake's sessions of the reproduction, and their chapter."""
 
 from typing import Any
 
@@ -27,7 +27,7 @@ def test_joint_friction_is_a_share_of_what_it_is(share: float) -> None:
     np.testing.assert_allclose(friction[1][:7], share * friction[0][:7])
 
 
-def test_every_condition_can_be_held() -> None:
+def test_every_condition_can_be_simulated() -> None:
     for condition in flip_sessions.CONDITIONS.values():
         flip_sessions.stand_in(21, **condition)
     with pytest.raises(TypeError, match="breeze"):
@@ -40,7 +40,7 @@ def test_the_papers_rule_fires_at_the_third_good_return_in_a_row() -> None:
 
 
 @pytest.mark.parametrize("scale", ["quick", "full"])
-def test_what_is_ablated_stands_beside_the_papers_own_session_of_its_seed(scale: str) -> None:
+def test_each_ablated_session_has_a_full_one_of_the_same_seed_and_settings(scale: str) -> None:
     jobs = flip_sessions.jobs(scale)
     ablated = [job for job in jobs if job.study.startswith(flip_sessions.ABLATION)]
     papers = {job.key: job.arguments for job in jobs if job.study == flip_sessions.PAPER}
@@ -52,7 +52,7 @@ def test_what_is_ablated_stands_beside_the_papers_own_session_of_its_seed(scale:
         assert session == paper
 
 
-def test_what_is_judged_is_held_out_and_what_is_tried_is_not() -> None:
+def test_the_full_study_runs_on_held_out_seeds_and_the_quick_one_does_not() -> None:
     full, quick = flip_sessions.jobs("full"), flip_sessions.jobs("quick")
     assert {job.arguments["seed"] for job in full} == set(flip_sessions.HELD_OUT)
     assert not {job.arguments["seed"] for job in quick} & set(flip_sessions.HELD_OUT)
@@ -114,7 +114,7 @@ def claim(chapter: Chapter, words: str) -> Claim:
     return found
 
 
-def test_the_chapter_meets_what_is_met_and_says_what_is_missed() -> None:
+def test_a_claim_of_the_chapter_is_met_only_if_the_sessions_meet_it() -> None:
     good = [held(seed) for seed in range(9)]
     landed, true = "default: landed in at least 90%", "default: true flips"
     chapter = flip_chapter.chapter(results([*good, held(9, angle=147.0)]))

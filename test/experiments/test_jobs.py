@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Studies lose nothing, repeat nothing, and give the same numbers however they were computed."""
+"""Jobs lose nothing, repeat nothing, and give the same numbers however they were computed."""
 
 import io
 import json
@@ -32,7 +32,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*.json")}
 
 
-def told() -> Console:
+def in_memory() -> Console:
     return Console(file=io.StringIO(), width=200)
 
 
@@ -50,13 +50,13 @@ def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("spoilt", ["", "[]", '{"result": {}}', '{"digest": "0", "result": {}}'])
-def test_a_result_of_other_sources_or_a_broken_one_is_computed_again_and_said_so(
+def test_a_result_of_other_sources_or_a_broken_one_is_computed_again_with_a_message(
     tmp_path: Path, spoilt: str
 ) -> None:
     job = Job("study", "key", study_jobs.count, {"log": str(tmp_path / "log")})
     run([job], tmp_path)
     (tmp_path / "study/key.json").write_text(spoilt)
-    console = told()
+    console = in_memory()
     assert run([job], tmp_path, console=console) == {"study": {"key": {"done": True}}}
     assert "1 results of other sources" in console.file.getvalue()
     assert (tmp_path / "log").read_text() == "xx"
@@ -170,7 +170,7 @@ def test_interrupted_and_begun_again_it_ends_with_the_same_files(tmp_path: Path)
     assert files(tmp_path / "stopped") == files(tmp_path / "whole")
 
 
-def test_the_time_it_took_is_kept_whenever_that_was(tmp_path: Path) -> None:
+def test_computing_times_are_kept_over_several_runs(tmp_path: Path) -> None:
     jobs = draws(4, 0.05)
     run(jobs[:2], tmp_path)
     run(jobs, tmp_path)

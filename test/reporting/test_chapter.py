@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapters say what they were given, escaped, and a table is as wide as its head."""
+"""Chapters show what they were given, escaped, and a table is as wide as its head."""
 
 import pytest
 
@@ -28,7 +28,7 @@ def test_claims_and_figures_of_the_parts_are_found_in_order() -> None:
     assert [drawn.name for drawn in whole.all_figures()] == ["first", "second"]
 
 
-def test_the_overview_says_of_every_claim_whether_it_is_met() -> None:
+def test_the_overview_has_a_verdict_on_every_claim() -> None:
     claims = [CLAIM, Claim("b", "", "1", "", "", False), Claim("c", "", "2", "", "", None)]
     html = chapter.overview([Chapter("Reaching", claims=claims), Chapter("Nothing claimed")])
     assert html.count("<td>") == len(claims) and "Nothing claimed" not in html

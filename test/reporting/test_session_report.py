@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report of a session says what its records say, and needs no other file."""
+"""The report of a session agrees with its records and needs no other file."""
 
 import math
 import re
@@ -68,7 +68,7 @@ def test_a_report_lists_every_rollout_with_its_angle(folder: Path) -> None:
     assert angles[-1] == pytest.approx(180.0 * 0.93, abs=6.0)
 
 
-def test_a_report_says_when_the_first_flip_was_and_which_speeds_were_needed(folder: Path) -> None:
+def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Path) -> None:
     html = session_report.write(folder).read_text()
     assert "Rollout 2 was the first that was flipped and caught" in html  # 100 degrees topple over
     assert "1.37 m/s" in html and "over the factory fault speed" in html

@@ -191,16 +191,16 @@ def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
         content = html_page.image(shown.film, "image/webp")
     else:
         content = f'<p class="quiet">No film: {escape(why_no_film)}</p>'
-    words = shown.caption
+    text = shown.caption
     if task.name == "flip":
-        words += (
+        text += (
             " Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the paper; dots "
             "are camera frames."
         )
     if task.name in ANSWER_FIGURES:
         drawn = ANSWER_FIGURES[task.name](task, rollout)
         content += html_page.image(figures.svg(drawn))
-    return html_page.section(f"The answer, {rollout.tool.id}", [words], content)
+    return html_page.section(f"The answer, {rollout.tool.id}", [text], content)
 
 
 def _curves(header: SessionHeader, task: Task, records: Sequence[Record]) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learners side by side on both tasks: same rollouts, each tuned alike, judged on other seeds.
+"""Learners side by side on both tasks: same rollouts, tuned alike, compared on other seeds.
 
     python -m wam_power_ros.experiments.studies.comparison --tune pancake [--learner pi2]
 
