@@ -47,7 +47,7 @@ class TimedController(TorqueController):
 
     def _send(self, tau: np.ndarray, label: str) -> None:
         super()._send(tau, label)
-        self._marks.append(self._sent_ns)
+        self._marks.append(self._watchdog.sent_ns)
 
     def _on_state(self, message: object) -> None:
         entered = now()

@@ -768,7 +768,7 @@ def test_the_stale_torque_carries_the_arm_without_a_velocity_term() -> None:
     for _ in range(100):
         torques.append(controller.stale_torque())
         check(torques[-1], torques[-2])
-    assert np.allclose(torques[-1], MODEL.gravity(controller._states.q), atol=1e-12)
+    assert np.allclose(torques[-1], MODEL.gravity(controller._states.last.q), atol=1e-12)
 
 
 @pytest.mark.requirement("S-04")

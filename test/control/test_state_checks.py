@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from wam_power_ros.control.state_checks import (
     IMPLAUSIBLE_Q,
     IMPLAUSIBLE_QD,
-    Outcome,
+    JointState,
     Stamp,
     StateChecks,
+    Unanswered,
     judge_stamp,
     plausible,
 )
@@ -27,7 +28,7 @@ ZERO = np.zeros(7)
 def checks() -> StateChecks:
     """Checks that have accepted one state, of stamp 0."""
     states = StateChecks(7, 0.002, 180.0, 0.1)
-    assert states.take(0, Q, ZERO, restart=False) is Outcome.ACCEPTED
+    assert isinstance(states.take(0, Q, ZERO, restart=False), JointState)
     return states
 
 
@@ -73,11 +74,11 @@ def test_one_impossible_value_makes_a_vector_implausible(value: float, i: int) -
 )
 def test_a_state_that_is_not_valid_is_refused_whole(stamp: object, q: object, qd: object) -> None:
     states = checks()
-    assert states.take(stamp, q, qd, restart=False) is Outcome.REFUSED
-    assert (states.stamp_ns, states.refused_in_row, states.fault) == (0, 1, None)
-    assert np.array_equal(states.q, Q) and np.array_equal(states.qd, ZERO)
+    assert states.take(stamp, q, qd, restart=False) is Unanswered.REFUSED
+    assert (states.last.stamp_ns, states.refused_in_row, states.fault) == (0, 1, None)
+    assert np.array_equal(states.last.q, Q) and np.array_equal(states.last.qd, ZERO)
     assert states.counters["older" if stamp == -1 else "rejected"] == 1
-    assert states.take(2 * MS, Q, ZERO, restart=False) is Outcome.ACCEPTED
+    assert isinstance(states.take(2 * MS, Q, ZERO, restart=False), JointState)
     assert states.refused_in_row == 0
 
 
@@ -85,15 +86,15 @@ def test_what_is_accepted_is_a_copy() -> None:
     states, q = checks(), Q.copy()
     states.take(2 * MS, q, ZERO, restart=False)
     q[0] = 9.0
-    assert np.array_equal(states.q, Q)
+    assert np.array_equal(states.last.q, Q)
 
 
 def test_an_older_stamp_is_a_restart_where_that_is_allowed() -> None:
     states = checks()
     states.take(10 * MS, Q, ZERO, restart=False)
-    assert states.take(2 * MS, Q + 1.0, ZERO, restart=True) is Outcome.ACCEPTED
-    assert states.stamp_ns == 2 * MS and states.fault is None  # nothing is compared across it
-    assert states.dt == 0.002
+    assert isinstance(states.take(2 * MS, Q + 1.0, ZERO, restart=True), JointState)
+    assert states.last.stamp_ns == 2 * MS and states.fault is None  # nothing is compared across it
+    assert states.last.dt == 0.002
 
 
 def test_the_fifth_refusal_within_fifty_states_is_a_fault_and_a_slower_one_is_not() -> None:
@@ -114,10 +115,10 @@ def test_a_gap_is_counted_and_a_long_one_a_fault() -> None:
         (21 * MS, 1, FaultKind.STATES_LOST),
     ):
         states = checks()
-        assert states.take(stamp, Q, ZERO, restart=False) is Outcome.ACCEPTED
+        assert isinstance(states.take(stamp, Q, ZERO, restart=False), JointState)
         assert states.counters["gaps"] == gaps
         assert (states.fault and states.fault.kind) == kind
-    assert states.dt == 0.004  # bounded for the limit of change
+    assert states.last.dt == 0.004  # bounded for the limit of change
 
 
 def test_a_jump_is_a_fault_and_may_be_larger_the_longer_the_time_between() -> None:
@@ -127,7 +128,7 @@ def test_a_jump_is_a_fault_and_may_be_larger_the_longer_the_time_between() -> No
         states.take(stamp * MS, Q + size * step, ZERO, restart=False)
         assert states.counters["jumps"] == jumps
         assert (states.fault and states.fault.kind) == (FaultKind.JUMP if jumps else None)
-        states.take(states.stamp_ns + 2 * MS, states.q, ZERO, restart=False)
+        states.take(states.last.stamp_ns + 2 * MS, states.last.q, ZERO, restart=False)
         assert states.fault is None  # it belongs to one state only
 
 
@@ -135,10 +136,10 @@ def test_a_missing_velocity_is_estimated_and_comes_to_rest_bit_for_bit() -> None
     states, speed = checks(), 0.3
     for k in range(1, 101):
         states.take(2 * MS * k, Q + speed * 0.002 * k, None, restart=False)
-    np.testing.assert_allclose(states.qd, speed, rtol=1e-6)
-    end = states.q
+    np.testing.assert_allclose(states.last.qd, speed, rtol=1e-6)
+    end = states.last.q
     states.take(210 * MS, end, None, restart=False)
-    np.testing.assert_allclose(states.qd, speed, rtol=1e-6)  # kept as it is across a gap
+    np.testing.assert_allclose(states.last.qd, speed, rtol=1e-6)  # kept as it is across a gap
     for k in range(106, 206):
         states.take(2 * MS * k, end, None, restart=False)
-    assert np.array_equal(states.qd, ZERO)
+    assert np.array_equal(states.last.qd, ZERO)

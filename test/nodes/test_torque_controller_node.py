@@ -547,7 +547,7 @@ class Broken(torque_controller.TorqueController):
     def _on_policy(self, message):
         raise KeyError("a mistake in the code")
 
-    def _on_execute(self, request, response):
+    def _on_stop(self, request, response):
         self._read = None  # every state from now on
 
 torque_controller.TorqueController = Broken
@@ -640,7 +640,7 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     if during == "policy":
         probe.publisher(String, interface.POLICY, interface.LATCHED).publish(String())
     else:
-        probe.begin(Trigger, interface.EXECUTE)
+        probe.begin(Trigger, interface.STOP)
 
     def told() -> dict[str, str]:
         arm.send()

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,9 +23,9 @@ class Guarded(NamedTuple):
     """A point of the arm, beside the tool, whose motion is limited.
 
     Attributes:
-        name: For messages.
-        link: That it belongs to.
-        offset: In the frame of the link [m]. Shape (3,).
+        name: Name for messages.
+        link: Link that it belongs to.
+        offset: Position in the frame of the link [m]. Shape (3,).
     """
 
     name: str
@@ -44,13 +44,13 @@ class Motion(NamedTuple):
     """Where the tool is and how fast the arm moves, in the base frame.
 
     Attributes:
-        position: Of the tool frame's origin [m]. Shape (3,).
+        position: Position of the tool frame's origin [m]. Shape (3,).
         rotation: Tool axes as columns. Shape (3, 3).
         twist: Linear velocity [m/s] and angular velocity [rad/s]. Shape (6,).
         drift: Jdot qd, the tool's acceleration when no joint accelerates. Shape (6,).
-        guarded_positions: Of the guarded points [m], three numbers each.
-        guarded_speeds: Of the same [m/s].
-        tool_speed: [m/s].
+        guarded_positions: Positions of the guarded points [m], three numbers each.
+        guarded_speeds: Speeds of the guarded points [m/s].
+        tool_speed: Speed of the tool [m/s].
     """
 
     position: np.ndarray
@@ -63,7 +63,7 @@ class Motion(NamedTuple):
 
 
 class Speeds(NamedTuple):
-    """The part of `Motion` that limits of speed look at; see there."""
+    """The part of `Motion` that speed limits need; see there."""
 
     guarded_speeds: list[float]
     tool_speed: float
@@ -73,7 +73,7 @@ class Dynamics(NamedTuple):
     """What the torque law needs beside `Motion`.
 
     Attributes:
-        jacobian: Joint speeds to the tool's twist. Shape (6, n).
+        jacobian: Jacobian from joint speeds to the tool's twist. Shape (6, n).
         inverse_mass: M(q)^-1, rotors included. Shape (n, n).
         bias: C(q, qd) qd + g(q) [N m]. Shape (n,).
     """
@@ -92,7 +92,7 @@ class Arm:
 
     Attributes:
         n: Number of joints.
-        joint_names: In the order of all joint vectors.
+        joint_names: Names of the joints, in the order of all joint vectors.
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
         qd_max: Speed limits [rad/s]. Shape (n,).
@@ -160,7 +160,7 @@ class Arm:
         placement = self._data.oMf[self._tool]
         self._tool_position, self._tool_rotation = placement.translation, placement.rotation
 
-    def __reduce__(self) -> object:
+    def __reduce__(self) -> NoReturn:
         """A copy's arrays would not lie over its buffers."""
         raise TypeError("an Arm cannot be copied; make another from the same URDF")
 
@@ -244,7 +244,7 @@ class Arm:
         return *speeds.guarded_speeds, speeds.tool_speed
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Joint speeds to the tool's twist (linear, angular) in the base frame. Shape (6, n)."""
+        """Jacobian from joint speeds to the tool's twist (linear, angular) in the base. (6, n)."""
         return pin.computeFrameJacobian(self.model, self._data, q, self._tool, _AXES)
 
     def mass_matrix(self, q: np.ndarray) -> np.ndarray:
@@ -269,12 +269,12 @@ class Arm:
 
 
 class _Point:
-    """A point of a link, where it is and how fast in the state `data` was computed for last.
+    """Position and speed of a point of a link in the state `data` was computed for last.
 
     Args:
-        data: Pinocchio's, over whose buffers we read.
-        joint: That moves the link.
-        at: In the frame of the joint [m], three numbers.
+        data: Pinocchio's data, over whose buffers we read.
+        joint: Index of the joint that moves the link.
+        at: Position in the frame of the joint [m], three numbers.
     """
 
     def __init__(self, data: pin.Data, joint: int, at: list[float]) -> None:
@@ -283,13 +283,13 @@ class _Point:
         self._twist = data.v[joint].vector  # in the frame of the joint
 
     def position(self) -> list[float]:
-        """In the base frame [m]: three numbers."""
+        """Position in the base frame [m]: three numbers."""
         x, y, z = self._at
         rows = zip(self._origin.tolist(), self._rotation.tolist(), strict=True)
         return [origin + a * x + b * y + c * z for origin, (a, b, c) in rows]
 
     def speed(self) -> float:
-        """[m/s]."""
+        """Speed [m/s]."""
         vx, vy, vz, wx, wy, wz = self._twist.tolist()
         x, y, z = self._at
         vx += wy * z - wz * y
@@ -333,6 +333,6 @@ def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
 
 
 def _length(twist: np.ndarray) -> float:
-    """Of its linear part [m/s]."""
+    """Length of the linear part of a twist [m/s]."""
     vx, vy, vz, *_ = twist.tolist()
     return math.sqrt(vx * vx + vy * vy + vz * vz)

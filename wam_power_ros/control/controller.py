@@ -27,10 +27,12 @@ from wam_power_ros.control.modes import (
     check_transition,
 )
 from wam_power_ros.control.policy_execution import Execution, PreparedPolicy, prepare
-from wam_power_ros.control.state_checks import Outcome, StateChecks
+from wam_power_ros.control.state_checks import JointState, StateChecks, Unanswered
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
+
+Law = Callable[[int, np.ndarray, np.ndarray, Motion | Speeds], np.ndarray]
 
 
 class Controller:
@@ -78,7 +80,9 @@ class Controller:
         self._rollout: Execution | None = None
         self._finished: EndEffectorPath | None = None
         self._sent = np.zeros(arm.n)  # last torque
-        self._laws: dict[Mode, Callable[[int, np.ndarray, np.ndarray, Motion], np.ndarray]] = {
+        self._laws: dict[
+            Mode, Callable[[int, np.ndarray, np.ndarray, Motion | Speeds], np.ndarray]
+        ] = {
             Mode.INACTIVE: self._rest_torque,
             Mode.GRAVITY_COMPENSATION: self._teaching_torque,
             Mode.HOLD: self._joint_torque,
@@ -105,7 +109,7 @@ class Controller:
     @property
     def stamp_ns(self) -> int | None:
         """Stamp of the last state that was accepted, None before the first [ns]."""
-        return self._states.stamp_ns
+        return None if self._states.last is None else self._states.last.stamp_ns
 
     @property
     def policy_id(self) -> str | None:
@@ -120,13 +124,17 @@ class Controller:
     @property
     def ready(self) -> bool:
         """Whether `execute` would begin: holding at the policy's start, at rest."""
-        return self._unready() is None
+        try:
+            self._ready_policy()
+        except ControllerError:
+            return False
+        return True
 
     @property
     def tracking_error(self) -> np.ndarray | None:
         """q_ref - q [rad] in the last state, None when no joint reference is followed. (n,)."""
-        q_ref, q = self._joints.q_ref, self._states.q
-        return None if q_ref is None or q is None else q_ref - q
+        q_ref, last = self._joints.q_ref, self._states.last
+        return None if q_ref is None or last is None else q_ref - last.q
 
     @property
     def replay_error(self) -> TrackingError | None:
@@ -208,12 +216,11 @@ class Controller:
         Raises:
             ControllerError: The arm is not ready, with the reason.
         """
-        if (refusal := self._unready()) is not None:
-            raise refusal
+        policy = self._ready_policy()
         self._require_switch(Mode.ROLLOUT)
         self._enter(Mode.ROLLOUT)
         self._finished = self.rollout_stamp_ns = None
-        self._rollout = Execution(self._policy, self.arm, self.settings)
+        self._rollout = Execution(policy, self.arm, self.settings)
 
     def fault(self, fault: Fault) -> None:
         """Latch a fault and abort what is under way; without effect when inactive or in a fault."""
@@ -247,7 +254,7 @@ class Controller:
     def _enter(self, mode: Mode, reset: bool = False) -> None:
         """Change the mode, ending what the old one had under way."""
         check_transition(self._mode, mode, self.latched, reset)
-        if self._states.q is None and mode is not Mode.INACTIVE:
+        if self._states.last is None and mode is not Mode.INACTIVE:
             text = f"{mode.value} refused: no joint state has come yet"
             raise ControllerError(Refusal.NOTHING, text)
         self._end_rollout()
@@ -282,36 +289,41 @@ class Controller:
 
     def _require_rest(self, request: str) -> None:
         if unrest := self._unrest():
-            refusal = Refusal.NOTHING if self._states.q is None else Refusal.BUSY
+            refusal = Refusal.NOTHING if self._states.last is None else Refusal.BUSY
             raise ControllerError(refusal, f"{request} refused: {unrest}")
 
     def _unrest(self) -> str:
         """Why the arm does not count as at rest; empty when it does."""
-        q, qd = self._states.q, self._states.qd
-        return "no joint state has come yet" if q is None else safety.unrest(self.arm.motion(q, qd))
+        if (last := self._states.last) is None:
+            return "no joint state has come yet"
+        return safety.unrest(self.arm.motion(last.q, last.qd))
 
-    def _unready(self) -> ControllerError | None:
-        """Why a rollout of the loaded policy cannot begin."""
+    def _ready_policy(self) -> PreparedPolicy:
+        """The loaded policy, when a rollout of it can begin.
+
+        Raises:
+            ControllerError: It cannot, with the reason.
+        """
 
         def refused(refusal: Refusal, text: str, **values: str) -> ControllerError:
             return ControllerError(refusal, f"rollout refused: {text}", values)
 
-        q, prepared = self._states.q, self._policy
+        last, prepared = self._states.last, self._policy
         if self.latched is not None:
-            return refused(Refusal.FAULT, f"fault ({self.latched.text}); reset first")
+            raise refused(Refusal.FAULT, f"fault ({self.latched.text}); reset first")
         if prepared is None:
-            return refused(Refusal.NOTHING, "no policy is loaded")
-        if self._mode is not Mode.HOLD or q is None:
-            return refused(Refusal.BUSY, f"mode is {self._mode.value}, not hold")
+            raise refused(Refusal.NOTHING, "no policy is loaded")
+        if self._mode is not Mode.HOLD or last is None:
+            raise refused(Refusal.BUSY, f"mode is {self._mode.value}, not hold")
         if unrest := self._unrest():
-            return refused(Refusal.BUSY, unrest)
-        error = np.abs(q - prepared.policy.q_start)
+            raise refused(Refusal.BUSY, unrest)
+        error = np.abs(last.q - prepared.policy.q_start)
         worst = int(np.argmax(error))
         if error[worst] > self.settings.start_tolerance:
             joint, policy = self.arm.joint_names[worst], prepared.policy.id
             text = f"{joint} is {error[worst]:.3f} rad from the start of policy {policy}"
-            return refused(Refusal.NOT_AT_START, text, policy=policy)
-        return None
+            raise refused(Refusal.NOT_AT_START, text, policy=policy)
+        return prepared
 
     # Every state
 
@@ -331,16 +343,16 @@ class Controller:
             [N m], read-only. Shape (n,).
         """
         states = self._states
-        outcome = states.take(stamp_ns, q, qd, restart=self._mode in PASSIVE)
+        state = states.take(stamp_ns, q, qd, restart=self._mode in PASSIVE)
         if (fault := states.fault) is not None and not (
             fault.kind is FaultKind.JUMP and self._mode is Mode.GRAVITY_COMPENSATION
         ):  # while teaching nothing refers to a posture
             self.fault(fault)
-        if outcome is Outcome.REPEATED:
-            return self._sent
-        if outcome is Outcome.REFUSED:
-            return self._sent if states.refused_in_row < 3 else self.stale_torque()
-        return self._answer(states.stamp_ns, states.q, states.qd, states.dt)
+        if isinstance(state, JointState):
+            return self._answer(state)
+        if state is Unanswered.REFUSED and states.refused_in_row >= 3:
+            return self.stale_torque()
+        return self._sent
 
     def stale_torque(self) -> np.ndarray:
         """The torque to send when no state has come: carries the arm in its last known posture.
@@ -351,15 +363,16 @@ class Controller:
             [N m], read-only. Shape (n,).
         """
         self.counters["stale"] += 1
-        if (q := self._states.q) is not None:
+        if (last := self._states.last) is not None:
             compensated = self.settings.driver_compensates_gravity
-            tau = np.zeros(self.arm.n) if compensated else self.arm.gravity(q)
+            tau = np.zeros(self.arm.n) if compensated else self.arm.gravity(last.q)
             self._sent = safety.limit_torque(tau, self._sent, self.settings.period, self.limits)
             self._sent.setflags(write=False)
         return self._sent
 
-    def _answer(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, dt: float) -> np.ndarray:
+    def _answer(self, state: JointState) -> np.ndarray:
         """The torque for a state that has been accepted."""
+        stamp_ns, q, qd, dt = state
         # The position of the tool is not needed to hold.
         motion = (self.arm.speeds if self._mode is Mode.HOLD else self.arm.motion)(q, qd)
         if (fault := self._motion.fault(self._mode, q, qd, motion)) is not None:
@@ -427,9 +440,11 @@ class Controller:
         return tau
 
     def _rollout_torque(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
     ) -> np.ndarray:
         rollout = self._rollout
+        if rollout is None or not isinstance(motion, Motion):
+            raise RuntimeError("no rollout is under way")
         tau = rollout.torque(stamp_ns, q, qd, motion)
         if tau is not None:
             return tau
@@ -441,6 +456,6 @@ class Controller:
     def _end_rollout(self) -> None:
         """Finish the path of a rollout that is over, complete or not."""
         rollout, self._rollout = self._rollout, None
-        if rollout is not None and self._states.q is not None:
-            self._finished = rollout.path(self._states.q, self._states.qd)
+        if rollout is not None and (last := self._states.last) is not None:
+            self._finished = rollout.path(last.q, last.qd)
             self.rollout_stamp_ns = rollout.start_ns

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What joints can follow: a move, a recorded movement, a brake; and these one after the other."""
+"""Joint references: a move, a recorded movement, a brake; and these one after the other."""
 
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 
@@ -21,9 +22,9 @@ State = tuple[np.ndarray, np.ndarray, np.ndarray]  # q_ref, qd_ref, qdd_ref, eac
 
 
 class JointReference(Protocol):
-    """Something to follow."""
+    """Reference of all joints over time."""
 
-    duration: float
+    duration: float  # [s]
 
     def at(self, t: float) -> State:
         """Position [rad], speed [rad/s] and acceleration [rad/s^2] at time t [s]."""
@@ -31,11 +32,11 @@ class JointReference(Protocol):
 
 
 class MinJerk:
-    """The straight line of least jerk from one posture to another, from rest to rest.
+    """Minimum-jerk move along a straight line from one posture to another, from rest to rest.
 
     Args:
-        q_from: [rad]. Shape (n,).
-        q_to: [rad]. Shape (n,).
+        q_from: Posture at the beginning [rad]. Shape (n,).
+        q_to: Posture at the end [rad]. Shape (n,).
         speed: Peak speed of the joint that goes farthest [rad/s].
     """
 
@@ -56,14 +57,14 @@ class MinJerk:
 
 
 class Brake:
-    """Smoothly to rest; a joint that hardly moves stays where it is.
+    """Smooth deceleration to rest; a joint that hardly moves stays where it is.
 
     Args:
         q: Posture at the beginning [rad]. Shape (n,).
         qd: Speed at the beginning [rad/s]. Shape (n,).
-        duration: Until the arm rests [s].
-        q_min: No joint brakes beyond [rad]. Shape (n,).
-        q_max: No joint brakes beyond [rad]. Shape (n,).
+        duration: Time until the arm rests [s].
+        q_min: Lower position limits; no joint brakes beyond [rad]. Shape (n,).
+        q_max: Upper position limits; no joint brakes beyond [rad]. Shape (n,).
     """
 
     def __init__(
@@ -93,38 +94,42 @@ class Brake:
 
 
 class Sampled:
-    """A recorded movement, through a cubic spline, sampled on the control grid.
+    """Recorded movement, interpolated by a cubic spline and sampled on the control grid.
 
     Attributes:
-        q: [rad]. Shape (rows, n).
-        qd: [rad/s]. Shape (rows, n).
-        qdd: [rad/s^2]. Shape (rows, n).
-        duration: [s].
+        q: Joint positions [rad]. Shape (rows, n).
+        qd: Joint speeds [rad/s]. Shape (rows, n).
+        qdd: Joint accelerations [rad/s^2]. Shape (rows, n).
+        duration: Duration of the movement [s].
 
     Args:
-        t: Strictly increasing [s]. Shape (N,), N >= 4.
-        q: Smooth [rad]. Shape (N, n).
+        t: Times, strictly increasing [s]. Shape (N,), N >= 4.
+        q: Joint positions, smooth [rad]. Shape (N, n).
         speed: 1 for as recorded.
-        period: Of the control loop [s].
+        period: Sampling period of the control loop [s].
 
     Raises:
-        ValueError: Names the value and the rule.
+        ValueError: A shape or value is not allowed; names it.
     """
 
-    def __init__(self, t: Sequence[float], q: np.ndarray, speed: float, period: float) -> None:
-        t, q = np.array(t, dtype=float), np.array(q, dtype=float)
-        if t.ndim != 1 or q.ndim != 2 or len(t) != len(q) or len(t) < 4:
-            raise ValueError(f"t {t.shape} and q {q.shape} must be (N,) and (N, n), N >= 4")
-        if not (np.isfinite(t).all() and np.isfinite(q).all() and np.all(np.diff(t) > 0.0)):
+    def __init__(self, t: npt.ArrayLike, q: npt.ArrayLike, speed: float, period: float) -> None:
+        times, joints = np.array(t, dtype=float), np.array(q, dtype=float)
+        if times.ndim != 1 or joints.ndim != 2 or not len(joints) == len(times) >= 4:
+            raise ValueError(
+                f"t {times.shape} and q {joints.shape} must be (N,) and (N, n), N >= 4"
+            )
+        if not (
+            np.isfinite(times).all() and np.isfinite(joints).all() and np.all(np.diff(times) > 0.0)
+        ):
             raise ValueError("the times must increase and all values be finite")
         if not 0.0 < speed < math.inf:
             raise ValueError(f"speed {speed} must be positive")
-        self.duration = float(t[-1] - t[0]) / speed
+        self.duration = float(times[-1] - times[0]) / speed
         if self.duration > 600.0:
             raise ValueError(f"the movement takes {self.duration:.0f} s; at most 600 allowed")
         self._period = period
         rows = round(self.duration / period) + 1
-        spline = CubicSpline((t - t[0]) / speed, q)
+        spline = CubicSpline((times - times[0]) / speed, joints)
         grid = np.minimum(np.arange(rows) * period, self.duration)
         self.q, self.qd, self.qdd = (spline(grid, order) for order in range(3))
 
@@ -135,13 +140,13 @@ class Sampled:
 
 
 class Course:
-    """References one after the other, each from where the last one ends, and a brake after all.
+    """Sequence of references, each from where the last one ends, and a brake after all.
 
     Attributes:
-        reference: Under way; None until the first state after `begin`.
+        reference: Reference that is being followed; None until the first state after `begin`.
 
     Args:
-        brake: Makes one, from a posture [rad] and a speed [rad/s].
+        brake: Makes a brake from a posture [rad] and a speed [rad/s].
     """
 
     def __init__(self, brake: Callable[[np.ndarray, np.ndarray], Brake]) -> None:
@@ -151,10 +156,10 @@ class Course:
         self.reference: JointReference | None = None
 
     def begin(self, *steps: JointReference | Callable[[np.ndarray], JointReference]) -> None:
-        """Forget what was, and follow these from the next state; without any, brake.
+        """Drop what is under way, and follow these from the next state on; without any, brake.
 
         Args:
-            *steps: Each a reference, or what makes one from the posture where it begins [rad].
+            *steps: References, or functions that make one from the posture where it begins [rad].
         """
         self._plan = deque(steps)
         self.reference = None
@@ -165,24 +170,24 @@ class Course:
         return isinstance(self.reference, Brake)
 
     def at(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> State:
-        """What to follow in the state with this stamp [ns].
+        """Reference for the state with this stamp.
 
         Args:
-            stamp_ns: Of the state [ns].
-            q: Where the course begins if it has not yet [rad]. Shape (n,).
-            qd: With what speed [rad/s]. Shape (n,).
+            stamp_ns: Stamp of the state [ns].
+            q: Posture where the sequence begins if it has not yet [rad]. Shape (n,).
+            qd: Speed at which it begins [rad/s]. Shape (n,).
         """
-        if self.reference is None:
-            self._next(stamp_ns, q, qd)
-        while not self.ended:
-            end_ns = self._since_ns + round(self.reference.duration * 1e9)
+        reference = self.reference or self._next(stamp_ns, q, qd)
+        while not isinstance(reference, Brake):
+            end_ns = self._since_ns + round(reference.duration * 1e9)
             if stamp_ns < end_ns:
                 break
-            q_end, qd_end, _ = self.reference.at(self.reference.duration)
-            self._next(end_ns, q_end, qd_end)
-        return self.reference.at((stamp_ns - self._since_ns) * 1e-9)
+            q_end, qd_end, _ = reference.at(reference.duration)
+            reference = self._next(end_ns, q_end, qd_end)
+        return reference.at((stamp_ns - self._since_ns) * 1e-9)
 
-    def _next(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> None:
+    def _next(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> JointReference:
         self._since_ns = stamp_ns
         step = self._plan.popleft() if self._plan else self._brake(q, qd)
         self.reference = step(q) if callable(step) else step
+        return self.reference

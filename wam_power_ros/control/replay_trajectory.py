@@ -14,14 +14,14 @@ from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.demonstration import smooth_joints
 
-EASE = 0.3  # [s] in which a replay comes to its speed, and out of it
-KNOT = 0.01  # [s] between two postures of a replay
+EASE = 0.3  # [s] in which a replay reaches its speed, and ends
+KNOT_PERIOD = 0.01  # [s] between two postures of a replay
 
 
 def movement(
     stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray, speed: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A recording as a movement from rest to rest that torques can follow: smooth, and eased.
+    """Smooth a recording and ease it in and out: a movement from rest to rest.
 
     Args:
         stamps_ns: Header stamps [ns], strictly increasing. Shape (M,).
@@ -32,15 +32,15 @@ def movement(
         Times from 0 [s], shape (N,), and joint angles [rad], shape (N, n).
 
     Raises:
-        ValueError: A speed that is not positive, stamps that do not increase, a gap, a value that
-            is not finite, a recording too short.
+        ValueError: The speed is not positive, the stamps do not increase or have a gap, a value is
+            not finite, or the recording is too short.
     """
     if not 0.0 < speed < math.inf:
         raise ValueError(f"speed {speed} must be positive")
     t, smooth = smooth_joints(stamps_ns, q)
     whole = float(t[-1]) / speed
     ease = min(EASE, whole)
-    times = np.linspace(0.0, whole + ease, math.ceil((whole + ease) / KNOT) + 1)
+    times = np.linspace(0.0, whole + ease, math.ceil((whole + ease) / KNOT_PERIOD) + 1)
 
     def eased(since: np.ndarray) -> np.ndarray:
         """Integral of a speed that rises smoothly from 0 to 1 within `ease`, and stays."""

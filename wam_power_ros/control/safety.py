@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits on torque and motion, and what the arm does when something fails.
+"""Limits on torque and motion, and the torques of the arm when something fails.
 
 None of this is a safety function: the pendant and the robot's own safety board are. All functions
 are pure and give the same bits for the same arguments.
@@ -10,7 +10,8 @@ because an old velocity would feed energy in.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -18,6 +19,14 @@ from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import BOXED, MOVING, PASSIVE, Mode
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
+_SCALARS = (
+    "spring_range",
+    "elbow_speed",
+    "tool_speed",
+    "teaching_tool_speed",
+    "periods",
+    "q_jump",
+)
 _SHAPES = {"workspace_min": (3,), "workspace_max": (3,), "plane": (4,)}
 REST_SPEED = 0.05  # [m/s] slower than this the arm is at rest
 REST_SPIN = 4.0 * REST_SPEED  # [rad/s] the same for the rotation of the tool
@@ -30,31 +39,32 @@ TEACHING_SPEED = 2.5  # [m/s]
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What no command and no motion may exceed. Arrays are copied and read-only.
+    """Limits that no command and no motion may exceed. Arrays are copied and read-only.
 
     Attributes:
-        torque: [N m]. Shape (n,).
-        torque_rate: Change of a torque per second [N m/s]; 1000 by default, as libfranka has it.
-            At 500 a hold that a person pushes with 40 N swings up until it faults. Shape (n,).
-        q_min: [rad]. Shape (n,).
-        q_max: [rad]. Shape (n,).
-        qd_max: Joint speed [rad/s]. Shape (n,).
+        torque: Largest torque [N m]. Shape (n,).
+        torque_rate: Largest change of a torque per second [N m/s]; 1000 by default, as libfranka
+            has it. At 500 a hold that a person pushes with 40 N swings up until it faults.
+            Shape (n,).
+        q_min: Lower position limits [rad]. Shape (n,).
+        q_max: Upper position limits [rad]. Shape (n,).
+        qd_max: Largest joint speed [rad/s]. Shape (n,).
         spring_range: Width of the soft springs inside the position limits [rad].
-        spring_torque: Of a spring at the limit [N m]. Shape (n,).
-        elbow_speed: Of the arm's guarded points [m/s]. The WAM's safety board trips at 1.0 m/s
-            as delivered; a toss needs up to 2.0, and the board set accordingly.
-        tool_speed: In all modes but teaching [m/s]; a toss needs about 2.5.
-        teaching_tool_speed: While a person guides the arm [m/s]. A toss taught by hand needs as
-            much as a toss; lower it to 0.5 to teach slow movements only.
+        spring_torque: Torque of a spring at the limit [N m]. Shape (n,).
+        elbow_speed: Largest speed of the arm's guarded points [m/s]. The WAM's safety board trips
+            at 1.0 m/s as delivered; a toss needs up to 2.0, and the board set accordingly.
+        tool_speed: Largest tool speed in all modes but teaching [m/s]; a toss needs about 2.5.
+        teaching_tool_speed: Largest tool speed while a person guides the arm [m/s]. A toss taught
+            by hand needs as much as a toss; lower it to 0.5 to teach slow movements only.
         workspace_min: Corner of the box the tool must stay in during rollout and replay [m].
-        workspace_max: The other corner [m].
+        workspace_max: Opposite corner [m].
         plane: Normal and distance [m] of a plane (a table, a wall) behind which neither tool nor
             guarded points may come while the arm moves by itself: n . x >= d. Shape (4,).
-        periods: A motion limit trips when exceeded in this many states in a row.
+        periods: Number of states in a row beyond a motion limit that make a fault.
         q_jump: Change of a joint from one state to the next that means another zero [rad].
 
     Raises:
-        ValueError: Names the value and the rule.
+        ValueError: A value is out of range; names it and the rule.
     """
 
     torque: np.ndarray
@@ -67,37 +77,40 @@ class Limits:
     elbow_speed: float = 2.0
     tool_speed: float = 4.0
     teaching_tool_speed: float = 4.0
-    workspace_min: np.ndarray = (-1.5, -1.5, -0.5)
-    workspace_max: np.ndarray = (1.5, 1.5, 2.0)
-    plane: np.ndarray = (0.0, 0.0, 1.0, -0.5)
+    workspace_min: np.ndarray = field(default_factory=lambda: np.array([-1.5, -1.5, -0.5]))
+    workspace_max: np.ndarray = field(default_factory=lambda: np.array([1.5, 1.5, 2.0]))
+    plane: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0, -0.5]))
     periods: int = 3
     q_jump: float = 0.1
+    # The same as plain floats, a row a joint or axis: several times faster to compare with.
+    _torques: list[list[float]] = field(init=False, repr=False)
+    _motions: list[list[float]] = field(init=False, repr=False)
+    _springless: list[list[float]] = field(init=False, repr=False)
+    _box: list[list[float]] = field(init=False, repr=False)
+    _plane: list[float] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         n = np.size(self.torque)
-        for field in fields(self):
-            value = getattr(self, field.name)
-            shape: tuple[int, ...] = ()
-            if field.type is np.ndarray:
-                shape = _SHAPES.get(field.name, (n,))
+        for name in _names():
+            value = getattr(self, name)
+            shape: tuple[int, ...] = () if name in _SCALARS else _SHAPES.get(name, (n,))
             array = np.array(value, dtype=float)
             if array.shape != shape or not np.isfinite(array).all():
-                raise ValueError(f"limit {field.name} = {value} must be finite, shape {shape}")
-            signed = field.name in ("q_min", "q_max", *_SHAPES)
-            zero_allowed = field.name == "spring_torque"
+                raise ValueError(f"limit {name} = {value} must be finite, shape {shape}")
+            signed = name in ("q_min", "q_max", *_SHAPES)
+            zero_allowed = name == "spring_torque"
             if not signed and not np.all(array >= 0.0 if zero_allowed else array > 0.0):
-                raise ValueError(f"limit {field.name} = {value} must be positive")
+                raise ValueError(f"limit {name} = {value} must be positive")
             if shape:
                 array.setflags(write=False)
-                object.__setattr__(self, field.name, array)
-        for low, high in (("q_min", "q_max"), ("workspace_min", "workspace_max")):
-            if not np.all(getattr(self, low) < getattr(self, high)):
-                raise ValueError(f"limit {low} = {getattr(self, low)} must be below {high}")
+                object.__setattr__(self, name, array)
+        for least, most in (("q_min", "q_max"), ("workspace_min", "workspace_max")):
+            if not np.all(getattr(self, least) < getattr(self, most)):
+                raise ValueError(f"limit {least} = {getattr(self, least)} must be below {most}")
         if abs(float(np.linalg.norm(self.plane[:3])) - 1.0) > 1e-6:
             raise ValueError(f"limit plane = {self.plane} must begin with a unit normal")
         if self.periods != int(self.periods):
             raise ValueError(f"limit periods = {self.periods} must be a whole number")
-        # The same as plain floats, a row a joint or axis: several times faster to compare with.
         low, high, width = self.q_min, self.q_max, self.spring_range
         for name, columns in (
             ("_torques", (self.torque, self.torque_rate)),
@@ -109,20 +122,24 @@ class Limits:
         object.__setattr__(self, "_plane", self.plane.tolist())
 
 
+def _names() -> list[str]:
+    return [each.name for each in fields(Limits) if each.init]
+
+
 def limits_of(arm: Arm, **overrides: object) -> Limits:
     """The limits of an arm: those of its URDF, and defaults for the rest.
 
     Args:
-        arm: With torque, position and speed limits.
+        arm: Arm with torque, position and speed limits.
         **overrides: Fields of `Limits`.
 
     Raises:
         ValueError: A field that does not exist, or a value out of range.
     """
-    known = {field.name for field in fields(Limits)}
-    if unknown := sorted(set(overrides) - known):
+    known = _names()
+    if unknown := sorted(set(overrides) - set(known)):
         raise ValueError(f"limits {unknown} do not exist; known: {sorted(known)}")
-    values = {
+    values: dict[str, Any] = {
         "torque": arm.tau_max,
         "torque_rate": np.full(arm.n, 1000.0),
         "q_min": arm.q_min,
@@ -139,18 +156,18 @@ def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limit
     When `tau` is within both limits, the result is `tau` itself.
 
     Args:
-        tau: Wanted, finite [N m]. Shape (n,).
-        previous: Sent last, within the limit of size [N m]. Shape (n,).
-        dt: Since the last one was sent [s].
-        limits: Of the arm.
+        tau: Wanted torque, finite [N m]. Shape (n,).
+        previous: Torque sent last, within the limit of size [N m]. Shape (n,).
+        dt: Time since the last one was sent [s].
+        limits: Limits of the arm.
 
     Returns:
         [N m]. Shape (n,).
     """
     rows = zip(tau.tolist(), previous.tolist(), limits._torques, strict=True)
     for wanted, last, (peak, rate) in rows:
-        step = rate * dt
-        if not (last - step <= wanted <= last + step and -peak <= wanted <= peak):
+        change = rate * dt
+        if not (last - change <= wanted <= last + change and -peak <= wanted <= peak):
             break
     else:
         return tau
@@ -168,7 +185,7 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
 
     Args:
         q: [rad]. Shape (n,).
-        limits: Of the arm.
+        limits: Limits of the arm.
 
     Returns:
         [N m]. Shape (n,).
@@ -242,8 +259,8 @@ def exceeded(
         qd: [rad/s], n of them.
         motion: Kinematics of the state.
         guarded: Names of the arm's guarded points.
-        limits: Of the arm.
-        tool_speed: Limit in this mode [m/s].
+        limits: Limits of the arm.
+        tool_speed: Limit of the tool speed in this mode [m/s].
         boxed: Whether the workspace box applies.
     """
     rows = zip(q, qd, limits._motions, strict=True)
@@ -274,8 +291,8 @@ def behind_plane(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault
     """First point that is behind the limits' plane, or None.
 
     Args:
-        points: In the base frame [m], three numbers each.
-        limits: Of the arm.
+        points: Positions in the base frame by name [m], three numbers each.
+        limits: Limits of the arm.
     """
     nx, ny, nz, least = limits._plane
     for name, (x, y, z) in points.items():

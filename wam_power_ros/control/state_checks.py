@@ -4,6 +4,7 @@
 import enum
 import math
 from collections import Counter, deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,12 +27,27 @@ class Stamp(enum.Enum):
     GAP = "gap"  # later than three periods: never differentiated across
 
 
-class Outcome(enum.Enum):
-    """What became of a joint state."""
+class Unanswered(enum.Enum):
+    """Why a joint state was not accepted."""
 
-    ACCEPTED = "accepted"
     REPEATED = "repeated"  # the last accepted state once more
     REFUSED = "refused"
+
+
+class JointState(NamedTuple):
+    """A joint state that was accepted.
+
+    Attributes:
+        stamp_ns: Stamp of the driver's header [ns].
+        q: Joint positions [rad]. Shape (n,).
+        qd: Joint speeds [rad/s]. Shape (n,).
+        dt: Time since the state before, within half and twice the period [s].
+    """
+
+    stamp_ns: int
+    q: np.ndarray
+    qd: np.ndarray
+    dt: float
 
 
 def judge_stamp(stamp_ns: int, last_ns: int | None, period_ns: int) -> Stamp:
@@ -70,10 +86,7 @@ class StateChecks:
 
     Attributes:
         counters: Number of states `accepted`, `repeated`, `older`, `rejected`; of `gaps`, `jumps`.
-        stamp_ns: Stamp of the last accepted state, None before the first [ns].
-        q: Joint positions of the last accepted state, None before the first [rad]. Shape (n,).
-        qd: Joint speeds of the last accepted state [rad/s]. Shape (n,).
-        dt: Time between the last two accepted states, within half and twice the period [s].
+        last: Last accepted state, None before the first.
         fault: Fault that the last state gives rise to, None without.
         refused_in_row: Number of states refused since the last accepted one.
 
@@ -86,10 +99,7 @@ class StateChecks:
 
     def __init__(self, n: int, period: float, velocity_cutoff: float, q_jump: float) -> None:
         self.counters: Counter[str] = Counter()
-        self.stamp_ns: int | None = None
-        self.q: np.ndarray | None = None
-        self.qd = np.zeros(n)
-        self.dt = period
+        self.last: JointState | None = None
         self.fault: Fault | None = None
         self.refused_in_row = 0
         self._n, self._period, self._cutoff, self._q_jump = n, period, velocity_cutoff, q_jump
@@ -97,8 +107,10 @@ class StateChecks:
         self._count = 0  # states so far
         self._refusals: deque[int] = deque(maxlen=_REFUSALS)  # counts at which states were refused
 
-    def take(self, stamp_ns: object, q: object, qd: object, restart: bool) -> Outcome:
-        """Check one joint state; what an accepted one holds is in the attributes.
+    def take(
+        self, stamp_ns: object, q: object, qd: object, restart: bool
+    ) -> JointState | Unanswered:
+        """Check one joint state.
 
         Args:
             stamp_ns: Stamp of the driver's header [ns].
@@ -111,28 +123,29 @@ class StateChecks:
         if not isinstance(stamp_ns, _INTEGERS):
             return self._refuse("rejected")
         stamp_ns = int(stamp_ns)
-        stamp = judge_stamp(stamp_ns, self.stamp_ns, self._period_ns)
+        last = self.last
+        stamp = judge_stamp(stamp_ns, None if last is None else last.stamp_ns, self._period_ns)
         if stamp is Stamp.REPEATED:
             self.counters["repeated"] += 1
-            return Outcome.REPEATED
+            return Unanswered.REPEATED
         if stamp is Stamp.OLDER:
             if not restart:
                 return self._refuse("older")
-            stamp = Stamp.FIRST
+            stamp, last = Stamp.FIRST, None
         positions = self._read(q, IMPLAUSIBLE_Q)
         if positions is None:
             return self._refuse("rejected")
-        given = self._velocity(stamp, stamp_ns, positions) if qd is None else qd
+        given = self._velocity(last, stamp, stamp_ns, positions) if qd is None else qd
         speeds = self._read(given, IMPLAUSIBLE_QD)
         if speeds is None:
             return self._refuse("rejected")
         self.counters["accepted"] += 1
         self.refused_in_row = 0
-        self.dt = self._check_continuity(stamp, stamp_ns, positions)
-        self.stamp_ns, self.q, self.qd = stamp_ns, positions, speeds
-        return Outcome.ACCEPTED
+        dt = self._check_continuity(last, stamp, stamp_ns, positions)
+        self.last = JointState(stamp_ns, positions, speeds, dt)
+        return self.last
 
-    def _refuse(self, counter: str) -> Outcome:
+    def _refuse(self, counter: str) -> Unanswered:
         self.counters[counter] += 1
         self.refused_in_row += 1
         refusals = self._refusals
@@ -140,7 +153,7 @@ class StateChecks:
         if len(refusals) == _REFUSALS and self._count - refusals[0] < _WINDOW:
             text = "five joint states refused within 50"
             self.fault = Fault(FaultKind.STATES_REFUSED, text)
-        return Outcome.REFUSED
+        return Unanswered.REFUSED
 
     def _read(self, values: object, bound: float) -> np.ndarray | None:
         """A copy of a joint vector; None when it is not one, not finite or impossibly large."""
@@ -152,31 +165,35 @@ class StateChecks:
             return None
         return array
 
-    def _velocity(self, stamp: Stamp, stamp_ns: int, q: np.ndarray) -> np.ndarray:
+    def _velocity(
+        self, last: JointState | None, stamp: Stamp, stamp_ns: int, q: np.ndarray
+    ) -> np.ndarray:
         """Differentiated and low-passed position; kept as it is across a gap."""
-        if stamp is Stamp.FIRST or self.q is None or self.stamp_ns is None:
+        if last is None:
             return np.zeros(self._n)
         if stamp is Stamp.GAP:
-            return self.qd
-        dt = (stamp_ns - self.stamp_ns) * 1e-9
+            return last.qd
+        dt = (stamp_ns - last.stamp_ns) * 1e-9
         share = 1.0 - math.exp(-self._cutoff * dt)
-        qd = self.qd + share * ((q - self.q) / dt - self.qd)
+        qd = last.qd + share * ((q - last.q) / dt - last.qd)
         qd[np.abs(qd) < 1e-4] = 0.0  # so that the filter comes to rest bit for bit
         return qd
 
-    def _check_continuity(self, stamp: Stamp, stamp_ns: int, q: np.ndarray) -> float:
-        """Look for a gap and for a jump; returns `dt` [s]."""
-        if stamp is Stamp.FIRST or self.stamp_ns is None or self.q is None:
+    def _check_continuity(
+        self, last: JointState | None, stamp: Stamp, stamp_ns: int, q: np.ndarray
+    ) -> float:
+        """Look for a gap and for a jump; returns the `dt` of the state [s]."""
+        if last is None:
             return self._period
-        dt = (stamp_ns - self.stamp_ns) * 1e-9
+        dt = (stamp_ns - last.stamp_ns) * 1e-9
         if stamp is Stamp.GAP:
             self.counters["gaps"] += 1
             if dt > STATES_LOST_AFTER:
                 text = f"no joint state for {dt * 1e3:.0f} ms"
                 self.fault = Fault(FaultKind.STATES_LOST, text)
         allowed = self._q_jump * max(1.0, dt / self._period)
-        if math.dist(q.tolist(), self.q.tolist()) > allowed:  # no joint went farther than that
-            jump = max(map(abs, (q - self.q).tolist()))
+        if math.dist(q.tolist(), last.q.tolist()) > allowed:  # no joint went farther than that
+            jump = max(map(abs, (q - last.q).tolist()))
             if jump > allowed:
                 self.counters["jumps"] += 1
                 text = f"a joint jumped by {jump:.3f} rad from one state to the next"

@@ -9,7 +9,7 @@ acceleration ("virtual_mass"). Joint motion that does not move the tool (the nul
 free, so a person may push the elbow aside.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg.lapack import dposv
@@ -21,21 +21,21 @@ KINDS = ("operational_space", "virtual_mass")
 
 @dataclass(frozen=True)
 class TorqueLaw:
-    """How an acceleration becomes a wrench.
+    """Torque law: from a wanted acceleration of the tool to a wrench and joint torques.
 
     Attributes:
         kind: "operational_space" or "virtual_mass".
         translation_damping: Added to the diagonal of J M^-1 J^T for the translation [1/kg]. Bounds
             the apparent mass where the arm cannot move, at stretched elbow for instance.
-        rotation_damping: The same for the rotation [1/(kg m^2)]; without it the law runs away at
-            the wrist singularity (J6 = 0 of the WAM).
+        rotation_damping: Added likewise for the rotation [1/(kg m^2)]; without it the law runs
+            away at the wrist singularity (J6 = 0 of the WAM).
         mass: Virtual mass m_T [kg], for "virtual_mass".
         inertia: Virtual moment of inertia I_T [kg m^2], for "virtual_mass".
         null_damping: Decay of joint motion that does not move the tool [1/s], for
             "operational_space"; 0 leaves it free.
 
     Raises:
-        ValueError: A value out of range.
+        ValueError: A value is out of range.
     """
 
     kind: str = "operational_space"
@@ -44,6 +44,8 @@ class TorqueLaw:
     mass: float = 1.0
     inertia: float = 0.01
     null_damping: float = 0.0
+    _damping: np.ndarray = field(init=False, repr=False, compare=False)
+    _inertia: np.ndarray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -71,8 +73,8 @@ class TorqueLaw:
 
         Args:
             motion: Kinematics of the state.
-            dynamics: Of the same state.
-            qd: [rad/s]. Shape (n,).
+            dynamics: Dynamics of the same state.
+            qd: Joint speeds [rad/s]. Shape (n,).
             acceleration: Linear [m/s^2] and angular [rad/s^2], in the base frame. Shape (6,).
 
         Returns:

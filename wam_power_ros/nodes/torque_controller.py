@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Torque controller: joint states in, one torque each out; policies in, finished rollouts out.
 
-A managed (lifecycle) node, thin over `controller.Controller`. The arm sets the pace: there is no
-clock beside its states, but a watchdog on the steady clock for when they stay away.
+A managed (lifecycle) node, thin over `control.controller.Controller`. The arm sets the pace: there
+is no clock beside its states, but a watchdog on the steady clock for when they stay away.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -26,6 +27,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.control.watchdog import Watchdog, overload
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
@@ -47,11 +49,8 @@ from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 MOVING = (Mode.MOVE_TO_START, Mode.REPLAY)
-STALE_FAULT_NS = 20_000_000  # without a state for longer, the fault is latched
-STALE_IDLE_NS = 100_000_000  # and for longer still, the driver is asked to idle
-ENABLE_NS = 100_000_000  # after which the enabling switch counts as released
-MISSED_WARN, MISSED_FAULT = 0.01, 0.05  # share of the periods of a second
-MISSED_IN_ROW = 3
+FRESH_NS = 1_000_000_000  # [ns] age of a joint state with which the arm may be activated
+ENABLE_NS = 100_000_000  # [ns] after which the enabling switch counts as released
 
 
 class TorqueController(LifecycleNode):
@@ -67,17 +66,14 @@ class TorqueController(LifecycleNode):
         self._controller: Controller | None = None
         self._active = False
         self._refused: Counter[str] = Counter()
-        self._trouble = ""  # the last refusal, for the diagnostics
+        self._last_refusal = ""  # for the diagnostics
         self._movement: joint_messages.JointMovement | None = None  # to be replayed
         self._moved_for = ""  # policy to whose start the arm was sent last
-        self._qd: np.ndarray | None = None  # of the velocity topic
+        self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._stamp_ns = 0  # of the last state
-        self._arrived_ns = self._sent_ns = 0  # steady clock
-        self._watched_ns = self._excused_ns = 0  # steady clock, as all these
-        self._idle_asked = False
-        self._enabled_ns = -ENABLE_NS
+        self._enabled_ns = -ENABLE_NS  # steady clock
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may stay away
-        self._state_timeout = 0.0 if sim_time else params.state_timeout  # [s]
+        self._watchdog = Watchdog(0.0 if sim_time else params.state_timeout, params.period)
         self._statistics = LoopStatistics(round(params.period * 1e9))
         self._granted = scheduling.Granted()
 
@@ -108,10 +104,11 @@ class TorqueController(LifecycleNode):
         if not params.urdf:
             subscribe(String, interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED)
         serve = self.create_service
-        serve(Trigger, interface.EXECUTE, self._on_execute)
+        serve(Trigger, interface.EXECUTE, self._answering(lambda core, _: core.execute()))
         serve(Trigger, interface.STOP, self._on_stop)
-        serve(Trigger, interface.RESET, self._on_reset)
-        serve(SetBool, interface.GRAVITY_COMPENSATION, self._on_gravity_compensation)
+        serve(Trigger, interface.RESET, self._answering(lambda core, _: core.reset()))
+        switch = self._answering(lambda core, asked: core.set_gravity_compensation(asked.data))
+        serve(SetBool, interface.GRAVITY_COMPENSATION, switch)
         self._move = LateTrigger(self, interface.MOVE_TO_START, self._begin_move)
         self._replay = LateTrigger(self, interface.REPLAY, self._begin_replay)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -121,7 +118,7 @@ class TorqueController(LifecycleNode):
     # Life cycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Build the core; everything that takes long happens here."""
+        """Build the controller; everything that takes long happens here."""
         try:
             if not self._urdf:
                 raise ValueError(f"nothing has come on {interface.ROBOT_DESCRIPTION} yet")
@@ -144,7 +141,8 @@ class TorqueController(LifecycleNode):
             self._guard.listen()
             self._refuse("activation", reason)
             return FAILURE
-        self._active, self._idle_asked = True, False
+        self._active = True
+        self._watchdog.activated()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -174,8 +172,8 @@ class TorqueController(LifecycleNode):
         self._answer_moves()
 
     def _unfit(self) -> str | None:
-        age = time.monotonic_ns() - self._arrived_ns
-        return None if age < 1_000_000_000 else "no joint state within the last second"
+        age_ns = time.monotonic_ns() - self._watchdog.arrived_ns
+        return None if age_ns < FRESH_NS else "no joint state within the last second"
 
     def _unscheduled(self) -> str | None:
         if self._params.allow_no_realtime or self._granted.complete:
@@ -208,13 +206,13 @@ class TorqueController(LifecycleNode):
             controller.enabled = arrived_ns - self._enabled_ns < ENABLE_NS
         tau = controller.step(stamp_ns, q, self._qd if qd is None else qd)
         if controller.stamp_ns != stamp_ns:
-            return None  # refused and counted by the core; `watch` sends when no good one comes
-        self._arrived_ns, self._idle_asked = arrived_ns, False
+            return None  # refused and counted; `watch` sends when no good one comes
+        self._watchdog.arrived(arrived_ns)
         self._stamp_ns = stamp_ns
         if not self._active:
             return None
         self._send(tau, controller.label)
-        self._statistics.add(arrived_ns, self._sent_ns)
+        self._statistics.add(arrived_ns, self._watchdog.sent_ns)
         path = controller.take_finished()
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
@@ -227,11 +225,11 @@ class TorqueController(LifecycleNode):
         self._enabled_ns = time.monotonic_ns() if message.data else -ENABLE_NS
 
     def failed(self, error: Exception) -> None:
-        """A callback has failed: nothing it was doing can be trusted, but the arm is carried."""
+        """Latch a fault: a callback has failed and cannot be trusted; the arm is carried."""
         trace = "".join(traceback.format_exception(error))
         self.get_logger().error(trace, throttle_duration_sec=1.0)
         self._refused["callback"] += 1
-        self._trouble = f"callback failed: {error!r}"
+        self._last_refusal = f"callback failed: {error!r}"
         if self._active:
             self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
             self._send(self._controller.stale_torque(), Mode.FAULT.value)
@@ -245,40 +243,29 @@ class TorqueController(LifecycleNode):
         return None
 
     def patience(self) -> float:
-        """How long `watch` need not be called if no state comes [s]."""
-        if not self._active or self._state_timeout == 0.0:
+        """Time for which `watch` need not be called if no state comes [s]."""
+        if not self._active or not self._watchdog.enabled:
             return 0.1
-        wait = max(self._due_ns(), self._excused_ns) - time.monotonic_ns()
-        return min(max(wait * 1e-9, 0.0), 0.01)
-
-    def _due_ns(self) -> int:
-        """When the next torque is due without a state [ns, steady clock]."""
-        stale_ns = self._arrived_ns + round(self._state_timeout * 1e9)
-        return max(stale_ns, self._sent_ns + round(self._params.period * 1e9))
+        return self._watchdog.patience(time.monotonic_ns())
 
     def watch(self) -> None:
         """Between callbacks: carry the arm when its states stay away (not in lockstep)."""
-        if not self._active or self._state_timeout == 0.0:
+        if not self._active or not self._watchdog.enabled:
             return
-        core, now = self._controller, time.monotonic_ns()
-        if now - self._watched_ns > STALE_FAULT_NS:  # it was us who stood still: states wait for us
-            self._excused_ns = now + STALE_FAULT_NS
-        self._watched_ns = now
-        if now < self._due_ns() or now < self._excused_ns:
+        silence = self._watchdog.check(time.monotonic_ns())
+        if silence is None:
             return
-        age = now - self._arrived_ns
-        if age > STALE_FAULT_NS:
-            text = f"no joint state for {age // 1_000_000} ms"
-            core.fault(Fault(FaultKind.STATES_LOST, text))
-        if age > STALE_IDLE_NS and not self._idle_asked and self._params.idle_service:
-            self._idle_asked = True
+        core = self._controller
+        if silence.fault is not None:
+            core.fault(silence.fault)
+        if silence.idle and self._params.idle_service:
             self._idle.call_async(Trigger.Request())
         label = core.mode.value if core.mode is Mode.FAULT else core.label
         self._send(core.stale_torque(), label)
 
     def _send(self, tau: np.ndarray, label: str) -> None:
         self._commands.publish(self._write(self._stamp_ns, label, tau))
-        self._sent_ns = time.monotonic_ns()
+        self._watchdog.sent_ns = time.monotonic_ns()
 
     # Policies and requests
 
@@ -299,25 +286,17 @@ class TorqueController(LifecycleNode):
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
 
-    def _on_execute(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, self._try(lambda core: core.execute()))
-
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        stopped = Answer(Code.STOPPED, "stopped")
-        self._move.finish(False, str(stopped))
-        self._replay.finish(
-            False, str(Answer(Code.STOPPED, f"stopped\n{self._followed()}".rstrip()))
-        )
-        return _fill(response, self._try(lambda core: core.stop()))
+        self._move.finish(False, str(Answer(Code.STOPPED, "stopped")))
+        text = f"stopped\n{self._replay_summary()}".rstrip()
+        self._replay.finish(False, str(Answer(Code.STOPPED, text)))
+        return _fill(response, self._try(Controller.stop))
 
-    def _on_reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        return _fill(response, self._try(lambda core: core.reset()))
-
-    def _on_gravity_compensation(
-        self, request: SetBool.Request, response: SetBool.Response
-    ) -> SetBool.Response:
-        on = request.data
-        return _fill(response, self._try(lambda core: core.set_gravity_compensation(on)))
+    def _answering(
+        self, request: Callable[[Controller, Any], None]
+    ) -> Callable[[Any, Trigger.Response], Trigger.Response]:
+        """Service callback that makes a request to the controller."""
+        return lambda asked, response: _fill(response, self._try(lambda c: request(c, asked)))
 
     def _try(self, request: Callable[[Controller], None]) -> Answer:
         """Answer to a request: the id of the loaded policy, or why it was refused."""
@@ -330,7 +309,7 @@ class TorqueController(LifecycleNode):
         return _done(self._controller.policy_id)
 
     def _begin_move(self) -> str | None:
-        answer = self._try(lambda core: core.move_to_start())
+        answer = self._try(Controller.move_to_start)
         self._moved_for = answer.values.get("policy", "")
         return None if answer.success else str(answer)
 
@@ -343,7 +322,7 @@ class TorqueController(LifecycleNode):
         return None if answer.success else str(answer)
 
     def _answer_moves(self) -> None:
-        """Answer who asked for a movement, once the arm rests or the movement was broken off."""
+        """Answer the requests for a movement, once the arm rests or the movement was aborted."""
         core, mode = self._controller, self._controller.mode
         if mode in MOVING or (mode is Mode.HOLD and not core.at_rest):
             return
@@ -355,11 +334,11 @@ class TorqueController(LifecycleNode):
         answer = _done(self._moved_for) if core.ready else failed
         self._move.finish(answer.success, str(answer))
         if self._replay.pending:
-            answer = Answer(Code.DONE, self._followed()) if mode is Mode.HOLD else failed
+            answer = Answer(Code.DONE, self._replay_summary()) if mode is Mode.HOLD else failed
             self._replay.finish(answer.success, str(answer))
 
-    def _followed(self) -> str:
-        """How well the last replay went."""
+    def _replay_summary(self) -> str:
+        """Tracking error of the last replay, as text."""
         error = None if self._controller is None else self._controller.replay_error
         return "" if error is None or not error.count else error.text(self._params.joint_names)
 
@@ -388,7 +367,7 @@ class TorqueController(LifecycleNode):
             **{f"refused: {name}": count for name, count in self._refused.items()},
             "real-time scheduling": self._granted.scheduling,
             "locked memory": self._granted.memory,
-            "last refusal": self._trouble,
+            "last refusal": self._last_refusal,
         }
         level, text = "ok", values["mode"]
         if core is not None and core.mode is Mode.FAULT:
@@ -399,28 +378,27 @@ class TorqueController(LifecycleNode):
             level, text = "warn", overload
         elif self._params.realtime_priority and not self._granted.complete:
             level, text = "warn", f"{text}; no real-time scheduling"
-        elif self._trouble:
-            level, text = "warn", self._trouble
-        self._trouble = ""
+        elif self._last_refusal:
+            level, text = "warn", self._last_refusal
+        self._last_refusal = ""
         name = "torque_controller: loop"
         self._diagnostics.publish(
             diagnostics_message(now, name, self._params.hardware_id, level, text, values)
         )
 
     def _overload(self) -> str:
-        """What to say of the last second's missed periods; too many are a fault."""
-        share, in_row = self._statistics.share_missed, self._statistics.missed_in_row
-        if self._state_timeout == 0.0 or (share <= MISSED_WARN and in_row < MISSED_IN_ROW):
+        """Warning about the last second's missed periods; too many are a fault."""
+        if not self._watchdog.enabled:
             return ""
-        text = f"{100.0 * share:.1f} % of the periods of a second missed, {in_row} in a row"
-        if share > MISSED_FAULT and self._active and not self._params.allow_no_realtime:
-            self._controller.fault(Fault(FaultKind.OVERLOAD, text))
+        text, fault = overload(self._statistics.share_missed, self._statistics.missed_in_row)
+        if fault is not None and self._active and not self._params.allow_no_realtime:
+            self._controller.fault(fault)
         return text
 
     def _refuse(self, what: str, reason: object) -> None:
         self._refused[what] += 1
-        self._trouble = f"{what} refused: {reason}"
-        self.get_logger().warning(self._trouble, throttle_duration_sec=1.0)
+        self._last_refusal = f"{what} refused: {reason}"
+        self.get_logger().warning(self._last_refusal, throttle_duration_sec=1.0)
 
 
 def _done(policy_id: str | None) -> Answer:
