@@ -17,7 +17,6 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.joint_references import Brake, MinJerk, Sampled
 from wam_power_ros.control.modes import TRANSITIONS, ControllerError, Mode
 from wam_power_ros.control.torque_law import TorqueLaw
 from wam_power_ros.learning import dmp
@@ -225,33 +224,7 @@ def test_hold_brakes_a_moving_arm_without_a_jerk() -> None:
     assert np.allclose(plant.q, q + 0.5 * 0.15 * qd, atol=0.02)
 
 
-def test_hold_never_brakes_beyond_a_joint_limit() -> None:
-    q = HOME.copy()
-    q[5] = LIMITS.q_max[5] - 0.02
-    brake = Brake(q, np.full(7, 3.0), 0.15, LIMITS.q_min, LIMITS.q_max)
-    for t in np.linspace(0.0, 0.2, 50):
-        assert np.all(brake.at(t)[0] <= LIMITS.q_max + 1e-12)
-
-
 # -------------------------------------------------------------------------------- joint movement
-
-
-@pytest.mark.parametrize("make_reference", ["min_jerk", "brake", "sampled"])
-def test_speed_and_acceleration_of_a_reference_are_its_derivatives(make_reference: str) -> None:
-    target = HOME + np.linspace(0.5, -0.5, 7)
-    t = np.linspace(0.0, 1.0, 501)
-    recorded = HOME + np.sin(3.0 * t)[:, None] * np.linspace(0.1, 0.5, 7)
-    reference = {
-        "min_jerk": MinJerk(HOME, target, 0.6),
-        "brake": Brake(HOME, target, 0.15, HOME - 9.0, HOME + 9.0),
-        "sampled": Sampled(t, recorded, 0.8, 0.002),
-    }[make_reference]
-    grid = np.arange(1, round(reference.duration / 0.002)) * 0.002
-    q, qd, qdd = (np.array(rows) for rows in zip(*map(reference.at, grid), strict=True))
-    scale = np.abs(qdd).max()
-    assert np.allclose(np.gradient(q, 0.002, axis=0)[1:-1], qd[1:-1], atol=1e-3 * scale)
-    assert np.allclose(np.gradient(qd, 0.002, axis=0)[1:-1], qdd[1:-1], atol=0.02 * scale)
-    assert np.array_equal(reference.at(1e9)[0], reference.at(reference.duration)[0])
 
 
 @pytest.mark.requirement("S-29")

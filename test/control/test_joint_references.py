@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint references are smooth, end where they should, and follow one another without a step."""
+
+import numpy as np
+import pytest
+
+from wam_power_ros.control.joint_references import Brake, Course, MinJerk, Sampled
+
+HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+LOW, HIGH = HOME - 3.0, HOME + 3.0
+MS = 1_000_000
+
+
+def brake(q: np.ndarray, qd: np.ndarray) -> Brake:
+    return Brake(q, qd, 0.15, LOW, HIGH)
+
+
+def test_no_brake_ends_beyond_a_joint_limit() -> None:
+    q = HOME.copy()
+    q[5] = HIGH[5] - 0.02
+    stop = brake(q, np.full(7, 3.0))
+    for t in np.linspace(0.0, 0.2, 50):
+        assert np.all(stop.at(t)[0] <= HIGH + 1e-12)
+
+
+def test_a_joint_that_hardly_moves_is_not_braked_but_kept() -> None:
+    end = brake(HOME, np.array([0.04, -0.04, 0.0, 0.5, 0.0, 0.0, 0.0])).at(1.0)[0]
+    assert np.array_equal(np.flatnonzero(end != HOME), [3])
+
+
+@pytest.mark.parametrize("make_reference", ["min_jerk", "brake", "sampled"])
+def test_speed_and_acceleration_of_a_reference_are_its_derivatives(make_reference: str) -> None:
+    target = HOME + np.linspace(0.5, -0.5, 7)
+    t = np.linspace(0.0, 1.0, 501)
+    recorded = HOME + np.sin(3.0 * t)[:, None] * np.linspace(0.1, 0.5, 7)
+    reference = {
+        "min_jerk": MinJerk(HOME, target, 0.6),
+        "brake": Brake(HOME, target, 0.15, HOME - 9.0, HOME + 9.0),
+        "sampled": Sampled(t, recorded, 0.8, 0.002),
+    }[make_reference]
+    grid = np.arange(1, round(reference.duration / 0.002)) * 0.002
+    q, qd, qdd = (np.array(rows) for rows in zip(*map(reference.at, grid), strict=True))
+    scale = np.abs(qdd).max()
+    assert np.allclose(np.gradient(q, 0.002, axis=0)[1:-1], qd[1:-1], atol=1e-3 * scale)
+    assert np.allclose(np.gradient(qd, 0.002, axis=0)[1:-1], qdd[1:-1], atol=0.02 * scale)
+    assert np.array_equal(reference.at(1e9)[0], reference.at(reference.duration)[0])
+
+
+def test_a_move_keeps_its_peak_speed_and_rests_at_both_ends() -> None:
+    way = np.array([0.4, -0.3, 0.2, 0.5, -0.6, 0.4, 0.8])
+    move = MinJerk(HOME, HOME + way, 0.3)
+    speeds = np.array([move.at(t)[1] for t in np.linspace(0.0, move.duration, 1001)])
+    assert np.abs(speeds).max() == pytest.approx(0.3, rel=1e-4)
+    assert not speeds[0].any() and not speeds[-1].any()
+    assert MinJerk(HOME, HOME, 0.3).duration == 0.1  # never in no time
+
+
+def test_a_course_goes_from_move_to_replay_to_brake_without_a_step() -> None:
+    t = np.linspace(0.0, 1.0, 101)
+    recorded = HOME + 0.2 * np.sin(2.0 * t)[:, None] * np.ones(7)
+    course = Course(brake)
+    away = HOME + 0.31
+    course.begin(lambda q: MinJerk(q, recorded[0], 0.5), Sampled(t, recorded, 1.0, 0.002))
+    assert course.reference is None
+    rows, kinds = [], []
+    for k in range(1500):
+        rows.append(course.at(10**12 + k * 2 * MS, away, np.zeros(7)))
+        kinds.append(type(course.reference))
+    assert [kind for i, kind in enumerate(kinds) if i == 0 or kind is not kinds[i - 1]] == [
+        MinJerk,
+        Sampled,
+        Brake,
+    ]
+    q = np.array([row[0] for row in rows])
+    assert np.array_equal(q[0], away)  # from where the arm is
+    assert np.abs(np.diff(q, axis=0)).max() < 1.02e-3  # 0.5 rad/s, then 0.4
+    assert course.ended and np.array_equal(q[-1], q[-2])  # at rest bit for bit
+
+
+def test_a_course_without_steps_brakes_and_a_new_one_forgets_the_old() -> None:
+    course = Course(brake)
+    course.begin(MinJerk(HOME, HOME + 1.0, 0.3))
+    course.at(0, HOME, np.zeros(7))
+    course.begin()
+    q, qd, _ = course.at(5 * MS, HOME, np.full(7, 0.2))
+    assert course.ended
+    assert np.array_equal(q, HOME) and np.allclose(qd, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("t", "q", "speed", "rule"),
+    [
+        (np.arange(3.0), np.zeros((3, 7)), 1.0, "N >= 4"),
+        (np.arange(5.0), np.zeros((4, 7)), 1.0, "N >= 4"),
+        (np.arange(5.0)[::-1], np.zeros((5, 7)), 1.0, "increase"),
+        (np.arange(5.0), np.full((5, 7), np.nan), 1.0, "finite"),
+        (np.arange(5.0), np.zeros((5, 7)), 0.0, "speed"),
+        (np.arange(5.0), np.zeros((5, 7)), 1e-3, "600"),
+    ],
+)
+def test_a_movement_that_makes_no_sense_is_refused(
+    t: np.ndarray, q: np.ndarray, speed: float, rule: str
+) -> None:
+    with pytest.raises(ValueError, match=rule):
+        Sampled(t, q, speed, 0.002)

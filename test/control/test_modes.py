@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The table of modes, and refusals that machines can read."""
+
+import pytest
+
+from wam_power_ros.control.modes import (
+    BOXED,
+    HELD,
+    MOVING,
+    PASSIVE,
+    REFERENCED,
+    TRANSITIONS,
+    ControllerError,
+    Mode,
+    Refusal,
+    check_transition,
+)
+from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.ros.answers import Code
+
+FAULT = Fault(FaultKind.PLANE, "wrist is 0.012 m behind the plane")
+
+
+def test_every_refusal_is_a_code_of_an_answer() -> None:
+    assert {refusal.value for refusal in Refusal} <= {code.value for code in Code}
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("target", list(Mode))
+def test_a_transition_is_as_the_table_says_or_refused(mode: Mode, target: Mode) -> None:
+    if mode is Mode.FAULT:
+        with pytest.raises(ControllerError, match=r"wrist is 0\.012 m") as refused:
+            check_transition(mode, target, FAULT)
+        assert refused.value.refusal is Refusal.FAULT
+    elif target in TRANSITIONS[mode]:
+        check_transition(mode, target, None)
+    else:
+        with pytest.raises(ControllerError, match=f"not possible from {mode.value}") as refused:
+            check_transition(mode, target, None)
+        assert refused.value.refusal is Refusal.BUSY
+
+
+def test_the_way_out_of_a_fault_is_its_reset_to_hold() -> None:
+    check_transition(Mode.FAULT, Mode.HOLD, FAULT, reset=True)
+    for target in set(Mode) - {Mode.HOLD}:
+        with pytest.raises(ControllerError):
+            check_transition(Mode.FAULT, target, FAULT, reset=True)
+
+
+def test_whatever_moves_the_arm_can_end_in_hold_and_in_a_fault() -> None:
+    assert set(TRANSITIONS) == set(Mode)
+    for mode in set(Mode) - set(PASSIVE):
+        assert {Mode.FAULT, Mode.INACTIVE} <= TRANSITIONS[mode]
+    for mode in MOVING:
+        assert TRANSITIONS[mode] == {Mode.INACTIVE, Mode.HOLD, Mode.FAULT}
+    assert set(BOXED) <= set(MOVING) and Mode.GRAVITY_COMPENSATION not in REFERENCED
+    assert set(HELD) == {Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT}
+
+
+def test_a_refusal_carries_its_values_beside_its_text() -> None:
+    error = ControllerError(Refusal.NOT_AT_START, "away", {"policy": "trial-0001"})
+    assert (str(error), error.refusal, error.values) == (
+        "away",
+        Refusal.NOT_AT_START,
+        {"policy": "trial-0001"},
+    )
+    assert ControllerError(Refusal.BUSY, "moving").values == {}

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The watchdog finds out when a torque is due without a state, on a clock that the test plays."""
+
+import pytest
+
+from wam_power_ros.control.watchdog import Watchdog, overload
+from wam_power_ros.learning.rollout import FaultKind
+
+MS = 1_000_000
+
+
+def watched(until_ms: int, watchdog: Watchdog, since_ms: int = 0) -> list[tuple[int, object]]:
+    """Check once a millisecond and answer every silence; the times [ms] and what was found."""
+    found = []
+    for ms in range(since_ms, until_ms):
+        silence = watchdog.check(ms * MS)
+        if silence is not None:
+            found.append((ms, silence))
+            watchdog.sent_ns = ms * MS
+    return found
+
+
+def fresh() -> Watchdog:
+    """A watchdog of 5 ms that has just seen a state and a torque, and is checked regularly."""
+    watchdog = Watchdog(0.005, 0.002)
+    watchdog.check(-MS)
+    watchdog.arrived(0)
+    watchdog.sent_ns = 0
+    watchdog._excused_ns = 0  # the very first check excuses itself
+    return watchdog
+
+
+def test_a_silence_is_bridged_once_a_period_from_the_timeout_on() -> None:
+    found = watched(20, fresh())
+    assert [ms for ms, _ in found] == list(range(5, 20, 2))
+    assert all(silence.fault is None and not silence.idle for _, silence in found)
+
+
+def test_a_long_silence_is_a_fault_and_a_longer_one_asks_to_idle_once() -> None:
+    watchdog = fresh()
+    found = watched(300, watchdog)
+    faults = [ms for ms, silence in found if silence.fault is not None]
+    assert 20 < faults[0] <= 22 and faults[-1] >= 298
+    assert found[-1][1].fault.kind is FaultKind.STATES_LOST
+    idle = [ms for ms, silence in found if silence.idle]
+    assert len(idle) == 1 and 100 < idle[0] <= 102
+    watchdog.arrived(300 * MS)
+    assert watched(305, watchdog, 300) == []
+    again = watched(500, watchdog, 305)
+    assert sum(silence.idle for _, silence in again) == 1  # once a silence
+
+
+def test_a_process_that_stood_still_waits_for_the_states_that_wait_for_it() -> None:
+    watchdog = fresh()
+    watched(5, watchdog)
+    found = watched(560, watchdog, 505)  # stopped for half a second
+    assert found[0][0] == 525
+    watchdog = fresh()
+    watched(5, watchdog)
+    watchdog.check(505 * MS)
+    watchdog.arrived(506 * MS)
+    watchdog.sent_ns = 506 * MS
+    assert watched(511, watchdog, 507) == []
+
+
+def test_patience_ends_when_a_torque_is_due() -> None:
+    watchdog = fresh()
+    assert watchdog.patience(2 * MS) == pytest.approx(0.003)
+    watchdog.sent_ns = 4 * MS
+    assert watchdog.patience(5 * MS) == pytest.approx(0.001)
+    assert watchdog.patience(9 * MS) == 0.0
+    watchdog.arrived(1000 * MS)
+    assert watchdog.patience(10 * MS) == 0.01  # it is asked again before that
+
+
+def test_in_lockstep_nothing_is_watched() -> None:
+    assert not Watchdog(0.0, 0.002).enabled
+    assert Watchdog(0.005, 0.002).enabled
+
+
+@pytest.mark.parametrize(
+    ("share", "in_row", "warned", "fault"),
+    [
+        (0.0, 0, False, False),
+        (0.01, 2, False, False),
+        (0.011, 1, True, False),
+        (0.001, 3, True, False),
+        (0.05, 9, True, False),
+        (0.051, 1, True, True),
+    ],
+)
+def test_missed_periods_are_a_warning_and_too_many_a_fault(
+    share: float, in_row: int, warned: bool, fault: bool
+) -> None:
+    text, found = overload(share, in_row)
+    assert bool(text) == warned and (found is not None) == fault
+    if found is not None:
+        assert (found.kind, found.text) == (FaultKind.OVERLOAD, text)
+        assert text == "5.1 % of the periods of a second missed, 1 in a row"
