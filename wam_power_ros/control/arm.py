@@ -105,7 +105,7 @@ class Arm:
 
     Args:
         urdf: Text of the URDF.
-        joint_names: From the base to the tip.
+        joint_names: Names of the joints, base to tip.
         tool_frame: Link whose frame is the tool.
         armature: Overrides the URDF's. Shape (n,).
         guarded: Points whose motion is limited beside the tool's.
@@ -179,8 +179,8 @@ class Arm:
         """Kinematics of one state.
 
         Args:
-            q: [rad]. Shape (n,).
-            qd: [rad/s]. Shape (n,).
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
         """
         model, data, tool = self.model, self._data, self._tool
         pin.forwardKinematics(model, data, q, qd, self._zero)
@@ -200,8 +200,8 @@ class Arm:
         """The speeds of one state, in a third of the time of `motion`.
 
         Args:
-            q: [rad]. Shape (n,).
-            qd: [rad/s]. Shape (n,).
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
         """
         pin.forwardKinematics(self.model, self._data, q, qd)
         return Speeds([point.speed() for point in self._guarded], self._tool_point.speed())
@@ -210,8 +210,8 @@ class Arm:
         """Jacobian, inverse mass matrix and bias torque of one state.
 
         Args:
-            q: [rad]. Shape (n,).
-            qd: [rad/s]. Shape (n,).
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
         """
         model, data = self.model, self._data
         return Dynamics(
@@ -224,7 +224,7 @@ class Arm:
         """Position [m] and rotation matrix of the tool frame in the base frame.
 
         Args:
-            q: [rad]. Shape (n,).
+            q: Joint positions [rad]. Shape (n,).
 
         Returns:
             Shapes (3,) and (3, 3).
@@ -237,8 +237,8 @@ class Arm:
         """Speeds of the guarded points and, last, of the tool [m/s].
 
         Args:
-            q: [rad]. Shape (n,).
-            qd: [rad/s]. Shape (n,).
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
         """
         speeds = self.speeds(q, qd)
         return *speeds.guarded_speeds, speeds.tool_speed

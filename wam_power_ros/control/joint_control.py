@@ -68,8 +68,8 @@ class JointControl:
 
         Args:
             stamp_ns: Stamp of the state [ns].
-            q: [rad]. Shape (n,).
-            qd: [rad/s]. Shape (n,).
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
 
         Returns:
             [N m]. Shape (n,).

@@ -112,8 +112,8 @@ class Execution:
 
         Args:
             stamp_ns: Stamp of the state [ns].
-            q: [rad]. Shape (n,).
-            qd: [rad/s]. Shape (n,).
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
             motion: Kinematics of the state.
 
         Returns:

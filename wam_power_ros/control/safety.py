@@ -184,7 +184,7 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     limit, and on beyond it up to twice that.
 
     Args:
-        q: [rad]. Shape (n,).
+        q: Joint positions [rad]. Shape (n,).
         limits: Limits of the arm.
 
     Returns:
@@ -211,7 +211,7 @@ def live_fallback(
     Args:
         gravity: g(q) [N m]. Shape (n,).
         mass: M(q) [kg m^2]. Shape (n, n).
-        qd: [rad/s]. Shape (n,).
+        qd: Joint speeds [rad/s]. Shape (n,).
         damping: d [1/s]; times the delay of the loop it must stay well below pi / 2.
 
     Returns:
@@ -255,8 +255,8 @@ def exceeded(
     be moved away from it.
 
     Args:
-        q: [rad], n of them.
-        qd: [rad/s], n of them.
+        q: Joint positions [rad], n of them.
+        qd: Joint speeds [rad/s], n of them.
         motion: Kinematics of the state.
         guarded: Names of the arm's guarded points.
         limits: Limits of the arm.
@@ -326,8 +326,8 @@ class MotionCheck:
 
         Args:
             mode: Present mode; it decides which limits apply.
-            q: [rad]. Shape (n,).
-            qd: [rad/s]. Shape (n,).
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
             motion: Kinematics of the state; the speeds are enough unless the arm moves by itself.
         """
         if mode in PASSIVE:

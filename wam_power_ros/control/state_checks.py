@@ -77,7 +77,7 @@ def plausible(values: list[float], bound: float) -> bool:
     """
     if math.hypot(*values) < bound:  # none is longer than all together; false for a NaN
         return True
-    # The sum, because no comparison with a NaN tells anything.
+    # The sum, because every comparison with a NaN is false.
     return math.isfinite(sum(values)) and -bound < min(values) and max(values) < bound
 
 
