@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench: stand-ins, torque controller, tracker and recorder; `session` adds the learner.
+"""Simulation: stand-ins, torque controller, tracker and recorder; `session` adds the learner.
 
     ros2 launch wam_power_ros sim.launch.py pace:=real_time
     ros2 launch wam_power_ros sim.launch.py session:=/tmp/flip demonstrations:=/tmp/bags/demo_1
@@ -17,27 +17,32 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from wam_power_ros.cli.launcher import task_setup
 from wam_power_ros.params import overlay
 
 SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
 
 
 def nodes(context: LaunchContext) -> list[Node]:
-    """Every node with one file that holds the parameters of all."""
+    """Nodes to start, with one file that holds the parameters of all."""
 
     def given(name: str) -> str:
         return LaunchConfiguration(name).perform(context)
 
     names = given("config").split()
-    setup = overlay.setup(names, simulated=bool(names) or given("pace") == "real_time")
+    simulated = bool(names) or given("pace") == "real_time"
+    setup = overlay.setup(names, simulated, task_setup(given("task")))
     setup["wam_sim"]["seed"] = int(given("seed"))
     setup["learner"] |= {
         "session": given("session"),
+        "task": given("task"),
         "demonstrations": given("demonstrations").split() or [""],
     }
     file = Path(tempfile.mkdtemp(prefix="wam_power_ros_")) / "parameters.yaml"
     file.write_text(overlay.text(setup))
-    executables = ["wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder"]
+    executables = ["wam_sim", "torque_controller", "demonstration_recorder"]
+    if setup["pancake_tracker"]["body"]:
+        executables.append("pancake_tracker")
     if given("session"):
         executables.append("learner")
     return [
@@ -54,7 +59,7 @@ def nodes(context: LaunchContext) -> list[Node]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """See the module."""
+    """Arguments and nodes, see the module."""
     reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return LaunchDescription(
         [
@@ -71,6 +76,7 @@ def generate_launch_description() -> LaunchDescription:
                 "pace", default_value="lockstep", choices=["lockstep", "real_time"]
             ),
             DeclareLaunchArgument("seed", default_value="0"),
+            DeclareLaunchArgument("task", default_value="flip", description="skill to be learnt"),
             DeclareLaunchArgument(
                 "session", default_value="", description="folder; '': no learner"
             ),

@@ -108,7 +108,7 @@ def test_the_name_of_the_body_is_said_once_and_the_drivers_topic_follows_it(
     assert setup["pancake_tracker"]["pose_topic"] == setup["optitrack_sim"]["pose_topic"] == poses
     seen = poses or setup["pancake_tracker"]["markers_topic"]
     assert setup["demonstration_recorder"]["mocap_topics"] == [seen]
-    for node in ("demonstration_recorder", "learner", "optitrack_sim"):
+    for node in ("demonstration_recorder", "optitrack_sim"):
         assert setup[node]["body"] == "ball"
 
 
@@ -116,7 +116,7 @@ def test_a_task_without_a_body_has_no_motion_capture_to_record(tmp_path: Path) -
     none = write(tmp_path, "none", 'pancake_tracker: {ros__parameters: {body: ""}}')
     setup = overlay.setup(["vrpn_mocap", none])
     assert setup["demonstration_recorder"]["mocap_topics"] == [""]  # how ROS writes an empty list
-    assert setup["demonstration_recorder"]["body"] == setup["learner"]["body"] == ""
+    assert setup["demonstration_recorder"]["body"] == ""
 
 
 def test_the_last_file_counts_most_and_may_deny_what_follows(tmp_path: Path) -> None:

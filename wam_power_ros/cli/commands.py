@@ -25,6 +25,7 @@ from wam_power_ros.cli.launcher import (
     setup_options,
     short_path,
     simulated,
+    task_setup,
 )
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.params import overlay
@@ -42,15 +43,18 @@ TASK = "flip"  # the default
 
 def teach(options: argparse.Namespace) -> None:
     """Record a series of demonstrations."""
+    from wam_power_ros.practice import plugins
+
     task = options.task or TASK
+    plugins.task_type(task)  # refuses an unknown name before anything starts
     folder = (options.folder or Path("demonstrations") / now()).resolve()
     with launch(options, folder, options.seed or 0, task) as launcher:
         bags = _record_demonstrations(launcher, folder, options)
-    chosen = ["--task", task] if task != TASK else []
+    again = ["--task", task] if options.task else []
     print(
         "To learn from them:\n  wam-power learn --bags",
         *map(short_path, bags),
-        *chosen,
+        *again,
         *setup_options(options),
     )
 
@@ -64,19 +68,20 @@ def learn(options: argparse.Namespace) -> int:
     resumed = session.Session.exists(folder)
     if resumed:
         header, _, records = session.read(folder)
-        seed = header.seed
+        seed, task = header.seed, header.settings.task
         print(f"Resuming {folder} with {len(records)} recorded rollouts.")
     else:
-        seed = options.seed or 0
+        seed, task = options.seed or 0, options.task or TASK
+        _check_names(task, options)
         print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
     again = " ".join(
         ["wam-power learn --session", str(short_path(folder)), *setup_options(options)]
     )
-    task = options.task or TASK
     try:
         with launch(options, folder, seed, task) as launcher:
-            launcher.node("pancake_tracker")
+            if launcher.setup["pancake_tracker"]["body"]:
+                launcher.node("pancake_tracker")
             bags = [] if resumed else [path.resolve() for path in options.bags or []]
             if not resumed and not bags:
                 bags = _record_demonstrations(launcher, folder, options)
@@ -85,6 +90,7 @@ def learn(options: argparse.Namespace) -> int:
                 "learner",
                 session=str(folder),
                 seed=seed,
+                task=task,
                 demonstrations=[str(bag) for bag in bags] or [""],
                 **{name: value for name, value in given.items() if value},
             )
@@ -223,9 +229,33 @@ def _session_folder(options: argparse.Namespace) -> Path:
         header, _, _ = read(folder)
         if options.seed is not None and options.seed != header.seed:
             raise UsageError(f"{folder} was begun with seed {header.seed}; leave --seed out")
-        if options.preset or options.trials or options.bags:
-            raise UsageError(f"{folder} was begun already; leave --preset, --trials and --bags out")
+        if options.task not in (None, header.settings.task):
+            raise UsageError(f"{folder} was begun with task {header.settings.task}")
+        given = [name for name in ("learner", "preset", "trials", "bags") if getattr(options, name)]
+        if given:
+            raise UsageError(f"{folder} was begun already; leave --{' and --'.join(given)} out")
     return folder
+
+
+def _check_names(task: str, options: argparse.Namespace) -> None:
+    """Refuse what is unknown or belongs to another task before anything starts.
+
+    Raises:
+        ValueError: When task, learner or preset is not known; lists the known names.
+        UsageError: When a bag is a demonstration of another task, by its name.
+    """
+    from wam_power_ros.practice import plugins
+    from wam_power_ros.practice.settings import preset
+
+    preset(task, options.preset or "", {"name": options.learner} if options.learner else None)
+    tasks: dict[str, set[str]] = {}
+    for name in plugins.names(plugins.TASKS):
+        recorder = overlay.setup(task=task_setup(name))["demonstration_recorder"]
+        tasks.setdefault(recorder["stem"], set()).add(name)
+    for bag in options.bags or []:
+        of_bag = tasks.get(bag.name.partition("_")[0], {task})
+        if task not in of_bag:
+            raise UsageError(f"{bag} is a demonstration of {', '.join(of_bag)}, not of {task}")
 
 
 def _existing_session(folder: Path | None) -> Path:
@@ -266,7 +296,7 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
 
 def config(options: argparse.Namespace) -> None:
     """Print the parameters of every node."""
-    setup = overlay.setup(options.config, options.simulate, options.task or TASK)
+    setup = overlay.setup(options.config, options.simulate, task_setup(options.task or TASK))
     print(overlay.text(setup), end="")
 
 

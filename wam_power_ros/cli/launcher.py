@@ -70,10 +70,10 @@ def launch(
         options: Parsed options; `config` and `simulate` choose the set-up.
         folder: Folder for bags and logs.
         seed: Seed of the stand-in.
-        task: Name of the task whose set-up lies under the others.
+        task: Name of the task whose set-up lies under the others; empty for none.
         changes: Parameters by node that override the set-up.
     """
-    setup = overlay.setup(options.config, options.simulate, task)
+    setup = overlay.setup(options.config, options.simulate, task_setup(task) if task else "")
     for node, values in (changes or {}).items():
         setup[node] |= values
     file = folder / "logs" / "parameters.yaml"
@@ -95,6 +95,19 @@ def launch(
         launcher.node("torque_controller")
         launcher.node("demonstration_recorder", directory=str(folder / "bags"))
         yield launcher
+
+
+def task_setup(task: str) -> str:
+    """Set-up of a task: its name for config/TASK.yaml, or the file TASK.yaml beside its module.
+
+    Raises:
+        ValueError: When there is no such task; lists the known ones.
+    """
+    from wam_power_ros.practice import plugins
+
+    module = sys.modules[plugins.task_type(task).__module__]
+    beside = Path(module.__file__ or "").with_name(f"{task}.yaml")
+    return str(beside) if beside.is_file() else task
 
 
 def _enclave(name: str) -> list[str]:

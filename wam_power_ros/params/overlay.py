@@ -57,15 +57,16 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         names: Set-ups over the nodes' own files, see `find`; later ones override earlier ones.
         simulated: Whether stand-ins of the same shape replace the devices of these set-ups, in
             real time. Without any set-up the stand-ins are as their own files describe them.
-        task: Name of the task that is learnt; its set-up config/TASK.yaml, where there is one,
-            lies under the others.
+        task: Set-up of the task that is learnt, which lies under the others: the path of a file, or
+            the name of the task, where config/TASK.yaml counts if it is there.
 
     Raises:
         ValueError: A file cannot be found or read, or names a node or parameter that is none.
     """
     own = {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
     said: Setup = {node: {} for node in NODES}
-    files = [find(name) for name in (*([task] if task in known() else []), *names)]
+    of_task = [task] if task in known() or task.endswith(".yaml") else []
+    files = [find(name) for name in (*of_task, *names)]
     for file in files:
         for node, values in _read(file).items():
             _check(file, node, values, own)
@@ -77,6 +78,7 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
     if names or simulated:
         follows |= _shape(chosen["torque_controller"], chosen["pancake_tracker"])
+    follows.setdefault("wam_sim", {})["obstacle"] = chosen["torque_controller"]["obstacle"]
     whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
     if simulated or not names:  # the stand-in does what takes a person in the lab
         whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands refuse what cannot be done before anything starts, and say what can."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wam_power_ros.cli import main
+from wam_power_ros.params import overlay
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize(
+    ("words", "known"),
+    [
+        (["learn", "--task", "flop"], "flip, reach"),
+        (["teach", "--task", "flop"], "flip, reach"),
+        (["learn", "--learner", "powr"], "power"),
+        (["learn", "--preset", "papre"], "paper"),
+        (["learn", "--task", "reach", "--preset", "paper"], "full"),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_known_ones(
+    words: list[str],
+    known: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main.main(words) == 2
+    assert known in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("task", "stem"), [("flip", "reach"), ("reach", "demo")])
+def test_the_demonstrations_of_another_task_are_refused(
+    task: str,
+    stem: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    bag = min((ROOT / "bags").glob(f"{stem}_*"))
+    assert main.main(["learn", "--task", task, "--bags", str(bag)]) == 2
+    assert f"not of {task}" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [["demonstration"], ["reward", "some_bag"]])
+def test_feedback_takes_a_bag_for_a_demonstration_alone(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["feedback", *words]) == 2
+    assert "a bag is needed for a demonstration" in capsys.readouterr().err
+
+
+def test_the_obstacle_of_reaching_is_half_way_of_the_nominal_demonstration() -> None:
+    from hardware_sim.scenes.reach import HOME, reach
+    from wam_power_ros.control.arm import Arm
+
+    setup = overlay.setup(task="reach")
+    names = setup["torque_controller"]["model_joint_names"]
+    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), names)
+    script = reach(np.random.default_rng(0), spread=0.0)
+    half_way = script.end - 0.5 * script.duration
+    target = script.target(half_way, *arm.tool_pose(HOME))
+    *centre, radius = setup["torque_controller"]["obstacle"]
+    np.testing.assert_allclose(centre, target.position, atol=1e-3)
+    assert radius == 0.09
+    assert setup["wam_sim"]["obstacle"] == setup["torque_controller"]["obstacle"]

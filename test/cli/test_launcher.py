@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The launcher: parameters reach nodes and scripts, a task brings its set-up."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from wam_power_ros.cli import main
+from wam_power_ros.cli.launcher import Launcher, setup_options, short_path, simulated, task_setup
+from wam_power_ros.cli.processes import Processes
+from wam_power_ros.params import overlay
+
+LAB_TASK = """
+class Stack:
+    name = "stack"
+    body = "block"
+"""
+LAB_SETUP = "demonstration_recorder: {ros__parameters: {stem: stack}}\n"
+
+
+def options(*words: str) -> argparse.Namespace:
+    return main._parser().parse_args(["learn", *words])
+
+
+@pytest.mark.parametrize(
+    ("words", "with_stand_ins"),
+    [
+        ([], True),
+        (["--config", "geodude"], False),
+        (["--config", "geodude", "--config", "full_speed", "--simulate"], True),
+    ],
+)
+def test_the_same_set_up_can_be_chosen_again(words: list[str], with_stand_ins: bool) -> None:
+    assert setup_options(options(*words)) == words
+    assert simulated(options(*words)) == with_stand_ins
+
+
+def test_a_path_below_the_working_directory_is_shown_relative_to_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert short_path(tmp_path / "sessions" / "a") == Path("sessions/a")
+    assert short_path(Path("/elsewhere")) == Path("/elsewhere")
+
+
+def test_nodes_and_scripts_get_their_parameters_whatever_characters_are_in_them(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "parameters.yaml"
+    file.write_text(overlay.text(overlay.setup()))
+    odd = str(tmp_path / "séries: 'a' #1.json")
+    with Processes(tmp_path / "logs", {"ROS_DOMAIN_ID": "97"}) as processes:
+        launcher = Launcher(processes, overlay.setup(), file)
+        node = launcher.node("demonstration_recorder", directory=odd, stem="")
+        script = launcher.script(
+            "teach", demonstrations=0, series=odd, person=False, body="", state_topic="/states"
+        )
+        assert node.process.wait(60.0) == script.process.wait(60.0) == 2
+    assert "stem: " in node.log.read_text()
+    assert "directory" not in node.log.read_text()
+
+
+@pytest.fixture
+def lab_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installed package of a laboratory with a task, its set-up and its entry point."""
+    (tmp_path / "my_lab").mkdir()
+    (tmp_path / "my_lab" / "stack_task.py").write_text(LAB_TASK)
+    (tmp_path / "my_lab" / "stack.yaml").write_text(LAB_SETUP)
+    info = tmp_path / "my_lab-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: my-lab\nVersion: 1.0\n")
+    points = "[wam_power_ros.tasks]\nstack = my_lab.stack_task:Stack\n"
+    (info / "entry_points.txt").write_text(points)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path / "my_lab"
+
+
+def test_the_task_of_another_package_brings_its_set_up(lab_package: Path) -> None:
+    found = task_setup("stack")
+    assert found == str(lab_package / "stack.yaml")
+    assert overlay.setup(task=found)["demonstration_recorder"]["stem"] == "stack"
+    assert overlay.setup(task=task_setup("flip")) == overlay.setup()
+
+
+def test_the_set_up_of_a_task_lies_under_the_others(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text("demonstration_recorder: {ros__parameters: {stem: mine}}")
+    setup = overlay.setup([str(mine)], simulated=True, task=task_setup("reach"))
+    assert setup["demonstration_recorder"]["stem"] == "mine"
+    assert setup["wam_sim"]["scene"] == "reach"
+    assert setup["wam_sim"]["pace"] == "real_time"
+    assert overlay.setup(task=task_setup("reach"))["wam_sim"]["pace"] == "lockstep"
+
+
+def test_an_unknown_task_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ValueError, match=r"'flop' is not one of flip, .*reach"):
+        task_setup("flop")
+
+
+def test_the_printed_parameters_are_those_of_the_task(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.main(["config", "--task", "reach"]) == 0
+    nodes = yaml.safe_load(capsys.readouterr().out)
+    assert nodes["learner"]["ros__parameters"]["task"] == "reach"
+    assert nodes["pancake_tracker"]["ros__parameters"]["body"] == ""
+    assert sys.stdin is not None
