@@ -16,16 +16,9 @@ from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import teach
 from wam_power_ros.experiments.studies.reaching_runs import generator, learn_many, scales
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
-from wam_power_ros.learning.adaptive_power import AdaptivePower
-from wam_power_ros.learning.cma_es import CmaEs
-from wam_power_ros.learning.learner import Learner, LearnerClass, Model
+from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import Parametrization
-from wam_power_ros.learning.pi2 import Pi2
-from wam_power_ros.learning.policy_gradient import Enac, Reinforce
-from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.random_search import RandomSearch
-from wam_power_ros.learning.screened_power import ScreenedPower
-from wam_power_ros.learning.shaped_power import ShapedPower
+from wam_power_ros.practice import plugins
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
@@ -35,17 +28,6 @@ from wam_power_ros.tasks.reach.obstacle_model import FreePath
 VARIANT = "full"  # on both tasks
 NOVICE = 5.0  # [rad/s] intended pitch rate of the demonstrator: leaves something to learn
 REPEATS = 3  # of the answer
-_CLASSES: dict[str, LearnerClass] = {
-    "power": Power,
-    "shaped_power": ShapedPower,
-    "adaptive_power": AdaptivePower,
-    "pi2_bb": Pi2,
-    "cma_es": CmaEs,
-    "reinforce": Reinforce,
-    "enac": Enac,
-    "random": RandomSearch,
-    "screened": ScreenedPower,
-}
 
 
 def reaching_runs(
@@ -104,8 +86,8 @@ def pancake_run(
     model = TossModel(parameters, start, paper.pancake_weights)
     learner = learner_of(settings, parameters.size, seed, model)
 
-    def returned(z: np.ndarray, id: str) -> tuple[float, bool]:
-        policy, _ = parameters.policy(z, id)
+    def returned(z: np.ndarray, policy_id: str) -> tuple[float, bool]:
+        policy, _ = parameters.policy(z, policy_id)
         rollout, _ = environment.run(policy)
         ret = assess(policy, rollout, paper).ret
         return ret or 0.0, rollout.fault is not None
@@ -132,9 +114,10 @@ def learner_of(settings: dict[str, Any], size: int, seed: int, model: Model) -> 
         model: Predictor of returns, for a learner that needs one.
 
     Raises:
-        ValueError: If a setting is unknown or out of range.
+        ValueError: The learner or a setting is unknown, or a value is out of range.
     """
     values = dict(settings)
-    found = _CLASSES[values.pop("kind", "power")]
+    found = plugins.learner_type(values.pop("kind", "power"))
     chosen = found.Settings(**values)
-    return found(size, chosen, generator(seed), model if found.needs_model else None)
+    learner: Learner = found(size, chosen, generator(seed), model if found.needs_model else None)
+    return learner

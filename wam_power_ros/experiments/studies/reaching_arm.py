@@ -105,8 +105,8 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     learner = Power(parameters.size, POWER, generator(seed))
     environment = Environment(World(seed=seed))
 
-    def returned(z: np.ndarray, id: str) -> tuple[np.ndarray, str, float]:
-        path, fault = _executed(environment, parameters.policy(z, id)[0], scenario)
+    def returned(z: np.ndarray, policy_id: str) -> tuple[np.ndarray, str, float]:
+        path, fault = _executed(environment, parameters.policy(z, policy_id)[0], scenario)
         stopped, _ = scenario.stopped(path[np.newaxis])
         return path, fault, 0.0 if fault else float(scenario.worth(stopped)[0])
 
