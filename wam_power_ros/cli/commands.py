@@ -247,6 +247,8 @@ def _check_names(task: str, options: argparse.Namespace) -> None:
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.settings import preset
 
+    if options.learner:
+        plugins.learner_type(options.learner)
     preset(task, options.preset or "", {"name": options.learner} if options.learner else None)
     tasks: dict[str, set[str]] = {}
     for name in plugins.names(plugins.TASKS):

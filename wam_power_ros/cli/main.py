@@ -57,7 +57,10 @@ def _parser() -> argparse.ArgumentParser:
         "Start the nodes, record demonstrations, run the learning session, write its report.",
     )
     _skill_options(learn)
-    learn.add_argument("--learner", metavar="NAME", help="learning algorithm (default: power)")
+    learners = _known("wam_power_ros.learners")
+    learn.add_argument(
+        "--learner", metavar="NAME", help=f"one of {learners} (default: the preset's)"
+    )
     learn.add_argument("--preset", metavar="NAME", help="settings of the task (default: its first)")
     learn.add_argument("--trials", type=_natural, help="budget of rollouts (default: the preset's)")
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
@@ -83,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     names = ", ".join(overlay.known())
     config.add_argument("config", nargs="*", metavar="NAME", help=f"{names}, or a .yaml file")
-    config.add_argument("--task", metavar="NAME", help="skill to be learnt (default: flip)")
+    _task_option(config)
     config.add_argument(
         "--simulate", action="store_true", help="stand-ins take the place of the devices"
     )
@@ -188,8 +191,17 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _known(group: str) -> str:
+    return ", ".join(sorted(entry.name for entry in metadata.entry_points(group=group)))
+
+
+def _task_option(parser: argparse.ArgumentParser) -> None:
+    known = _known("wam_power_ros.tasks")
+    parser.add_argument("--task", metavar="NAME", help=f"one of {known} (default: {commands.TASK})")
+
+
 def _skill_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--task", metavar="NAME", help="skill to be learnt (default: flip)")
+    _task_option(parser)
     parser.add_argument(
         "--demonstrations", type=_natural, default=3, help="number to record (default 3)"
     )
