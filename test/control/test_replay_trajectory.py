@@ -1,33 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replaying a bag: what the arm is given to follow, and the whole command on the stand-in."""
+"""A recording becomes a movement from rest to rest, or is refused with the possible speed."""
 
 from __future__ import annotations
 
-import re
-import signal
-import subprocess
-import sys
-import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from wam_power_ros.bags import layout, reader
-from wam_power_ros.cli import main
-from wam_power_ros.console.replay import with_possible_speed
+from wam_power_ros.bags import reader
+from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.replay_trajectory import EASE, movement
+from wam_power_ros.control.modes import ControllerError, Refusal
+from wam_power_ros.control.replay_trajectory import EASE, movement, sampled
 from wam_power_ros.params.resources import share
-from wam_power_ros.ros.answers import Answer, Code
 
-ROOT = Path(__file__).resolve().parents[2]
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
-ARM = Arm(share("urdf/wam7.urdf").read_text(), NAMES)
+LIMITS = safety.limits_of(Arm(share("urdf/wam7.urdf").read_text(), NAMES))
 REACH = min(share("bags").glob("reach_*"))
 TICK = 2_000_000  # [ns]
 
@@ -82,74 +72,22 @@ def test_a_recording_with_a_hole_is_refused() -> None:
         movement(stamps_ns[kept], q[kept], 1.0)
 
 
-def replaying(*arguments: object) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "wam_power_ros.cli", "replay", *map(str, arguments)]
-    return subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-    )
-
-
-@pytest.mark.parametrize("speed", [0.5, 1.0])
-def test_a_shipped_bag_is_replayed_and_its_error_told(tmp_path: Path, speed: float) -> None:
-    process = replaying(REACH, "--speed", speed, "--folder", tmp_path)
-    said = process.communicate(timeout=900.0)[0]
-    assert process.returncode == 0, said
-    worst = float(re.search(r"rms error ([\d.]+) rad in the worst joint", said)[1])
-    tool = float(re.search(r"tool: rms ([\d.]+) mm", said)[1])
-    assert worst < 0.05
-    assert tool < 10.0
-    assert said.count(" rad, at most ") == 7
-    (made,) = (tmp_path / "bags").iterdir()
-    assert f"recorded: {made}" in said
-    _, wanted = reader.read_demonstration(REACH, NAMES)
-    _, done = reader.read_demonstration(made, NAMES)
-    np.testing.assert_allclose(done[-1], wanted[-1], atol=0.03)
-    assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # it was at the start
-
-
 def test_too_fast_a_replay_is_refused_with_the_speed_that_is_possible() -> None:
-    stamps_ns, q = reader.read_demonstration(REACH, NAMES)
-    controller = Controller(ARM)
-    controller.step(1, q[0], np.zeros(7))
-    controller.hold()
-
-    def begin(speed: float) -> None:
-        t, followed = movement(stamps_ns, q, speed)
-        controller.start_replay(SimpleNamespace(t=t, q=followed))
-
-    with pytest.raises(ControllerError) as refusal:
-        begin(8.0)
-    answer = Answer(Code(refusal.value.refusal.value), "too fast", refusal.value.values)
-    said = with_possible_speed(answer, 8.0)
-    possible = float(re.search(r"possible at --speed ([\d.]+)", said)[1])
+    t, q = movement(*reader.read_demonstration(REACH, NAMES), 1.0)
+    trajectory = SimpleNamespace(t=t, q=q)
+    with pytest.raises(ControllerError, match="times a joint-speed limit") as refused:
+        sampled(trajectory, 8.0, 0.002, LIMITS)
+    assert refused.value.refusal is Refusal.TOO_FAST
+    possible = float(refused.value.values["speed"])
     assert 1.0 < possible < 8.0
-    begin(0.95 * possible)
-    assert controller.mode is Mode.REPLAY
+    assert np.abs(sampled(trajectory, 0.999 * possible, 0.002, LIMITS).qd / LIMITS.qd_max).max() < 1
+    with pytest.raises(ControllerError):
+        sampled(trajectory, 1.001 * possible, 0.002, LIMITS)
 
 
-def test_what_is_no_bag_is_refused_before_anything_starts(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main.main(["replay", str(tmp_path / "none"), "--folder", str(tmp_path / "r")]) == 2
-    assert "is not a bag" in capsys.readouterr().err
-    assert main.main(["replay", str(REACH), "--speed", "0", "--folder", str(tmp_path / "r")]) == 2
-    assert "speed 0.0 must be positive" in capsys.readouterr().err
-    assert not (tmp_path / "r").exists()
-
-
-def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
-    tmp_path: Path,
-) -> None:
-    process = replaying(REACH, "--speed", 0.01, "--folder", tmp_path)
-    for line in process.stdout:
-        if line.startswith("Replaying"):
-            break
-    time.sleep(3.0)
-    process.send_signal(signal.SIGINT)
-    said = process.stdout.read()
-    assert process.wait(600.0) == 130, said
-    assert "Stopped: the arm holds." in said
-    (made,) = (tmp_path / "bags").iterdir()
-    assert not made.name.endswith(layout.UNFINISHED)
-    _, q = reader.read_demonstration(made, NAMES)
-    assert np.abs(q[-1] - q[-10]).max() < 1e-3  # it holds
+def test_a_movement_beyond_the_limits_or_of_another_arm_is_refused() -> None:
+    t, q = movement(*reader.read_demonstration(REACH, NAMES), 1.0)
+    for wrong, text in ((q + 3.0, "joint limits"), (q[:, :6], "6 joints"), (q[:3], "N >= 4")):
+        with pytest.raises(ControllerError, match=text) as refused:
+            sampled(SimpleNamespace(t=t, q=wrong), 1.0, 0.002, LIMITS)
+        assert refused.value.refusal is Refusal.REFUSED

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `replay` on the stand-in: done, refused, and stopped by Ctrl-C."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wam_power_ros.bags import layout, reader
+from wam_power_ros.cli import main
+from wam_power_ros.console.replay import with_possible_speed
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros.answers import Answer, Code
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = [f"wam_j{number}" for number in range(1, 8)]
+REACH = min(share("bags").glob("reach_*"))
+
+
+def replaying(*arguments: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "wam_power_ros.cli", "replay", *map(str, arguments)]
+    return subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+def test_a_shipped_bag_is_replayed_and_its_error_told(tmp_path: Path, speed: float) -> None:
+    process = replaying(REACH, "--speed", speed, "--folder", tmp_path)
+    said = process.communicate(timeout=900.0)[0]
+    assert process.returncode == 0, said
+    worst = float(re.search(r"rms error ([\d.]+) rad in the worst joint", said)[1])
+    tool = float(re.search(r"tool: rms ([\d.]+) mm", said)[1])
+    assert worst < 0.05
+    assert tool < 10.0
+    assert said.count(" rad, at most ") == 7
+    (made,) = (tmp_path / "bags").iterdir()
+    assert f"recorded: {made}" in said
+    _, wanted = reader.read_demonstration(REACH, NAMES)
+    _, done = reader.read_demonstration(made, NAMES)
+    np.testing.assert_allclose(done[-1], wanted[-1], atol=0.03)
+    assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # it was at the start
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_the_possible_speed_is_given_as_the_option_to_ask_for(speed: float) -> None:
+    too_fast = Answer(Code.TOO_FAST, "refused", {"speed": "0.400"})
+    assert with_possible_speed(too_fast, speed) == (
+        f"refused; possible at --speed {0.4 * speed:.2f}"
+    )
+    assert with_possible_speed(Answer(Code.STOPPED, "stopped"), speed) == "stopped"
+
+
+def test_what_is_no_bag_is_refused_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["replay", str(tmp_path / "none"), "--folder", str(tmp_path / "r")]) == 2
+    assert "is not a bag" in capsys.readouterr().err
+    assert main.main(["replay", str(REACH), "--speed", "0", "--folder", str(tmp_path / "r")]) == 2
+    assert "speed 0.0 must be positive" in capsys.readouterr().err
+    assert not (tmp_path / "r").exists()
+
+
+def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
+    tmp_path: Path,
+) -> None:
+    process = replaying(REACH, "--speed", 0.01, "--folder", tmp_path)
+    for line in process.stdout:
+        if line.startswith("Replaying"):
+            break
+    time.sleep(3.0)
+    process.send_signal(signal.SIGINT)
+    said = process.stdout.read()
+    assert process.wait(600.0) == 130, said
+    assert "Stopped: the arm holds." in said
+    (made,) = (tmp_path / "bags").iterdir()
+    assert not made.name.endswith(layout.UNFINISHED)
+    _, q = reader.read_demonstration(made, NAMES)
+    assert np.abs(q[-1] - q[-10]).max() < 1e-3  # it holds
