@@ -263,6 +263,15 @@ def test_the_bench_launch_starts_stand_ins_at_the_pace_asked_for() -> None:
 
 @pytest.mark.usefixtures("launch")
 @pytest.mark.parametrize("file", ["hardware.launch.py", "sim.launch.py"])
+def test_a_launch_starts_no_tracker_for_a_task_without_a_body(file: str) -> None:
+    started, _ = launched(file, config="geodude", task="reach", session="s")
+    assert "pancake_tracker" not in started
+    assert started["learner"]["learner"]["task"] == "reach"
+    assert started["torque_controller"]["torque_controller"]["obstacle"][3] > 0.0
+
+
+@pytest.mark.usefixtures("launch")
+@pytest.mark.parametrize("file", ["hardware.launch.py", "sim.launch.py"])
 @pytest.mark.parametrize("asked", [None, "SUBNET"])
 def test_a_launch_keeps_ros_on_this_machine_unless_asked_otherwise(
     file: str, asked: str | None, monkeypatch: pytest.MonkeyPatch
