@@ -79,6 +79,8 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     if names or simulated:
         follows |= _shape(chosen["torque_controller"], chosen["pancake_tracker"])
     follows.setdefault("wam_sim", {})["obstacle"] = chosen["torque_controller"]["obstacle"]
+    seen = {name: chosen["pancake_tracker"][name] for name in ("body", "pose_topic")}
+    follows["optitrack_sim"] = seen | follows.get("optitrack_sim", {})
     whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
     if simulated or not names:  # the stand-in does what takes a person in the lab
         whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}

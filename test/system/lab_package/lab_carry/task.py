@@ -10,10 +10,11 @@ import numpy as np
 from pydantic import BaseModel
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import FitSettings, fit
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.tasks.reach.settings import REACH_FIT
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
@@ -54,7 +55,7 @@ class Carry:
 
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        return fit(demonstrations, FitSettings(count=4), policy_id)
+        return fit(demonstrations, REACH_FIT, policy_id)
 
     @classmethod
     def context_of(
