@@ -85,10 +85,9 @@ def main() -> int:
         fitted, practised = in_one_process(options.seed, options.trials, options.demonstrations)
         alone = time.monotonic() - begun
         count = len(records(quiet))
-        say = sys.stdout.write
-        say(
+        print(
             f"seed {options.seed}, {count} rollouts: {took:.0f} s over DDS, {longer:.0f} s beside "
-            f"{cores} busy processes, {alone:.0f} s in one process\n"
+            f"{cores} busy processes, {alone:.0f} s in one process"
         )
         found = []
         for what, pair in {
@@ -98,7 +97,7 @@ def main() -> int:
             "rollouts, over DDS and in one process": (records(quiet, "clock", "bag"), practised),
         }.items():
             found.append(list(differences(*pair)))
-            say(verdict(what, found[-1]) + "\n")
+            print(verdict(what, found[-1]))
     return int(any(found))
 
 

@@ -42,7 +42,7 @@ class Row:
     """One row of the table, see docs/safety.md."""
 
     requirement: str
-    promise: str
+    text: str
     worst: str
     repeats: int
     passed: bool
@@ -453,7 +453,7 @@ def table(rows: list[Row]) -> str:
     for row in rows:
         verdict = "pass" if row.passed else "**FAIL**"
         lines.append(
-            f"| {row.requirement} | {row.promise} | {row.worst} | {row.repeats} | {verdict} |"
+            f"| {row.requirement} | {row.text} | {row.worst} | {row.repeats} | {verdict} |"
         )
     return "\n".join(lines)
 

@@ -102,7 +102,7 @@ def main() -> int:
     parser.add_argument("--demonstrations", type=int, default=4)
     parser.add_argument("--folder", type=Path, help="for the sessions, which are then kept")
     options = parser.parse_args()
-    seed, say = options.seed, sys.stdout.write
+    seed = options.seed
     with tempfile.TemporaryDirectory() as scratch:
         folder = (options.folder or Path(scratch)).resolve()
         undisturbed, killed = folder / "undisturbed", folder / "killed"
@@ -122,11 +122,13 @@ def main() -> int:
             if not (killed / "bags" / str(record["bag"]) / "metadata.yaml").exists():
                 found.append(f"{record['id']}: no bag {record['bag']!r}")
         bags_left = sorted(path.name for path in (killed / "bags").iterdir())
-        say(f"seed {seed}, {len(lines(undisturbed))} rollouts: {took:.0f} s undisturbed, ")
+        print(
+            f"seed {seed}, {len(lines(undisturbed))} rollouts: {took:.0f} s undisturbed,", end=" "
+        )
         kills = sum(" records" in line for line in report)
-        say(f"{longer:.0f} s with {kills} kills\n" + "\n".join(report) + "\n")
-        say(f"bags: {len(bags_left)}, including rollouts that a kill cut short\n")
-        say(verdict("rollouts, undisturbed and killed", found) + "\n")
+        print(f"{longer:.0f} s with {kills} kills", *report, sep="\n")
+        print(f"bags: {len(bags_left)}, including rollouts that a kill cut short")
+        print(verdict("rollouts, undisturbed and killed", found))
     return int(bool(found))
 
 

@@ -18,7 +18,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -78,20 +77,20 @@ def stand_in(report: Path) -> int:
     WamSim._on_torque = taken  # a second subscription would slow down the controller's topic
 
     def make() -> Simulation:
-        bench = Simulation()
-        publish = bench.wam.publish
+        simulation = Simulation()
+        publish = simulation.wam.publish
 
         def timed(message: JointState) -> None:
             sent[nanoseconds(message.header.stamp)] = time.monotonic_ns()
             publish(message)
 
-        bench.wam.publish = timed
-        bench.wam.create_subscription(
+        simulation.wam.publish = timed
+        simulation.wam.create_subscription(
             Float64MultiArray, ECHO, partial(on_answer, ECHO), interface.COMMAND
         )
-        return bench
+        return simulation
 
-    status = node_runner.run(make, spin=lambda bench, ended: bench.spin(ended))
+    status = node_runner.run(make, spin=lambda simulation, ended: simulation.spin(ended))
     rows = [
         (at, *(times.get(stamp_ns, 0) for times in answered.values()))
         for stamp_ns, at in sent.items()
@@ -101,11 +100,11 @@ def stand_in(report: Path) -> int:
 
 
 def measure(
-    seconds: float, fifo: bool, load: int, say: Callable[[str], object] | None = None
+    seconds: float, fifo: bool, load: int, stages: bool = False
 ) -> dict[str, dict[str, float]]:
     """Latency figures of controller and echo in one run, and CPU of each process [%].
 
-    With `say`, the controller also times its stages, at a small cost, and they are printed.
+    With `stages`, the controller also times its stages, at a small cost, and they are printed.
     """
     module = [sys.executable, "-m"]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
@@ -130,7 +129,7 @@ def measure(
                     *module,
                     *(
                         ["benchmark.stages", str(Path(folder) / "stages.npy")]
-                        if say
+                        if stages
                         else ["wam_power_ros.nodes.torque_controller"]
                     ),
                     *ros_arguments("torque_controller", realtime_priority=priority["controller"]),
@@ -147,10 +146,10 @@ def measure(
             ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
             processes.check()
         rows = np.load(report)
-        if say:
-            stages = np.load(Path(folder) / "stages.npy")
-            within = (stages[:, 0] >= begun_ns) & (stages[:, 0] < ended_ns)
-            say(table_of_stages(stages[within], rows))
+        if stages:
+            times = np.load(Path(folder) / "stages.npy")
+            within = (times[:, 0] >= begun_ns) & (times[:, 0] < ended_ns)
+            print(table_of_stages(times[within], rows))
     rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
     cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
     return {
@@ -204,7 +203,7 @@ def table(title: str, figures: dict[str, dict[str, float]]) -> str:
     return "\n".join(lines)
 
 
-def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n")) -> int:
+def main() -> int:
     """Measure with and without SCHED_FIFO."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0, help="duration of each run [s]")
@@ -223,12 +222,12 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     results = {}
     for title, fifo in (("SCHED_FIFO", True), ("plain scheduling", False)):
         if fifo and not may_schedule():
-            say(f"{title}: skipped, not permitted here (rtprio in /etc/security/limits.d)")
+            print(f"{title}: skipped, not permitted here (rtprio in /etc/security/limits.d)")
             continue
         results[title] = measure(options.seconds, fifo, options.load)
-        say(table(title, results[title]))
+        print(table(title, results[title]))
         if options.stages:
-            measure(options.seconds, fifo, options.load, say)
+            measure(options.seconds, fifo, options.load, stages=True)
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n")
     return 0

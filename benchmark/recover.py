@@ -44,7 +44,7 @@ from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli.processes import Processes, Running, private_domain
-from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros import answers, interface, joint_messages
 
 START = 1_700_000_000_000_000_000  # [ns]
 FLUSH = 250  # [states] between two chunks, as the recorder at 500 Hz
@@ -149,7 +149,7 @@ class Source(Node):
             time.sleep(0.05)
         future = self._record.call_async(SetBool.Request(data=True))
         self._executor.spin_until_future_complete(future, 60.0)
-        return Path(future.result().message)
+        return Path(answers.read(True, future.result().message).text)
 
     def send(self, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:
         """Publish for some time [s], or until `enough()`."""

@@ -13,7 +13,6 @@ tick counts, in both: disturbances of a busy machine only add to it.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
@@ -187,7 +186,7 @@ def by_part(environment: Environment, policy: Policy) -> dict[str, list[float]]:
         for part in PARTS:
             timed = clock.timed(getattr(part.owner, part.name), part.label)
             stack.enter_context(replaced(part.owner, part.name, timed))
-        clock.timed(environment.run, "bench")(policy)
+        clock.timed(environment.run, "connections")(policy)
     return clock.seconds
 
 
@@ -235,7 +234,7 @@ def seconds_of(function: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n")) -> None:
+def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=15)
@@ -260,18 +259,18 @@ def main(say: Callable[[str], object] = lambda text: sys.stdout.write(text + "\n
     seconds = {label: float(best(calls).sum()) for label, calls in parts.items()}
     ticks = len(recording.forces)
     simulated = 0.002 * ticks
-    say(f"rollout of {simulated:.2f} s, {ticks} ticks; tossed {truth['tossed']}")
-    say(f"rollouts a second        {1.0 / whole:8.1f}")
-    say(f"times real time          {simulated / whole:8.1f}")
-    say(f"whole rollout            {whole * 1e3:8.1f} ms")
+    print(f"rollout of {simulated:.2f} s, {ticks} ticks; tossed {truth['tossed']}")
+    print(f"rollouts a second        {1.0 / whole:8.1f}")
+    print(f"times real time          {simulated / whole:8.1f}")
+    print(f"whole rollout            {whole * 1e3:8.1f} ms")
     bare = f"{(settle + flight) * 1e3:8.1f} ms, {settle * 1e3:.1f} of it while the pancake settles"
-    say(f"its bare MuJoCo steps    {bare}")
-    say(f"whole over bare          {whole / (settle + flight):8.2f}")
-    say(f"control step, median     {np.median(best(controls)) * 1e6:8.1f} us")
-    say(f"observing the flight     {observing * 1e3:8.1f} ms, not in the above")
-    say("microseconds a tick by part, timing included")
+    print(f"its bare MuJoCo steps    {bare}")
+    print(f"whole over bare          {whole / (settle + flight):8.2f}")
+    print(f"control step, median     {np.median(best(controls)) * 1e6:8.1f} us")
+    print(f"observing the flight     {observing * 1e3:8.1f} ms, not in the above")
+    print("microseconds a tick by part, timing included")
     for label in sorted(seconds, key=seconds.get, reverse=True):
-        say(f"  {label:36s}{seconds[label] / ticks * 1e6:8.1f}")
+        print(f"  {label:36s}{seconds[label] / ticks * 1e6:8.1f}")
 
 
 if __name__ == "__main__":

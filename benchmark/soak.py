@@ -184,7 +184,7 @@ class Director(Node):
         return done
 
     def teach(self) -> None:
-        """Gravity compensation, and the hand leads the arm; again if it fails."""
+        """Let the demonstrator lead the arm under gravity compensation; repeat if it fails."""
         while not self._teach():
             self._count("demonstrations broken off")
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from wam_power_ros.console.prompt import ask, say
+from wam_power_ros.console.prompt import ask, show
 
 
 @pytest.mark.parametrize(("typed", "answered"), [("\n", True), ("yes\n", True), ("", False)])
@@ -32,6 +32,6 @@ def test_a_line_is_written_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
-    say("one of three")
+    show("one of three")
     assert terminal.getvalue() == "one of three\n"
     assert terminal.flushed == len("one of three\n")

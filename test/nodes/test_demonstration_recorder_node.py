@@ -25,6 +25,7 @@ from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.ros import interface, joint_messages, pose_messages
+from wam_power_ros.ros.answers import Code, read
 
 NODE = "wam_power_ros.nodes.demonstration_recorder"
 CONFIG = "demonstration_recorder.yaml"
@@ -52,7 +53,9 @@ class Bench:
     def record(self, on: bool) -> tuple[bool, str]:
         """Ask for the start or the end of a recording."""
         response = self.probe.call(SetBool, interface.RECORD, SetBool.Request(data=on))
-        return response.success, response.message
+        answer = read(response.success, response.message)
+        assert answer.success == response.success
+        return answer.success, answer.text
 
     def start(self) -> Path:
         """Begin a recording that must begin."""
@@ -266,6 +269,8 @@ def test_a_recording_that_cannot_be_is_refused_with_its_reason(
     assert bench.record(False) == (False, "not recording")
     path = bench.start()
     assert bench.record(True) == (False, f"already recording {path}")
+    response = bench.probe.call(SetBool, interface.RECORD, SetBool.Request(data=True))
+    assert read(response.success, response.message).code is Code.BUSY
     bench.stop()
 
 

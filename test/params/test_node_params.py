@@ -18,8 +18,8 @@ from hardware_sim.optitrack_node import OptitrackSimParams
 from hardware_sim.wam_node import WamSimParams
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
-from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
 from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 

@@ -94,14 +94,14 @@ def learn(options: argparse.Namespace) -> int:
                 demonstrations=[str(bag) for bag in bags] or [""],
                 **{name: value for name, value in given.items() if value},
             )
-            records = _follow(folder, launcher.processes, learner)
+            practised = _follow(folder, launcher.processes, learner)
     except KeyboardInterrupt:
         print(f"\nStopped. The session is in {short_path(folder)}. To resume:\n  {again}")
         return 130
     except ProcessError:
         print(f"\nThe session is in {short_path(folder)}. To resume:\n  {again}")
         raise
-    print(terminal.summary(records, session.read_task(folder)))
+    print(terminal.summary(practised, session.read_task(folder)))
     return report(argparse.Namespace(session=folder))
 
 

@@ -18,7 +18,7 @@ import tty
 import rclpy
 from std_msgs.msg import Bool
 
-from wam_power_ros.console.prompt import say
+from wam_power_ros.console.prompt import show
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import participant
 
@@ -50,7 +50,7 @@ def main() -> int:
         switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
         key, terminal = HeldKey(), sys.stdin.fileno()
         before = termios.tcgetattr(terminal)
-        say("Hold any key down to enable the arm; Ctrl-C ends.")
+        show("Hold any key down to enable the arm; Ctrl-C ends.")
         try:
             tty.setcbreak(terminal)
             while rclpy.ok():

@@ -24,7 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import QosDurability, QosReliability
 
 from wam_power_ros.bags import layout, reader
-from wam_power_ros.console.prompt import say
+from wam_power_ros.console.prompt import show
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import participant
 
@@ -95,7 +95,7 @@ def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float 
         raise ValueError(f"rate {rate} must be positive")
     topics, left_out = select_topics(path, wanted)
     for name, why in left_out.items():
-        say(f"not played: {name}, because {why}")
+        show(f"not played: {name}, because {why}")
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with participant(lambda: Node("player"), SignalHandlerOptions.NO) as node:
         _Player(node, topics).play(path, rate, wait)
@@ -123,9 +123,9 @@ class _Player:
         while time.monotonic() < end and not all(map(_subscribers, self._publishers.values())):
             time.sleep(0.05)
         unread = [name for name, each in self._publishers.items() if not _subscribers(each)]
-        say(f"Playing {', '.join(self._publishers)}; Ctrl-C ends it")
+        show(f"Playing {', '.join(self._publishers)}; Ctrl-C ends it")
         if unread:
-            say(f"no subscriber of {', '.join(unread)}")
+            show(f"no subscriber of {', '.join(unread)}")
         begun, checked, first_ns, count = time.monotonic(), time.monotonic(), None, 0
         for name, stamp_ns, cdr in reader.messages(path, self._publishers):
             first_ns = stamp_ns if first_ns is None else first_ns
@@ -139,7 +139,7 @@ class _Player:
             count += 1
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=DISCOVERY_TIME))
-        say(f"played {count} messages in {time.monotonic() - begun:.1f} s")
+        show(f"played {count} messages in {time.monotonic() - begun:.1f} s")
 
     def _check_alone(self) -> None:
         for name in self._publishers:

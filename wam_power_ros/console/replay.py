@@ -19,7 +19,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.bags import reader
-from wam_power_ros.console.prompt import ask, say
+from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface, joint_messages
@@ -81,16 +81,16 @@ class Replay(Node):
         self._ask(f"The arm will move to the start of {how}. Press Enter: ")
         if self._signals:
             return STOPPED
-        say(f"Replaying {how}; Ctrl-C stops the arm")
+        show(f"Replaying {how}; Ctrl-C stops the arm")
         calls.insist(SetBool, interface.RECORD, SetBool.Request(data=True))
         try:
             answer = self._follow()
         finally:
             path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text
-        say(with_possible_speed(answer, self._params.speed))
-        say(f"recorded: {path}")
+        show(with_possible_speed(answer, self._params.speed))
+        show(f"recorded: {path}")
         if self._signals:
-            say("Stopped: the arm holds.")
+            show("Stopped: the arm holds.")
         self._signals.clear()
         self._ask("The arm holds. Support it, then press Enter to let it go: ")
         if answer.success:

@@ -16,7 +16,7 @@ from pydantic import Field
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros.console.prompt import ask, say
+from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import run_script
@@ -73,7 +73,7 @@ class Teach(Node):
             else:
                 insist(Trigger, interface.DEMONSTRATE)
             bags.append(insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text)
-            say(f"  {number} of {params.demonstrations}: {bags[-1]}")
+            show(f"  {number} of {params.demonstrations}: {bags[-1]}")
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
         Path(params.series).write_text(json.dumps(bags))
 

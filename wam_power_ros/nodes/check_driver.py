@@ -39,8 +39,8 @@ from wam_power_ros.conformance.mocap_checks import CloudSample, FrameSample
 from wam_power_ros.conformance.topic_checks import Endpoint, Row, Verdict
 from wam_power_ros.conformance.watchdog_check import CommandCheck
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.nodes.pancake_tracker import PancakeTrackerParams
 from wam_power_ros.params import overlay
+from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages, scheduling

@@ -27,15 +27,16 @@ from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.learning import policy
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface, node_runner, scheduling
+from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
-LOOK_PERIOD = 0.1  # [s] at how the writing goes, and at the disk
+LOOK_PERIOD = 0.1  # [s] between checks of the writing and of the free space
 
 
 class DemonstrationRecorderParams(Params):
-    """See config/demonstration_recorder.yaml."""
+    """Parameters of the node; the values are in config/demonstration_recorder.yaml."""
 
     directory: str
     realtime_priority: int = Field(ge=0, le=98)
@@ -109,21 +110,23 @@ class DemonstrationRecorder(Node):
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         try:
-            response.message = self._start() if request.data else self._stop("asked to")
-            response.success = True
+            answer = self._start() if request.data else self._stop("asked to")
         except (OSError, ValueError) as error:
-            response.message = str(error)
-            self.get_logger().warning(f"refused: {error}")
+            answer = Answer(Code.REFUSED, str(error))
+        if not answer.success:
+            self.get_logger().warning(f"refused: {answer.text}")
+        response.success, response.message = answer.success, str(answer)
         return response
 
-    def _start(self) -> str:
-        """Begin a bag; the message is its path."""
+    def _start(self) -> Answer:
+        """Begin a bag; the text of the answer is its path."""
         if self._recording is not None:
-            raise ValueError(f"already recording {self._recording.path}")
+            return Answer(Code.BUSY, f"already recording {self._recording.path}")
         self._directory.mkdir(parents=True, exist_ok=True)
         if (free := self._free()) < self._params.free_to_start:
             needed = self._params.free_to_start
-            raise ValueError(f"{free:.0f} MB free in {self._directory}, {needed:.0f} MB needed")
+            text = f"{free:.0f} MB free in {self._directory}, {needed:.0f} MB needed"
+            return Answer(Code.REFUSED, text)
         self._topics.look()
         kind = "rollout" if self._policy_id else self._params.stem
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
@@ -134,13 +137,13 @@ class DemonstrationRecorder(Node):
         for topic, cdr in self._last.items():
             self._write(topic, cdr)
         self.get_logger().info(f"recording {path}")
-        return str(path)
+        return Answer(Code.DONE, str(path))
 
-    def _stop(self, reason: str) -> str:
-        """Close the bag; the message is its path."""
+    def _stop(self, reason: str) -> Answer:
+        """Close the bag; the text of the answer is its path."""
         recording = self._recording
         if recording is None:
-            raise ValueError("not recording")
+            return Answer(Code.NOTHING, "not recording")
         try:
             states = recording.close(reason, self._notes, self._state_topic)
         except OSError as error:
@@ -153,7 +156,7 @@ class DemonstrationRecorder(Node):
             longest = f"longest gap {states.longest:.3f} s"
             self._note = f"{states.missing} messages missing on {self._state_topic}, {longest}"
             self.get_logger().warning(self._note)
-        return str(recording.path)
+        return Answer(Code.DONE, str(recording.path))
 
     def _write(self, topic: str, cdr: bytes) -> None:
         if topic not in self._recording:
@@ -162,7 +165,7 @@ class DemonstrationRecorder(Node):
 
     @property
     def _notes(self) -> dict[str, str]:
-        """For the metadata, as far as known beforehand."""
+        """Notes for the metadata that are known beforehand."""
         return {
             "joint_names": json.dumps(self._params.joint_names),
             "state_topic": self._params.state_topic,
@@ -181,7 +184,7 @@ class DemonstrationRecorder(Node):
         self._report()
 
     def _look_at_disk(self) -> None:
-        """Whether it took what came, and will take more."""
+        """End a recording whose writing has failed, or for which the disk is nearly full."""
         recording = self._recording
         if recording is not None and recording.error is not None:
             self._give_up(recording.error)
@@ -190,7 +193,7 @@ class DemonstrationRecorder(Node):
                 self._stop("disk nearly full")
                 self._trouble = f"stopped below {self._params.free_to_continue:.0f} MB free"
             except OSError:
-                pass  # told already
+                pass  # logged already
 
     def _report(self) -> None:
         recording = self._recording

@@ -20,46 +20,18 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.tracking.tracker import (
     ClockOffset,
     TrackedState,
     Tracker,
-    TrackerSettings,
     Validity,
     falling,
 )
 
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # every other is an error
-
-
-class PancakeTrackerParams(Params):
-    """See config/pancake_tracker.yaml."""
-
-    body: str  # name of the tracked body
-    pose_topic: str
-    markers_topic: str
-    rate: float
-    up_axis: str
-    world_to_base: tuple[float, ...]
-    latency_offset: float
-    workspace_low: tuple[float, ...]
-    workspace_high: tuple[float, ...]
-    speed_max: float
-    noise: float
-    silence: float
-    clock_offset_max: float
-
-    def settings(self) -> TrackerSettings:
-        """Those of the core.
-
-        Raises:
-            ValueError: One is out of range.
-        """
-        fields = TrackerSettings.__dataclass_fields__
-        return TrackerSettings(**self.model_dump(include=set(fields)))
 
 
 class _Rollout(NamedTuple):
