@@ -32,7 +32,6 @@ def choose_demonstration(reproductions: Sequence[Record]) -> tuple[int, str]:
         reasons = "; ".join(f"{record.demonstration}: {record.why}" for record in reproductions)
         raise ValueError(f"no demonstration could be reproduced ({reasons})")
     best = max(eligible, key=lambda index: float(reproductions[index].rated_return or 0.0))
-    return best, (
-        f"highest return of {len(reproductions)} reproductions, "
-        f"{reproductions[best].rated_return:.3f}"
-    )
+    count = len(reproductions)
+    rank = f"highest return of {count} reproductions" if count > 1 else "the only reproduction"
+    return best, f"{rank}, {reproductions[best].rated_return:.3f}"

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Execution of a trial over ROS, against a controller made of services that do as they are told."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import Probe, lift
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path
+from std_srvs.srv import Trigger
+
+from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
+from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
+from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.diagnostics import diagnostics_message
+
+POLICY = lift("trial-0002")
+WHOLE = 0.5  # [s]
+PARAMS = SimpleNamespace(
+    scene_reset=False,
+    reset_faults=True,
+    record_rollouts=False,
+    service_timeout=20.0,
+    rollout_timeout=20.0,
+    patience=20.0,
+)
+
+
+class Cell:
+    """Services and topics of a controller, on the node of the test; every request is kept."""
+
+    def __init__(self, probe: Probe) -> None:
+        self.node, self.requests = probe.node, []
+        self.answers = {
+            interface.MOVE_TO_START: [],
+            interface.EXECUTE: [],
+            interface.RESET: [],
+        }  # what is answered first; then that it was done
+        for name in self.answers:
+            self.node.create_service(Trigger, name, self._serve(name))
+        latched = interface.LATCHED
+        self.paths = self.node.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, latched)
+        self._diagnostics = self.node.create_publisher(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self.end = WHOLE
+        self.fault: Fault | None = None
+
+    def _serve(self, name: str):  # noqa: ANN202 - a callback of rclpy
+        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            self.requests.append(name)
+            answer = Answer(Code.DONE, values={"policy": POLICY.id})
+            if self.answers[name]:
+                answer = self.answers[name].pop(0)
+            elif name == interface.EXECUTE:
+                self.publish(self.end)
+            response.success, response.message = answer.success, str(answer)
+            return response
+
+        return serve
+
+    def publish(self, end: float, policy_id: str = POLICY.id) -> None:
+        """A path of the tool that ends then, and diagnostics as a controller publishes them."""
+        t = np.arange(0.0, end, 0.01)
+        level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
+        path = EndEffectorPath(policy_id, t, np.zeros((len(t), 3)), level)
+        self.paths.publish(pose_messages.path_message(path, 1_000_000_000, "wam_base"))
+        level, text, kind = "ok", "hold", ""
+        if self.fault is not None:
+            level, text, kind = "error", self.fault.text, self.fault.kind.value
+        values = {"mode": "hold", "fault kind": kind}
+        for _ in range(3):
+            now = self.node.get_clock().now().to_msg()
+            self._diagnostics.publish(
+                diagnostics_message(now, "torque_controller: loop", "arm", level, text, values)
+            )
+
+
+@pytest.fixture
+def cell(probe: Probe) -> Cell:
+    return Cell(probe)
+
+
+@pytest.fixture
+def client(probe: Probe, cell: Cell) -> RolloutClient:
+    return RolloutClient(probe.node, probe._executor, PARAMS, "")
+
+
+def test_a_rollout_is_executed_from_its_start(client: RolloutClient, cell: Cell) -> None:
+    executed = client.execute(POLICY, WHOLE, lambda state: "")
+    assert cell.requests == [interface.MOVE_TO_START, interface.EXECUTE]
+    assert executed.rollout.tool.id == POLICY.id and executed.rollout.body is None
+    assert executed.rollout.fault is None and (executed.bag, executed.truth) == ("", None)
+
+
+def test_the_path_of_another_rollout_is_not_taken(client: RolloutClient, cell: Cell) -> None:
+    cell.publish(0.2, "trial-0001")
+    executed = client.execute(POLICY, WHOLE, lambda state: "")
+    assert executed.rollout.tool.id == POLICY.id
+
+
+@pytest.mark.parametrize("kind", [FaultKind.TOOL_SPEED, FaultKind.STATES_LOST])
+def test_the_fault_of_a_rollout_that_was_cut_short_keeps_its_kind(
+    client: RolloutClient, cell: Cell, kind: FaultKind
+) -> None:
+    cell.end, cell.fault = 0.2, Fault(kind, "a sentence about a limit of the workspace")
+    executed = client.execute(POLICY, WHOLE, lambda state: "")
+    assert executed.rollout.fault == cell.fault
+
+
+def test_a_rollout_that_ended_early_without_a_fault_has_none(
+    client: RolloutClient, cell: Cell
+) -> None:
+    cell.end = 0.2
+    assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault is None
+
+
+def test_a_fault_before_the_rollout_is_reset_and_it_begins_again(
+    client: RolloutClient, cell: Cell
+) -> None:
+    at_fault = Answer(Code.FAULT, "refused")
+    cell.answers[interface.EXECUTE] = [at_fault]
+    cell.answers[interface.MOVE_TO_START] = [at_fault]
+    client.execute(POLICY, WHOLE, lambda state: "")
+    move, execute, reset = interface.MOVE_TO_START, interface.EXECUTE, interface.RESET
+    assert cell.requests == [move, reset, move, execute, move, execute]
+
+
+def test_an_answer_for_another_policy_is_asked_again(client: RolloutClient, cell: Cell) -> None:
+    other = Answer(Code.DONE, values={"policy": "trial-0001"})
+    cell.answers[interface.MOVE_TO_START] = [other]
+    client.execute(POLICY, WHOLE, lambda state: "")
+    assert cell.requests == [interface.MOVE_TO_START] * 2 + [interface.EXECUTE]
+
+
+def test_a_fault_that_comes_again_and_again_ends_it_by_name(
+    client: RolloutClient, cell: Cell
+) -> None:
+    cell.answers[interface.EXECUTE] = [Answer(Code.FAULT, "no rollout")] * 10
+    with pytest.raises(RolloutError, match="no rollout"):
+        client.execute(POLICY, WHOLE, lambda state: "")
