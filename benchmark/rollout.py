@@ -252,8 +252,10 @@ def main() -> None:
         controls.append(control_steps(environment, policy))
         for label, calls in by_part(environment, policy).items():
             parts[label].append(calls)
-    pan, pancake, truth, _ = environment.run(policy)
-    observing = min(seconds_of(lambda: observe_flight(pan, pancake)) for _ in range(repeats))
+    rollout, truth = environment.run(policy)
+    observing = min(
+        seconds_of(lambda: observe_flight(rollout.tool, rollout.body)) for _ in range(repeats)
+    )
 
     whole, settle, flight = (float(best(times).sum()) for times in (wholes, settles, flights))
     seconds = {label: float(best(calls).sum()) for label, calls in parts.items()}
