@@ -118,6 +118,27 @@ def test_a_state_that_was_sent_again_counts_once(tmp_path: Path) -> None:
     assert len(read_demonstration(writer.close({}), NAMES)[0]) == 2
 
 
+@pytest.mark.parametrize("source", ["sim", "hardware"])
+def test_states_of_before_a_simulated_reset_are_another_movement(
+    tmp_path: Path, source: str
+) -> None:
+    """A reset moves the arm between two ticks; a recorder that lags has states of before it."""
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
+    before, after = random_q(3, seed=1), random_q(5, seed=2)
+    stamps = [START + 2_000_000 * k for k in (0, 1, 2, 2, 3, 4, 5, 6)]
+    for stamp_ns, row in zip(stamps, [*before, *after], strict=True):
+        writer.write("/joint_states", stamp_ns, joint_state(stamp_ns, NAMES, row))
+    path = writer.close({"joint_names": json.dumps(NAMES), "source": source})
+    if source == "hardware":  # there two states of one stamp are two drivers, or a broken one
+        with pytest.raises(ValueError, match="follows"):
+            read_demonstration(path, NAMES)
+        return
+    back_ns, back = read_demonstration(path, NAMES)
+    np.testing.assert_array_equal(back, after)
+    assert back_ns.tolist() == stamps[3:]
+
+
 def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "demo", random_q(3))
     with pytest.raises(ValueError, match=r"no topic /joints; it has \['/joint_states'"):

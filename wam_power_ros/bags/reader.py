@@ -40,7 +40,7 @@ def read_demonstration(
             finite, stamps that go back.
     """
     path = Path(path)
-    noted, noted_topic = _noted(path)
+    noted, noted_topic, simulated = _noted(path)
     topic = topic or noted_topic
     states = [_joint_angles(path, topic, cdr) for cdr in _messages(path, topic, JOINT_STATE)]
     ours = tuple(joint_names)
@@ -61,6 +61,11 @@ def read_demonstration(
         if stamps and stamp_ns <= stamps[-1]:
             if stamp_ns == stamps[-1] and row == rows[-1]:
                 continue
+            if stamp_ns == stamps[-1] and simulated:
+                # The scene was reset between two ticks of its clock; a recorder that lags behind
+                # on a busy machine has states of before: they belong to another movement.
+                stamps, rows = [stamp_ns], [row]
+                continue
             raise ValueError(f"{path}: stamp {stamp_ns} follows {stamps[-1]} on {topic}")
         stamps.append(stamp_ns)
         rows.append(row)
@@ -71,15 +76,15 @@ def read_demonstration(
     return np.array(stamps, dtype=np.int64), np.array(rows)
 
 
-def _noted(path: Path) -> tuple[tuple[str, ...], str]:
-    """Joint names, base to tip, and topic of the states as our recorder notes them in a bag."""
+def _noted(path: Path) -> tuple[tuple[str, ...], str, bool]:
+    """Joint names, topic of the states, and whether they are simulated, as our recorder notes."""
     _check_metadata(path)
     try:
         custom = custom_data(plain_yaml.read(path / "metadata.yaml"))
         names = tuple(map(str, json.loads(custom.get("joint_names", "[]"))))
-        return names, str(custom.get("state_topic", STATES))
+        return names, str(custom.get("state_topic", STATES)), custom.get("source") == "sim"
     except (ValueError, TypeError):
-        return (), STATES  # another recorder's notes, or none
+        return (), STATES, False  # another recorder's notes, or none
 
 
 def custom_data(metadata: object) -> dict[str, str]:
