@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags: what goes in comes out, another reader agrees, and damage is called by its name."""
 
+import json
 import time
 from pathlib import Path
 
