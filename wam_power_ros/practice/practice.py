@@ -10,22 +10,22 @@ from its arguments and its log, and every line of the log, live or replayed, goe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
-from wam_power_ros.learning.learner import Learner, Model, generator_state
+from wam_power_ros.learning.learner import Learner, generator_state
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, check_id
-from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.best_policy import Best, choose_best
 from wam_power_ros.practice.choose_demonstration import choose_demonstration
-from wam_power_ros.practice.feasible_sampler import FeasibleSampler
 from wam_power_ros.practice.feedback import make_demonstration, make_rating
+from wam_power_ros.practice.improvement import ArmModel, Improvement, LearnerFactory
 from wam_power_ros.practice.session_log import (
     Event,
-    Kind,
     Line,
     NewDemonstration,
     Rating,
@@ -33,26 +33,11 @@ from wam_power_ros.practice.session_log import (
     plain,
 )
 from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
-from wam_power_ros.practice.stopping_rule import StoppingRule
 from wam_power_ros.practice.trial import Draw, Trial
 from wam_power_ros.tasks.task import Assessment, Task
 
 RECENT = 5  # rollouts whose mean return a demonstration added later has to exceed
-L = TypeVar("L", Record, Rating, NewDemonstration)
-LearnerFactory = Callable[[int, np.random.Generator, Model | None], Learner]
-
-
-class ArmModel(Protocol):
-    """What a practice asks the model of the arm."""
-
-    def infeasible(self, policy: Policy) -> Fault | None:
-        """Fault in which a simulated execution of a policy ends, None when there is none.
-
-        The same policy must always get the same answer.
-        """
-
-    def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """Position of the tool at joint angles q [m]. Shape (3,)."""
+L = TypeVar("L", bound=Line)
 
 
 def reproduction_of(candidate: Policy, task: Task) -> Policy:
@@ -146,13 +131,9 @@ class Practice:
         self._pending: Trial | None = None
         self._retry: Draw | None = None
         self._reproductions: list[int] = []  # numbers of the rollouts, one a candidate
-        self._demonstration: str | None = None
+        self._improvement: Improvement | None = None  # of the chosen demonstration
         self._choice = ""
-        self._learner: Learner | None = None
-        self._sampler: FeasibleSampler | None = None  # with the learner
         self._used = 0  # usable rollouts, of the budget
-        self._practised = 0  # trials of the practice that are over, dropped ones included
-        self._rule = StoppingRule(settings, task.confirms)
         self._stopped = ""
         self._answer: np.ndarray | None = None
         self._retested = 0
@@ -197,14 +178,12 @@ class Practice:
     @property
     def parametrization(self) -> Parametrization | None:
         """Parametrization of the chosen demonstration, None before the choice."""
-        if self._demonstration is None:
-            return None
-        return self._parametrizations[self._demonstration]
+        return None if self._improvement is None else self._improvement.parametrization
 
     @property
     def learner(self) -> Learner | None:
         """The learner, None before the choice; to be read only."""
-        return self._learner
+        return None if self._improvement is None else self._improvement.learner
 
     @property
     def choice(self) -> str:
@@ -245,7 +224,7 @@ class Practice:
         """The policy to save as the best so far, see `choose_best`."""
         chosen = choose_best(
             self._records,
-            self._demonstration,
+            None if self._improvement is None else self._improvement.demonstration,
             self._answer,
             self._stopped,
             self.settings.return_noise,
@@ -444,44 +423,14 @@ class Practice:
             candidate = self._candidates[len(self._reproductions)]
             zero = np.zeros(self._parametrizations[candidate.id].size)
             return Draw("reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}")
-        learner, sampler = self._learner, self._sampler
-        if learner is None or sampler is None or self._demonstration is None:
+        if self._improvement is None:
             raise ValueError("a session that never chose a demonstration is over")
-        ran = self._best_without_fault(learner.size)
-        kind: Kind = "mean"
-        if self._answer is not None:
-            kind = "retest"
-            z, rejections = sampler.shrunk(self._answer, ran, rejections)
-            self._answer = z
-            purpose = f"re-test {self._retested + 1} of {self.settings.retests}"
-        elif self._rule.z is not None:
-            z, rejections = self._rule.z, 0
-            purpose = f"confirms a mean, {self._rule.count + 1} of {self.settings.confirm}"
-        elif self._rule.mean_is_due or self._is_mean_turn():
-            z, rejections = sampler.shrunk(learner.mean, ran, rejections)
-            purpose = "the mean, without exploration"
-        else:
-            kind = "explore"
-            z, rejections = sampler.sample(learner, ran, rejections)
-            purpose = "explores"
-        return Draw(kind, self._demonstration, z, 1, rejections, purpose)
-
-    def _best_without_fault(self, size: int) -> np.ndarray:
-        """The z of the rollout of highest return; 0 if each had a fault."""
-        ran = [
-            record
-            for record in self._records
-            if record.demonstration == self._demonstration
-            and record.rated_return is not None
-            and not record.fault
-        ]
-        if not ran:
-            return np.zeros(size)
-        return np.array(max(ran, key=lambda record: record.rated_return or 0.0).z)
-
-    def _is_mean_turn(self) -> bool:
-        every = self.settings.mean_every
-        return every > 0 and (self._practised + 1) % every == 0
+        if self._answer is None:
+            return self._improvement.draw(self._records, rejections)
+        draw = self._improvement.draw_feasible(self._answer, self._records, rejections)
+        self._answer = draw.z
+        purpose = f"re-test {self._retested + 1} of {self.settings.retests}"
+        return replace(draw, kind="retest", purpose=purpose)
 
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates a rollout is learnt from at: corrected, but not to where it is infeasible."""
@@ -536,22 +485,10 @@ class Practice:
         total = (record.adjustment or 0.0) + event.amount
         record = record.model_copy(update={"adjustment": total})
         self._records[event.rollout - 1] = record
-        if self._learner is not None:
-            self._learner = self._learner_of_records()
-        if not record.succeeded:
-            self._rule.forget(record)
-
-    def _learner_of_records(self) -> Learner:
-        """A learner that was given all rollouts of the demonstration in their order."""
-        parametrization = self._parametrizations[str(self._demonstration)]
-        start = self._arm.tool_position(parametrization.policy0.q_start)
-        learner = self._make_learner(
-            parametrization.size, self._rng, self.task.model(parametrization, start)
-        )
-        for record in self._records:
-            if record.demonstration == self._demonstration and record.learnt_as is not None:
-                learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
-        return learner
+        if self._improvement is not None:
+            self._improvement.learn_again(self._records)
+            if not record.succeeded:
+                self._improvement.forget_success(record)
 
     def _advance(self, record: Record) -> str:
         """Bring everything up to date with a record; returns the decision for its note."""
@@ -572,8 +509,8 @@ class Practice:
             note = self._advance_reproduction(record)
         else:
             note = self._advance_practice(record, z)
-        if self._learner is not None and not self._stopped:
-            answer = self._learner.mean if self._rule.z is None else self._rule.z
+        if self._improvement is not None and not self._stopped:
+            answer = self._improvement.answer
             limit = 3 * self.settings.budget
             if self._used >= self.settings.budget:
                 self._stop(answer, f"budget of {self.settings.budget} rollouts used")
@@ -583,8 +520,8 @@ class Practice:
 
     def _advance_reproduction(self, record: Record) -> str:
         self._reproductions.append(record.number)
-        if self._learner is not None:
-            return self._compare(record)
+        if self._improvement is not None:
+            return self._compare(record, self._improvement)
         if len(self._reproductions) < len(self._candidates):
             return ""
         reproductions = [self._records[number - 1] for number in self._reproductions]
@@ -596,42 +533,46 @@ class Practice:
         self._learn_from(reproductions[index].demonstration, why)
         return self._choice
 
-    def _compare(self, record: Record) -> str:
+    def _compare(self, record: Record, present: Improvement) -> str:
         """Learn from a demonstration that was added later, if it is the better one."""
         recent = [
             float(other.rated_return)
             for other in self._records
-            if other.demonstration == self._demonstration and other.rated_return is not None
+            if other.demonstration == present.demonstration and other.rated_return is not None
         ][-RECENT:]
         level = float(np.mean(recent))
         if record.ret is None or record.fault:
-            return f"goes on with {self._demonstration}: {record.why}"
+            return f"goes on with {present.demonstration}: {record.why}"
         compared = f"return {record.ret:.3f} against {level:.3f} of the last {len(recent)}"
         if record.ret <= level:
-            return f"goes on with {self._demonstration}: {compared}"
-        self._rule = StoppingRule(self.settings, self.task.confirms)  # the old one's is of no use
-        self._learn_from(record.demonstration, f"{compared}, from {self._demonstration}")
+            return f"goes on with {present.demonstration}: {compared}"
+        why = f"{compared}, from {present.demonstration}"
+        self._learn_from(record.demonstration, why, present.practised)
         return self._choice
 
-    def _learn_from(self, demonstration: str, why: str) -> None:
-        self._demonstration = demonstration
+    def _learn_from(self, demonstration: str, why: str, practised: int = 0) -> None:
         self._choice = f"learns from {demonstration}: {why}"
-        self._learner = self._learner_of_records()
-        self._sampler = FeasibleSampler(self._parametrizations[demonstration], self._arm.infeasible)
+        self._improvement = Improvement(
+            self._parametrizations[demonstration],
+            self.settings,
+            self.task,
+            self._make_learner,
+            self._rng,
+            self._arm,
+            self._records,
+            practised,
+        )
 
     def _advance_practice(self, record: Record, z: np.ndarray) -> str:
         """Take up a trial that explored or ran the mean."""
-        learner = self._learner
-        if learner is None:
+        if self._improvement is None:
             raise ValueError(f"record {record.number}: {record.kind} before the choice")
-        self._practised += 1
-        if record.learnt_as is not None and record.ret is not None:
-            learner.tell(np.array(record.learnt_as), record.ret)
-        note = self._rule.add(record)
-        if self._rule.complete:
+        note = self._improvement.add(record)
+        if self._improvement.confirmed:
             self._stop(z, f"a mean succeeded {self.settings.confirm} times in a row")
-        return note or ("" if record.ret is not None else "dropped")
+        return note
 
     def _stop(self, answer: np.ndarray, why: str) -> None:
-        self._answer = self._parametrizations[str(self._demonstration)].clip(answer)
+        if self._improvement is not None:
+            self._answer = self._improvement.parametrization.clip(answer)
         self._stopped = why

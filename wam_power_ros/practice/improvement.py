@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Improvement of one demonstration: its learner, feasible sampler and stopping rule."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from wam_power_ros.learning.learner import Learner, Model
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.practice.feasible_sampler import FeasibleSampler
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.practice.stopping_rule import StoppingRule
+from wam_power_ros.practice.trial import Draw
+from wam_power_ros.tasks.task import Task
+
+LearnerFactory = Callable[[int, np.random.Generator, Model | None], Learner]
+
+
+class ArmModel(Protocol):
+    """What a practice asks the model of the arm."""
+
+    def infeasible(self, policy: Policy) -> Fault | None:
+        """Fault in which a simulated execution of a policy ends, None when there is none.
+
+        The same policy must always get the same answer.
+        """
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Position of the tool at joint angles q [m]. Shape (3,)."""
+
+
+class Improvement:
+    """Draws trials about one demonstration and learns from their records.
+
+    Attributes:
+        demonstration: Id of the candidate that is learnt from.
+        parametrization: Its parametrization.
+        learner: Learner; to be read only.
+        practised: Number of trials of the practice that are over, dropped ones included.
+
+    Args:
+        parametrization: Parametrization of the demonstration.
+        settings: Settings of the course of the session.
+        task: Task that is practised.
+        make_learner: Makes a learner, see `SessionSettings.make_learner`.
+        rng: Source of the exploration.
+        arm: Model of the arm.
+        records: Rollouts of the session so far; those of this demonstration are learnt from.
+        practised: Number of trials of the practice that are over.
+    """
+
+    def __init__(
+        self,
+        parametrization: Parametrization,
+        settings: PracticeSettings,
+        task: Task,
+        make_learner: LearnerFactory,
+        rng: np.random.Generator,
+        arm: ArmModel,
+        records: Sequence[Record],
+        practised: int,
+    ) -> None:
+        self.demonstration = parametrization.policy0.id
+        self.parametrization = parametrization
+        self.practised = practised
+        self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
+        self._make_learner = make_learner
+        self._sampler = FeasibleSampler(parametrization, arm.infeasible)
+        self._rule = StoppingRule(settings, task.confirms)
+        self.learn_again(records)
+
+    @property
+    def answer(self) -> np.ndarray:
+        """Coordinates of the session's answer, were it to stop now. Shape (size,)."""
+        return self.learner.mean if self._rule.z is None else self._rule.z
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether a mean has succeeded as often in a row as is needed."""
+        return self._rule.complete
+
+    def learn_again(self, records: Sequence[Record]) -> None:
+        """Give a new learner all rollouts of the demonstration, in their order."""
+        start = self._arm.tool_position(self.parametrization.policy0.q_start)
+        model = self._task.model(self.parametrization, start)
+        self.learner = self._make_learner(self.parametrization.size, self._rng, model)
+        for record in records:
+            if record.demonstration == self.demonstration and record.learnt_as is not None:
+                self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
+
+    def forget_success(self, record: Record) -> None:
+        """Begin the stopping rule anew if this record was one of its successes."""
+        self._rule.forget(record)
+
+    def draw(self, records: Sequence[Record], rejections: int | None) -> Draw:
+        """The next trial: the mean that is being confirmed, the mean, or an exploration.
+
+        Args:
+            records: Rollouts of the session so far.
+            rejections: Number of rejections, where it is known; see `FeasibleSampler`.
+        """
+        rule, settings = self._rule, self._settings
+        if rule.z is not None:
+            purpose = f"confirms a mean, {rule.count + 1} of {settings.confirm}"
+            return Draw("mean", self.demonstration, rule.z, 1, 0, purpose)
+        every = settings.mean_every
+        if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
+            return self.draw_feasible(self.learner.mean, records, rejections)
+        ran = self._best_without_fault(records)
+        z, rejections = self._sampler.sample(self.learner, ran, rejections)
+        return Draw("explore", self.demonstration, z, 1, rejections, "explores")
+
+    def draw_feasible(
+        self, z: np.ndarray, records: Sequence[Record], rejections: int | None
+    ) -> Draw:
+        """A run of these coordinates, shrunk to feasible ones if need be."""
+        z, rejections = self._sampler.shrunk(z, self._best_without_fault(records), rejections)
+        purpose = "the mean, without exploration"
+        return Draw("mean", self.demonstration, z, 1, rejections, purpose)
+
+    def add(self, record: Record) -> str:
+        """Learn from a trial that explored or ran the mean; returns a remark for the log."""
+        self.practised += 1
+        if record.learnt_as is not None and record.ret is not None:
+            self.learner.tell(np.array(record.learnt_as), record.ret)
+        return self._rule.add(record) or ("" if record.ret is not None else "dropped")
+
+    def _best_without_fault(self, records: Sequence[Record]) -> np.ndarray:
+        """The z of the rollout of highest return; 0 if each had a fault."""
+        ran = [
+            record
+            for record in records
+            if record.demonstration == self.demonstration
+            and record.rated_return is not None
+            and not record.fault
+        ]
+        if not ran:
+            return np.zeros(self.parametrization.size)
+        return np.array(max(ran, key=lambda record: record.rated_return or 0.0).z)
