@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a driver has wrong shows in what a still arm, or a led one, reports."""
+"""Mistakes of a driver show in what an arm reports at rest, or led by hand."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def model() -> Arm:
 
 
 def at_rest(q: np.ndarray = POSTURE, names: tuple[str, ...] = NAMES) -> list[StateSample]:
-    """What an honest driver tells of an arm that it carries."""
+    """Reports of a correct driver of an arm that it carries."""
     noise = np.random.default_rng(21).normal(scale=1e-5, size=(50, 7))
     tau = model().gravity(q)
     return [
@@ -65,7 +65,7 @@ def test_joints_are_found_by_name_beside_other_devices() -> None:
     np.testing.assert_allclose(found.q.mean(axis=0), POSTURE, atol=1e-5)
     assert len(found.q) == 50
     assert row.verdict is Verdict.OK
-    assert row.found == "in another order, matched by name; also heard: finger lift"
+    assert row.found == "in another order, matched by name; also received: finger lift"
 
 
 @pytest.mark.parametrize(
@@ -98,16 +98,16 @@ def test_positions_are_radians_within_the_limits() -> None:
     assert "wam_j2, wam_j4" in row.advice
 
 
-def test_an_honest_driver_passes_and_what_rest_cannot_tell_is_said() -> None:
+def test_a_correct_driver_passes_and_joints_that_rest_cannot_distinguish_are_named() -> None:
     for q, alike in ((POSTURE, {0, 4, 6}), (HOME, {0, 2, 4, 6})):
         row = arm_checks.gravity(record(at_rest(q)), model())
         assert row.verdict is Verdict.OK
         names = ", ".join(NAMES[joint] for joint in sorted(alike))
-        assert f"cannot tell {names} from each other" in row.advice
+        assert f"cannot distinguish {names} from each other" in row.advice
 
 
 @given(st.integers(0, 2**31))
-def test_an_honest_driver_passes_in_every_posture(seed: int) -> None:
+def test_a_correct_driver_passes_in_every_posture(seed: int) -> None:
     q = np.random.default_rng(seed).uniform(model().q_min, model().q_max)
     row = arm_checks.gravity(record(at_rest(q)), model())
     assert row.verdict in (Verdict.OK, Verdict.UNCHECKED)
@@ -130,7 +130,9 @@ def test_two_joints_exchanged_are_named(pair: tuple[int, int]) -> None:
     row = arm_checks.gravity(record(wrong), model())
     assert row.verdict is Verdict.FAIL
     first, second = (NAMES[i] for i in pair)
-    expected = f"wrong order of joints: {first}, {second} fit what comes as {second}, {first}"
+    expected = (
+        f"wrong order of joints: {first}, {second} fit the values received as {second}, {first}"
+    )
     assert row.advice == expected
 
 
@@ -150,7 +152,7 @@ def test_torques_reversed_or_of_another_payload_are_a_failure() -> None:
     assert "payload" in arm_checks.gravity(record(heavy), model()).advice
 
 
-def test_nothing_is_said_of_gravity_where_nothing_can_be() -> None:
+def test_gravity_is_not_checked_where_it_shows_nothing() -> None:
     gravity = arm_checks.gravity
     upright = at_rest(np.zeros(7))
     idle = [s._replace(tau=np.zeros(7)) for s in at_rest()]
@@ -194,7 +196,7 @@ def test_velocities_of_a_topic_of_their_own_count() -> None:
 def test_the_joint_that_is_led_must_be_the_one_that_moves_and_the_way_asked() -> None:
     assert arm_checks.led(record(led(2)), 2).verdict is Verdict.OK
     other = arm_checks.led(record(led(4)), 2)
-    assert (other.verdict, "comes as wam_j5 is this one" in other.advice) == (Verdict.FAIL, True)
+    assert (other.verdict, "wam_j5 is the name of this one" in other.advice) == (Verdict.FAIL, True)
     assert "reversed" in arm_checks.led(record(led(2, by=-0.4)), 2).advice
     assert arm_checks.led(record(at_rest()), 2).verdict is Verdict.UNCHECKED
 
@@ -202,6 +204,6 @@ def test_the_joint_that_is_led_must_be_the_one_that_moves_and_the_way_asked() ->
 @pytest.mark.parametrize(
     ("joint", "said"), [(0, "to its left"), (1, "down"), (6, "turns clockwise")]
 )
-def test_a_person_is_told_which_way_to_lead_a_joint(joint: int, said: str) -> None:
+def test_the_advice_names_which_way_to_lead_a_joint(joint: int, said: str) -> None:
     q = np.array([0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0])
     assert said in arm_checks.heading(model(), q, joint)

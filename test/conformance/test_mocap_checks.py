@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a motion capture by its frames."""
+"""Mistakes of a motion capture show in its frames."""
 
 from __future__ import annotations
 
@@ -47,10 +47,6 @@ def dropped(turn: np.ndarray | None = None) -> np.ndarray:
     fall = np.clip(np.arange(40) / 30.0 - 0.5, 0.0, 0.4)
     positions = lying(40) - np.outer(0.5 * 9.81 * fall**2, [0.0, 0.0, 1.0])
     return positions if turn is None else positions @ turn.T
-
-
-def changed(settings: TrackerSettings = SETTINGS, **values: object) -> TrackerSettings:
-    return replace(settings, **values)
 
 
 def usable(seen: list[FrameSample], **refused: int) -> dict[str, Row]:
@@ -102,7 +98,7 @@ def test_messages_that_cannot_be_read_count() -> None:
         (0.5, 0.0, Verdict.FAIL),
     ],
 )
-def test_latency_is_told_by_the_arms_clock(age: float, offset: float, expected: Verdict) -> None:
+def test_latency_is_by_the_arms_clock(age: float, offset: float, expected: Verdict) -> None:
     stamps = np.arange(10) * SECOND
     arm_age = 7.0  # however far this machine's clock is from both
     received = stamps + round((arm_age + age) * 1e9)
@@ -125,7 +121,7 @@ def test_a_body_in_the_pan_is_seen_there() -> None:
     pan = np.array([0.76, 0.0, 0.49])
     seen = frames(lying())
     assert mocap_checks.place(seen, SETTINGS, pan).verdict is Verdict.OK
-    moved = changed(world_to_base=(0.5, 0.0, 0.0, *LEVEL))
+    moved = replace(SETTINGS, world_to_base=(0.5, 0.0, 0.0, *LEVEL))
     assert mocap_checks.place(seen, moved, pan).verdict is Verdict.WARN
     assert mocap_checks.place(seen, SETTINGS, None).verdict is Verdict.UNCHECKED
 
@@ -146,15 +142,15 @@ TILT = rotations.matrix(rotations.quat_of_vector(np.array([np.deg2rad(15.0), 0.0
         (TILT, "z", Verdict.WARN, "15 degrees off"),
     ],
 )
-def test_a_fall_tells_which_way_is_up(
+def test_a_fall_shows_which_way_is_up(
     turn: np.ndarray, up_axis: str, expected: Verdict, said: str
 ) -> None:
-    row = mocap_checks.fall(frames(dropped(turn)), changed(up_axis=up_axis))
+    row = mocap_checks.fall(frames(dropped(turn)), replace(SETTINGS, up_axis=up_axis))
     assert row.verdict is expected
     assert said in row.advice
 
 
-def test_a_fall_in_millimetres_is_named_and_without_a_fall_nothing_is_said() -> None:
+def test_a_fall_in_millimetres_is_named_and_without_a_fall_nothing_is_checked() -> None:
     row = mocap_checks.fall(frames(1000.0 * dropped()), SETTINGS)
     assert (row.verdict, row.advice) == (Verdict.FAIL, "send metres")
     for seen in (frames(lying()), []):

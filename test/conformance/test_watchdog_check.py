@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The test of a command path: it finds the watchdog out and cannot move the arm."""
+"""The watchdog test shows whether there is a watchdog and cannot move the arm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 
 from wam_power_ros.conformance.topic_checks import Row, Verdict
-from wam_power_ros.conformance.watchdog_check import GIVE, MARK_SHARE, CommandCheck
+from wam_power_ros.conformance.watchdog_check import FRICTION_SHARE, GIVE, CommandCheck
 from wam_power_ros.control.arm import Arm
 
 NAMES = tuple(f"wam_j{i}" for i in range(1, 8))
@@ -55,7 +55,7 @@ def played(
         if check.over:
             break
     assert check.over
-    return check.row(), sent
+    return check.row, sent
 
 
 @pytest.mark.parametrize("adds", [False, True])
@@ -66,7 +66,7 @@ def test_a_driver_with_a_watchdog_passes_and_is_sent_no_more_than_friction_holds
     assert row.verdict is Verdict.OK
     carrier = np.zeros(7) if adds else model().gravity(Q)
     extra = np.abs(np.array(sent) - carrier)
-    assert (extra <= MARK_SHARE * model().friction + 1e-9).all()
+    assert (extra <= FRICTION_SHARE * model().friction + 1e-9).all()
     assert extra.max() > 0.1
     np.testing.assert_array_equal(sent[-1], carrier)  # what a driver may hold from now on
 

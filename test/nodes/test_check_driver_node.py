@@ -44,7 +44,7 @@ class Bench:
         self._faults = self.probe.publisher(String, "/fault", interface.LATCHED)
 
     def check(self, *arguments: str, fault: str = "none", typed: str = "") -> dict[str, Any]:
-        """What check_driver writes under a fault, with its exit status and output."""
+        """Report of check_driver under a fault, with its exit status and output."""
         self._faults.publish(String(data=fault))
         self.probe.spin(0.2)
         file = self._folder / "rows.json"
@@ -115,9 +115,9 @@ def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
     assert table["rows"]["command path"]["found"] == "heard by probe, wam_sim"
 
 
-def test_where_nothing_is_heard_nothing_can_be_checked(processes: Processes) -> None:
+def test_without_messages_nothing_can_be_checked(processes: Processes) -> None:
     process = processes.start(
         [sys.executable, "-m", "wam_power_ros.cli", "run", "check_driver", "--seconds", "0.1"]
     )
     assert process.wait(120) == 2
-    assert "nothing is heard on /joint_states" in " ".join(processes.output(process).split())
+    assert "no messages on /joint_states" in " ".join(processes.output(process).split())

@@ -121,7 +121,7 @@ def test_a_node_does_what_it_may_and_may_what_it_does(
         heard = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(*whose)}
         served = {topic for topic, _ in node.get_service_names_and_types_by_node(*whose)} - own
         called = {topic for topic, _ in node.get_client_names_and_types_by_node(*whose)}
-        events = {f"/{name}/transition_event"} if right.managed else set()
+        events = {f"/{name}/transition_event"} if name in security.MANAGED else set()
         assert published - EVERYONES - events == set(right.publishes) - EVERYONES
         assert heard - EVERYONES <= set(right.subscribes)
         assert called <= set(right.calls)

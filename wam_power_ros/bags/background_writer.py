@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording under way: who hands messages in never waits for the disk, a thread of its own does.
+"""Writing of a bag in a thread of its own, so that the subscriber never waits for the disk.
 
 The thread has the scheduling of the one that begins the recording. Both need the interpreter's
-lock: a writer of lower priority, held up by others while it has it, would hold up the taking too.
+lock: a thread of lower priority that is preempted while it has the lock would delay the subscriber.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from rosbags.interfaces import Qos
 from wam_power_ros.bags.gaps import Gaps
 from wam_power_ros.bags.writer import BagWriter
 
-WRITE_PERIOD = 0.3  # [s] a kill loses what came since, and what it takes to write it
-WAITING_MAX = 100_000  # messages: a disk that hangs for minutes is as good as full
+WRITE_PERIOD = 0.3  # [s] of messages that a kill loses, and those that are being written
+WAITING_MAX = 100_000  # messages; a disk that hangs for minutes counts as full
 
 
 class Recording:
     """One bag being written; `close` makes it a bag, anything else leaves it unfinished.
 
     Attributes:
-        path: Where the bag will be.
-        error: What has ended the writing; None while it goes on.
+        path: Folder of the finished bag.
+        error: Error that has ended the writing; None while it goes on.
     """
 
     def __init__(self, path: Path, kind: str, notes: Mapping[str, str]) -> None:
         """Begin the bag `path` with a "start" event, its kind as the reason.
 
         Raises:
-            FileExistsError: It is there already, finished or not.
-            OSError: The folder cannot be written.
+            FileExistsError: When it exists, finished or not.
+            OSError: When the folder cannot be written.
         """
         self.path = path
         self.error: OSError | None = None
         self._writer = BagWriter(path)
         self._topics: set[str] = set()
-        self._waiting: deque[tuple[Callable[..., None], tuple[object, ...]]] = deque()
+        self._queue: deque[tuple[Callable[..., None], tuple[object, ...]]] = deque()
         self._over = threading.Event()
-        self._hand_in(self._writer.event, "start", kind, time.time_ns(), notes)
+        self._enqueue(self._writer.event, "start", kind, time.time_ns(), notes)
         self._thread = threading.Thread(target=self._run, name="writing", daemon=True)
         self._thread.start()
 
@@ -53,33 +53,33 @@ class Recording:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages written so far, by topic."""
+        """Number of messages written, by topic."""
         return dict(self._writer.counts)  # a copy in one step: the thread may be adding one
 
     @property
     def waiting(self) -> int:
-        """Messages that wait to be written."""
-        return len(self._waiting)
+        """Number of messages that wait to be written."""
+        return len(self._queue)
 
     def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
         """Add a topic, see `BagWriter.add`."""
         self._topics.add(topic)
-        self._hand_in(self._writer.add, topic, msgtype, offered)
+        self._enqueue(self._writer.add, topic, msgtype, offered)
 
     def write(self, topic: str, cdr: bytes) -> None:
-        """Take a serialized message, received now."""
-        self._hand_in(self._writer.write, topic, time.time_ns(), cdr)
+        """Queue a serialized message, received now."""
+        self._enqueue(self._writer.write, topic, time.time_ns(), cdr)
 
     def close(self, reason: str, notes: Mapping[str, str], state_topic: str) -> Gaps | None:
-        """Write what waits and finish the bag, with notes for its metadata.
+        """Write the queue and finish the bag, with notes for its metadata.
 
         Returns:
-            What is missing on a topic; None if nothing came on it.
+            Gaps of the state topic; None without messages on it.
 
         Raises:
-            OSError: What has ended the writing; the bag stays unfinished.
+            OSError: When the writing has failed; the bag stays unfinished.
         """
-        self._hand_in(self._writer.event, "stop", reason, time.time_ns())
+        self._enqueue(self._writer.event, "stop", reason, time.time_ns())
         self._over.set()
         self._thread.join()
         if self.error is not None:
@@ -92,20 +92,20 @@ class Recording:
         counter = self._writer.stamps.get(state_topic)
         return None if counter is None else counter.gaps()
 
-    def _hand_in(self, what: Callable[..., None], *arguments: object) -> None:
-        if len(self._waiting) < WAITING_MAX:
-            self._waiting.append((what, arguments))
+    def _enqueue(self, what: Callable[..., None], *arguments: object) -> None:
+        if len(self._queue) < WAITING_MAX:
+            self._queue.append((what, arguments))
         elif self.error is None:
             self.error = OSError(f"the disk is too slow: {WAITING_MAX} messages wait for it")
 
     def _run(self) -> None:
-        """Body of the thread: now and then all that waits, onto the disk."""
+        """Body of the thread: flush the queue to the disk periodically."""
         over = False
         try:
             while not over and self.error is None:
                 over = self._over.wait(WRITE_PERIOD)
-                while self._waiting:
-                    what, arguments = self._waiting.popleft()
+                while self._queue:
+                    what, arguments = self._queue.popleft()
                     what(*arguments)
                 self._writer.flush()
         except Exception as error:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Making a bag again of what a kill, a full disk or a broken copy has left of one.
+"""Recovery of damaged bags, as a kill, a full disk or an incomplete copy leaves them.
 
-An MCAP file is a row of records; whatever is whole of it, from its beginning on, is copied into a
-new bag: every complete message, also those of a chunk that was cut.
+An MCAP file is a sequence of records. Every complete message, also of a truncated chunk, is copied
+into a new bag.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ LATCHED = {"transient_local", 1}
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was made of a damaged bag.
+    """Result of a recovery.
 
     Attributes:
-        path: Of the new bag; what was left stays as it is.
-        messages: How many it has, by topic.
-        left_out: Topics that could not be copied, and why.
+        path: Folder of the new bag; the damaged one is left as it is.
+        messages: Number of messages in it, by topic.
+        left_out: Reason by topic that could not be copied.
     """
 
     path: Path
@@ -46,7 +46,7 @@ class Recovered:
     left_out: Mapping[str, str]
 
     def __str__(self) -> str:
-        """A few lines for a terminal."""
+        """Summary for a terminal."""
         lines = [f"{self.path}: {sum(self.messages.values())} messages"]
         lines += [f"  {count:8} {topic}" for topic, count in self.messages.items()]
         lines += [f"  left out: {topic}, {why}" for topic, why in self.left_out.items()]
@@ -54,15 +54,15 @@ class Recovered:
 
 
 def recover(path: Path) -> Recovered:
-    """Make the bag `<name>_recovered` of whatever complete messages are there.
+    """Make the bag `<name>_recovered` of the complete messages of a damaged one.
 
     Args:
-        path: Of the bag, closed or not, with or without its metadata; or of its .mcap file.
+        path: Folder of the bag, closed or not, with or without metadata; or its .mcap file.
 
     Raises:
-        ValueError: No MCAP file is there, it is still being written, or it is compressed.
-        FileExistsError: There is a recovered bag already.
-        OSError: The disk refused.
+        ValueError: When there is no MCAP file, or it is still being written or compressed.
+        FileExistsError: When there is a recovered bag already.
+        OSError: When the disk refuses.
     """
     if path.name.endswith(layout.UNFINISHED):
         path = path.with_name(path.name.removesuffix(layout.UNFINISHED))
@@ -76,9 +76,8 @@ def recover(path: Path) -> Recovered:
         if (metadata := files[0].with_name("metadata.yaml")).is_file():
             copy.notes |= _notes(metadata)
         state_topic = copy.notes.get("state_topic", layout.STATES)
-        made = writer.close(
-            {**copy.notes, **writer.completeness(state_topic), "recovered": json.dumps(True)}
-        )
+        notes = copy.notes | writer.completeness(state_topic) | {"recovered": json.dumps(True)}
+        made = writer.close(notes)
     except BaseException:
         writer.abandon()
         shutil.rmtree(unfinished(writer.path), ignore_errors=True)
@@ -125,7 +124,7 @@ class _Copy:
     _topics: dict[int, str | None] = field(default_factory=dict)  # None: left out
 
     def file(self, file: Path) -> None:
-        """Copy what one file holds; ids of schemas and channels are its own."""
+        """Copy the records of one file, which has ids of schemas and channels of its own."""
         self._schemas.clear()
         self._topics.clear()
         if file.stat().st_size <= len(MAGIC):
@@ -137,12 +136,10 @@ class _Copy:
                 for opcode, body in _records(data, len(MAGIC)):
                     self._record(opcode, body)
             except (struct.error, UnicodeDecodeError, KeyError):
-                pass  # no record as there should be: the file is damaged from here on
+                pass  # not a record: the file is damaged from here on
             except _CompressedError as error:
-                raise ValueError(
-                    f"{file} holds chunks compressed with {error}, which this cannot recover; "
-                    "`mcap recover` can"
-                ) from None
+                text = f"{file} holds chunks compressed with {error}, which this cannot recover"
+                raise ValueError(f"{text}; `mcap recover` can") from None
 
     def _record(self, opcode: int, body: bytes) -> None:
         if opcode == 0x03:  # schema
@@ -168,12 +165,7 @@ class _Copy:
             return
         topic, at = _text(body, 4)
         at = _text(body, at)[1]  # beyond the encoding
-        offered = [
-            profile
-            for key, text in _map(body, at)
-            if key == PROFILES
-            for profile in _profiles(text)
-        ]
+        offered = _profiles(dict(_map(body, at)).get(PROFILES, ""))
         self._topics[channel] = topic
         if topic in self.writer.counts:  # of a bag in several files
             return
@@ -185,17 +177,17 @@ class _Copy:
 
 
 class _CompressedError(Exception):
-    """A chunk is compressed; the message says how."""
+    """A chunk is compressed, by the algorithm that the message names."""
 
 
 def _records(data: bytes | mmap.mmap, at: int) -> Iterator[tuple[int, bytes]]:
-    """Complete MCAP records from a place on, those in chunks too; the data may end anywhere."""
+    """Complete MCAP records from an offset on, also in chunks; the data may be truncated."""
     while at + HEADER_SIZE <= len(data):
         opcode, size = struct.unpack_from("<BQ", data, at)
         begin = at + HEADER_SIZE
         at = begin + size
         body = data[begin:at]
-        if opcode == 0x06:  # chunk, perhaps cut
+        if opcode == 0x06:  # chunk, perhaps truncated
             compression, end = _text(body, 28)
             if compression:
                 raise _CompressedError(compression)
@@ -205,7 +197,7 @@ def _records(data: bytes | mmap.mmap, at: int) -> Iterator[tuple[int, bytes]]:
 
 
 def _text(body: bytes, at: int) -> tuple[str, int]:
-    """The string at a place, and the place after it."""
+    """String at an offset, and the offset after it."""
     (size,) = struct.unpack_from("<I", body, at)
     end = at + 4 + size
     if end > len(body):
@@ -214,7 +206,7 @@ def _text(body: bytes, at: int) -> tuple[str, int]:
 
 
 def _map(body: bytes, at: int) -> Iterator[tuple[str, str]]:
-    """Keys and values of a map of strings at a place."""
+    """Keys and values of a map of strings at an offset."""
     (size,) = struct.unpack_from("<I", body, at)
     at, end = at + 4, at + 4 + size
     while at < min(end, len(body)):
@@ -231,7 +223,7 @@ def _metadata_notes(text: str) -> dict[str, str]:
 
 
 def _event_notes(cdr: bytes) -> dict[str, str]:
-    """What our recorder noted when it began."""
+    """Notes of our recorder in its first event."""
     try:
         notes = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data).get("notes", {})
         return {str(key): str(value) for key, value in notes.items()}
@@ -240,16 +232,13 @@ def _event_notes(cdr: bytes) -> dict[str, str]:
 
 
 def _profiles(text: str) -> list[Qos]:
-    """QoS profiles as a channel's metadata has them; none when they cannot be read."""
+    """QoS profiles in a channel's metadata; none when they cannot be read."""
     try:
         items = plain_yaml.parse(text.encode(), PROFILES) or []
         return [
-            layout.qos(
-                item["reliability"] not in BEST_EFFORT,
-                item["durability"] in LATCHED,
-                int(item["depth"]),
-            )
-            for item in items
+            layout.qos(qos["reliability"] not in BEST_EFFORT, qos["durability"] in LATCHED, depth)
+            for qos in items
+            for depth in [int(qos["depth"])]
         ]
     except (ValueError, TypeError, KeyError):
         return []

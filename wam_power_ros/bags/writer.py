@@ -17,6 +17,7 @@ from pathlib import Path
 from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from wam_power_ros import durable_files
 from wam_power_ros.bags.gaps import GapCounter
 from wam_power_ros.bags.layout import EVENT, STRING, TYPES, qos, unfinished
 
@@ -31,7 +32,7 @@ def header_stamp(cdr: bytes) -> int:
     """Stamp [ns] of a serialized message that begins with a header.
 
     Raises:
-        ValueError: The bytes are too few for one.
+        ValueError: When the bytes are too few for one.
     """
     if len(cdr) < 12:
         raise ValueError(f"message of {len(cdr)} bytes cannot hold a header")
@@ -43,17 +44,17 @@ class BagWriter:
     """One bag being written; `close` makes it a bag, anything else leaves it unfinished.
 
     Attributes:
-        path: Where the bag will be.
-        counts: Messages written, by topic.
-        stamps: What the header stamps written say, by topic that has them.
+        path: Folder of the finished bag.
+        counts: Number of messages written, by topic.
+        stamps: Counter of gaps between header stamps, by topic that has them.
     """
 
     def __init__(self, path: Path) -> None:
         """Begin the bag `path`.
 
         Raises:
-            FileExistsError: It is there already, finished or not.
-            OSError: The folder cannot be written.
+            FileExistsError: When it exists, finished or not.
+            OSError: When the folder cannot be written.
         """
         self.path = path
         self._parent = unfinished(path)
@@ -90,7 +91,7 @@ class BagWriter:
 
         Raises:
             KeyError: The topic was not added.
-            OSError: The disk refused.
+            OSError: When the disk refuses.
         """
         self._writer.write(self._connections[topic], stamp_ns, cdr)
         self.counts[topic] += 1
@@ -100,13 +101,13 @@ class BagWriter:
     def event(
         self, event: str, reason: str, stamp_ns: int, notes: Mapping[str, str] | None = None
     ) -> None:
-        """Note an event of the recording itself in the bag, on EVENT.
+        """Write an event of the recording itself, on topic EVENT.
 
-        Notes that are for the metadata may be given with the first event: should the bag never be
-        closed, that is where they are found.
+        Notes for the metadata may be given with the first event, where they are found if the bag
+        is never closed.
 
         Raises:
-            OSError: The disk refused.
+            OSError: When the disk refuses.
         """
         if EVENT not in self.counts:
             self.add(EVENT, STRING, [qos(reliable=True, latched=True, depth=1)])
@@ -115,10 +116,10 @@ class BagWriter:
         self.write(EVENT, stamp_ns, bytes(TYPES.serialize_cdr(message, STRING)))
 
     def flush(self) -> None:
-        """Put everything written so far on the disk, readable whatever happens next.
+        """Flush everything written so far to the disk, readable after a crash.
 
         Raises:
-            OSError: The disk refused.
+            OSError: When the disk refuses.
         """
         storage = self._writer.storage
         if storage.chunk.msgs:
@@ -127,7 +128,7 @@ class BagWriter:
         os.fsync(storage.bio.fileno())
 
     def completeness(self, state_topic: str) -> dict[str, str]:
-        """Notes for the metadata: rate [Hz] of a topic, and what is missing on each."""
+        """Notes for the metadata: rate of a topic [Hz], and number of messages missing on each."""
         found = {topic: counter.gaps() for topic, counter in self.stamps.items()}
         period = found[state_topic].period if state_topic in found else 0.0
         return {
@@ -139,7 +140,7 @@ class BagWriter:
         """Finish the bag, with notes for its metadata, and return its path.
 
         Raises:
-            OSError: The disk refused; the bag stays unfinished.
+            OSError: When the disk refuses; the bag stays unfinished.
         """
         for key, value in custom_data.items():
             self._writer.set_custom_data(key, value)
@@ -147,10 +148,10 @@ class BagWriter:
         self._writer.close()
         written = self._parent / self.path.name
         for file in (*written.iterdir(), written):
-            _sync(file)
+            durable_files.sync(file)
         written.rename(self.path)
         self._parent.rmdir()
-        _sync(self.path.parent)
+        durable_files.sync(self.path.parent)
         os.close(self._lock)
         return self.path
 
@@ -161,11 +162,3 @@ class BagWriter:
         except OSError:
             pass  # the disk that refused before refuses its last bytes too
         os.close(self._lock)
-
-
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

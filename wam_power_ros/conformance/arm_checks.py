@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rows about the arm's driver: joints, units, velocities, gravity, order and signs.
+"""Checks of the arm's driver: joint names, units, velocities, gravity torques, order and signs.
 
-The arm's model says what a still arm must report: a driver that tells its torques tells by them
-whether its joints are in order, its signs right and its zero where the model has it.
+The rigid-body model gives the torques of an arm at rest: where the driver reports its torques, they
+show whether its joints are in order, its signs right and its zero positions those of the model.
 """
 
 from __future__ import annotations
@@ -10,27 +10,28 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from wam_power_ros.conformance.topic_checks import Row, Verdict
+from wam_power_ros.conformance.topic_checks import FAIL, OK, UNCHECKED, WARN, Row
 from wam_power_ros.control.arm import Arm
 
-STILL = 0.02  # [rad] a joint may wander while the arm is still
-MOVED = 0.1  # [rad] that a person moves a joint at least
-AT_REST = 0.1  # [rad/s] that a velocity may be at rest
-BEYOND = 0.05  # [rad] beyond its limit that a joint may be: zeros are set by hand
-GRAVITY_SHARE = 0.15  # by which drivers' own models of gravity differ from ours
-GRAVITY_FLOOR = 0.15  # [N m] as well
-TELLING = 3.0  # [N m] of gravity on some joint, without which nothing can be told
-PERMUTED_AT_MOST = 8  # joints, of which every order is tried: 40 320
+STILL = 0.02  # [rad] range of a joint while the arm is at rest
+MOVED = 0.1  # [rad] smallest range of a joint that a person has moved
+AT_REST = 0.1  # [rad/s] largest velocity at rest
+BEYOND = 0.05  # [rad] by which a joint may exceed its limit: zeros are set by hand
+GRAVITY_SHARE = 0.15  # relative difference of drivers' own gravity models to ours
+GRAVITY_FLOOR = 0.15  # [N m] absolute difference, added to it
+GRAVITY_MIN = 3.0  # [N m] largest gravity torque below which the comparison shows nothing
+PERMUTED_MAX = 8  # joints, of which every order is tried: 40 320
 
 
 class StateSample(NamedTuple):
-    """One joint state as it came; arrays as long as they were."""
+    """One joint state as received; the arrays may have any length."""
 
     received_ns: int
     stamp_ns: int
@@ -42,15 +43,15 @@ class StateSample(NamedTuple):
 
 @dataclass(frozen=True)
 class ArmRecord:
-    """What was heard of our joints, in their order.
+    """States of our joints, in our order.
 
     Attributes:
-        joint_names: Of the driver.
-        received_ns: Shape (m,).
-        stamp_ns: Shape (m,).
-        q: [rad], if units are right. Shape (m, n).
-        qd: Shape (m, n); None when a message had none.
-        tau: Shape (m, n); None when a message had none.
+        joint_names: Names that the driver gives the joints.
+        received_ns: Times of arrival [ns], shape (m,).
+        stamp_ns: Stamps [ns], shape (m,).
+        q: Positions [rad] if the units are right, shape (m, n).
+        qd: Velocities, shape (m, n); None when a message had none.
+        tau: Torques, shape (m, n); None when a message had none.
     """
 
     joint_names: tuple[str, ...]
@@ -67,12 +68,7 @@ class ArmRecord:
 
 
 def collect(samples: Sequence[StateSample], joint_names: Sequence[str]) -> tuple[ArmRecord, Row]:
-    """Our joints out of all that came on the topic, and the row about their names.
-
-    Args:
-        samples: Of the topic, in order of arrival.
-        joint_names: Of the driver, base to tip.
-    """
+    """Record of our joints from samples in order of arrival, and the row about their names."""
     wanted, whole = set(joint_names), []
     wrong: Counter[str] = Counter()
     others: dict[str, None] = {}
@@ -91,35 +87,27 @@ def collect(samples: Sequence[StateSample], joint_names: Sequence[str]) -> tuple
             wrong["a position that is not finite"] += 1
         else:
             whole.append(sample)
-    row = _names(joint_names, whole, wrong, list(others))
-    places = {
-        names: [names.index(name) for name in joint_names]
-        for names in {item.names for item in whole}
-    }
+    places = {names: list(map(names.index, joint_names)) for names in {s.names for s in whole}}
 
     def values(field: str) -> np.ndarray | None:
-        rows = [getattr(item, field)[places[item.names]] for item in whole if _has(item, field)]
-        return np.array(rows) if rows and len(rows) == len(whole) else None
+        pairs = [(getattr(item, field), item.names) for item in whole]
+        complete = all(len(row) == len(names) for row, names in pairs)
+        return np.array([row[places[names]] for row, names in pairs]) if complete else None
 
-    q = values("q")
-    record = ArmRecord(
-        tuple(joint_names),
-        np.array([item.received_ns for item in whole], dtype=np.int64),
-        np.array([item.stamp_ns for item in whole], dtype=np.int64),
-        np.empty((0, len(joint_names))) if q is None else q,
-        values("qd"),
-        values("tau"),
-    )
-    return record, row
+    empty = np.empty((0, len(joint_names)))
+    q, qd, tau = map(values, ("q", "qd", "tau")) if whole else (empty, None, None)
+    times = np.array([item[:2] for item in whole], dtype=np.int64).reshape(-1, 2).T
+    record = ArmRecord(tuple(joint_names), *times, empty if q is None else q, qd, tau)
+    return record, _names(joint_names, whole, wrong, list(others))
 
 
 def with_velocity(record: ArmRecord, received_ns: np.ndarray, qd: np.ndarray) -> ArmRecord:
-    """The record with velocities of a topic of their own, each state with the last before it.
+    """Record with velocities (k, n) of a topic of their own, the last before each state.
 
     Args:
-        record: Of the states.
-        received_ns: When the velocities came. Shape (k,).
-        qd: Shape (k, n).
+        record: Record of the states.
+        received_ns: Times of arrival of the velocities [ns], shape (k,).
+        qd: Velocities, shape (k, n).
     """
     if len(received_ns) == 0 or len(record.q) == 0:
         return replace(record, qd=None)
@@ -127,84 +115,74 @@ def with_velocity(record: ArmRecord, received_ns: np.ndarray, qd: np.ndarray) ->
     return replace(record, qd=qd[np.maximum(last, 0)])
 
 
-def _has(sample: StateSample, field: str) -> bool:
-    return len(getattr(sample, field)) == len(sample.names)
-
-
 def _names(
     joint_names: Sequence[str], whole: list[StateSample], wrong: Counter[str], others: list[str]
 ) -> Row:
-    expected = " ".join(joint_names)
-    beside = f"; also heard: {' '.join(others)}" if others else ""
+    row = partial(Row, "joint names", " ".join(joint_names))
+    beside = f"; also received: {' '.join(others)}" if others else ""
     if wrong:
         text = ", ".join(f"{count} messages {what}" for what, count in wrong.items())
         advice = "each state must hold every joint of the arm once, with its position"
-        return Row("joint names", expected, text + beside, Verdict.FAIL, advice)
+        return row(text + beside, FAIL, advice)
     if not whole:
-        text = " ".join(others) or "no names at all"
-        advice = "set joint_names of the configuration to what the driver calls them"
-        return Row("joint names", expected, text, Verdict.FAIL, advice)
+        advice = "set joint_names of the configuration to the names that the driver uses"
+        return row(" ".join(others) or "no names at all", FAIL, advice)
     order = whole[0].names == tuple(joint_names)
-    text = "as expected" if order else "in another order, matched by name"
-    return Row("joint names", expected, f"{text}{beside}", Verdict.OK)
+    return row(f"{'as expected' if order else 'in another order, matched by name'}{beside}", OK)
 
 
 def positions(record: ArmRecord, arm: Arm) -> Row:
     """Whether positions are radians within the joints' limits."""
-    expected = "rad, within the limits of the URDF"
-    q = record.q
+    row, q = partial(Row, "positions", "rad, within the limits of the URDF"), record.q
     if len(q) == 0:
-        return Row("positions", expected, "none", Verdict.UNCHECKED)
+        return row("none", UNCHECKED)
     text = f"{_listed(q[-1])} rad" + ("" if record.still else ", moving")
-    low, high = arm.q_min - BEYOND, arm.q_max + BEYOND
-    inside = ((q >= low) & (q <= high)).all(axis=0)
+    inside = _within(q, arm).all(axis=0)
     if inside.all():
-        return Row("positions", expected, text, Verdict.OK)
-    radians = np.deg2rad(q)
-    if np.abs(q).max() > 7.0 and ((radians >= low) & (radians <= high)).all():
-        text = _listed(q[-1])
-        return Row("positions", expected, text, Verdict.FAIL, "these are degrees: send radians")
-    outside = [record.joint_names[i] for i in np.flatnonzero(~inside)]
-    advice = f"{', '.join(outside)} beyond its limit: wrong zero, sign, order or URDF"
-    return Row("positions", expected, text, Verdict.FAIL, advice)
+        return row(text, OK)
+    if np.abs(q).max() > 7.0 and _within(np.deg2rad(q), arm).all():
+        return row(_listed(q[-1]), FAIL, "these are degrees: send radians")
+    outside = ", ".join(record.joint_names[i] for i in np.flatnonzero(~inside))
+    return row(text, FAIL, f"{outside} beyond its limit: wrong zero, sign, order or URDF")
+
+
+def _within(q: np.ndarray, arm: Arm) -> np.ndarray:
+    return (q >= arm.q_min - BEYOND) & (q <= arm.q_max + BEYOND)
 
 
 def velocity(record: ArmRecord, topic: str = "") -> Row:
-    """Whether velocities come, and agree with how the positions change.
+    """Whether velocities arrive, and agree with the derivative of the positions.
 
     Args:
-        record: With the velocities of the topic, if they have one of their own.
-        topic: Of the velocities, "" when the states are to have them.
+        record: Record with the velocities.
+        topic: Topic of the velocities, empty when the states are to hold them.
     """
-    expected = f"rad/s on {topic}" if topic else "rad/s in every state"
-    qd, q = record.qd, record.q
+    row = partial(Row, "velocity", f"rad/s on {topic}" if topic else "rad/s in every state")
+    qd = record.qd
     advice = "set velocity_topic if the driver has one; the controller can differentiate by itself"
-    if qd is None or not len(q):
-        return Row("velocity", expected, "no velocity", Verdict.FAIL, advice)
+    if qd is None or not len(record.q):
+        return row("no velocity", FAIL, advice)
     if np.isnan(qd).any():
-        return Row("velocity", expected, "NaN: no velocity", Verdict.FAIL, advice)
+        return row("NaN: no velocity", FAIL, advice)
     if not np.isfinite(qd).all():
-        return Row("velocity", expected, "not finite", Verdict.FAIL, "a driver must not send that")
+        return row("not finite", FAIL, "a driver must not send that")
     worst = float(np.abs(qd).max())
+    if record.still and worst < AT_REST:
+        return row(f"at most {worst:.3f} rad/s, at rest; not compared in motion", OK)
     if record.still:
-        if worst < AT_REST:
-            text = f"at most {worst:.3f} rad/s, at rest; not compared in motion"
-            return Row("velocity", expected, text, Verdict.OK)
         advice = "the arm is still: other units, other joints or another quantity"
-        return Row("velocity", expected, f"up to {worst:.2f} at rest", Verdict.FAIL, advice)
+        return row(f"up to {worst:.2f} at rest", FAIL, advice)
     slopes = _slopes(record)
-    text = "against positions: " + ", ".join(
-        f"{record.joint_names[i]} x {slope:.2f}" for i, slope in slopes.items()
-    )
+    text = ", ".join(f"{record.joint_names[i]} x {slope:.2f}" for i, slope in slopes.items())
     wrong = [slope for slope in slopes.values() if abs(slope - 1.0) > 0.3]
     if not wrong:
-        return Row("velocity", expected, text, Verdict.OK)
+        return row(f"against positions: {text}", OK)
     advice = "they are not the derivative of the positions: other joints, units or signs"
     if all(abs(slope * math.pi / 180.0 - 1.0) < 0.3 for slope in slopes.values()):
         advice = "these are degrees a second: send rad/s"
     elif all(abs(slope + 1.0) < 0.3 for slope in wrong):
         advice = "their sign is reversed"
-    return Row("velocity", expected, text, Verdict.FAIL, advice)
+    return row(f"against positions: {text}", FAIL, advice)
 
 
 def _slopes(record: ArmRecord, window: float = 0.05) -> dict[int, float]:
@@ -221,46 +199,43 @@ def _slopes(record: ArmRecord, window: float = 0.05) -> dict[int, float]:
 
 
 def effort(record: ArmRecord) -> Row:
-    """Whether torques come."""
-    expected = "N m in every state"
+    """Whether the driver reports torques."""
+    row = partial(Row, "effort", "N m in every state")
     if record.tau is None or not np.isfinite(record.tau).all():
         advice = "without it neither gravity, order nor watchdog can be checked at rest"
-        return Row("effort", expected, "no effort", Verdict.WARN, advice)
-    return Row("effort", expected, f"{_listed(record.tau.mean(axis=0))} N m", Verdict.OK)
+        return row("no effort", WARN, advice)
+    return row(f"{_listed(record.tau.mean(axis=0))} N m", OK)
 
 
 def gravity(record: ArmRecord, arm: Arm) -> Row:
-    """Whether a still arm reports the torques that carry it; if not, which mistake fits.
+    """Whether an arm at rest reports the torques that carry it; if not, which mistake fits.
 
-    Drivers of torque-controlled arms report what they command, gravity included, or measure it.
+    Drivers of torque-controlled arms report the command, gravity included, or measure the torque.
     """
     expected = "effort of a still arm is g(q): order, signs, zero and payload as in the URDF"
-
-    def row(found: str, result: Verdict, advice: str = "") -> Row:
-        return Row("gravity", expected, found, result, advice)
-
+    row = partial(Row, "gravity", expected)
     if record.tau is None or not np.isfinite(record.tau).all() or not len(record.q):
-        return row("no effort", Verdict.UNCHECKED, "move each joint when asked instead")
+        return row("no effort", UNCHECKED, "move each joint when asked instead")
     if not record.still:
-        return row("the arm moves", Verdict.UNCHECKED, "let it rest")
+        return row("the arm moves", UNCHECKED, "let it rest")
     q, tau = record.q.mean(axis=0), record.tau.mean(axis=0)
     g = arm.gravity(q)
     text = f"{_listed(tau)} N m, g(q) {_listed(g)} N m"
     mistake = _mistake(q, tau, arm, record.joint_names)
-    if mistake is None and np.abs(g).max() < TELLING:
-        return row(text, Verdict.UNCHECKED, "lean the arm out, so that gravity pulls at it")
+    if mistake is None and np.abs(g).max() < GRAVITY_MIN:
+        return row(text, UNCHECKED, "lean the arm out, so that gravity pulls at it")
     if mistake is None:
-        alike = _alike(q, tau, arm, record.joint_names)
-        advice = f"cannot tell {', '.join(alike)} from each other: move each by hand"
-        return row(text, Verdict.OK, advice if alike else "")
+        alike = ", ".join(_alike(q, tau, arm, record.joint_names))
+        advice = f"cannot distinguish {alike} from each other: move each by hand" if alike else ""
+        return row(text, OK, advice)
     if np.abs(tau).max() < GRAVITY_FLOOR:
-        advice = "the driver is idle or tells torques without gravity; move each joint when asked"
-        return row(text, Verdict.UNCHECKED, advice)
-    return row(text, Verdict.FAIL, mistake)
+        advice = "the driver is idle or reports torques without gravity; move each joint when asked"
+        return row(text, UNCHECKED, advice)
+    return row(text, FAIL, mistake)
 
 
 def _mistake(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> str | None:
-    """What a driver has wrong that says these positions and torques, None when nothing."""
+    """Mistake of a driver that would explain these positions and torques, None without one."""
     fits = _Fit(q, tau, arm)
     if fits(q, tau):
         return None
@@ -268,9 +243,9 @@ def _mistake(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> 
         return "torques have the sign reversed"
     for order in _orders(arm.n):
         if fits(q[order], tau[order], sharp=True):
-            wrong = [names[i] for i in range(arm.n) if order[i] != i]
-            heard = [names[order[i]] for i in range(arm.n) if order[i] != i]
-            return f"wrong order of joints: {', '.join(wrong)} fit what comes as {', '.join(heard)}"
+            moved = [i for i in range(arm.n) if order[i] != i]
+            wrong, found = (", ".join(names[j] for j in js) for js in (moved, order[moved]))
+            return f"wrong order of joints: {wrong} fit the values received as {found}"
     for joints in _subsets(arm.n):
         signs = np.ones(arm.n)
         signs[list(joints)] = -1.0
@@ -281,12 +256,12 @@ def _mistake(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> 
 
 
 def _alike(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> list[str]:
-    """Joints that could be exchanged with another one at this posture, and nobody would notice."""
+    """Joints whose exchange with another one would not show at this posture."""
     fits = _Fit(q, tau, arm)
     alike = set()
     for i, j in itertools.combinations(range(arm.n), 2):
-        order = list(range(arm.n))
-        order[i], order[j] = j, i
+        order = np.arange(arm.n)
+        order[[i, j]] = j, i
         if fits(q[order], tau[order]):
             alike |= {i, j}
     return [names[i] for i in sorted(alike)]
@@ -297,74 +272,66 @@ class _Fit:
 
     def __init__(self, q: np.ndarray, tau: np.ndarray, arm: Arm) -> None:
         self._arm = arm
-        self._sharp = 0.3 * float(self.errors(q, tau).max())  # another reading must be far better
+        self._sharp = 0.3 * float(self.errors(q, tau).max())  # another order must fit far better
 
     def errors(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Of each joint, in what is tolerated (n,)."""
+        """Error of each joint as a multiple of its tolerance (n,)."""
         g = self._arm.gravity(q)
         return np.abs(tau - g) / (GRAVITY_FLOOR + GRAVITY_SHARE * np.abs(g))
 
     def __call__(self, q: np.ndarray, tau: np.ndarray, sharp: bool = False) -> bool:
-        if sharp and not ((q >= self._arm.q_min - BEYOND) & (q <= self._arm.q_max + BEYOND)).all():
+        if sharp and not _within(q, self._arm).all():
             return False
         return bool(self.errors(q, tau).max() <= (min(1.0, self._sharp) if sharp else 1.0))
 
 
-def _orders(n: int) -> Iterable[list[int]]:
+def _orders(n: int) -> list[np.ndarray]:
     """Every order of n joints but the right one, the fewest exchanged first."""
-    if n > PERMUTED_AT_MOST:
+    if n > PERMUTED_MAX:
         return []
-    others = (list(order) for order in itertools.permutations(range(n)))
-    ranked = sorted(others, key=lambda order: sum(i != place for i, place in enumerate(order)))
-    return ranked[1:]
+    every = itertools.permutations(range(n))
+    ranked = sorted(every, key=lambda order: sum(i != place for i, place in enumerate(order)))
+    return [np.array(order) for order in ranked[1:]]
 
 
-def _subsets(n: int) -> Iterable[tuple[int, ...]]:
+def _subsets(n: int) -> Iterator[tuple[int, ...]]:
     for size in range(1, n + 1):
         yield from itertools.combinations(range(n), size)
 
 
 def led(record: ArmRecord, joint: int) -> Row:
-    """Whether the joint that a person was asked to move is the one that moved, the way asked.
-
-    Args:
-        record: While it was moved.
-        joint: Its index.
-    """
-    name = f"{record.joint_names[joint]} by hand"
-    expected = f"{record.joint_names[joint]} alone, increasing"
+    """Whether a movement by hand was that of the joint with this index, in positive direction."""
+    names = record.joint_names
+    row = partial(Row, f"{names[joint]} by hand", f"{names[joint]} alone, increasing")
     if len(record.q) == 0:
-        return Row(name, expected, "nothing was heard", Verdict.UNCHECKED)
+        return row("no states were received", UNCHECKED)
     moves = record.q[-1] - record.q[0]  # (n,)
     most = int(np.argmax(np.ptp(record.q, axis=0)))
-    found = f"{record.joint_names[most]} by {moves[most]:+.2f} rad"
+    found = f"{names[most]} by {moves[most]:+.2f} rad"
     if np.ptp(record.q[:, most]) < MOVED:
-        advice = f"move it by {MOVED} rad at least"
-        return Row(name, expected, "no joint moved", Verdict.UNCHECKED, advice)
+        return row("no joint moved", UNCHECKED, f"move it by {MOVED} rad at least")
     if most != joint:
-        advice = f"wrong order of joints: what comes as {record.joint_names[most]} is this one"
-        return Row(name, expected, found, Verdict.FAIL, advice)
+        return row(found, FAIL, f"wrong order of joints: {names[most]} is the name of this one")
     if moves[joint] < 0.5 * MOVED:
-        return Row(name, expected, found, Verdict.FAIL, "its sign is reversed")
-    return Row(name, expected, found, Verdict.OK)
+        return row(found, FAIL, "its sign is reversed")
+    return row(found, OK)
 
 
 def heading(arm: Arm, q: np.ndarray, joint: int) -> str:
-    """Which way the tool goes when a joint increases, in words for whoever stands before the arm.
+    """Direction of the tool when a joint increases at q (n,) [rad], for who stands before the arm.
 
     Args:
-        arm: The model.
-        q: Where it is [rad]. Shape (n,).
-        joint: Its index.
+        arm: Model of the arm.
+        q: Joint positions [rad], shape (n,).
+        joint: Index of the joint.
     """
     column = arm.jacobian(q)[:, joint]
     words = (("forward", "back"), ("to its left", "to its right"), ("up", "down"))
     axis = int(np.argmax(np.abs(column[:3])))
     if abs(column[axis]) > 0.1:
         return f"the tool goes {words[axis][int(column[axis] < 0.0)]}"
-    turn = column[3:]
-    axis = int(np.argmax(np.abs(turn)))
-    way = words[axis][int(turn[axis] < 0.0)]
+    axis = int(np.argmax(np.abs(column[3:])))
+    way = words[axis][int(column[3 + axis] < 0.0)]
     return f"the tool turns clockwise for one who looks {way}"
 
 

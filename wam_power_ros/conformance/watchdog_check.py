@@ -1,44 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The test of a command path that cannot move the arm: a mark on the torque, then silence.
+"""Test of the driver's watchdog that cannot move the arm: a torque offset, then no commands.
 
-For a third of a second it is sent what carries it anyway, with a mark on the joint that has the
-most friction, well below what friction holds. Then nothing is sent. A driver with a watchdog goes
-back to its own torque, one without holds the mark for ever.
+For a third of a second it sends the torque that carries the arm, with an offset well below Coulomb
+friction on the joint that has most of it. Then it sends nothing. A driver with a watchdog returns
+to its own torque, one without holds the offset for ever.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
-from wam_power_ros.conformance.topic_checks import Row, Verdict
+from wam_power_ros.conformance.topic_checks import FAIL, OK, UNCHECKED, WARN, Row
 from wam_power_ros.control.arm import Arm
 
-CARRY, MARK, SILENCE = 100_000_000, 200_000_000, 500_000_000  # [ns] of the arm's clock
-LONGEST = 1_000_000_000  # [ns] that the mark is sent until it shows
-MARK_SHARE = 0.25  # of the joint's Coulomb friction
+CARRY, OFFSET, SILENCE = 100_000_000, 200_000_000, 500_000_000  # [ns] phases, by the arm's clock
+OFFSET_MAX = 1_000_000_000  # [ns] from the start, until which the offset must show
+FRICTION_SHARE = 0.25  # offset as a share of the joint's Coulomb friction
 PROMPT = 0.05  # [s] in which a driver should be back at its own torque
-GIVE = 0.01  # [rad] that a joint may move before the test ends
-TELLING = 3.0  # [N m] of gravity on a joint, by which one sees whether it is there once or twice
+GIVE = 0.01  # [rad] of movement of a joint that ends the test
+GRAVITY_MIN = 3.0  # [N m] gravity torque of a joint that shows whether it is compensated twice
+
+_row = partial(Row, "watchdog", f"its own torque within {1e3 * PROMPT:.0f} ms of the last command")
 
 
 class CommandCheck:
-    """One torque, or none, per state; then a row.
+    """Test that answers each state with one torque, or none, and results in a row.
 
     Attributes:
-        over: Nothing more is to be sent.
-        carrier: The torque that carries the arm, as far as is known [N m]. Shape (n,).
+        over: Whether nothing more is to be sent.
+        carrier: Torque that carries the arm, as far as known [N m], shape (n,).
+        row: Result.
 
     Args:
-        arm: The model, with the joints' friction.
-        joint_names: Of the driver.
-        driver_compensates_gravity: As configured: then zero is what carries the arm.
-        q: At rest [rad]. Shape (n,).
-        tau: That the driver tells at rest, while nobody commands [N m]. Shape (n,).
+        arm: Model of the arm, with the friction of its joints.
+        joint_names: Names that the driver gives the joints.
+        driver_compensates_gravity: Configured value: if true, zero carries the arm.
+        q: Positions at rest [rad], shape (n,).
+        tau: Torques that the driver reports at rest without commands [N m], shape (n,).
 
     Raises:
-        ValueError: The URDF tells no friction, so that no torque is known to be held by it.
+        ValueError: When the URDF has no friction, so that no offset is known to be held by it.
     """
 
     def __init__(
@@ -50,26 +54,25 @@ class CommandCheck:
         tau: np.ndarray,
     ) -> None:
         self._joint = int(np.argmax(arm.friction))
-        self._mark = MARK_SHARE * float(arm.friction[self._joint])
-        if self._mark <= 0.0:
-            raise ValueError("the URDF tells no friction: no torque is known not to move the arm")
+        self._offset = FRICTION_SHARE * float(arm.friction[self._joint])
+        if self._offset <= 0.0:
+            raise ValueError("the URDF has no friction: no torque is known not to move the arm")
         self._names = tuple(joint_names)
         self._q, self._rest = q.copy(), tau.copy()
         self._gravity = arm.gravity(q)
         self._heaviest = int(np.argmax(np.abs(self._gravity)))
         self._adds = driver_compensates_gravity
         self.carrier = np.zeros(arm.n) if self._adds else self._gravity.copy()
-        self.over = self._silent = False
+        self.over = self._silent = self._shown = False
         self._since_ns = self._last_ns = 0
-        self._shown = False
-        self._row: Row | None = None
+        self.row = _row("states stopped coming", UNCHECKED)
 
     @property
     def warning(self) -> str:
-        """What a person consents to."""
+        """Description of the test, for the consent of a person."""
         gravity = "zero, on which this driver adds g(q)" if self._adds else "g(q)"
         return (
-            f"sends {gravity} for {(CARRY + MARK) * 1e-9:.1f} s, with {self._mark:.2f} N m on "
+            f"sends {gravity} for {(CARRY + OFFSET) * 1e-9:.1f} s, with {self._offset:.2f} N m on "
             f"{self._names[self._joint]}, a quarter of its friction, then nothing"
         )
 
@@ -78,89 +81,57 @@ class CommandCheck:
         if self.over:
             return None
         self._since_ns = self._since_ns or stamp_ns
-        if (trouble := self._trouble(q, tau)) is not None:
-            self._row = self._say(*trouble)
-            return self._leave()
+        if (failure := self._failure(q, tau)) is not None:
+            return self._end(failure)
         elapsed = stamp_ns - self._since_ns
-        if self._silent:
-            return self._listen(stamp_ns, tau)
-        self._last_ns = stamp_ns
-        if elapsed < CARRY:
-            return self.carrier
-        if elapsed < CARRY + MARK or (not self._shown and elapsed < LONGEST):
-            self._shown |= tau[self._joint] - self._rest[self._joint] > 0.5 * self._mark
-            torque = self.carrier.copy()
-            torque[self._joint] += self._mark
-            return torque
-        if not self._shown:
-            self._row = self._say(
-                "commands do not show in the effort it tells",
-                Verdict.UNCHECKED,
-                "is the arm activated, its effort controller running? does it tell torques?",
-            )
-            return self._leave()
-        self._silent = True
-        return self._listen(stamp_ns, tau)
-
-    def _listen(self, stamp_ns: int, tau: np.ndarray) -> np.ndarray | None:
-        silent = (stamp_ns - self._last_ns) * 1e-9
-        if abs(tau[self._joint] - self._rest[self._joint]) < 0.5 * self._mark:
-            prompt = silent <= PROMPT
-            self._row = self._say(
-                f"back at its own torque after {1e3 * silent:.0f} ms",
-                Verdict.OK if prompt else Verdict.WARN,
-                "" if prompt else "a long time to be carried by an old torque",
-            )
-            return self._leave()
+        shown = tau[self._joint] - self._rest[self._joint]
+        if not self._silent:
+            self._last_ns = stamp_ns
+            if elapsed < CARRY:
+                return self.carrier
+            if elapsed < CARRY + OFFSET or (not self._shown and elapsed < OFFSET_MAX):
+                self._shown |= shown > 0.5 * self._offset
+                torque = self.carrier.copy()
+                torque[self._joint] += self._offset
+                return torque
+            if not self._shown:
+                advice = "is the arm activated, its effort controller running? does it report "
+                text = "commands do not show in the reported effort"
+                return self._end(_row(text, UNCHECKED, f"{advice}torques?"))
+            self._silent = True
+        silent = (stamp_ns - self._last_ns) * 1e-9  # [s]
+        if abs(shown) < 0.5 * self._offset:
+            late = silent > PROMPT
+            result = (WARN, "a long time to be carried by an old torque") if late else (OK,)
+            return self._end(_row(f"back at its own torque after {1e3 * silent:.0f} ms", *result))
         if stamp_ns - self._last_ns > SILENCE:
-            self._row = self._say(
-                f"no watchdog: the last torque is still held after {silent:.1f} s",
-                Verdict.FAIL,
-                "the driver must go to a torque of its own when commands stay away: with a dead "
-                "controller this one holds the last torque until somebody ends it",
-            )
-            return self._leave()
+            text = f"no watchdog: the last torque is still held after {silent:.1f} s"
+            advice = "the driver must return to its own torque when commands stay away: with a "
+            advice += "dead controller this one holds the last torque until somebody ends it"
+            return self._end(_row(text, FAIL, advice))
         return None
 
-    def _trouble(self, q: np.ndarray, tau: np.ndarray) -> tuple[str, Verdict, str] | None:
-        """Why the test must end now: found, verdict, advice."""
-        heaviest, g = self._heaviest, self._gravity[self._heaviest]
-        moved = int(np.argmax(np.abs(q - self._q)))
-        if abs(g) > TELLING:
-            times, rest = tau[heaviest] / g, self._rest[heaviest] / g
+    def _failure(self, q: np.ndarray, tau: np.ndarray) -> Row | None:
+        """Row that ends the test at once; sets the carrier that this state shows to be right."""
+        name, g = self._names[self._heaviest], self._gravity[self._heaviest]
+        if abs(g) > GRAVITY_MIN:
+            times, rest = tau[self._heaviest] / g, self._rest[self._heaviest] / g
             if not self._adds and times > 1.5:
                 self.carrier = np.zeros_like(q)
-                return (
-                    f"gravity twice on {self._names[heaviest]}",
-                    Verdict.FAIL,
-                    "the driver adds gravity itself: driver_compensates_gravity: true",
-                )
+                advice = "the driver adds gravity itself: driver_compensates_gravity: true"
+                return _row(f"gravity twice on {name}", FAIL, advice)
             if self._adds and rest > 0.5 and times < 0.5:
                 self.carrier = self._gravity.copy()
-                return (
-                    f"no gravity on {self._names[heaviest]} while zero was sent",
-                    Verdict.FAIL,
-                    "the driver does not add gravity: driver_compensates_gravity: false",
-                )
-        if abs(q[moved] - self._q[moved]) > GIVE:
-            return (
-                f"{self._names[moved]} moved by {abs(q[moved] - self._q[moved]):.3f} rad",
-                Verdict.FAIL,
-                "a torque that friction should have held moved it: gravity, signs or order",
-            )
+                advice = "the driver does not add gravity: driver_compensates_gravity: false"
+                return _row(f"no gravity on {name} while zero was sent", FAIL, advice)
+        moved = int(np.argmax(np.abs(q - self._q)))
+        distance = abs(q[moved] - self._q[moved])
+        if distance > GIVE:
+            advice = "a torque that friction should have held moved it: gravity, signs or order"
+            return _row(f"{self._names[moved]} moved by {distance:.3f} rad", FAIL, advice)
         return None
 
-    def _leave(self) -> np.ndarray:
-        """The last torque of the test: a driver without a watchdog may hold it."""
-        self.over = True
+    def _end(self, row: Row) -> np.ndarray:
+        """End with the torque that carries the arm: a driver without a watchdog may hold it."""
+        self.over, self.row = True, row
         return self.carrier
-
-    def _say(self, found: str, result: Verdict, advice: str = "") -> Row:
-        expected = f"its own torque within {1e3 * PROMPT:.0f} ms of the last command"
-        return Row("watchdog", expected, found, result, advice)
-
-    def row(self) -> Row:
-        """What came out."""
-        if self._row is None:
-            return self._say("states stopped coming", Verdict.UNCHECKED)
-        return self._row

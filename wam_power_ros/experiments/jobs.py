@@ -49,6 +49,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from wam_power_ros import durable_files
 from wam_power_ros.params.resources import share
 
 PACKAGES = ("wam_power_ros", "hardware_sim")
@@ -330,12 +331,7 @@ def _write(job: Job, folder: Path, done: _Computed) -> None:
     """Write a result, whole or not at all whenever this is interrupted, and note its time."""
     path = job.path(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part")
-    with part.open("w", encoding="utf-8") as file:
-        file.write(f'{{"digest": "{done.digest}", "result": {done.text}}}\n')
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+    durable_files.replace(path, f'{{"digest": "{done.digest}", "result": {done.text}}}\n')
     note = {"job": job.name, "wall": done.wall, "cpu": done.cpu, "host": done.host}
     with (folder / "times.jsonl").open("a", encoding="utf-8") as file:
         file.write(json.dumps(note) + "\n")

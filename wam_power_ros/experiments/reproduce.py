@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from wam_power_ros import durable_files
 from wam_power_ros.experiments import jobs as job_cache
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.reporting import chapter as chapter_html
@@ -124,11 +125,8 @@ def write(
     for figure in drawn:
         (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
     path = folder / "report.html"
-    part = path.with_suffix(".part")
-    part.write_text(
-        render(scale, chapters, jobs, time_it_took, folder / "results"), encoding="utf-8"
-    )
-    part.replace(path)
+    text = render(scale, chapters, jobs, time_it_took, folder / "results")
+    durable_files.replace(path, text)
     return path
 
 

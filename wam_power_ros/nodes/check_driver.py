@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check of the drivers: what controller and tracker would hear in, a table and a verdict out.
+"""Check of the drivers before anything is activated: prints a table and a verdict.
 
-Listens, asks, and sends torques only with consent, none that could move the arm. It is run before
-anything is activated; what it finds is judged by `conformance` and the modules beside it.
+Receives what controller and tracker would receive, asks, and sends torques only with consent, none
+that could move the arm. The rows are made by the modules in `conformance`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import select
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -47,13 +47,14 @@ from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messa
 from wam_power_ros.ros.node_runner import number_by_process
 from wam_power_ros.ros.stamps import nanoseconds
 
-HEAR_ALL = QoSProfile(
+RECEIVE_ALL = QoSProfile(
     depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
 )
-OURS = {"torque_controller", "demonstration_recorder", "check_driver"}  # no driver, no intruder
-PATIENCE = 5.0  # [s] for the first message, and for discovery
-DROPS = 3  # of the stand-in's body, should a busy machine miss frames of a fall
-FALL = 2.0  # [s] in which a body that was let go has fallen
+POSE_TYPE = "geometry_msgs/msg/PoseStamped"
+OURS = {"torque_controller", "demonstration_recorder", "check_driver"}  # neither driver nor other
+DISCOVERY_TIMEOUT = 5.0  # [s] for the first message, and for discovery
+DROP_ATTEMPTS = 3  # with the stand-in, for a busy machine may miss frames of a fall
+FALL_TIME = 2.0  # [s] within which a body that was let go has fallen
 STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
 COLOURS = {
     Verdict.OK: "green",
@@ -64,18 +65,18 @@ COLOURS = {
 
 
 class Keyboard:
-    """Lines of standard input, asked for without waiting; closed is as if all were skipped."""
+    """Lines of standard input without waiting; a closed one counts as skipping everything."""
 
     def __init__(self) -> None:
         self._text = b""
         self.closed = False
 
     def line(self) -> str | None:
-        """A line if one has come."""
+        """Next line, None when none has been typed."""
         if b"\n" not in self._text and not self.closed and select.select([0], [], [], 0.0)[0]:
-            came = os.read(0, 4096)
-            self.closed = not came
-            self._text += came
+            read = os.read(0, 4096)
+            self.closed = not read
+            self._text += read
         if b"\n" not in self._text:
             return None
         line, _, self._text = self._text.partition(b"\n")
@@ -83,7 +84,7 @@ class Keyboard:
 
 
 class CheckDriver(Node):
-    """Hears the devices of one set-up."""
+    """Subscribes to the devices of one set-up and checks them."""
 
     def __init__(
         self, arm: TorqueControllerParams, mocap: PancakeTrackerParams, console: Console
@@ -102,21 +103,23 @@ class CheckDriver(Node):
         self._answer: Callable[[StateSample], None] | None = None
         self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
         subscribe = self.create_subscription
-        subscribe(JointState, arm.state_topic, self._on_state, HEAR_ALL)
+        subscribe(JointState, arm.state_topic, self._on_state, RECEIVE_ALL)
         if arm.velocity_topic:
-            subscribe(JointState, arm.velocity_topic, self._on_velocity, HEAR_ALL)
+            subscribe(JointState, arm.velocity_topic, self._on_velocity, RECEIVE_ALL)
         if mocap.markers_topic:
-            subscribe(PointCloud2, mocap.markers_topic, self._on_cloud, HEAR_ALL)
+            subscribe(PointCloud2, mocap.markers_topic, self._on_cloud, RECEIVE_ALL)
         else:
-            subscribe(PoseStamped, mocap.pose_topic, self._on_pose, HEAR_ALL)
+            subscribe(PoseStamped, mocap.pose_topic, self._on_pose, RECEIVE_ALL)
         if not arm.urdf:
             subscribe(String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED)
-        self._listener = subscribe(self._command_type, arm.command_topic, self._on_torque, HEAR_ALL)
+        self._listener = subscribe(
+            self._command_type, arm.command_topic, self._on_torque, RECEIVE_ALL
+        )
         self._drop = self.create_client(Trigger, interface.body_topic(mocap.body, "drop"))
-        scheduling.request(arm.realtime_priority)  # to hear what the controller will hear
+        scheduling.request(arm.realtime_priority)  # to receive as the controller will
         self._executor = node_runner.executor_for(self)
 
-    # What comes
+    # Callbacks
 
     def _on_state(self, message: JointState) -> None:
         q, qd, tau = (np.array(v) for v in (message.position, message.velocity, message.effort))
@@ -157,13 +160,13 @@ class CheckDriver(Node):
     # Waiting
 
     def spin(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Listen for a while [s], or until something is so."""
+        """Dispatch callbacks for some time [s], or until a condition holds."""
         end = time.monotonic() + seconds
         while not until() and (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=min(left, 0.05))
 
     def ask(self, question: str) -> str | None:
-        """A person's answer, listening meanwhile; None when nobody is at the keyboard."""
+        """Answer of a person, spinning meanwhile; None when nobody is at the keyboard."""
         if not self._keyboard.closed:
             self._console.print(question)
         answer = None
@@ -172,24 +175,24 @@ class CheckDriver(Node):
             answer = self._keyboard.line()
         return answer
 
-    # The table
+    # Rows
 
     def check(self, seconds: float, active: bool) -> list[Row]:
-        """Every row; `seconds` are listened, `active` consents to the test of the watchdog."""
-        self.spin(PATIENCE, lambda: bool(self.states and (self.frames or self.clouds)))
-        for heard in (self.states, self.velocities, self.frames, self.clouds):
-            heard.clear()
+        """Make all rows after `seconds` [s]; `active` is the consent to the watchdog test."""
+        self.spin(DISCOVERY_TIMEOUT, lambda: bool(self.states and (self.frames or self.clouds)))
+        for samples in (self.states, self.velocities, self.frames, self.clouds):
+            samples.clear()
         self._console.print(f"Listening for {seconds:.0f} s. The arm rests, the body lies in view.")
         self.spin(seconds)
         if not (self.states or self.frames or self.clouds):
             topics = (self._arm_params.state_topic, self._mocap.pose_topic or "")
             topics = " nor on ".join(filter(None, (*topics, self._mocap.markers_topic)))
             raise ValueError(
-                f"nothing is heard on {topics}: start the drivers; ROS_DOMAIN_ID and "
+                f"no messages on {topics}: start the drivers; ROS_DOMAIN_ID and "
                 "ROS_AUTOMATIC_DISCOVERY_RANGE must be theirs"
             )
         if not self._urdf:
-            raise ValueError(f"nothing has come on {interface.ROBOT_DESCRIPTION}")
+            raise ValueError(f"no message on {interface.ROBOT_DESCRIPTION}")
         arm = Arm(self._urdf, self._arm_params.model_joint_names, self._arm_params.tool_frame)
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
@@ -201,17 +204,16 @@ class CheckDriver(Node):
 
     def _arm_rows(self, arm: Arm, seconds: float) -> tuple[list[Row], ArmRecord]:
         params = self._arm_params
-        ends = self._sent_by(params.state_topic)
+        ends = self._publisher_ends(params.state_topic)
         record, names = arm_checks.collect(self.states, params.joint_names)
-        alive = topic_checks.heard("states", params.state_topic, len(self.states), seconds, ends)
+        received = topic_checks.heard("states", params.state_topic, len(self.states), seconds, ends)
         if not len(record.q):
-            return [alive, names] if self.states else [alive], record
+            return [received, names] if self.states else [received], record
         if params.velocity_topic:
-            received = np.array([received_ns for received_ns, _ in self.velocities])
-            qd = np.array([qd for _, qd in self.velocities])
-            record = arm_checks.with_velocity(record, received, qd)
+            received_ns, qd = (np.array([v[i] for v in self.velocities]) for i in (0, 1))
+            record = arm_checks.with_velocity(record, received_ns, qd)
         return [
-            alive,
+            received,
             names,
             topic_checks.publishers("state QoS", "sensor_msgs/msg/JointState", ends),
             topic_checks.rate("state rate", record.stamp_ns, 1.0 / params.period),
@@ -228,39 +230,34 @@ class CheckDriver(Node):
         topic = self.resolve_topic_name(self._arm_params.command_topic)
         drivers = _ends(self.get_subscriptions_info_by_topic(topic))
         commanders = _ends(self.get_publishers_info_by_topic(topic))
-        package, message = self._command_type.__module__.split(".")[0], self._command_type.__name__
-        return topic_checks.command_path(
-            topic, f"{package}/msg/{message}", drivers, commanders, self._torques
-        )
+        kind = f"{self._command_type.__module__.split('.')[0]}/msg/{self._command_type.__name__}"
+        return topic_checks.command_path(topic, kind, drivers, commanders, self._torques)
 
     def _service(self) -> Row:
-        known = dict(self.get_service_names_and_types())
-        services = {name: types[0] for name, types in known.items()}
+        services = {name: types[0] for name, types in self.get_service_names_and_types()}
         wanted = self._arm_params.idle_service
         return topic_checks.offered("idle service", "std_srvs/srv/Trigger", services, wanted)
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
         params, settings = self._mocap, self._mocap.settings()
         topic = params.markers_topic or params.pose_topic
-        ends = self._sent_by(topic)
-        type_ = "sensor_msgs/msg/PointCloud2" if params.markers_topic else ""
+        ends = self._publisher_ends(topic)
+        kind = "sensor_msgs/msg/PointCloud2" if params.markers_topic else POSE_TYPE
         samples = self.clouds or self.frames
-        alive = topic_checks.heard("mocap", topic, len(samples), seconds, ends)
+        heard = topic_checks.heard("mocap", topic, len(samples), seconds, ends)
         if not samples:
-            return [alive]
-        received = np.array([sample.received_ns for sample in samples])
-        stamp_ns = np.array([sample.stamp_ns for sample in samples])
+            return [heard]
+        received, stamp_ns = (np.array([sample[i] for sample in samples]) for i in (0, 1))
         age = float(np.median(record.received_ns - record.stamp_ns)) if len(record.q) else 0.0
         pan = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
+        offsets = params.latency_offset, params.clock_offset_max
         found = [
-            alive,
-            topic_checks.publishers("mocap QoS", type_ or "geometry_msgs/msg/PoseStamped", ends),
+            heard,
+            topic_checks.publishers("mocap QoS", kind, ends),
             topic_checks.rate("mocap rate", stamp_ns, params.rate),
             topic_checks.jitter("mocap jitter", received, 1.0 / params.rate),
             topic_checks.stamps("mocap stamps", stamp_ns),
-            mocap_checks.latency(
-                received, stamp_ns, 1e-9 * age, params.latency_offset, params.clock_offset_max
-            ),
+            mocap_checks.latency(received, stamp_ns, 1e-9 * age, *offsets),
         ]
         frames = self.frames
         if params.markers_topic:
@@ -269,23 +266,20 @@ class CheckDriver(Node):
         found += mocap_checks.usable(frames, settings, self._unread)
         return [*found, mocap_checks.place(frames, settings, pan)]
 
-    # What is asked
-
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
-        """Send a mark and then nothing, if a person agrees."""
+        """Test of the watchdog, if a person agrees."""
 
         def unchecked(why: str) -> Row:
-            return Row("watchdog", "a driver that ends an old torque", why, Verdict.UNCHECKED)
+            return Row("watchdog", "the driver ends an old torque", why, Verdict.UNCHECKED)
 
         if path.verdict is Verdict.FAIL:
             return unchecked("see the command path")
         if not record.still or record.tau is None:
-            return unchecked("the arm moves, or the driver tells no effort")
+            return unchecked("the arm moves, or the driver reports no effort")
         q, tau = record.q.mean(axis=0), record.tau.mean(axis=0)
-        params = self._arm_params
-        names, adds = params.joint_names, params.driver_compensates_gravity
+        params, names = self._arm_params, self._arm_params.joint_names
         try:
-            check = CommandCheck(arm, names, adds, q, tau)
+            check = CommandCheck(arm, names, params.driver_compensates_gravity, q, tau)
         except ValueError as error:
             return unchecked(str(error))
         question = f"Watchdog: {check.warning}. Hand on the pendant, then type yes: "
@@ -293,10 +287,9 @@ class CheckDriver(Node):
             return unchecked("asks for consent: --active, or yes at the keyboard")
         self.destroy_subscription(self._listener)
         write = joint_messages.TorqueWriter(names, params.command_type)
-        publisher = self.create_publisher(
-            write.message_type, params.command_topic, interface.COMMAND
-        )
-        self.spin(PATIENCE, lambda: publisher.get_subscription_count() > 0)
+        topic = params.command_topic
+        publisher = self.create_publisher(write.message_type, topic, interface.COMMAND)
+        self.spin(DISCOVERY_TIMEOUT, lambda: publisher.get_subscription_count() > 0)
 
         def answer(sample: StateSample) -> None:
             state, _ = arm_checks.collect([sample], names)
@@ -307,31 +300,31 @@ class CheckDriver(Node):
 
         self._answer = answer
         try:
-            self.spin(PATIENCE, lambda: check.over)
+            self.spin(DISCOVERY_TIMEOUT, lambda: check.over)
         finally:
             self._answer = None
             if not check.over:
                 publisher.publish(write(record.stamp_ns[-1], "check", check.carrier))
             self.spin(0.1)
             self.destroy_publisher(publisher)
-        return check.row()
+        return check.row
 
     def _fall(self) -> Row:
-        """Watch the body fall; the stand-in drops it by itself."""
+        """Row about a fall of the body, which a person or the stand-in drops."""
         samples = self.clouds if self._mocap.markers_topic else self.frames
         if self._drop.service_is_ready():
-            for _ in range(DROPS):
+            for _ in range(DROP_ATTEMPTS):
                 samples.clear()
                 self._drop.call_async(Trigger.Request())
-                self.spin(0.5 * FALL)
+                self.spin(0.5 * FALL_TIME)
                 if (row := self._fallen()).verdict is not Verdict.UNCHECKED:
                     break
             return row
         question = "Axes: hold the marker body a metre up, on edge, in view. Press Enter, then let "
-        answer = self.ask(f"{question}go within {FALL:.0f} s (s: skip): ")
+        answer = self.ask(f"{question}go within {FALL_TIME:.0f} s (s: skip): ")
         samples.clear()
         if answer is not None and answer != "s":
-            self.spin(2.0 * FALL)
+            self.spin(2.0 * FALL_TIME)
         return self._fallen()
 
     def _fallen(self) -> Row:
@@ -341,26 +334,26 @@ class CheckDriver(Node):
         return mocap_checks.fall(frames, self._mocap.settings())
 
     def _by_hand(self, arm: Arm, record: ArmRecord) -> list[Row]:
-        """Let a person move each joint."""
+        """Rows about each joint moved by a person."""
         if not len(record.q) or self.ask("Lead each joint by hand? (y, else skip) ") != "y":
             advice = "answer y at the keyboard, with the arm free to be led"
-            what = "each joint moves as the one it is called"
-            return [Row("joints by hand", what, "not asked", Verdict.UNCHECKED, advice)]
+            expected = "each joint moves as the one of its name"
+            return [Row("joints by hand", expected, "not asked", Verdict.UNCHECKED, advice)]
         rows: list[Row] = []
         for joint, name in enumerate(record.joint_names):
-            way = arm_checks.heading(arm, record.q[-1], joint)
+            direction = arm_checks.heading(arm, record.q[-1], joint)
             self.states.clear()
-            if self.ask(f"{name}: lead it alone until {way}, then Enter (s: skip) ") == "s":
+            if self.ask(f"{name}: lead it alone until {direction}, then Enter (s: skip) ") == "s":
                 continue
             record, _ = arm_checks.collect(self.states, record.joint_names)
             rows.append(arm_checks.led(record, joint))
         return rows
 
-    def _sent_by(self, topic: str) -> list[Endpoint]:
+    def _publisher_ends(self, topic: str) -> list[Endpoint]:
         return _ends(self.get_publishers_info_by_topic(self.resolve_topic_name(topic)), ())
 
 
-def _ends(infos: Sequence[TopicEndpointInfo], but: Sequence[str] = tuple(OURS)) -> list[Endpoint]:
+def _ends(infos: Sequence[TopicEndpointInfo], but: Collection[str] = OURS) -> list[Endpoint]:
     return [
         Endpoint(
             info.node_name,
@@ -374,7 +367,7 @@ def _ends(infos: Sequence[TopicEndpointInfo], but: Sequence[str] = tuple(OURS)) 
 
 
 def _table(rows: Sequence[Row]) -> Table:
-    """What was found; with what was expected and what to do, where these differ."""
+    """Table of the findings, with requirement and advice where these differ."""
     table = Table("", "", "found")
     for row in rows:
         verdict, lines = row.verdict, [escape(row.found)]
@@ -396,7 +389,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--config", action="append", default=[], metavar="NAME", help="set-up, as for wam-power"
     )
-    parser.add_argument("--seconds", type=float, default=5.0, help="to listen (default 5)")
+    parser.add_argument(
+        "--seconds", type=float, default=5.0, help="duration of the check (default 5)"
+    )
     parser.add_argument(
         "--active", action="store_true", help="test the watchdog; a hand is on the pendant"
     )

@@ -33,7 +33,7 @@ class Params(BaseModel):
         """Read the parameters of `node`, which refuses later changes to them.
 
         Raises:
-            ValueError: naming every key that is missing, unknown, of a wrong type or out of range.
+            ValueError: When keys are missing, unknown, of a wrong type or out of range; names them.
         """
         given = node.get_parameters_by_prefix("").items()
         values = {
@@ -49,15 +49,15 @@ class Params(BaseModel):
 
     @classmethod
     def of_file(cls: type[P], path: Path, node: str, *over: Path) -> P:
-        """Read the parameters that YAML files give `node`, as it would read them itself.
+        """Read the parameters of a node from YAML files, as the node would.
 
         Args:
-            path: of the node's own file.
-            node: its name.
-            over: files that override it, the last one most; one may have nothing for it.
+            path: File of the node.
+            node: Name of the node.
+            over: Files that override it, later ones first; one may have nothing for this node.
 
         Raises:
-            ValueError: as for `of`, or the node's own file has nothing for it.
+            ValueError: As for `of`, and when the node's own file has nothing for it.
         """
         values: dict[str, object] = {}
         for file in (path, *over):
@@ -77,10 +77,10 @@ class Params(BaseModel):
 
     @classmethod
     def of_values(cls: type[P], whose: str, values: Mapping[str, object]) -> P:
-        """Check values read from YAML, for a node called `whose`; ROS's own among them are left.
+        """Check values read from YAML, for a node called `whose`; those of ROS itself are ignored.
 
         Raises:
-            ValueError: as for `of`.
+            ValueError: As for `of`.
         """
         own = {name: value for name, value in values.items() if not name.startswith(OF_ROS)}
         lists = {name: tuple(value) for name, value in own.items() if isinstance(value, list)}

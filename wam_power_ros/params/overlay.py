@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Set-ups: the parameters of every node, its own file under the ones that are laid over it.
+"""Set-ups: parameters of every node from its own file and the files that override it.
 
-A set-up file says what it has to say once: of the arm's driver to `torque_controller`, of the
-motion capture to `pancake_tracker`. What the other nodes must know of that, and how a stand-in
-looks that takes the place of these devices, follows from it here; a file may still say otherwise.
+A set-up file gives each parameter once: those of the arm's driver to `torque_controller`, those of
+the motion capture to `pancake_tracker`. The parameters of other nodes, and of stand-ins that
+replace these devices, are derived from them here, unless a file gives them explicitly.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 
 
 def known() -> list[str]:
-    """Names of the set-ups that come with us."""
+    """Names of the set-ups in config/."""
     files = sorted(share("config").glob("*.yaml"))
     return [file.stem for file in files if file.stem not in NODES]
 
@@ -40,7 +40,7 @@ def find(name: str) -> Path:
     """File of a set-up: config/NAME.yaml, or the path of one.
 
     Raises:
-        ValueError: There is none; lists those that come with us.
+        ValueError: When there is none; lists those in config/.
     """
     given = Path(name).expanduser()
     if given.suffix == ".yaml" and given.is_file():
@@ -61,18 +61,18 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             the name of the task, where config/TASK.yaml counts if it is there.
 
     Raises:
-        ValueError: A file cannot be found or read, or names a node or parameter that is none.
+        ValueError: When a file cannot be found or read, or names an unknown node or parameter.
     """
     own = {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
-    said: Setup = {node: {} for node in NODES}
+    given: Setup = {node: {} for node in NODES}
     of_task = [task] if task in known() or task.endswith(".yaml") else []
     files = [find(name) for name in (*of_task, *names)]
     for file in files:
         for node, values in _read(file).items():
             _check(file, node, values, own)
-            said[node] |= values
-    chosen = {node: own[node] | said[node] for node in NODES}
-    _name_body(chosen["pancake_tracker"], said["pancake_tracker"])
+            given[node] |= values
+    chosen = {node: own[node] | given[node] for node in NODES}
+    _name_body(chosen["pancake_tracker"], given["pancake_tracker"])
     follows = _follows(chosen["torque_controller"], chosen["pancake_tracker"])
     if files:
         follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
@@ -81,12 +81,14 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     follows.setdefault("wam_sim", {})["obstacle"] = chosen["torque_controller"]["obstacle"]
     seen = {name: chosen["pancake_tracker"][name] for name in ("body", "pose_topic")}
     follows["optitrack_sim"] = seen | follows.get("optitrack_sim", {})
-    whole = {node: own[node] | follows.get(node, {}) | said[node] for node in NODES}
-    if simulated or not names:  # the stand-in does what takes a person in the lab
+    whole = {node: own[node] | follows.get(node, {}) | given[node] for node in NODES}
+    if simulated or not names:  # the stand-in does what a person does in the lab
         whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}
         whole["learner"] |= {"scene_reset": True, "reset_faults": True}
         whole["demonstration_recorder"]["source"] = "sim"
-        if whole["wam_sim"]["pace"] == "lockstep":  # it keeps the time, and waits for everyone
+        if (
+            whole["wam_sim"]["pace"] == "lockstep"
+        ):  # it publishes the time, and waits for every node
             for node in set(NODES) - set(STAND_INS):
                 whole[node]["use_sim_time"] = True
     return whole
@@ -99,10 +101,10 @@ def text(setup: Setup) -> str:
 
 
 class _Plain(yaml.SafeDumper):
-    """As ROS reads it: no references, and strings in quotes, for to it a bare y is a truth."""
+    """YAML as ROS reads it: without references, strings quoted, for it reads a bare y as true."""
 
     def ignore_aliases(self, data: object) -> bool:
-        """Write the same list twice."""
+        """Write a repeated list again."""
         return True
 
 
@@ -117,7 +119,7 @@ def _read(file: Path) -> Setup:
         found = {node: dict(section["ros__parameters"]) for node, section in nodes.items()}
     except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{file} is no file of ROS parameters: {error!r}") from None
-    for values in found.values():  # a URDF of one's own may lie beside the file that names it
+    for values in found.values():  # a URDF may be in the folder of the set-up file
         if values.get("urdf") and (file.parent / values["urdf"]).is_file():
             values["urdf"] = str((file.parent / values["urdf"]).resolve())
     return found
@@ -133,19 +135,19 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Setup) -> None
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
 
 
-def _name_body(mocap: dict[str, Any], said: dict[str, Any]) -> None:
-    """Topic of the tracked body's poses: the one that was said, with the body's name filled in."""
+def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
+    """Fill the body's name into the topic of its poses, or clear the topics without a body."""
     if not mocap["body"]:
-        said |= {"pose_topic": "", "markers_topic": ""}
-    elif "pose_topic" in said:
-        said["pose_topic"] = said["pose_topic"].replace("{body}", mocap["body"])
-    elif not said.get("markers_topic"):
-        said["pose_topic"] = f"/{mocap['body']}/pose"
-    mocap |= said
+        given |= {"pose_topic": "", "markers_topic": ""}
+    elif "pose_topic" in given:
+        given["pose_topic"] = given["pose_topic"].replace("{body}", mocap["body"])
+    elif not given.get("markers_topic"):
+        given["pose_topic"] = f"/{mocap['body']}/pose"
+    mocap |= given
 
 
 def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
-    """What recorder and learner must know of the driver and the motion capture."""
+    """Parameters of other nodes that follow from the driver and the motion capture."""
     return {
         "torque_controller": {"hold_to_run": True, "allow_no_realtime": False},
         "demonstration_recorder": {
@@ -167,7 +169,7 @@ def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
 
 
 def _shape(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
-    """How stand-ins look that take the place of these devices."""
+    """Parameters of stand-ins that replace these devices."""
     driver = ("joint_names", "state_topic", "velocity_topic", "command_topic", "command_type")
     model = ("urdf", "model_joint_names", "tool_frame")
     guarded = ("guarded_names", "guarded_links", "guarded_points")

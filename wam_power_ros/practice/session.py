@@ -29,6 +29,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from wam_power_ros import durable_files
 from wam_power_ros.learning import policy as policy_module
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.practice import ArmModel, Practice, check_candidates
@@ -178,10 +179,10 @@ class Session:
             (folder / "bags").mkdir(exist_ok=True)
             for policy in candidates:
                 path = folder / "candidates" / f"{policy.id}.json"
-                _replace(path, policy_module.to_json(policy))
-            _replace(folder / "task.json", json.dumps(dict(context or {})) + "\n")
-            _replace(folder / "session.yaml", text)
-            _sync_folder(folder.parent)
+                durable_files.replace(path, policy_module.to_json(policy))
+            durable_files.replace(folder / "task.json", json.dumps(dict(context or {})) + "\n")
+            durable_files.replace(folder / "session.yaml", text)
+            durable_files.sync(folder.parent)
             return cls(folder, lock)
         except BaseException:
             os.close(lock)
@@ -266,7 +267,7 @@ class Session:
 
     def save_policy(self, policy: Policy) -> None:
         """Replace policy.json, atomically: a reader sees the old or the new one, never a part."""
-        _replace(self.folder / "policy.json", policy_module.to_json(policy))
+        durable_files.replace(self.folder / "policy.json", policy_module.to_json(policy))
 
     def close(self) -> None:
         """Release the folder. Closing twice is fine."""
@@ -299,7 +300,7 @@ class Session:
             )
             os.ftruncate(file, self._size)
         os.fsync(file)
-        _sync_folder(self.folder)
+        durable_files.sync(self.folder)
         return file
 
 
@@ -429,28 +430,7 @@ def _lock(folder: Path) -> int:
     return file
 
 
-def _replace(path: Path, text: str) -> None:
-    """Write a file so that after a crash it is the old or the new one."""
-    temporary = path.with_name(f".{path.name}.new")
-    file = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
-    try:
-        _write_all(file, text.encode())
-        os.fsync(file)
-    finally:
-        os.close(file)
-    os.replace(temporary, path)
-    _sync_folder(path.parent)
-
-
 def _write_all(file: int, data: bytes) -> None:
     view = memoryview(data)
     while view:
         view = view[os.write(file, view) :]
-
-
-def _sync_folder(folder: Path) -> None:
-    file = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)

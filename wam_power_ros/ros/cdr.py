@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The two messages of the 500 Hz loop as they travel, without rclpy's detour through objects.
+"""Serialised messages of the 500 Hz loop, read and written in place.
 
-To make a JointState of the bytes that came costs rclpy more than the control step takes, and bytes
-of a torque half of that. So the loop takes and gives bytes. It knows no more of the format (CDR)
-than it has checked: rclpy reads the first message of every shape and writes the first with every
-label; only while all but the numbers stays the same are they read and written in place.
+rclpy takes longer to deserialise a JointState than the control step, and half of that to serialise
+a torque. So the loop works on the bytes (CDR), and assumes nothing of the format that it has not
+checked: rclpy reads the first message of every layout and writes the first with every label; the
+numbers are read and written in place only while all other bytes stay the same.
 """
 
 from __future__ import annotations
@@ -17,27 +17,23 @@ from sensor_msgs.msg import JointState
 
 from wam_power_ros.ros.joint_messages import JointReading, JointStateReader, TorqueWriter
 
-_ORIGIN = 4  # where the message begins, behind two bytes that tell its encoding and two of options
+_ORIGIN = 4  # offset of the message, after two bytes of encoding and two of options
 _STAMP = struct.Struct("=iI")
-_DIGITS = _ORIGIN + 8  # where the label of a torque begins, and with it the stamp in digits
+_DIGITS = _ORIGIN + 8  # offset of a torque's label, which begins with the stamp in digits
 
 
 class StateReader:
-    """Serialised JointState -> what a `JointStateReader` makes of it.
-
-    Args:
-        reader: Reads whatever has a new shape.
-    """
+    """Serialised JointState -> reading of a `JointStateReader`, which reads every new layout."""
 
     def __init__(self, reader: JointStateReader) -> None:
         self._reader = reader
-        self._layout: _Layout | None = None  # of the last message with our joints
+        self._layout: _Layout | None = None  # of the last message that held our joints
 
     def __call__(self, data: bytes) -> JointReading | None:
         """Read one message; see `JointStateReader`.
 
         Raises:
-            ValueError: as there, and for bytes that are no JointState.
+            ValueError: As there, and for bytes that are not a JointState.
         """
         numbers = None if self._layout is None else self._layout.numbers(data)
         if numbers is not None:
@@ -45,8 +41,11 @@ class StateReader:
         try:
             message = deserialize_message(data, JointState)
         except Exception as error:  # of a kind that rclpy does not export
-            raise ValueError(f"{len(data)} bytes are no JointState: {error}") from None
-        known, self._layout = self._layout, None  # none if it is refused now: the names may be new
+            raise ValueError(f"{len(data)} bytes are not a JointState: {error}") from None
+        known, self._layout = (
+            self._layout,
+            None,
+        )  # None if this one is refused: its names may be new
         reading = self._reader(message)
         if reading is None:
             self._layout = known
@@ -56,12 +55,7 @@ class StateReader:
 
 
 class _Layout:
-    """Where the numbers are in messages that share everything else with this one.
-
-    Args:
-        message: That was read.
-        data: Its bytes.
-    """
+    """Offsets of the numbers in messages that equal this one, of bytes `data`, in all else."""
 
     def __init__(self, message: JointState, data: bytes) -> None:
         self._format, self._size = "=2s2xiI", _ORIGIN + _STAMP.size
@@ -87,7 +81,7 @@ class _Layout:
         self._fixed.append(coded)
 
     def _doubles(self, count: int) -> tuple[int, int]:
-        """How many there are, and where."""
+        """Append an array of doubles; returns its length and offset."""
         self._count(count)
         if count:
             self._pad(8)
@@ -96,12 +90,12 @@ class _Layout:
         return count, at
 
     def _pad(self, alignment: int) -> None:
-        gap = (_ORIGIN - self._size) % alignment  # what is there differs: nobody clears it
+        gap = (_ORIGIN - self._size) % alignment  # padding is not cleared by senders
         self._format, self._size = f"{self._format}{gap}x", self._size + gap
 
     def numbers(self, data: bytes) -> tuple[int, np.ndarray, np.ndarray | None] | None:
-        """Stamp [ns], positions and velocities (None without); None when it is not our layout."""
-        if len(data) < self._size:  # longer it may be: nobody trims it either
+        """Stamp [ns], positions, and velocities or None; None when the layout differs."""
+        if len(data) < self._size:  # it may be longer, for senders do not trim it
             return None
         encoding, sec, nanosec, *fixed = self._struct.unpack_from(data)
         if [encoding, *fixed] != self._fixed:
@@ -110,7 +104,7 @@ class _Layout:
         return sec * 1_000_000_000 + nanosec, q, qd if len(qd) else None
 
     def reads(self, data: bytes, message: JointState) -> bool:
-        """Whether a message comes out with the numbers that rclpy has found in it."""
+        """Whether the numbers equal those that rclpy has read."""
         numbers = self.numbers(data)
         if numbers is None:
             return False
@@ -120,24 +114,20 @@ class _Layout:
 
 
 class TorqueSender:
-    """Torques of doubles -> what a `TorqueWriter` makes of them, serialised.
-
-    Args:
-        writer: Writes the first with every label.
-    """
+    """Torques -> serialised message of a `TorqueWriter`, which writes the first of every label."""
 
     def __init__(self, writer: TorqueWriter) -> None:
         self._writer = writer
         self._in_header = writer.message_type is JointState
         self._bytes = bytearray()  # of the last message
-        self._at = 0  # where its torques are
-        self._label, self._digits = "", 0  # and how many digits its stamp had
+        self._at = 0  # offset of its torques
+        self._label, self._digits = "", 0  # number of digits of its stamp
 
     def __call__(self, stamp_ns: int, label: str, tau: np.ndarray) -> bytes:
-        """One message with tau (nj,) [N m]; see `TorqueWriter`."""
+        """Serialise one message with tau (nj,) [N m]; see `TorqueWriter`."""
         data, digits, numbers = self._bytes, str(stamp_ns).encode(), tau.tobytes()
         if label != self._label or len(digits) != self._digits:
-            found = np.arange(1.0, len(tau) + 1.0)  # numbers that are nowhere else
+            found = np.arange(1.0, len(tau) + 1.0)  # numbers that occur nowhere else
             data[:] = serialize_message(self._writer(stamp_ns, label, found))
             self._at = data.index(found.tobytes())
             self._label, self._digits = label, len(digits)

@@ -27,7 +27,7 @@ class JointReading(NamedTuple):
 
     stamp_ns: int
     q: np.ndarray  # (nj,) [rad]
-    qd: np.ndarray | None  # (nj,) [rad/s], None when the driver does not say
+    qd: np.ndarray | None  # (nj,) [rad/s], None when the driver sends none
 
 
 class JointStateReader:
@@ -48,7 +48,8 @@ class JointStateReader:
             The reading, or None when the message holds none of our joints (another device's).
 
         Raises:
-            ValueError: some of our joints missing or doubled, a length or a value not acceptable.
+            ValueError: When some of our joints are missing or doubled, or a length or value is not
+                acceptable.
         """
         names = message.name
         if names != self._seen:
@@ -64,10 +65,10 @@ class JointStateReader:
         return self.reading(nanoseconds(message.header.stamp), q, qd)
 
     def reading(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> JointReading:
-        """A reading from the numbers of a message with the names of the last one.
+        """Reading of the numbers of a message that has the names of the last one.
 
         Raises:
-            ValueError: a value not acceptable.
+            ValueError: When a value is not acceptable.
         """
         if self._index is not None:
             q = q[self._index]
@@ -81,13 +82,13 @@ class JointStateReader:
         return JointReading(set_stamp(stamp_ns), q, qd)
 
     def velocity(self, message: JointState) -> np.ndarray | None:
-        """Joint velocities from a message of their own; nameless ones count in our order.
+        """Read joint velocities from a topic of their own; without names they are in our order.
 
         Returns:
             Velocities (nj,) [rad/s], or None when the message holds none of our joints.
 
         Raises:
-            ValueError: as for a joint state.
+            ValueError: As for a joint state.
         """
         names = message.name
         if not names:
@@ -102,7 +103,7 @@ class JointStateReader:
         return qd
 
     def lookup(self, names: Sequence[str]) -> np.ndarray | None:
-        """Where our joints are in `names` (nj,), None when none is; ValueError as for a message."""
+        """Indices of our joints in `names` (nj,), None when it has none; ValueError as above."""
         place = {name: i for i, name in enumerate(names)}
         missing = [name for name in self.joint_names if name not in place]
         if len(missing) == len(self.joint_names):
@@ -115,7 +116,7 @@ class JointStateReader:
 
 
 def _finite(values: np.ndarray) -> bool:
-    """Whether all are finite; a sum of floats tells it several times faster than NumPy does."""
+    """Whether all are finite; a sum of floats is several times faster than NumPy."""
     return math.isfinite(sum(values.tolist())) or bool(np.isfinite(values).all())
 
 
@@ -126,7 +127,7 @@ def _joint_values(field: str, values: array, length: int) -> np.ndarray:
 
 
 class JointStateWriter:
-    """Arrays -> JointState; one message is made once and filled again and again."""
+    """Arrays -> JointState; the same message object is filled every time."""
 
     def __init__(self, joint_names: Sequence[str]) -> None:
         self.joint_names = tuple(joint_names)
@@ -146,7 +147,7 @@ class JointStateWriter:
 
 
 def nameless_velocities(stamp_ns: int, qd: np.ndarray) -> JointState:
-    """Velocities (nj,) [rad/s] and nothing else, in an order that is agreed upon."""
+    """Message with velocities (nj,) [rad/s] only, without names."""
     message = JointState(velocity=array("d", qd))
     message.header.stamp = time_message(stamp_ns)
     return message
@@ -157,7 +158,7 @@ def _plain(values: np.ndarray | Sequence[float]) -> Sequence[float]:
 
 
 class JointMovement(NamedTuple):
-    """A recorded joint movement, to be replayed."""
+    """Recorded joint movement, to be replayed."""
 
     t: np.ndarray  # (N,) [s]
     q: np.ndarray  # (N, nj) [rad]
@@ -167,7 +168,8 @@ def movement(message: JointTrajectory, joint_names: Sequence[str]) -> JointMovem
     """Read a movement; only its times and positions count, matched by name.
 
     Raises:
-        ValueError: a joint missing or doubled, a length that does not fit, a value not finite.
+        ValueError: When joints are missing or doubled, a length does not fit or a value is not
+            finite.
     """
     index = JointStateReader(joint_names).lookup(message.joint_names)
     if index is None or not message.points:
@@ -182,7 +184,7 @@ def movement(message: JointTrajectory, joint_names: Sequence[str]) -> JointMovem
 
 
 def movement_message(joint_names: Sequence[str], movement: JointMovement) -> JointTrajectory:
-    """A movement as a trajectory message."""
+    """Movement as a trajectory message."""
     message = JointTrajectory(joint_names=list(joint_names))
     for t, q in zip(movement.t, movement.q, strict=True):
         sec, nanosec = divmod(round(float(t) * 1e9), 1_000_000_000)
@@ -193,7 +195,7 @@ def movement_message(joint_names: Sequence[str], movement: JointMovement) -> Joi
 
 
 class TorqueReading(NamedTuple):
-    """One torque command and the state it answers."""
+    """One torque command and the state it was computed from."""
 
     stamp_ns: int | None  # None when the sender does not label its commands
     label: str
@@ -201,7 +203,7 @@ class TorqueReading(NamedTuple):
 
 
 class TorqueWriter:
-    """Torques -> command message, labelled in-band with the state they answer.
+    """Torques -> command message, labelled with the state they were computed from.
 
     A Float64MultiArray carries "<stamp_ns> <label>" in `layout.dim[0].label`, a JointState the
     stamp in its header and the label as frame_id. Real drivers read neither.
@@ -220,7 +222,7 @@ class TorqueWriter:
     def __call__(
         self, stamp_ns: int, label: str, tau: np.ndarray
     ) -> Float64MultiArray | JointState:
-        """Fill the message with tau (nj,) [N m]; it is the same object every time."""
+        """Fill the message, the same object every time, with tau (nj,) [N m]."""
         if self._states is not None:
             return self._states(stamp_ns, (), (), tau, frame=label)
         self._dimension.label = f"{stamp_ns} {label}"
@@ -232,7 +234,7 @@ def torque(message: Float64MultiArray | JointState, joint_names: Sequence[str]) 
     """Read a torque command as a driver does.
 
     Raises:
-        ValueError: wrong length or names, or a value that is not finite.
+        ValueError: When the length or the names are wrong, or a value is not finite.
     """
     if isinstance(message, JointState):
         if message.name != list(joint_names):
@@ -241,9 +243,8 @@ def torque(message: Float64MultiArray | JointState, joint_names: Sequence[str]) 
         answered = nanoseconds(message.header.stamp) or None
     else:
         values = message.data
-        number, _, label = (message.layout.dim[0].label if message.layout.dim else "").partition(
-            " "
-        )
+        labels = [dimension.label for dimension in message.layout.dim] or [""]
+        number, _, label = labels[0].partition(" ")
         answered = int(number) if number.isascii() and number.isdigit() else None
     tau = _joint_values("torque", values, len(joint_names)).copy()
     if not np.isfinite(tau).all():

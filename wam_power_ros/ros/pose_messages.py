@@ -45,7 +45,7 @@ def _pose_arrays(pose: object) -> tuple[np.ndarray, np.ndarray]:
 def pose_message(
     stamp_ns: int, frame: str, position: np.ndarray, quat_xyzw: np.ndarray
 ) -> PoseStamped:
-    """A pose, position (3,) [m] and quat_xyzw (4,), in `frame`."""
+    """Message of a pose: position (3,) [m] and quat_xyzw (4,), in `frame`."""
     message = PoseStamped()
     message.header.stamp, message.header.frame_id = time_message(stamp_ns), frame
     _fill_pose(message.pose, position, quat_xyzw)
@@ -56,7 +56,8 @@ def pose(message: PoseStamped) -> PoseReading:
     """Read a pose; the quaternion comes back normalised.
 
     Raises:
-        ValueError: stamp not set, a value not finite, or the quaternion not of unit length (1e-3).
+        ValueError: When the stamp is not set, a value is not finite, or the quaternion is not of
+            unit length (1e-3).
     """
     position, quat_xyzw = _pose_arrays(message.pose)
     if not (np.isfinite(position).all() and np.isfinite(quat_xyzw).all()):
@@ -74,7 +75,7 @@ def markers(message: PointCloud2) -> tuple[int, str, np.ndarray]:
         Stamp [ns], frame, and positions (m, 3) [m]; a marker that is not finite is left out.
 
     Raises:
-        ValueError: stamp not set, no x, y, z of float32, or a length that does not fit.
+        ValueError: When the stamp is not set, float32 x, y or z is missing, or a length is wrong.
     """
     fields = {field.name: field for field in message.fields}
     for name in "xyz":
@@ -115,7 +116,7 @@ def markers_message(stamp_ns: int, frame: str, points: np.ndarray) -> PointCloud
 
 
 class StateReading(NamedTuple):
-    """A rigid body's state, all of it in the frame of the pose."""
+    """State of a rigid body, in the frame of the pose."""
 
     stamp_ns: int
     frame: str
@@ -123,11 +124,11 @@ class StateReading(NamedTuple):
     quat_xyzw: np.ndarray  # (4,)
     velocity: np.ndarray  # (3,) [m/s]
     angular_velocity: np.ndarray  # (3,) [rad/s]
-    variance: float  # of the position, an axis [m^2]
+    variance: float  # of the position along each axis [m^2]
 
 
 def odometry_message(state: StateReading, child_frame: str) -> Odometry:
-    """A state as Odometry, whose twist is in the child frame by its definition: rotated here."""
+    """State as Odometry, whose twist is rotated into the child frame."""
     message = Odometry(child_frame_id=child_frame)
     message.header.stamp, message.header.frame_id = time_message(state.stamp_ns), state.frame
     _fill_pose(message.pose.pose, state.position, state.quat_xyzw)
@@ -144,7 +145,8 @@ def odometry(message: Odometry) -> StateReading:
     """Read a state, its twist rotated into the frame of the pose.
 
     Raises:
-        ValueError: stamp not set, a value not finite, or the quaternion not of unit length (1e-3).
+        ValueError: When the stamp is not set, a value is not finite, or the quaternion is not of
+            unit length (1e-3).
     """
     reading = pose(PoseStamped(header=message.header, pose=message.pose.pose))
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
@@ -168,7 +170,7 @@ def _rotation(quat_xyzw: np.ndarray) -> np.ndarray:
 
 
 def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) -> Path:
-    """A rollout's path; the rollout's start [ns] is the header's stamp, its id every pose's frame.
+    """Message of a rollout's path, with start_ns [ns] as its stamp and the id as each pose's frame.
 
     A path without poses could not carry its id: it is sent as one pose at NaN.
     """
@@ -190,14 +192,14 @@ def path(message: Path, kind: type[RolloutPath]) -> tuple[int, RolloutPath]:
     """Read a rollout's path.
 
     Args:
-        message: the path.
-        kind: `EndEffectorPath` or `BodyPath`.
+        message: Message of the path.
+        kind: Class of the path, `EndEffectorPath` or `BodyPath`.
 
     Returns:
-        The rollout's start [ns], and the path with times since then [s].
+        Start of the rollout [ns], and the path with times since then [s].
 
     Raises:
-        ValueError: no pose, more than one id, stamps that do not increase, or what `kind` refuses.
+        ValueError: When there is no pose or more than one id, stamps do not increase, or as `kind`.
     """
     if not message.poses:
         raise ValueError("path has no pose and so no rollout id; an empty one has one pose at NaN")

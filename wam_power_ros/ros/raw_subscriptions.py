@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions to whatever is published on some topics, handing on the serialized messages."""
+"""Subscriptions to topics of any type, which receive serialized messages."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from rosbags.interfaces import Qos
 from wam_power_ros.bags import layout
 from wam_power_ros.ros import interface
 
-LOOK_PERIOD = 0.25  # [s]
+DISCOVERY_PERIOD = 0.25  # [s] between looks at the graph
 
 
-class _Tap(NamedTuple):
+class _Subscribed(NamedTuple):
     msgtype: str
     reliable: bool
     latched: bool
@@ -31,13 +31,13 @@ class _Tap(NamedTuple):
 
 
 class RawTopics:
-    """Subscribes when a publisher shows up, as its publishers offer it: reliable if all are.
+    """Subscribes once a publisher is discovered, with the QoS of all: reliable if all are.
 
-    A subscription made earlier would have to guess, and one that guesses reliable hears nothing of
-    a best-effort driver.
+    A subscription made earlier would have to guess, and a reliable one receives nothing from a
+    best-effort driver.
 
     Attributes:
-        lost: Messages that were sent and will not come, by topic, as the middleware counts them.
+        lost: Number of messages lost, by topic, as the middleware counts them.
     """
 
     def __init__(
@@ -46,10 +46,10 @@ class RawTopics:
         """Call `on_message` with the resolved topic and the bytes of each message."""
         self._node, self._on_message = node, on_message
         self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
-        self._taps: dict[str, _Tap] = {}
+        self._subscribed: dict[str, _Subscribed] = {}
         self.lost: Counter[str] = Counter()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(LOOK_PERIOD, self.look, clock=steady)
+        node.create_timer(DISCOVERY_PERIOD, self.look, clock=steady)
 
     @property
     def names(self) -> list[str]:
@@ -57,20 +57,20 @@ class RawTopics:
         return list(self._topics)
 
     def msgtype(self, name: str) -> str:
-        """Type of a topic that has been heard."""
-        return self._taps[name].msgtype
+        """Message type of a topic that is subscribed."""
+        return self._subscribed[name].msgtype
 
     def offered(self, name: str) -> list[Qos]:
-        """QoS of the publishers of a topic that has been heard, as a bag notes it."""
+        """QoS of the publishers of a topic that is subscribed, for the metadata of a bag."""
         infos = self._node.get_publishers_info_by_topic(name)
-        tap = self._taps[name]
+        known = self._subscribed[name]
         return [
             layout.qos(_is_reliable(info), _is_latched(info), info.qos_profile.depth)
             for info in infos
-        ] or [layout.qos(tap.reliable, tap.latched)]
+        ] or [layout.qos(known.reliable, known.latched)]
 
     def look(self) -> None:
-        """Subscribe to what has a publisher by now."""
+        """Subscribe to every topic that has a publisher."""
         for name in self._topics:
             infos = self._node.get_publishers_info_by_topic(name)
             if infos:
@@ -79,11 +79,11 @@ class RawTopics:
     def _fit(self, name: str, infos: list[TopicEndpointInfo]) -> None:
         msgtype = infos[0].topic_type
         reliable, latched = all(map(_is_reliable, infos)), all(map(_is_latched, infos))
-        tap = self._taps.get(name)
-        if tap is not None:
-            if (reliable or not tap.reliable) and (latched or not tap.latched):
+        known = self._subscribed.get(name)
+        if known is not None:
+            if (reliable or not known.reliable) and (latched or not known.latched):
                 return
-            self._node.destroy_subscription(tap.subscription)  # a newcomer offers less
+            self._node.destroy_subscription(known.subscription)  # a new publisher offers less
         elif msgtype not in layout.TYPES.fielddefs:
             self._node.get_logger().error(f"{name}: cannot record type {msgtype}", once=True)
             return
@@ -101,7 +101,7 @@ class RawTopics:
             raw=True,
             event_callbacks=SubscriptionEventCallbacks(message_lost=partial(self._on_lost, name)),
         )
-        self._taps[name] = _Tap(msgtype, reliable, latched, subscription)
+        self._subscribed[name] = _Subscribed(msgtype, reliable, latched, subscription)
 
     def _on_lost(self, name: str, info: QoSMessageLostInfo) -> None:
         self.lost[name] += info.total_count_change

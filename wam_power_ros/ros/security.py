@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may do what on the network: one table, and the SROS2 policy made of it.
+"""Access rights on the network: one table, and the SROS2 policy generated from it.
 
-Least privilege: a node has an enclave (a key) of its own and may do there what the table says and
-nothing else. Torques are published by the controller alone.
+Least privilege: a node has an enclave (a key) of its own and may do there what the table allows and
+nothing else. Only the controller publishes torques.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
@@ -17,7 +18,7 @@ from wam_power_ros.ros import interface
 if TYPE_CHECKING:
     from wam_power_ros.params.overlay import Setup
 
-ABOUT_ITSELF = (  # services that every node offers about itself; nobody is allowed to call them
+ABOUT_ITSELF = (  # services that every node offers about itself; nobody may call them
     "describe_parameters",
     "get_parameter_types",
     "get_parameters",
@@ -35,218 +36,132 @@ LIFECYCLE = (
 )
 
 
+CONTROLLER = "EXECUTE STOP RESET MOVE_TO_START REPLAY GRAVITY_COMPENSATION"
+FEEDBACK = "LEARNER_REWARD LEARNER_PUNISH LEARNER_DEMONSTRATION LEARNER_PAUSE"
+# Node -> rights -> names: constants of `interface`, and in small letters what `_names` derives from
+# the set-up. The controller subscribes to its own command topic to detect another commander.
+TABLE: dict[str, dict[str, str]] = {
+    "torque_controller": {
+        "publishes": "command ROLLOUT_END_EFFECTOR DIAGNOSTICS",
+        "subscribes": "states description command POLICY REPLAY_TRAJECTORY ENABLE",
+        "serves": CONTROLLER,
+        "calls": "idle",
+    },
+    "demonstration_recorder": {
+        "publishes": "DIAGNOSTICS",
+        "subscribes": "recorded state rollout POLICY",
+        "serves": "RECORD",
+    },
+    "pancake_tracker": {
+        "publishes": "state rollout DIAGNOSTICS",
+        "subscribes": "mocap ROLLOUT_END_EFFECTOR",
+    },
+    "learner": {
+        "publishes": "POLICY",
+        "subscribes": "ROLLOUT_END_EFFECTOR state rollout truth DIAGNOSTICS LEARNER_BAG",
+        "serves": FEEDBACK,
+        "calls": "MOVE_TO_START EXECUTE reset RESET RECORD",
+    },
+    "teaching": {"calls": "GRAVITY_COMPENSATION RECORD reset DEMONSTRATE"},
+    "replaying": {"publishes": "REPLAY_TRAJECTORY", "calls": "REPLAY STOP RECORD"},
+    "enabling_switch": {"publishes": "ENABLE"},
+    "feedback": {"publishes": "LEARNER_BAG", "calls": FEEDBACK},
+    "operator": {  # a person with `ros2 service call`, `ros2 lifecycle set`
+        "publishes": "REPLAY_TRAJECTORY LEARNER_BAG",
+        "subscribes": "DIAGNOSTICS",
+        "calls": f"{CONTROLLER} RECORD {FEEDBACK} lifecycle",
+    },
+    "wam_sim": {
+        "publishes": "states ROBOT_DESCRIPTION truth CLOCK DIAGNOSTICS",
+        "subscribes": "command POLICY",
+        "serves": "WAM_GRAVITY_COMPENSATE WAM_HOLD WAM_MOVE_HOME WAM_IDLE reset drop DEMONSTRATE",
+    },
+    "optitrack_sim": {"publishes": "mocap pose MARKERS"},
+}
+MANAGED = {"torque_controller"}  # nodes with a life cycle
+OF_BODY = {"pancake_tracker", "optitrack_sim"}  # nodes that only run for a task with a tracked body
+PROCESSES = {  # node -> process whose enclave it shares; every other node has one of its own
+    **dict.fromkeys(("teaching", "replaying", "enabling_switch", "feedback"), "operator"),
+    "optitrack_sim": "wam_sim",
+}
+
+
 @dataclass(frozen=True)
 class Access:
-    """What one node may do; names of topics and services.
-
-    Attributes:
-        publishes: Topics.
-        subscribes: Topics.
-        serves: Services it offers.
-        calls: Services of others.
-        managed: It has a life cycle.
-        process: Whose enclave it lives in; a process has one.
-    """
+    """Names of the topics and services that one node may use."""
 
     publishes: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
     serves: tuple[str, ...] = ()
     calls: tuple[str, ...] = ()
-    managed: bool = False
-    process: str = ""
 
 
 def table(setup: Setup) -> dict[str, Access]:
-    """Rights of every node under a set-up; of the stand-ins, the teacher and a person as well.
+    """Rights of every node under a set-up of `overlay.setup`, stand-ins and console included."""
+    names = _names(setup)
 
-    Args:
-        setup: Of `setups.setup`, which knows topics by the names that drivers give them.
-    """
-    arm, mocap, recorder = (
-        setup[node] for node in ("torque_controller", "pancake_tracker", "demonstration_recorder")
-    )
-    body = mocap["body"]
-    reset, truth = interface.body_topic(body, "reset"), interface.body_topic(body, "truth")
-    of_body = ()  # what the tracker makes of the body's poses
-    if body:
-        of_body = (interface.body_topic(body, "state"), interface.rollout_topic(body))
-    seen = mocap["pose_topic"] or mocap["markers_topic"]
-    idle = arm["idle_service"] or interface.WAM_IDLE
-    states = tuple(filter(None, (arm["state_topic"], arm["velocity_topic"])))
-    described = () if arm["urdf"] else (interface.ROBOT_DESCRIPTION,)
-    lists = ("driver_topics", "mocap_topics", "topics", "latched_topics")
-    recorded = dict.fromkeys(
-        _absolute(topic)
-        for topic in (
-            arm["state_topic"],
-            *(topic for name in lists for topic in recorder[name] if topic),
-            *of_body,
-        )
-    )
-    feedback = (
-        interface.LEARNER_REWARD,
-        interface.LEARNER_PUNISH,
-        interface.LEARNER_DEMONSTRATION,
-        interface.LEARNER_PAUSE,
-    )
-    rights = {
-        "torque_controller": Access(
-            publishes=(arm["command_topic"], interface.ROLLOUT_END_EFFECTOR, interface.DIAGNOSTICS),
-            subscribes=(
-                *states,
-                *described,
-                arm["command_topic"],  # to hear another commander
-                interface.POLICY,
-                interface.REPLAY_TRAJECTORY,
-                interface.ENABLE,
-            ),
-            serves=(
-                interface.EXECUTE,
-                interface.STOP,
-                interface.RESET,
-                interface.MOVE_TO_START,
-                interface.REPLAY,
-                interface.GRAVITY_COMPENSATION,
-            ),
-            calls=(idle,),
-            managed=True,
-        ),
-        "demonstration_recorder": Access(
-            publishes=(interface.DIAGNOSTICS,),
-            subscribes=tuple(dict.fromkeys((*recorded, interface.POLICY))),
-            serves=(interface.RECORD,),
-        ),
-        "pancake_tracker": Access(
-            publishes=(*of_body, interface.DIAGNOSTICS),
-            subscribes=(seen, interface.ROLLOUT_END_EFFECTOR),
-        ),
-        "learner": Access(
-            publishes=(interface.POLICY,),
-            subscribes=(
-                interface.ROLLOUT_END_EFFECTOR,
-                *of_body,
-                truth,
-                interface.DIAGNOSTICS,
-                interface.LEARNER_BAG,
-            ),
-            serves=feedback,
-            calls=(
-                interface.MOVE_TO_START,
-                interface.EXECUTE,
-                reset,
-                interface.RESET,
-                interface.RECORD,
-            ),
-        ),
-        "teaching": Access(
-            calls=(
-                interface.GRAVITY_COMPENSATION,
-                interface.RECORD,
-                reset,
-                interface.DEMONSTRATE,
-            ),
-            process="operator",
-        ),
-        "replaying": Access(
-            publishes=(interface.REPLAY_TRAJECTORY,),
-            calls=(interface.REPLAY, interface.STOP, interface.RECORD),
-            process="operator",
-        ),
-        "enabling_switch": Access(publishes=(interface.ENABLE,), process="operator"),
-        "feedback": Access(publishes=(interface.LEARNER_BAG,), calls=feedback, process="operator"),
-        "operator": Access(  # a person with `ros2 service call`, `ros2 lifecycle set`
-            publishes=(interface.REPLAY_TRAJECTORY, interface.LEARNER_BAG),
-            subscribes=(interface.DIAGNOSTICS,),
-            calls=(
-                interface.EXECUTE,
-                interface.STOP,
-                interface.RESET,
-                interface.MOVE_TO_START,
-                interface.REPLAY,
-                interface.GRAVITY_COMPENSATION,
-                interface.RECORD,
-                *feedback,
-                *(f"/torque_controller/{name}" for name in LIFECYCLE),
-            ),
-        ),
-        "wam_sim": Access(
-            publishes=(
-                *states,
-                interface.ROBOT_DESCRIPTION,
-                truth,
-                interface.CLOCK,
-                interface.DIAGNOSTICS,
-            ),
-            subscribes=(arm["command_topic"], interface.POLICY),
-            serves=(
-                interface.WAM_GRAVITY_COMPENSATE,
-                interface.WAM_HOLD,
-                interface.WAM_MOVE_HOME,
-                interface.WAM_IDLE,
-                reset,
-                *((interface.body_topic(body, "drop"),) if body else ()),
-                interface.DEMONSTRATE,
-            ),
-        ),
-        "optitrack_sim": Access(
-            publishes=(
-                (seen, interface.body_topic(body, "pose"), interface.MARKERS) if body else ()
-            ),
-            process="wam_sim",
-        ),
+    def resolved(words: str) -> tuple[str, ...]:
+        found = (names[w] if w in names else (getattr(interface, w),) for w in words.split())
+        return tuple(dict.fromkeys(f"/{name.lstrip('/')}" for group in found for name in group))
+
+    return {
+        node: Access(**{right: resolved(words) for right, words in rights.items()})
+        for node, rights in TABLE.items()
+        if setup["pancake_tracker"]["body"] or node not in OF_BODY
     }
-    if not body:
-        del rights["pancake_tracker"], rights["optitrack_sim"]
-    return rights
+
+
+def _names(setup: Setup) -> dict[str, tuple[str, ...]]:
+    """Topics and services that depend on the set-up, by their words in `TABLE`."""
+    nodes = ("torque_controller", "pancake_tracker", "demonstration_recorder")
+    arm, mocap, recorder = (setup[node] for node in nodes)
+    body = mocap["body"]
+    leaves = interface.BODY_LEAVES if body else interface.SCENE_LEAVES
+    recorded = ("driver_topics", "mocap_topics", "topics", "latched_topics")
+    return {
+        **dict.fromkeys(interface.BODY_LEAVES, ()),
+        **{leaf: (interface.body_topic(body, leaf),) for leaf in leaves},
+        "rollout": (interface.rollout_topic(body),) if body else (),
+        "command": (arm["command_topic"],),
+        "states": tuple(filter(None, (arm["state_topic"], arm["velocity_topic"]))),
+        "description": () if arm["urdf"] else (interface.ROBOT_DESCRIPTION,),
+        "idle": (arm["idle_service"] or interface.WAM_IDLE,),
+        "mocap": (mocap["pose_topic"] or mocap["markers_topic"],),
+        "recorded": (arm["state_topic"], *filter(None, chain(*map(recorder.get, recorded)))),
+        "lifecycle": tuple(f"/torque_controller/{name}" for name in LIFECYCLE),
+    }
 
 
 def policy(rights: Mapping[str, Access]) -> str:
-    """A table as the text of an SROS2 policy, one enclave a process.
-
-    `ros2 security generate_artifacts` makes keys and signed permissions of it.
-    """
+    """SROS2 policy of a table, one enclave a process, for `ros2 security generate_artifacts`."""
     root = ElementTree.Element("policy", version="0.2.0")
     enclaves = ElementTree.SubElement(root, "enclaves")
-    of_process: dict[str, ElementTree.Element] = {}
+    profiles: dict[str, ElementTree.Element] = {}
     for node, access in rights.items():
-        process = access.process or node
-        if process not in of_process:
+        process = PROCESSES.get(node, node)
+        if process not in profiles:
             enclave = ElementTree.SubElement(enclaves, "enclave", path=f"/{process}")
-            of_process[process] = ElementTree.SubElement(enclave, "profiles")
-        profile = ElementTree.SubElement(of_process[process], "profile", ns="/", node=node)
-        own = [*ABOUT_ITSELF, *(LIFECYCLE if access.managed else ())]
-        events = ["~/transition_event"] if access.managed else []
-        _allow(
-            profile, "topic", publish=[*access.publishes, *events, "/rosout", "/parameter_events"]
-        )
-        _allow(profile, "topic", subscribe=[*access.subscribes, interface.CLOCK])
-        _allow(profile, "service", reply=[*access.serves, *(f"~/{name}" for name in own)])
-        _allow(profile, "service", request=[*access.calls])
+            profiles[process] = ElementTree.SubElement(enclave, "profiles")
+        profile = ElementTree.SubElement(profiles[process], "profile", ns="/", node=node)
+        managed = node in MANAGED
+        own = {f"~/{name}" for name in ABOUT_ITSELF + (LIFECYCLE if managed else ())}
+        topics = {"/rosout", "/parameter_events"} | ({"~/transition_event"} if managed else set())
+        for kind, right, names in (
+            ("topic", "publish", topics.union(access.publishes)),
+            ("topic", "subscribe", {*access.subscribes, interface.CLOCK}),
+            ("service", "reply", own.union(access.serves)),
+            ("service", "request", set(access.calls)),
+        ):
+            if names:
+                group = ElementTree.SubElement(profile, f"{kind}s", {right: "ALLOW"})
+                for name in sorted(names):
+                    ElementTree.SubElement(group, kind).text = name.replace("~", f"/{node}")
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
 
 
-def _allow(profile: ElementTree.Element, kind: str, **names: list[str]) -> None:
-    """Add names that are allowed for what the keyword says."""
-    ((what, allowed),) = names.items()
-    if not allowed:
-        return
-    element = ElementTree.SubElement(profile, f"{kind}s", {what: "ALLOW"})
-    for name in sorted(set(allowed)):
-        text = f"/{profile.get('node')}{name[1:]}" if name.startswith("~") else _absolute(name)
-        ElementTree.SubElement(element, kind).text = text
-
-
-def _absolute(name: str) -> str:
-    return name if name.startswith("/") else f"/{name}"
-
-
 def exposed(environment: Mapping[str, str]) -> str | None:
-    """Why others on the network could command this arm, None when they cannot.
-
-    Args:
-        environment: Variables of the process.
-    """
+    """Why others on the network could command this arm by these variables; None if not."""
     reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
     secure = environment.get("ROS_SECURITY_ENABLE") == "true"
     if reach in ("LOCALHOST", "OFF") or (

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pose messages come back as the arrays they were; what is not acceptable is refused and named."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseStamped
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.ros import interface, pose_messages
+
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+STAMPS = st.integers(1, 2**31 * 10**9 - 1)
+
+
+@given(STAMPS, st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))
+def test_a_pose_comes_back_unchanged(stamp_ns: int, position: list[float]) -> None:
+    quat_xyzw = np.array([0.0, 0.6, 0.0, 0.8])
+    reading = pose_messages.pose(pose_messages.pose_message(stamp_ns, "world", position, quat_xyzw))
+    assert (reading.stamp_ns, reading.frame) == (stamp_ns, "world")
+    assert reading.position.tolist() == position
+    np.testing.assert_allclose(reading.quat_xyzw, quat_xyzw, atol=1e-15)
+
+
+@pytest.mark.parametrize("number", [0.0, math.nan, math.inf, 2.0])
+def test_a_pose_with_a_bad_quaternion_is_refused(number: float) -> None:
+    message = PoseStamped()
+    message.header.stamp.sec, message.pose.orientation.w = 1, number
+    with pytest.raises(ValueError, match=r"quaternion|finite"):
+        pose_messages.pose(message)
+
+
+def test_a_state_comes_back_with_its_twist_in_the_base_frame() -> None:
+    half = math.sqrt(0.5)  # a quarter turn about z: child x is base y
+    state = pose_messages.StateReading(
+        5,
+        interface.BASE_FRAME,
+        np.array([1.0, 2.0, 3.0]),
+        np.array([0.0, 0.0, half, half]),
+        np.array([0.0, 4.0, 0.0]),
+        np.array([0.0, 0.0, 7.0]),
+        1e-6,
+    )
+    message = pose_messages.odometry_message(state, "pancake")
+    assert message.twist.twist.linear.x == pytest.approx(4.0)
+    back = pose_messages.odometry(message)
+    for was, is_now in zip(state[2:], back[2:], strict=True):
+        np.testing.assert_allclose(is_now, was, atol=1e-12)
+
+
+def test_markers_come_back_and_those_not_finite_are_left_out() -> None:
+    points = np.array([[1.0, 2.0, 3.0], [math.nan, 0.0, 0.0], [4.0, 5.0, 6.0]])
+    stamp_ns, frame, back = pose_messages.markers(pose_messages.markers_message(9, "world", points))
+    assert (stamp_ns, frame) == (9, "world")
+    np.testing.assert_array_equal(back, points[[0, 2]])
+
+
+def test_a_cloud_of_another_layout_is_refused() -> None:
+    message = pose_messages.markers_message(9, "world", np.zeros((2, 3)))
+    message.data = message.data[:-1]
+    with pytest.raises(ValueError, match="bytes"):
+        pose_messages.markers(message)
+    message.fields = message.fields[:2]
+    with pytest.raises(ValueError, match="float32"):
+        pose_messages.markers(message)
+
+
+@given(st.integers(1, 200), st.integers(1, 10**18))
+def test_a_rollout_path_keeps_its_id_start_and_poses(count: int, start_ns: int) -> None:
+    t = np.arange(count) * 0.01
+    there = EndEffectorPath(
+        "trial-0007",
+        t,
+        np.random.default_rng(count).normal(size=(count, 3)),
+        np.tile(LEVEL, (count, 1)),
+    )
+    message = pose_messages.path_message(there, start_ns, interface.BASE_FRAME)
+    back_ns, back = pose_messages.path(message, EndEffectorPath)
+    assert (back_ns, back.id) == (start_ns, there.id)
+    np.testing.assert_allclose(back.t, t, atol=1e-9)
+    np.testing.assert_array_equal(back.position, there.position)
+    np.testing.assert_array_equal(back.quat_xyzw, there.quat_xyzw)
+
+
+def test_an_empty_path_keeps_its_id() -> None:
+    nothing = BodyPath("trial-0008", np.empty(0), np.empty((0, 3)), np.empty((0, 4)))
+    message = pose_messages.path_message(nothing, 5, interface.BASE_FRAME)
+    start_ns, back = pose_messages.path(message, BodyPath)
+    assert (start_ns, back.id, len(back.t)) == (5, "trial-0008", 0)
+
+
+def test_a_path_of_two_rollouts_is_refused() -> None:
+    path = BodyPath("a", np.array([0.1, 0.2]), np.zeros((2, 3)), np.tile(LEVEL, (2, 1)))
+    message = pose_messages.path_message(path, 5, interface.BASE_FRAME)
+    message.poses[1].header.frame_id = "b"
+    with pytest.raises(ValueError, match="ids"):
+        pose_messages.path(message, BodyPath)
+    message.poses.clear()
+    with pytest.raises(ValueError, match="no pose"):
+        pose_messages.path(message, BodyPath)

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Raw subscriptions take the QoS of the publishers that are there, and follow a weaker one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+
+from wam_power_ros.ros import node_runner
+from wam_power_ros.ros.raw_subscriptions import RawTopics
+
+RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
+LATCHED, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+
+
+class Recorder:
+    """A node with raw subscriptions, and a publisher's side to drive them."""
+
+    def __init__(self) -> None:
+        self.node, self.sender = Node("recorder"), Node("sender")
+        self.received: list[tuple[str, str]] = []
+        self.topics = RawTopics(self.node, ["notes"], self._on_message)
+        self._executor = node_runner.executor_for(self.node)
+
+    def _on_message(self, topic: str, cdr: bytes) -> None:
+        self.received.append((topic, deserialize_message(cdr, String).data))
+
+    def publish(
+        self, text: str, reliability: ReliabilityPolicy, durability: DurabilityPolicy
+    ) -> None:
+        """Publish from a new publisher until the text is received, for 10 s at most."""
+        qos = QoSProfile(depth=1, reliability=reliability, durability=durability)
+        publisher = self.sender.create_publisher(String, "notes", qos)
+        for _ in range(200):
+            publisher.publish(String(data=text))
+            self._executor.spin_once(timeout_sec=0.05)
+            if ("/notes", text) in self.received:
+                return
+        pytest.fail(f"{text} was not received")
+
+
+@pytest.fixture
+def recorder(domain_id: int) -> Iterator[Recorder]:
+    rclpy.init(domain_id=domain_id)
+    try:
+        recorder = Recorder()
+        yield recorder
+        recorder.sender.destroy_node()
+        recorder.node.destroy_node()
+    finally:
+        rclpy.shutdown()
+
+
+def test_without_a_publisher_there_is_no_subscription(recorder: Recorder) -> None:
+    recorder.topics.look()
+    assert recorder.topics.names == ["/notes"]
+    assert recorder.node.count_subscribers("/notes") == 0
+
+
+def test_a_subscription_follows_publishers_that_offer_less(recorder: Recorder) -> None:
+    recorder.publish("first", RELIABLE, LATCHED)
+    assert recorder.topics.msgtype("/notes") == "std_msgs/msg/String"
+    (offered,) = recorder.topics.offered("/notes")
+    assert (offered.reliability.name, offered.durability.name) == ("RELIABLE", "TRANSIENT_LOCAL")
+    recorder.publish("second", BEST_EFFORT, VOLATILE)  # a reliable subscription would not match it
+    assert recorder.node.count_subscribers("/notes") == 1
+    assert len(recorder.topics.offered("/notes")) == 2

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files are replaced as a whole, and are on the disk before the old one goes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from wam_power_ros import durable_files
+
+
+def test_a_file_is_replaced_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
+    path = tmp_path / "policy.json"
+    for text in ("old", "new, with \N{GREEK SMALL LETTER TAU}"):
+        durable_files.replace(path, text)
+        assert path.read_text(encoding="utf-8") == text
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_disk_that_refuses_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "policy.json"
+    durable_files.replace(path, "old")
+
+    def refuse(_: int) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(OSError, match="disk full"):
+        durable_files.replace(path, "new")
+    assert path.read_text() == "old"
+
+
+def test_the_text_is_flushed_before_the_rename_and_the_folder_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "policy.json"
+    durable_files.replace(path, "old")
+    seen: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda _: seen.append(path.read_text()))
+    durable_files.replace(path, "new")
+    assert seen == ["old", "new"]
