@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gaps in the stamps of a topic, found as they come."""
+"""Gaps in the stamps of a topic, counted online."""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ class Gaps:
 
     Attributes:
         period: Median time between messages [s].
-        missing: Messages that would fill the intervals longer than 1.5 periods.
+        missing: Number of messages that would fill the intervals longer than 1.5 periods.
         longest: Longest interval [s].
     """
 
@@ -26,7 +25,7 @@ class Gaps:
 
 
 class GapCounter:
-    """Finds gaps in the stamps of one topic as they come, in constant memory.
+    """Counts gaps in the stamps of one topic online, in constant memory.
 
     The period is the median of the first `LEARNT` intervals; messages sent again count once.
     """
@@ -67,11 +66,3 @@ class GapCounter:
 
 def _missing(step: int, period: float) -> int:
     return round(step / period) - 1 if step > 1.5 * period else 0
-
-
-def find_gaps(stamps_ns: Iterable[int]) -> Gaps:
-    """Find the gaps in the stamps [ns] of one topic."""
-    counter = GapCounter()
-    for stamp_ns in stamps_ns:
-        counter.add(int(stamp_ns))
-    return counter.gaps()

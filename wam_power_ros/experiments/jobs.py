@@ -219,14 +219,19 @@ def digest(job: Job) -> str:
     return _hash([*parts, sources()])
 
 
+def versions(libraries: Sequence[str] = LIBRARIES) -> list[str]:
+    """Versions of Python and of those libraries that are installed."""
+    found = [f"Python {platform.python_version()}"]
+    for library in libraries:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # ROS renames some
+            found.append(f"{library} {importlib.metadata.version(library)}")
+    return found
+
+
 @functools.cache
 def sources() -> str:
     """Digest of the sources, data files and library versions that numbers can depend on."""
-    parts = [f"Python {platform.python_version()}"]
-    for library in LIBRARIES:
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # ROS renames some
-            parts.append(f"{library} {importlib.metadata.version(library)}")
-    parts += [f"{name}: {_code(path)}" for name, path in hashed_sources()]
+    parts = [*versions(), *(f"{name}: {_code(path)}" for name, path in hashed_sources())]
     for top in DATA:
         for path in sorted(path for path in share(top).rglob("*") if path.is_file()):
             content = hashlib.sha256(path.read_bytes()).hexdigest()

@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 import os
 import platform
 import sys
@@ -41,7 +40,6 @@ PAPER = (
     "Reinforcement Learning. IROS 2010."
 )
 MACHINE = "Machine, versions, seeds, time"
-LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes", "joblib")
 Scale = Literal["full", "quick"]
 
 
@@ -182,15 +180,10 @@ def _verdicts(judged: Sequence[Claim]) -> list[str]:
 
 
 def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
-    versions = [f"Python {platform.python_version()}"]
-    for name in LIBRARIES:
-        try:
-            versions.append(f"{name} {importlib.metadata.version(name)}")
-        except importlib.metadata.PackageNotFoundError:
-            continue
+    versions = ", ".join(job_cache.versions((*job_cache.LIBRARIES, "joblib")))
     text = [
         f"{_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}. "
-        f"{', '.join(versions)}.",
+        f"{versions}.",
         time_it_took,
         "A run depends on its arguments only: the same seeds give the same numbers whatever the "
         "number of processes, the order, and however often it was interrupted. Other processors "
