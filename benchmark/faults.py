@@ -79,7 +79,7 @@ def settled(lab: Lab, begun: int, seconds: float) -> tuple[float, float]:
     after = lab.readings[begun:]
     arm = lab.arm
     heights = [arm.tool_pose(reading.q)[0][2] for reading in after[::5]]
-    speeds = [arm.reference_point_speeds(r.q, r.qd)[-1] for r in after[::5]]
+    speeds = [arm.speeds(r.q, r.qd).tool_speed for r in after[::5]]
     return max(speeds), heights[0] - min(heights)
 
 

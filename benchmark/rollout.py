@@ -25,10 +25,10 @@ import numpy as np
 
 from hardware_sim.sensors import Encoders, Mocap
 from hardware_sim.world import World
+from wam_power_ros.control import torque_law
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.control.torque_law import TorqueLaw
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.studies.flip_sessions import teach
 from wam_power_ros.learning.policy import Policy
@@ -57,7 +57,7 @@ PARTS = (
     Part(Controller, "step", "controller: checks, limits, policy"),
     Part(Arm, "motion", "controller: kinematics"),
     Part(Arm, "dynamics", "controller: dynamics"),
-    Part(TorqueLaw, "torque", "controller: torque law"),
+    Part(torque_law, "operational_space", "controller: torque law"),
     Part(Controller, "load", "controller: load"),
     Part(Tracker, "add", "tracker"),
 )

@@ -7,7 +7,6 @@ Only the simulator knows it: it is logged and shown, and no part of the system l
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import mujoco
@@ -30,27 +29,11 @@ class Snapshot(NamedTuple):
     rotation: np.ndarray  # (3, 3) of the tool
 
 
-@dataclass(frozen=True)
-class ArmTruth:
-    """Peaks of the arm since the release.
-
-    Attributes:
-        peak_qd: Peak joint speeds [rad/s]; seven.
-        peak_tau: Peak torques the motors gave [N m]; seven.
-        peak_elbow_speed: Peak speed of the first guarded point [m/s].
-        peak_forearm_speed: Peak speed of the last guarded point [m/s].
-        peak_pan_speed: Peak speed of the tool [m/s].
-        beyond_no_load: A motor was turned faster than its bus voltage turns it unloaded.
-        saturated: Share of ticks in which a motor could not give what was commanded.
-    """
-
-    peak_qd: list[float]
-    peak_tau: list[float]
-    peak_elbow_speed: float
-    peak_forearm_speed: float
-    peak_pan_speed: float
-    beyond_no_load: bool
-    saturated: float
+def rotation_of(body: np.ndarray) -> np.ndarray:
+    """Rotation matrix (3, 3) of a pose (7,): position and quaternion wxyz."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, body[3:])
+    return matrix.reshape(3, 3)
 
 
 class RolloutLog:
@@ -117,8 +100,17 @@ class RolloutLog:
         """Position of the tool [m]. Shape (rows, 3)."""
         return self._sites[: self.rows, self._points[-1]]
 
-    def arm_truth(self, motors: Motors | DirectDrives) -> ArmTruth:
-        """Peaks of the arm, driven by `motors`."""
+    def arm_truth(self, motors: Motors | DirectDrives) -> Truth:
+        """Peaks of the arm since the release, driven by `motors`.
+
+        * peak_qd: Peak joint speeds [rad/s]; seven.
+        * peak_tau: Peak torques the motors gave [N m]; seven.
+        * peak_elbow_speed: Peak speed of the first guarded point [m/s].
+        * peak_forearm_speed: Peak speed of the last guarded point [m/s].
+        * peak_pan_speed: Peak speed of the tool [m/s].
+        * beyond_no_load: A motor was turned faster than its bus voltage turns it unloaded.
+        * saturated: Share of ticks in which a motor could not give what was commanded.
+        """
         rows = self.rows
         speeds = np.zeros(len(self._points))
         if rows > 1:
@@ -126,12 +118,12 @@ class RolloutLog:
             speeds = np.linalg.norm(steps, axis=2).max(axis=0) / PERIOD
         qd = self._qvel[:rows, :N]
         motor_speeds = np.abs(qd @ motors.of_joints.T).max(axis=0, initial=0.0)
-        return ArmTruth(
-            peak_qd=np.abs(qd).max(axis=0, initial=0.0).tolist(),
-            peak_tau=np.abs(self._tau[:rows]).max(axis=0, initial=0.0).tolist(),
-            peak_elbow_speed=float(speeds[0]),
-            peak_forearm_speed=float(speeds[-2]),
-            peak_pan_speed=float(speeds[-1]),
-            beyond_no_load=bool((motor_speeds > motors.motor_no_load_speed).any()),
-            saturated=self._saturated / max(rows, 1),
-        )
+        return {
+            "peak_qd": np.abs(qd).max(axis=0, initial=0.0).tolist(),
+            "peak_tau": np.abs(self._tau[:rows]).max(axis=0, initial=0.0).tolist(),
+            "peak_elbow_speed": float(speeds[0]),
+            "peak_forearm_speed": float(speeds[-2]),
+            "peak_pan_speed": float(speeds[-1]),
+            "beyond_no_load": bool((motor_speeds > motors.motor_no_load_speed).any()),
+            "saturated": self._saturated / max(rows, 1),
+        }

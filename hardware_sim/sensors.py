@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hardware_sim.motors import joint_motion, motor_motion
-from hardware_sim.wam import ENCODER_COUNTS, VELOCITY_CUTOFF
+from hardware_sim.wam import ENCODER_COUNTS, PERIOD, VELOCITY_CUTOFF, check_range
 from wam_power_ros import rotations
 
 _COUNTS = ENCODER_COUNTS / math.tau  # [1/rad] of a motor's encoder
@@ -36,20 +36,15 @@ class Encoders:
         qd: Joint velocities [rad/s]; seven.
 
     Args:
-        period: Time between readings [s].
-        cutoff: Cut-off of the first-order low-pass of the velocity [rad/s].
         counted: Quantizes joint positions.
     """
 
     def __init__(
-        self,
-        period: float,
-        cutoff: float = VELOCITY_CUTOFF,
-        counted: Callable[[Sequence[float]], tuple[float, ...]] = wam_counts,
+        self, counted: Callable[[Sequence[float]], tuple[float, ...]] = wam_counts
     ) -> None:
         self._counted = counted
-        self._keep = math.exp(-cutoff * period)
-        self._gain = (1.0 - self._keep) / period
+        self._keep = math.exp(-VELOCITY_CUTOFF * PERIOD)
+        self._gain = (1.0 - self._keep) / PERIOD
         self.q: tuple[float, ...] = (0.0,) * 7
         self.qd: tuple[float, ...] = (0.0,) * 7
 
@@ -61,12 +56,8 @@ class Encoders:
     def read(self, q: Sequence[float]) -> None:
         """Read the joint positions [rad] of one period later; seven."""
         now, before, keep, gain = self._counted(q), self.q, self._keep, self._gain
-        self.qd = tuple(
-            [
-                keep * qd + gain * (new - old)
-                for qd, new, old in zip(self.qd, now, before, strict=True)
-            ]
-        )
+        rows = zip(self.qd, now, before, strict=True)
+        self.qd = tuple([keep * qd + gain * (new - old) for qd, new, old in rows])
         self.q = now
 
 
@@ -94,11 +85,8 @@ class MocapSettings:
     lost: Literal["omit", "repeat", "zero"] = "omit"
 
     def __post_init__(self) -> None:
-        if not 1.0 <= self.rate <= 500.0:
-            raise ValueError(f"rate {self.rate} must be 1 to 500 frames a second")
-        for name in ("noise", "latency", "dropout", "occlusion"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise ValueError(f"{name} {getattr(self, name)} must be 0 to 1")
+        check_range(self, 1.0, 500.0, "rate")
+        check_range(self, 0.0, 1.0, "noise", "latency", "dropout", "occlusion")
 
 
 class MocapFrame(NamedTuple):
@@ -201,20 +189,13 @@ def _flat_fit(flat: np.ndarray, markers: np.ndarray) -> np.ndarray:
         Rotation matrix. Shape (3, 3).
     """
     (ax, bx), (ay, by), (az, bz) = markers.T.dot(flat).tolist()
-    aa, ab, bb = (
-        ax * ax + ay * ay + az * az,
-        ax * bx + ay * by + az * bz,
-        bx * bx + by * by + bz * bz,
-    )
+    aa = ax * ax + ay * ay + az * az
+    ab = ax * bx + ay * by + az * bz
+    bb = bx * bx + by * by + bz * bz
     root = math.sqrt(aa * bb - ab * ab)  # of the determinant of S = ((aa, ab), (ab, bb))
     scale = 1.0 / (root * math.sqrt(aa + bb + 2.0 * root))
     p, q, r = scale * (bb + root), -scale * ab, scale * (aa + root)  # S^-1/2 = ((p, q), (q, r))
     xx, xy, xz = p * ax + q * bx, p * ay + q * by, p * az + q * bz
     yx, yy, yz = q * ax + r * bx, q * ay + r * by, q * az + r * bz
-    return np.array(
-        (
-            (xx, yx, xy * yz - xz * yy),
-            (xy, yy, xz * yx - xx * yz),
-            (xz, yz, xx * yy - xy * yx),
-        )
-    )
+    zx, zy, zz = xy * yz - xz * yy, xz * yx - xx * yz, xx * yy - xy * yx
+    return np.array(((xx, yx, zx), (xy, yy, zy), (xz, yz, zz)))

@@ -8,10 +8,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from hardware_sim.sensors import MocapSettings
-from hardware_sim.wam import JOINTS, N
+from hardware_sim.wam import JOINTS, N, check_range
 from wam_power_ros.control.arm import WAM_GUARDED, Guarded
-
-_SHARES = ("wind_sd", "torque_scale_sd", "friction_sd", "friction_share")
 
 
 @dataclass(frozen=True)
@@ -64,9 +62,7 @@ class SceneSettings:
     obstacle: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
-        for name in ("friction", "body_offset_sd"):
-            if not 0.0 <= getattr(self, name) <= 10.0:
-                raise ValueError(f"{name} {getattr(self, name)} must be 0 to 10")
+        check_range(self, 0.0, 10.0, "friction", "body_offset_sd")
         values = self.obstacle
         if len(values) != 4 or not all(map(math.isfinite, values)) or values[3] < 0.0:
             raise ValueError(f"obstacle {values} must be x, y, z and a radius from 0")
@@ -109,10 +105,7 @@ class WorldSettings:
     arm: ArmSettings = field(default_factory=ArmSettings)
 
     def __post_init__(self) -> None:
-        if not 0 <= self.command_delay_ticks <= 50:
-            raise ValueError(f"command_delay_ticks {self.command_delay_ticks} must be 0 to 50")
-        for name in _SHARES:
-            if not 0.0 <= getattr(self, name) < 10.0:
-                raise ValueError(f"{name} {getattr(self, name)} must be from 0 to below 10")
-        if not 0.0 <= self.watchdog_damping <= 100.0:
-            raise ValueError(f"watchdog_damping {self.watchdog_damping} must be 0 to 100")
+        check_range(self, 0, 50, "command_delay_ticks")
+        shares = ("wind_sd", "torque_scale_sd", "friction_sd", "friction_share")
+        check_range(self, 0.0, 10.0, *shares)
+        check_range(self, 0.0, 100.0, "watchdog_damping")

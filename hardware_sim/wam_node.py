@@ -27,7 +27,7 @@ from hardware_sim.sensors import MocapFrame, MocapSettings
 from hardware_sim.settings import ArmSettings, SceneSettings, WorldSettings
 from hardware_sim.wam import FOLDED, PERIOD, N
 from hardware_sim.world import World
-from wam_power_ros.control.arm import Arm, Guarded
+from wam_power_ros.control.arm import Arm, Guarded, guarded_points
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import diagnostics_message
@@ -74,28 +74,19 @@ class WamSimParams(Params):
     obstacle: tuple[float, ...]
 
     def world(self, mocap: MocapSettings) -> WorldSettings:
-        """Settings of the world."""
+        """Settings of the world; where no point is guarded, the tool is logged instead."""
+        tool = self.tool_frame
+        guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
+        guarded = guarded or (Guarded("tool", tool, (0.0, 0.0, 0.0)),)
         own = {field.name for field in dataclasses.fields(WorldSettings)} & set(self.model_fields)
         settings = {name: getattr(self, name) for name in own} | {
             "scene": SceneSettings(self.friction, self.body_offset_sd, self.obstacle),
             "mocap": mocap,
             "arm": ArmSettings(
-                self.urdf,
-                self.model_joint_names,
-                self.tool_frame,
-                self._guarded(),
-                self.home,
-                self.drives,
+                self.urdf, self.model_joint_names, tool, guarded, self.home, self.drives
             ),
         }
         return WorldSettings(**settings)
-
-    def _guarded(self) -> tuple[Guarded, ...]:
-        if self.guarded_names == ("",):  # none: the tool stands for them
-            return (Guarded("tool", self.tool_frame, (0.0, 0.0, 0.0)),)
-        offsets = np.reshape(self.guarded_points, (-1, 3)).tolist()
-        points = zip(self.guarded_names, self.guarded_links, offsets, strict=True)
-        return tuple(Guarded(*point) for point in points)
 
 
 class WamSim(Node):

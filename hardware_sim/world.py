@@ -11,14 +11,14 @@ import math
 import zlib
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from hardware_sim import scene
-from hardware_sim.ground_truth import LOG_TICKS, RolloutLog, Snapshot, Truth
+from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.ground_truth import LOG_TICKS, RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene
 from hardware_sim.scenes.flip import Flip
@@ -45,16 +45,6 @@ class JointSample(NamedTuple):
     q: np.ndarray  # (7,) [rad]
     qd: np.ndarray  # (7,) [rad/s]
     tau: np.ndarray  # (7,) commanded, the driver's own gravity torque included [N m]
-
-
-class Puller(Protocol):
-    """External force on the pan, such as that of a `Demonstrator`."""
-
-    def wrench(
-        self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
-    ) -> np.ndarray | None:
-        """Force and moment (6,) at the pan's centre at time t [s]; None when it has let go."""
-        ...
 
 
 class World:
@@ -96,10 +86,10 @@ class World:
         self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)
         self._substeps = round(PERIOD / scene.TIMESTEP)
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
-        self._encoders = Encoders(PERIOD)
+        self._encoders = Encoders()
         if arm.drives == "direct":
             self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
-            self._encoders = Encoders(PERIOD, counted=joint_counts)
+            self._encoders = Encoders(joint_counts)
         self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
         self._pan = model.body(arm.tool).id
         self._friction = settings.friction_share * model.dof_frictionloss[:N]
@@ -182,7 +172,7 @@ class World:
         self._effort: list[float] = gravity.tolist()
         self._delayed = deque([self._command] * settings.command_delay_ticks)
         self._since_command = 0
-        self._puller: Puller | None = None
+        self._puller: Demonstrator | None = None
         self._puller_start_ns = 0
         self.idle = False
         self.frozen = True
@@ -205,8 +195,8 @@ class World:
         self._mocap.restart(self.time_ns, self._mocap_rng)
         self._restart_log()
 
-    def attach(self, puller: Puller) -> None:
-        """Apply an external force to the pan from now on."""
+    def attach(self, puller: Demonstrator) -> None:
+        """Let somebody lead the pan from now on."""
         self._puller, self._puller_start_ns = puller, self.time_ns
 
     def drop(self) -> None:
@@ -267,7 +257,7 @@ class World:
             self._encoders.read(self._q.tolist())
             self._record(saturated)
         if self._body.size and self._mocap.due(self.time_ns):
-            self._mocap.expose(self.time_ns, self._body[:3].copy(), _rotation(self._body))
+            self._mocap.expose(self.time_ns, self._body[:3].copy(), rotation_of(self._body))
 
     def _advance(self) -> bool:
         """Motors and physics of one tick; returns whether a motor gave less than commanded."""
@@ -340,13 +330,10 @@ class World:
         self._log.record(saturated)
 
     def truth(self) -> Truth:
-        """Id of the rollout, the scene's truth since the release, and the fields of `ArmTruth`."""
+        """Id of the rollout, the scene's truth since the release, and `RolloutLog.arm_truth`."""
         now = Snapshot(self._body, *self._arm.tool_pose(self._q))
-        return {
-            "id": self.rollout_id,
-            **self.scene.truth(self._log, now),
-            **asdict(self._log.arm_truth(self.motors)),
-        }
+        truth, peaks = self.scene.truth(self._log, now), self._log.arm_truth(self.motors)
+        return {"id": self.rollout_id, **truth, **peaks}
 
 
 def _free_joint(model: mujoco.MjModel, body: str) -> tuple[slice, slice]:
@@ -362,10 +349,3 @@ def _free_joint(model: mujoco.MjModel, body: str) -> tuple[slice, slice]:
         raise ValueError(f"the tracked body {body!r} must be on a free joint")
     q, v = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
     return slice(q, q + 7), slice(v, v + 6)
-
-
-def _rotation(body: np.ndarray) -> np.ndarray:
-    """Rotation matrix (3, 3) of a pose (7,)."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, body[3:])
-    return matrix.reshape(3, 3)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 
 import mujoco
@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
-from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
+from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.settings import SceneSettings
 from hardware_sim.wam import PERIOD
 from wam_power_ros import rotations
@@ -27,32 +27,6 @@ HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 
 HOME.setflags(write=False)
 PITCH_RATE = 7.6  # [rad/s] of a practised person: most such tosses reproduce at 90 degrees or more
 WRIST_TO_PAN = 0.34  # [m] from the wrist to the pan's centre
-
-
-@dataclass(frozen=True)
-class FlipTruth:
-    """Outcome of a toss.
-
-    Attributes:
-        caught: The pancake lies flat on the pan's floor now (centre under 12 mm, |cos| over .98).
-        flipped: It lies on its other side.
-        tossed: It rose over `DELTA_H` and fell through it again.
-        t_f: Time at which it fell through [s since the release]; None when not tossed.
-        angle_deg: Rotation from rest until then about the axis of the throw, beyond half a turn as
-            well [degrees].
-        true_flip: Caught, flipped, and turned by 150 to 240 degrees in the air.
-        apex: Highest point over the pan's height at the start [m].
-        landing_error: Pancake less pan at t_f, along x and y [m]; two.
-    """
-
-    caught: bool
-    flipped: bool
-    tossed: bool
-    t_f: float | None
-    angle_deg: float
-    true_flip: bool
-    apex: float
-    landing_error: list[float]
 
 
 class Flip:
@@ -102,7 +76,18 @@ class Flip:
         return wrist_flick(rng)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
-        """`FlipTruth` as plain data."""
+        """Outcome of a toss.
+
+        * caught: The pancake lies flat on the pan's floor now (centre under 12 mm, |cos| over .98).
+        * flipped: It lies on its other side.
+        * tossed: It rose over `DELTA_H` and fell through it again.
+        * t_f: Time at which it fell through [s since the release]; None when not tossed.
+        * angle_deg: Rotation from rest until then about the axis of the throw, beyond half a turn
+          as well [degrees].
+        * true_flip: Caught, flipped, and turned by 150 to 240 degrees in the air.
+        * apex: Highest point over the pan's height at the start [m].
+        * landing_error: Pancake less pan at t_f, along x and y [m]; two.
+        """
         height = log.body[:, 2]
         error, angle, t_f = [0.0, 0.0], 0.0, None
         at = _fallen(height - log.tool[:, 2])
@@ -112,39 +97,30 @@ class Flip:
             angle = math.degrees(_turned(log, at))
         caught, flipped = _lies(now)
         start = log.start.position[2]
-        return asdict(
-            FlipTruth(
-                caught=caught,
-                flipped=flipped,
-                tossed=at is not None,
-                t_f=t_f,
-                angle_deg=angle,
-                true_flip=caught and flipped and 150.0 <= angle <= 240.0,
-                apex=float(height.max(initial=start) - start),
-                landing_error=error,
-            )
-        )
-
-
-def _normal(body: np.ndarray) -> np.ndarray:
-    """Normal (3,) of the pancake in a pose (7,)."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, body[3:])
-    return matrix.reshape(3, 3)[:, 2]
+        return {
+            "caught": caught,
+            "flipped": flipped,
+            "tossed": at is not None,
+            "t_f": t_f,
+            "angle_deg": angle,
+            "true_flip": caught and flipped and 150.0 <= angle <= 240.0,
+            "apex": float(height.max(initial=start) - start),
+            "landing_error": error,
+        }
 
 
 def _lies(now: Snapshot) -> tuple[bool, bool]:
     """Whether the pancake lies flat in the pan, and on its other side."""
     pan = now.rotation
     x, y, z = (pan.T @ (now.body[:3] - now.position)).tolist()
-    cosine = float(_normal(now.body) @ pan[:, 2])
+    cosine = float(rotation_of(now.body)[:, 2] @ pan[:, 2])
     flat = abs(z) < 0.012 and abs(cosine) > 0.98 and math.hypot(x, y) < PAN_RADIUS
     return flat, cosine < 0.0
 
 
 def _turned(log: RolloutLog, end: int) -> float:
     """Angle of the pancake's normal from the release to a row of the log, unwrapped [rad]."""
-    normal_start = _normal(log.start.body)
+    normal_start = rotation_of(log.start.body)[:, 2]
     quat_xyzw = log.body[: end + 1, [4, 5, 6, 3]]
     x, y, z, w = quat_xyzw.T
     normals = np.stack(

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reaching past an obstacle: a sphere in the way, the reach that is demonstrated, its clearance.
 
-The obstacle is drawn and not felt: contact is the centre of the tool inside the sphere.
+The obstacle is drawn and not felt: contact is the centre of the tool within 1 mm of the sphere.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -19,22 +19,7 @@ HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] the pa
 HOME.setflags(write=False)
 GOAL = np.array([0.78, 0.25, 0.6])  # [m] half a metre to the left of where the pan is at `HOME`
 GOAL.setflags(write=False)
-
-
-@dataclass(frozen=True)
-class ReachTruth:
-    """Outcome of a reach.
-
-    Attributes:
-        touched: The tool's centre was inside the obstacle.
-        clearance: Least distance of the tool's centre from the obstacle's surface [m], negative
-            inside; None without an obstacle.
-        goal_distance: Least distance of the tool's centre from `GOAL` [m].
-    """
-
-    touched: bool
-    clearance: float | None
-    goal_distance: float
+TOUCH_TOLERANCE = 0.001  # [m] the controller, which stops at the obstacle, has encoders only
 
 
 class Reach:
@@ -71,18 +56,22 @@ class Reach:
         return reach(rng)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
-        """`ReachTruth` as plain data."""
+        """Outcome of a reach.
+
+        * touched: The tool's centre was within `TOUCH_TOLERANCE` of the obstacle, or inside.
+        * clearance: Least distance of the tool's centre from the obstacle's surface [m], negative
+          inside; None without an obstacle.
+        * goal_distance: Least distance of the tool's centre from `GOAL` [m].
+        """
         path = np.vstack([log.start.position, log.tool])
         clearance = None
         if self._radius > 0.0:
             clearance = float(np.linalg.norm(path - self._centre, axis=1).min() - self._radius)
-        return asdict(
-            ReachTruth(
-                touched=clearance is not None and clearance < 0.0,
-                clearance=clearance,
-                goal_distance=float(np.linalg.norm(path - GOAL, axis=1).min()),
-            )
-        )
+        return {
+            "touched": clearance is not None and clearance < TOUCH_TOLERANCE,
+            "clearance": clearance,
+            "goal_distance": float(np.linalg.norm(path - GOAL, axis=1).min()),
+        }
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,30 @@ WAM_GUARDED = (
 )
 
 
+def guarded_points(
+    names: Sequence[str], links: Sequence[str], offsets: Sequence[float]
+) -> tuple[Guarded, ...]:
+    """Guarded points as parameters give them; the one name "" is none: ROS has no empty lists.
+
+    Args:
+        names: Names of the points.
+        links: Link of each.
+        offsets: Position of each in the frame of its link [m], three numbers a point.
+
+    Raises:
+        ValueError: The numbers of names, links and offsets do not fit.
+    """
+    if tuple(names) == ("",):
+        return ()
+    if not len(names) == len(links) == len(offsets) / 3:
+        raise ValueError(
+            f"guarded_points {offsets} must be three for each of guarded_names {names}, "
+            f"guarded_links {links}"
+        )
+    places = [tuple(offsets[i : i + 3]) for i in range(0, len(offsets), 3)]
+    return tuple(Guarded(*row) for row in zip(names, links, places, strict=True))
+
+
 class Motion(NamedTuple):
     """Where the tool is and how fast the arm moves, in the base frame.
 
@@ -87,8 +111,8 @@ class Arm:
     """A chain of one-degree-of-freedom joints, read from a URDF; other joints are locked at zero.
 
     The rotor inertia reflected to a joint is read from the URDF attribute `armature` [kg m^2] of
-    the joint's `<dynamics>` element (as MuJoCo names it; Pinocchio's own reader ignores it), unless
-    given here. The dynamics are those without friction.
+    the joint's `<dynamics>` element (as MuJoCo names it; Pinocchio's own reader ignores it). The
+    dynamics are those without friction.
 
     Attributes:
         n: Number of joints.
@@ -107,7 +131,6 @@ class Arm:
         urdf: Text of the URDF.
         joint_names: Names of the joints, base to tip.
         tool_frame: Link whose frame is the tool.
-        armature: Overrides the URDF's. Shape (n,).
         guarded: Points whose motion is limited beside the tool's.
 
     Raises:
@@ -119,7 +142,6 @@ class Arm:
         urdf: str,
         joint_names: Sequence[str],
         tool_frame: str = "pan",
-        armature: Sequence[float] | None = None,
         guarded: Sequence[Guarded] = WAM_GUARDED,
     ) -> None:
         try:
@@ -130,8 +152,7 @@ class Arm:
         self.joint_names = tuple(joint_names)
         self.model = _chain(full, self.joint_names)
         self.n = self.model.nv
-        if armature is None:
-            armature = [_armature(tree, name) for name in self.joint_names]
+        armature = [_armature(tree, name) for name in self.joint_names]
         self.armature = _checked("armature", armature, self.n)
         if np.any(self.armature < 0.0):
             raise ValueError(f"armature {self.armature.tolist()} must not be negative")
@@ -176,12 +197,7 @@ class Arm:
         return _Point(self._data, int(parent.parentJoint), parent.placement.act(offset).tolist())
 
     def motion(self, q: np.ndarray, qd: np.ndarray) -> Motion:
-        """Kinematics of one state.
-
-        Args:
-            q: Joint positions [rad]. Shape (n,).
-            qd: Joint speeds [rad/s]. Shape (n,).
-        """
+        """Kinematics of one state: positions [rad] and speeds [rad/s], shapes (n,)."""
         model, data, tool = self.model, self._data, self._tool
         pin.forwardKinematics(model, data, q, qd, self._zero)
         pin.updateFramePlacement(model, data, tool)
@@ -197,22 +213,12 @@ class Arm:
         )
 
     def speeds(self, q: np.ndarray, qd: np.ndarray) -> Speeds:
-        """The speeds of one state, in a third of the time of `motion`.
-
-        Args:
-            q: Joint positions [rad]. Shape (n,).
-            qd: Joint speeds [rad/s]. Shape (n,).
-        """
+        """The speeds of one state, in a third of the time of `motion`."""
         pin.forwardKinematics(self.model, self._data, q, qd)
         return Speeds([point.speed() for point in self._guarded], self._tool_point.speed())
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
-        """Jacobian, inverse mass matrix and bias torque of one state.
-
-        Args:
-            q: Joint positions [rad]. Shape (n,).
-            qd: Joint speeds [rad/s]. Shape (n,).
-        """
+        """Jacobian, inverse mass matrix and bias torque of one state; arguments as of `motion`."""
         model, data = self.model, self._data
         return Dynamics(
             jacobian=pin.computeFrameJacobian(model, data, q, self._tool, _AXES),
@@ -221,27 +227,10 @@ class Arm:
         )
 
     def tool_pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position [m] and rotation matrix of the tool frame in the base frame.
-
-        Args:
-            q: Joint positions [rad]. Shape (n,).
-
-        Returns:
-            Shapes (3,) and (3, 3).
-        """
+        """Position (3,) [m] and rotation matrix (3, 3) of the tool frame in the base frame."""
         pin.forwardKinematics(self.model, self._data, q)
         placement = pin.updateFramePlacement(self.model, self._data, self._tool)
         return placement.translation.copy(), placement.rotation.copy()
-
-    def reference_point_speeds(self, q: np.ndarray, qd: np.ndarray) -> tuple[float, ...]:
-        """Speeds of the guarded points and, last, of the tool [m/s].
-
-        Args:
-            q: Joint positions [rad]. Shape (n,).
-            qd: Joint speeds [rad/s]. Shape (n,).
-        """
-        speeds = self.speeds(q, qd)
-        return *speeds.guarded_speeds, speeds.tool_speed
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
         """Jacobian from joint speeds to the tool's twist (linear, angular) in the base. (6, n)."""
@@ -254,10 +243,6 @@ class Arm:
     def gravity(self, q: np.ndarray) -> np.ndarray:
         """g(q) [N m]. Shape (n,)."""
         return pin.computeGeneralizedGravity(self.model, self._data, q)
-
-    def bias(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """C(q, qd) qd + g(q) [N m]. Shape (n,)."""
-        return pin.nonLinearEffects(self.model, self._data, q, qd)
 
     def inverse_dynamics(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Torque for an acceleration, by recursive Newton-Euler [N m]. Shape (n,)."""

@@ -32,7 +32,7 @@ from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 
-Law = Callable[[int, np.ndarray, np.ndarray, Motion | Speeds], np.ndarray]
+Law = Callable[[JointState, Motion | Speeds], np.ndarray]
 
 
 class Controller:
@@ -61,17 +61,13 @@ class Controller:
         self.settings = settings = settings or ControllerSettings()
         self.arm = arm
         self.limits = settings.limits or safety.limits_of(arm)
-        if self.limits.torque.shape != (arm.n,):
-            raise ValueError(
-                f"limits are for {self.limits.torque.size} joints, the arm has {arm.n}"
-            )
+        if (n := self.limits.torque.size) != arm.n:
+            raise ValueError(f"limits are for {n} joints, the arm has {arm.n}")
         self.latched: Fault | None = None
         self.rollout_stamp_ns: int | None = None
         self.enabled = False
 
-        self._states = StateChecks(
-            arm.n, settings.period, settings.velocity_cutoff, self.limits.q_jump
-        )
+        self._states = StateChecks(arm.n, settings.period, settings.velocity_cutoff)
         self.counters: Counter[str] = self._states.counters
         self._motion = safety.MotionCheck(self.limits, arm.guarded)
         self._joints = JointControl(arm, self.limits)
@@ -80,9 +76,7 @@ class Controller:
         self._rollout: Execution | None = None
         self._finished: EndEffectorPath | None = None
         self._sent = np.zeros(arm.n)  # last torque
-        self._laws: dict[
-            Mode, Callable[[int, np.ndarray, np.ndarray, Motion | Speeds], np.ndarray]
-        ] = {
+        self._laws: dict[Mode, Law] = {
             Mode.INACTIVE: self._rest_torque,
             Mode.GRAVITY_COMPENSATION: self._teaching_torque,
             Mode.HOLD: self._joint_torque,
@@ -131,12 +125,6 @@ class Controller:
         return True
 
     @property
-    def tracking_error(self) -> np.ndarray | None:
-        """q_ref - q [rad] in the last state, None when no joint reference is followed. (n,)."""
-        q_ref, last = self._joints.q_ref, self._states.last
-        return None if q_ref is None or last is None else q_ref - last.q
-
-    @property
     def replay_error(self) -> TrackingError | None:
         """Tracking error of the last replay so far; None before the first."""
         return self._joints.replay_error
@@ -155,8 +143,7 @@ class Controller:
             ControllerError: During a rollout, or when the policy does not fit the arm.
         """
         if self._mode is Mode.ROLLOUT:
-            text = f"policy {policy.id} refused during a rollout"
-            raise ControllerError(Refusal.BUSY, text)
+            raise ControllerError(Refusal.BUSY, f"policy {policy.id} refused during a rollout")
         self._policy = prepare(policy, self.arm.n, self.limits, self.settings)
 
     def hold(self) -> None:
@@ -372,7 +359,7 @@ class Controller:
 
     def _answer(self, state: JointState) -> np.ndarray:
         """The torque for a state that has been accepted."""
-        stamp_ns, q, qd, dt = state
+        _, q, qd, dt = state
         # The position of the tool is not needed to hold.
         motion = (self.arm.speeds if self._mode is Mode.HOLD else self.arm.motion)(q, qd)
         if (fault := self._motion.fault(self._mode, q, qd, motion)) is not None:
@@ -380,7 +367,7 @@ class Controller:
         if self.settings.hold_to_run and self._lacks_switch(self._mode):
             self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
 
-        tau = self._torque(stamp_ns, q, qd, motion)
+        tau = self._torque(state, motion)
         if self._mode is Mode.INACTIVE:  # nothing is sent, so nothing jumps
             sent = np.minimum(np.maximum(tau, -self.limits.torque), self.limits.torque)
         else:
@@ -393,13 +380,11 @@ class Controller:
         self._label = self._mode_label if rollout is None else f"rollout {rollout.id}"
         return sent
 
-    def _torque(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
-    ) -> np.ndarray:
+    def _torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         """The torque of the mode, before the limits; a fault when that cannot be computed."""
         fault = None
         try:
-            tau = self._law(stamp_ns, q, qd, motion)
+            tau = self._law(state, motion)
             if not math.isfinite(sum(tau.tolist())):
                 fault = Fault(FaultKind.COMPUTATION, "the torque was not finite")
         except TrackingLost as error:
@@ -408,50 +393,43 @@ class Controller:
             fault = Fault(FaultKind.COMPUTATION, f"no torque: {error}")
         if fault is not None:
             self.fault(fault)
-            tau = self._rest_torque(stamp_ns, q, qd, motion)
-        springs = safety.limit_springs(q, self.limits)
+            tau = self._rest_torque(state, motion)
+        springs = safety.limit_springs(state.q, self.limits)
         if springs is not None:
             tau = tau + springs
         if self.settings.driver_compensates_gravity:
-            tau = tau - self.arm.gravity(q)
+            tau = tau - self.arm.gravity(state.q)
         return tau
 
     # The torque of each mode
 
-    def _rest_torque(
-        self, _: int, q: np.ndarray, qd: np.ndarray, __: Motion | Speeds
-    ) -> np.ndarray:
-        gravity, mass = self.arm.gravity(q), self.arm.mass_matrix(q)
-        return safety.live_fallback(gravity, mass, qd, safety.FAULT_DAMPING)
+    def _rest_torque(self, state: JointState, _: Motion | Speeds) -> np.ndarray:
+        return self._carrying_torque(state, safety.FAULT_DAMPING)
 
-    def _teaching_torque(
-        self, _: int, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
-    ) -> np.ndarray:
-        gravity, mass = self.arm.gravity(q), self.arm.mass_matrix(q)
-        damping = safety.teaching_damping(motion.tool_speed)
-        return safety.live_fallback(gravity, mass, qd, damping)
+    def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
+        return self._carrying_torque(state, safety.teaching_damping(motion.tool_speed))
 
-    def _joint_torque(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, _: Motion | Speeds
-    ) -> np.ndarray:
-        tau = self._joints.torque(stamp_ns, q, qd)
+    def _carrying_torque(self, state: JointState, damping: float) -> np.ndarray:
+        gravity, mass = self.arm.gravity(state.q), self.arm.mass_matrix(state.q)
+        return safety.live_fallback(gravity, mass, state.qd, damping)
+
+    def _joint_torque(self, state: JointState, _: Motion | Speeds) -> np.ndarray:
+        tau = self._joints.torque(state.stamp_ns, state.q, state.qd)
         if self._mode is not Mode.HOLD and self._joints.holding:
             self._set(Mode.HOLD)
         return tau
 
-    def _rollout_torque(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
-    ) -> np.ndarray:
+    def _rollout_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         rollout = self._rollout
         if rollout is None or not isinstance(motion, Motion):
             raise RuntimeError("no rollout is under way")
-        tau = rollout.torque(stamp_ns, q, qd, motion)
+        tau = rollout.torque(state.stamp_ns, state.q, state.qd, motion)
         if tau is not None:
             return tau
         if rollout.complete and self._policy is not None:
             self._tried.add(self._policy.content)
         self._enter(Mode.HOLD)
-        return self._joint_torque(stamp_ns, q, qd, motion)
+        return self._joint_torque(state, motion)
 
     def _end_rollout(self) -> None:
         """Finish the path of a rollout that is over, complete or not."""

@@ -2,10 +2,10 @@
 """Settings of the torque controller."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from wam_power_ros.control.safety import Limits
-from wam_power_ros.control.torque_law import TorqueLaw
+from wam_power_ros.control.torque_law import LAWS
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class ControllerSettings:
         period: Sampling period of the joint states [s].
         driver_compensates_gravity: The driver adds g(q) itself; it is left out of what is sent.
         hold_to_run: Teaching, replay and the first run of a policy need `Controller.enabled`.
-        law: Torque law, from an acceleration of the tool to joint torques.
+        law: Name of the torque law, one of `torque_law.LAWS`.
         limits: Limits of the arm, None for those of its URDF with the defaults of `safety.Limits`.
         obstacle: Centre in the base frame and radius [m] of a sphere; a rollout ends when the
             tool's centre enters it. Radius 0 for none.
@@ -35,7 +35,7 @@ class ControllerSettings:
     period: float = 0.002
     driver_compensates_gravity: bool = False
     hold_to_run: bool = False
-    law: TorqueLaw = field(default_factory=TorqueLaw)
+    law: str = "operational_space"
     limits: Limits | None = None
     obstacle: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     move_speed: float = 0.3
@@ -45,6 +45,8 @@ class ControllerSettings:
     stiffness_max: float = 2500.0
 
     def __post_init__(self) -> None:
+        if self.law not in LAWS:
+            raise ValueError(f"torque law {self.law!r} must be one of {LAWS}")
         for name, value in vars(self).items():
             if isinstance(value, float) and not 0.0 < value < math.inf:
                 raise ValueError(f"{name} = {value} must be positive and finite")

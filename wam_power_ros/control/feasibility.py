@@ -48,10 +48,7 @@ class Feasibility:
 
 
 def simulate_policy(
-    arm: Arm,
-    settings: ControllerSettings,
-    policy: Policy,
-    margin: float = 0.9,
+    arm: Arm, settings: ControllerSettings, policy: Policy, margin: float = 0.9
 ) -> Feasibility:
     """Execute a policy on the rigid-body model, from its start until the arm has settled.
 
@@ -62,12 +59,8 @@ def simulate_policy(
         margin: Share of the speed limits that the policy may use: the arm is not the model.
     """
     limits = settings.limits or limits_of(arm)
-    tight = replace(
-        limits,
-        qd_max=margin * limits.qd_max,
-        elbow_speed=margin * limits.elbow_speed,
-        tool_speed=margin * limits.tool_speed,
-    )
+    speeds = ("qd_max", "elbow_speed", "tool_speed")
+    tight = replace(limits, **{name: margin * getattr(limits, name) for name in speeds})
     model_settings = replace(
         settings,
         limits=tight,
@@ -109,7 +102,7 @@ def simulate_policy(
             qd = qd + dt * arm.forward_dynamics(q, qd, tau - friction)
             q = q + dt * qd
         stamp_ns += period_ns
-        *guarded, tool = arm.reference_point_speeds(q, qd)
+        guarded, tool = arm.speeds(q, qd)
         np.maximum(qd_peak, np.abs(qd), out=qd_peak)
         elbow_peak, tool_peak = max(elbow_peak, *guarded), max(tool_peak, tool)
     return Feasibility(controller.latched, qd_peak, elbow_peak, tool_peak)

@@ -44,11 +44,6 @@ class JointControl:
         """Whether all references have been followed to their end."""
         return self._course.ended
 
-    @property
-    def q_ref(self) -> np.ndarray | None:
-        """Reference in the last state, None when none is followed [rad]. Shape (n,)."""
-        return None if self._last is None else self._last[0]
-
     def begin(self, *steps: JointReference | Callable[[np.ndarray], JointReference]) -> None:
         """Follow these from the next state on, then hold; see `Course.begin`."""
         self._course.begin(*steps)

@@ -19,26 +19,14 @@ class Mode(enum.Enum):
     FAULT = "fault"  # latched: brings the arm to rest and carries it until `reset`
 
 
+_ENDS = {Mode.INACTIVE, Mode.HOLD, Mode.FAULT}  # whatever is under way may end so
 TRANSITIONS = {
     Mode.INACTIVE: {Mode.GRAVITY_COMPENSATION, Mode.HOLD},
-    Mode.GRAVITY_COMPENSATION: {
-        Mode.INACTIVE,
-        Mode.HOLD,
-        Mode.MOVE_TO_START,
-        Mode.REPLAY,
-        Mode.FAULT,
-    },
-    Mode.HOLD: {
-        Mode.INACTIVE,
-        Mode.GRAVITY_COMPENSATION,
-        Mode.MOVE_TO_START,
-        Mode.ROLLOUT,
-        Mode.REPLAY,
-        Mode.FAULT,
-    },
-    Mode.MOVE_TO_START: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
-    Mode.ROLLOUT: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
-    Mode.REPLAY: {Mode.INACTIVE, Mode.HOLD, Mode.FAULT},
+    Mode.GRAVITY_COMPENSATION: _ENDS | {Mode.MOVE_TO_START, Mode.REPLAY},
+    Mode.HOLD: set(Mode) - {Mode.HOLD},
+    Mode.MOVE_TO_START: _ENDS,
+    Mode.ROLLOUT: _ENDS,
+    Mode.REPLAY: _ENDS,
     Mode.FAULT: {Mode.HOLD},  # by `reset` only
 }
 REFERENCED = (Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY)  # modes that follow a joint reference

@@ -2,12 +2,14 @@
 """A policy on the arm: what makes it fit, the rollout under way, and the path so far."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from wam_power_ros import rotations
-from wam_power_ros.control.arm import Arm, Motion
+from wam_power_ros.control import torque_law
+from wam_power_ros.control.arm import Arm, Dynamics, Motion
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.safety import Limits
@@ -16,6 +18,7 @@ from wam_power_ros.learning import dmp
 from wam_power_ros.learning.policy import Policy, to_json, with_id
 from wam_power_ros.learning.rollout import EndEffectorPath
 
+Law = Callable[[Motion, Dynamics, np.ndarray], np.ndarray]
 PATH_PERIOD = 0.01  # [s] between two samples of the end-effector path
 # A rotation vector's spring pulls about the wrong axis the more, the longer the vector: at 2.4 rad
 # the orientation becomes unstable.
@@ -50,22 +53,17 @@ def prepare(policy: Policy, n: int, limits: Limits, settings: ControllerSettings
         ControllerError: The policy does not fit the arm.
     """
     start, name = policy.q_start, f"policy {policy.id}"
+    stiffest = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
+    stiffest, most = max(stiffest, policy.rotation_stiffness), settings.stiffness_max
+    text = ""
     if start.shape != (n,):
         text = f"{name} is for {start.size} joints, the arm has {n}"
-        raise ControllerError(Refusal.REFUSED, text)
-    if np.any(start < limits.q_min) or np.any(start > limits.q_max):
-        text = (
-            f"q_start {start.round(3).tolist()} of {name} is outside the limits "
-            f"{limits.q_min.tolist()} to {limits.q_max.tolist()}"
-        )
-        raise ControllerError(Refusal.REFUSED, text)
-    stiffest = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
-    stiffest = max(stiffest, policy.rotation_stiffness)
-    if stiffest > settings.stiffness_max:
-        text = (
-            f"stiffness {stiffest:.0f} of {name} is above the limit "
-            f"{settings.stiffness_max:.0f} 1/s^2"
-        )
+    elif np.any(start < limits.q_min) or np.any(start > limits.q_max):
+        allowed = f"{limits.q_min.tolist()} to {limits.q_max.tolist()}"
+        text = f"q_start {start.round(3).tolist()} of {name} is outside the limits {allowed}"
+    elif stiffest > most:
+        text = f"stiffness {stiffest:.0f} of {name} is above the limit {most:.0f} 1/s^2"
+    if text:
         raise ControllerError(Refusal.REFUSED, text)
     content = to_json(with_id(policy, "content")) if settings.hold_to_run else ""
     return PreparedPolicy(policy, dmp.tabulate(policy, settings.period), content)
@@ -90,7 +88,8 @@ class Execution:
         self.id = policy.id
         self.start_ns: int | None = None
         self.complete = False
-        self._arm, self._law, self._tables = arm, settings.law, prepared.tables
+        self._arm, self._tables = arm, prepared.tables
+        self._law: Law = getattr(torque_law, settings.law)
         self._reference = rotations.matrix(policy.orientation_reference).T
         *self._obstacle, self._obstacle_radius = settings.obstacle
         self._period_ns = round(settings.period * 1e9)
@@ -140,7 +139,7 @@ class Execution:
             raise TrackingLost(f"the tool is turned by more than {TURN_MAX} rad from the reference")
         twist = motion.twist.tolist()
         wanted = dmp.acceleration(self._tables, k, motion.position, vector, twist)
-        return self._law.torque(motion, self._arm.dynamics(q, qd), qd, wanted)
+        return self._law(motion, self._arm.dynamics(q, qd), wanted)
 
     def path(self, q: np.ndarray, qd: np.ndarray) -> EndEffectorPath:
         """The path so far; of a rollout that was ended before its first state, where the arm is.

@@ -19,15 +19,15 @@ from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import BOXED, MOVING, PASSIVE, Mode
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
-_SCALARS = (
-    "spring_range",
-    "elbow_speed",
-    "tool_speed",
-    "teaching_tool_speed",
-    "periods",
-    "q_jump",
-)
-_SHAPES = {"workspace_min": (3,), "workspace_max": (3,), "plane": (4,)}
+# Shapes that are not (n,)
+_SHAPES = {name: () for name in ("elbow_speed", "tool_speed", "teaching_tool_speed")} | {
+    "workspace_min": (3,),
+    "workspace_max": (3,),
+    "plane": (4,),
+}
+_SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")
+SPRING_RANGE = 0.1  # [rad] width of the soft springs inside the position limits
+FAULT_STATES = 3  # states in a row beyond a motion limit that make a fault
 REST_SPEED = 0.05  # [m/s] slower than this the arm is at rest
 REST_SPIN = 4.0 * REST_SPEED  # [rad/s] the same for the rotation of the tool
 FAULT_DAMPING = 20.0  # [1/s] decay of all joint motion in a fault
@@ -49,7 +49,6 @@ class Limits:
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
         qd_max: Largest joint speed [rad/s]. Shape (n,).
-        spring_range: Width of the soft springs inside the position limits [rad].
         spring_torque: Torque of a spring at the limit [N m]. Shape (n,).
         elbow_speed: Largest speed of the arm's guarded points [m/s]. The WAM's safety board trips
             at 1.0 m/s as delivered; a toss needs up to 2.0, and the board set accordingly.
@@ -60,8 +59,6 @@ class Limits:
         workspace_max: Opposite corner [m].
         plane: Normal and distance [m] of a plane (a table, a wall) behind which neither tool nor
             guarded points may come while the arm moves by itself: n . x >= d. Shape (4,).
-        periods: Number of states in a row beyond a motion limit that make a fault.
-        q_jump: Change of a joint from one state to the next that means another zero [rad].
 
     Raises:
         ValueError: A value is out of range; names it and the rule.
@@ -73,15 +70,12 @@ class Limits:
     q_max: np.ndarray
     qd_max: np.ndarray
     spring_torque: np.ndarray
-    spring_range: float = 0.1
     elbow_speed: float = 2.0
     tool_speed: float = 4.0
     teaching_tool_speed: float = 4.0
     workspace_min: np.ndarray = field(default_factory=lambda: np.array([-1.5, -1.5, -0.5]))
     workspace_max: np.ndarray = field(default_factory=lambda: np.array([1.5, 1.5, 2.0]))
     plane: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0, -0.5]))
-    periods: int = 3
-    q_jump: float = 0.1
     # The same as plain floats, a row a joint or axis: several times faster to compare with.
     _torques: list[list[float]] = field(init=False, repr=False)
     _motions: list[list[float]] = field(init=False, repr=False)
@@ -93,13 +87,11 @@ class Limits:
         n = np.size(self.torque)
         for name in _names():
             value = getattr(self, name)
-            shape: tuple[int, ...] = () if name in _SCALARS else _SHAPES.get(name, (n,))
+            shape = _SHAPES.get(name, (n,))
             array = np.array(value, dtype=float)
             if array.shape != shape or not np.isfinite(array).all():
                 raise ValueError(f"limit {name} = {value} must be finite, shape {shape}")
-            signed = name in ("q_min", "q_max", *_SHAPES)
-            zero_allowed = name == "spring_torque"
-            if not signed and not np.all(array >= 0.0 if zero_allowed else array > 0.0):
+            if name not in _SIGNED and not np.all(array > 0.0):
                 raise ValueError(f"limit {name} = {value} must be positive")
             if shape:
                 array.setflags(write=False)
@@ -109,13 +101,11 @@ class Limits:
                 raise ValueError(f"limit {least} = {getattr(self, least)} must be below {most}")
         if abs(float(np.linalg.norm(self.plane[:3])) - 1.0) > 1e-6:
             raise ValueError(f"limit plane = {self.plane} must begin with a unit normal")
-        if self.periods != int(self.periods):
-            raise ValueError(f"limit periods = {self.periods} must be a whole number")
-        low, high, width = self.q_min, self.q_max, self.spring_range
+        low, high = self.q_min, self.q_max
         for name, columns in (
             ("_torques", (self.torque, self.torque_rate)),
             ("_motions", (low, high, self.qd_max)),
-            ("_springless", (low + width, high - width)),
+            ("_springless", (low + SPRING_RANGE, high - SPRING_RANGE)),
             ("_box", (self.workspace_min, self.workspace_max)),
         ):
             object.__setattr__(self, name, np.stack(columns, axis=1).tolist())
@@ -180,7 +170,7 @@ def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limit
 def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     """Torque of the soft springs that keep joints off their limits; None when none acts.
 
-    A spring rises linearly from zero at `spring_range` inside the limit to `spring_torque` at the
+    A spring rises linearly from zero at `SPRING_RANGE` inside the limit to `spring_torque` at the
     limit, and on beyond it up to twice that.
 
     Args:
@@ -190,16 +180,13 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     Returns:
         [N m]. Shape (n,).
     """
-    for x, (low, high) in zip(q.tolist(), limits._springless, strict=True):
-        if not low <= x <= high:
-            break
-    else:
+    rows = zip(q.tolist(), limits._springless, strict=True)
+    if all(low <= x <= high for x, (low, high) in rows):
         return None
-    width = limits.spring_range
-    below = limits.q_min + width - q
-    above = q - limits.q_max + width
+    below = limits.q_min + SPRING_RANGE - q
+    above = q - limits.q_max + SPRING_RANGE
     depth = np.maximum(below, 0.0) - np.maximum(above, 0.0)
-    share = np.minimum(np.maximum(depth / width, -2.0), 2.0)
+    share = np.minimum(np.maximum(depth / SPRING_RANGE, -2.0), 2.0)
     return share * limits.spring_torque
 
 
@@ -342,4 +329,4 @@ class MotionCheck:
             points["tool"] = motion.position.tolist()
             found = behind_plane(points, limits)
         self._in_row = 0 if found is None else self._in_row + 1
-        return found if self._in_row >= limits.periods else None
+        return found if self._in_row >= FAULT_STATES else None

@@ -13,18 +13,9 @@ from wam_power_ros.learning.rollout import Fault, FaultKind
 STATES_LOST_AFTER = 0.02  # [s] without a joint state: the next one, or the watchdog, is a fault
 IMPLAUSIBLE_Q = 20.0  # [rad] no joint gets here: a reading beyond is refused
 IMPLAUSIBLE_QD = 500.0  # [rad/s]
+Q_JUMP = 0.1  # [rad] change of a joint from one state to the next that means another zero
 _REFUSALS, _WINDOW = 5, 50  # so many refused states within so many states are a fault
 _INTEGERS = (int, np.integer)
-
-
-class Stamp(enum.Enum):
-    """Order of a state's stamp and that of the last accepted state."""
-
-    FIRST = "first"
-    NEXT = "next"
-    REPEATED = "repeated"
-    OLDER = "older"
-    GAP = "gap"  # later than three periods: never differentiated across
 
 
 class Unanswered(enum.Enum):
@@ -48,24 +39,6 @@ class JointState(NamedTuple):
     q: np.ndarray
     qd: np.ndarray
     dt: float
-
-
-def judge_stamp(stamp_ns: int, last_ns: int | None, period_ns: int) -> Stamp:
-    """Compare a stamp with the last one accepted.
-
-    Args:
-        stamp_ns: Stamp of the new state [ns].
-        last_ns: Stamp of the last accepted state, None before the first [ns].
-        period_ns: Sampling period of the states [ns].
-    """
-    if last_ns is None:
-        return Stamp.FIRST
-    age = stamp_ns - last_ns
-    if age == 0:
-        return Stamp.REPEATED
-    if age < 0:
-        return Stamp.OLDER
-    return Stamp.GAP if age > 3 * period_ns else Stamp.NEXT
 
 
 def plausible(values: list[float], bound: float) -> bool:
@@ -94,16 +67,15 @@ class StateChecks:
         n: Number of joints.
         period: Sampling period of the states [s].
         velocity_cutoff: Cut-off of the low-pass for differentiated positions [rad/s].
-        q_jump: Largest plausible change of a joint from one state to the next [rad].
     """
 
-    def __init__(self, n: int, period: float, velocity_cutoff: float, q_jump: float) -> None:
+    def __init__(self, n: int, period: float, velocity_cutoff: float) -> None:
         self.counters: Counter[str] = Counter()
         self.last: JointState | None = None
         self.fault: Fault | None = None
         self.refused_in_row = 0
-        self._n, self._period, self._cutoff, self._q_jump = n, period, velocity_cutoff, q_jump
-        self._period_ns = round(period * 1e9)
+        self._n, self._period, self._cutoff = n, period, velocity_cutoff
+        self._gap_ns = 3 * round(period * 1e9)  # later than that: never differentiated across
         self._count = 0  # states so far
         self._refusals: deque[int] = deque(maxlen=_REFUSALS)  # counts at which states were refused
 
@@ -122,26 +94,24 @@ class StateChecks:
         self.fault = None
         if not isinstance(stamp_ns, _INTEGERS):
             return self._refuse("rejected")
-        stamp_ns = int(stamp_ns)
-        last = self.last
-        stamp = judge_stamp(stamp_ns, None if last is None else last.stamp_ns, self._period_ns)
-        if stamp is Stamp.REPEATED:
+        stamp_ns, last = int(stamp_ns), self.last
+        if last is not None and stamp_ns == last.stamp_ns:
             self.counters["repeated"] += 1
             return Unanswered.REPEATED
-        if stamp is Stamp.OLDER:
+        if last is not None and stamp_ns < last.stamp_ns:
             if not restart:
                 return self._refuse("older")
-            stamp, last = Stamp.FIRST, None
+            last = None
         positions = self._read(q, IMPLAUSIBLE_Q)
         if positions is None:
             return self._refuse("rejected")
-        given = self._velocity(last, stamp, stamp_ns, positions) if qd is None else qd
+        given = self._velocity(last, stamp_ns, positions) if qd is None else qd
         speeds = self._read(given, IMPLAUSIBLE_QD)
         if speeds is None:
             return self._refuse("rejected")
         self.counters["accepted"] += 1
         self.refused_in_row = 0
-        dt = self._check_continuity(last, stamp, stamp_ns, positions)
+        dt = self._check_continuity(last, stamp_ns, positions)
         self.last = JointState(stamp_ns, positions, speeds, dt)
         return self.last
 
@@ -151,8 +121,7 @@ class StateChecks:
         refusals = self._refusals
         refusals.append(self._count)
         if len(refusals) == _REFUSALS and self._count - refusals[0] < _WINDOW:
-            text = "five joint states refused within 50"
-            self.fault = Fault(FaultKind.STATES_REFUSED, text)
+            self.fault = Fault(FaultKind.STATES_REFUSED, "five joint states refused within 50")
         return Unanswered.REFUSED
 
     def _read(self, values: object, bound: float) -> np.ndarray | None:
@@ -165,13 +134,11 @@ class StateChecks:
             return None
         return array
 
-    def _velocity(
-        self, last: JointState | None, stamp: Stamp, stamp_ns: int, q: np.ndarray
-    ) -> np.ndarray:
+    def _velocity(self, last: JointState | None, stamp_ns: int, q: np.ndarray) -> np.ndarray:
         """Differentiated and low-passed position; kept as it is across a gap."""
         if last is None:
             return np.zeros(self._n)
-        if stamp is Stamp.GAP:
+        if stamp_ns - last.stamp_ns > self._gap_ns:
             return last.qd
         dt = (stamp_ns - last.stamp_ns) * 1e-9
         share = 1.0 - math.exp(-self._cutoff * dt)
@@ -179,19 +146,17 @@ class StateChecks:
         qd[np.abs(qd) < 1e-4] = 0.0  # so that the filter comes to rest bit for bit
         return qd
 
-    def _check_continuity(
-        self, last: JointState | None, stamp: Stamp, stamp_ns: int, q: np.ndarray
-    ) -> float:
+    def _check_continuity(self, last: JointState | None, stamp_ns: int, q: np.ndarray) -> float:
         """Look for a gap and for a jump; returns the `dt` of the state [s]."""
         if last is None:
             return self._period
         dt = (stamp_ns - last.stamp_ns) * 1e-9
-        if stamp is Stamp.GAP:
+        if stamp_ns - last.stamp_ns > self._gap_ns:
             self.counters["gaps"] += 1
             if dt > STATES_LOST_AFTER:
                 text = f"no joint state for {dt * 1e3:.0f} ms"
                 self.fault = Fault(FaultKind.STATES_LOST, text)
-        allowed = self._q_jump * max(1.0, dt / self._period)
+        allowed = Q_JUMP * max(1.0, dt / self._period)
         if math.dist(q.tolist(), last.q.tolist()) > allowed:  # no joint went farther than that
             jump = max(map(abs, (q - last.q).tolist()))
             if jump > allowed:

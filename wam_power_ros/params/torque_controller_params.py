@@ -9,11 +9,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from wam_power_ros.control.arm import Arm, Guarded
+from wam_power_ros.control.arm import Arm, guarded_points
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.safety import limits_of
-from wam_power_ros.control.torque_law import TorqueLaw
 from wam_power_ros.params.node_params import Params
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -69,7 +68,8 @@ class TorqueControllerParams(Params):
             raise ValueError(
                 f"model_joint_names {self.model_joint_names} must be as many as joint_names"
             )
-        arm = Arm(urdf, self.model_joint_names, self.tool_frame, guarded=self._guarded())
+        guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
+        arm = Arm(urdf, self.model_joint_names, self.tool_frame, guarded=guarded)
         limits = limits_of(
             arm,
             torque=self.torque_share * arm.tau_max,
@@ -81,20 +81,6 @@ class TorqueControllerParams(Params):
             workspace_max=self.workspace_max,
             plane=self.plane,
         )
-        own = {field.name for field in dataclasses.fields(ControllerSettings)} - {"law", "limits"}
+        own = {field.name for field in dataclasses.fields(ControllerSettings)} - {"limits"}
         choices = {name: getattr(self, name) for name in own}
-        settings = ControllerSettings(law=TorqueLaw(kind=self.law), limits=limits, **choices)
-        return Controller(arm, settings)
-
-    def _guarded(self) -> list[Guarded]:
-        """Guarded points; the single name "" stands for none, as ROS has no empty lists."""
-        names, links, points = self.guarded_names, self.guarded_links, self.guarded_points
-        if names == ("",):
-            return []
-        if not len(names) == len(links) == len(points) / 3:
-            raise ValueError(
-                f"guarded_points {points} must be three for each of guarded_names {names}, "
-                f"guarded_links {links}"
-            )
-        rows = zip(names, links, zip(*[iter(points)] * 3, strict=True), strict=True)
-        return [Guarded(*row) for row in rows]
+        return Controller(arm, ControllerSettings(limits=limits, **choices))
