@@ -109,10 +109,8 @@ class Motors:
 
     def __init__(self, bus_voltage: float = 48.0) -> None:
         if not BUS_VOLTAGE_MIN <= bus_voltage <= BUS_VOLTAGE_MAX:
-            raise ValueError(
-                f"bus_voltage {bus_voltage} V is outside the arm's "
-                f"{BUS_VOLTAGE_MIN:.0f} to {BUS_VOLTAGE_MAX:.0f} V"
-            )
+            allowed = f"{BUS_VOLTAGE_MIN:.0f} to {BUS_VOLTAGE_MAX:.0f} V"
+            raise ValueError(f"bus_voltage {bus_voltage} V is outside the arm's {allowed}")
         no_load = NO_LOAD_SPEED_48V * bus_voltage / 48.0
         current = CABLE_LIMIT / TORQUE_CONSTANT
         full = (bus_voltage - current * RESISTANCE) / TORQUE_CONSTANT
@@ -129,14 +127,9 @@ class Motors:
         self._brake = (TORQUE_CONSTANT**2 / RESISTANCE).tolist()
 
     def limit(self, tau: Sequence[float], qd: Sequence[float]) -> Sequence[float]:
-        """Joint torques the motors give for wanted joint torques at these joint speeds.
+        """Joint torques the motors give for wanted ones [N m] at joint speeds [rad/s]; seven each.
 
-        Args:
-            tau: Wanted joint torques [N m]; seven.
-            qd: Joint speeds [rad/s]; seven.
-
-        Returns:
-            Joint torques [N m]; `tau` itself when no motor is at a limit.
+        It is `tau` itself when no motor is at a limit.
         """
         t1, t2, t3, t4, t5, t6, t7 = tau
         a, b, c, d = t2 / (2.0 * J2), t3 / (2.0 * J3), t5 / (2.0 * J56), t6 / (2.0 * J56)
@@ -147,11 +140,9 @@ class Motors:
                 break
         else:
             return tau
-        given = []
-        within = True
-        for torque, speed, (peak, no_load, slope) in zip(
-            wanted, speeds, self._envelope, strict=True
-        ):
+        given, within = [], True
+        rows = zip(wanted, speeds, self._envelope, strict=True)
+        for torque, speed, (peak, no_load, slope) in rows:
             most, least = slope * (no_load - speed), -slope * (no_load + speed)
             if most < torque or peak < torque:
                 torque = min(peak, max(most, -peak))
@@ -163,17 +154,9 @@ class Motors:
         return tau if within else _joint_torques(given)
 
     def braking(self, qd: Sequence[float]) -> Sequence[float]:
-        """Joint torques of shorted motors, the arm's IDLE.
-
-        Args:
-            qd: Joint speeds [rad/s]; seven.
-
-        Returns:
-            Joint torques [N m]; seven.
-        """
-        return _joint_torques(
-            [-k * speed for k, speed in zip(self._brake, motor_motion(qd), strict=True)]
-        )
+        """Joint torques [N m] of shorted motors at joint speeds [rad/s]; the arm's IDLE."""
+        rows = zip(self._brake, motor_motion(qd), strict=True)
+        return _joint_torques([-k * speed for k, speed in rows])
 
 
 def _joint_torques(motors: Sequence[float]) -> tuple[float, ...]:

@@ -7,6 +7,7 @@ bring one.
 
 from __future__ import annotations
 
+from importlib.metadata import entry_points
 from typing import Protocol
 
 import mujoco
@@ -15,7 +16,6 @@ import numpy as np
 from hardware_sim.demonstrator import Script
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.settings import SceneSettings
-from wam_power_ros.practice import plugins
 
 GROUP = "wam_power_ros.scenes"  # of entry points
 
@@ -68,5 +68,13 @@ def scene_type(name: str) -> type[Scene]:
     Raises:
         ValueError: No installed package has a scene of this name, or it cannot be imported.
     """
-    found: type[Scene] = plugins.load(GROUP, name, "scene")
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    if not points:
+        raise ValueError(f"no scenes in group {GROUP}: install the package again (make venv)")
+    if name not in points:
+        raise ValueError(f"scene {name!r} is not one of {', '.join(sorted(points))}")
+    try:
+        found: type[Scene] = points[name].load()
+    except (ImportError, AttributeError) as error:
+        raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
     return found

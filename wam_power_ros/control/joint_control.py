@@ -59,15 +59,7 @@ class JointControl:
         self._last = None
 
     def torque(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Joint torques for one state; all joints are decoupled.
-
-        Args:
-            stamp_ns: Stamp of the state [ns].
-            q: Joint positions [rad]. Shape (n,).
-            qd: Joint speeds [rad/s]. Shape (n,).
-
-        Returns:
-            [N m]. Shape (n,).
+        """Joint torques (n,) [N m] for one state, shapes (n,); all joints are decoupled.
 
         Raises:
             TrackingLost: A joint is too far from its reference.

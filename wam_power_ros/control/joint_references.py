@@ -68,12 +68,7 @@ class Brake:
     """
 
     def __init__(
-        self,
-        q: np.ndarray,
-        qd: np.ndarray,
-        duration: float,
-        q_min: np.ndarray,
-        q_max: np.ndarray,
+        self, q: np.ndarray, qd: np.ndarray, duration: float, q_min: np.ndarray, q_max: np.ndarray
     ) -> None:
         self.duration = duration
         qd = np.where(np.abs(qd) < 0.05, 0.0, qd)
@@ -170,13 +165,7 @@ class Course:
         return isinstance(self.reference, Brake)
 
     def at(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> State:
-        """Reference for the state with this stamp.
-
-        Args:
-            stamp_ns: Stamp of the state [ns].
-            q: Posture where the sequence begins if it has not yet [rad]. Shape (n,).
-            qd: Speed at which it begins [rad/s]. Shape (n,).
-        """
+        """Reference for the state with this stamp; it begins, if it has not yet, at `q`, `qd`."""
         reference = self.reference or self._next(stamp_ns, q, qd)
         while not isinstance(reference, Brake):
             end_ns = self._since_ns + round(reference.duration * 1e9)

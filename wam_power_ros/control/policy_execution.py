@@ -142,12 +142,7 @@ class Execution:
         return self._law(motion, self._arm.dynamics(q, qd), wanted)
 
     def path(self, q: np.ndarray, qd: np.ndarray) -> EndEffectorPath:
-        """The path so far; of a rollout that was ended before its first state, where the arm is.
-
-        Args:
-            q: Joint positions of the last state [rad]. Shape (n,).
-            qd: Joint speeds of the last state [rad/s]. Shape (n,).
-        """
+        """The path so far; of a rollout that was ended before its first state, where the arm is."""
         if not self._count:
             self._sample(0, self._arm.motion(q, qd))
         n = self._count

@@ -208,11 +208,7 @@ def live_fallback(
 
 
 def teaching_damping(speed: float) -> float:
-    """Damping [1/s] that is not felt at low speed and grows with the square of the speed.
-
-    Args:
-        speed: Speed of the tool [m/s].
-    """
+    """Damping [1/s] that is not felt at low speed and grows with the square of the tool's [m/s]."""
     return TEACHING_DAMPING * (speed / TEACHING_SPEED) ** 2
 
 
@@ -253,9 +249,8 @@ def exceeded(
     rows = zip(q, qd, limits._motions, strict=True)
     for i, (x, speed, (low, high, fastest)) in enumerate(rows, start=1):
         if not -fastest <= speed <= fastest:
-            return Fault(
-                FaultKind.JOINT_SPEED, f"joint {i} at {speed:.2f} rad/s, limit {fastest:.2f}"
-            )
+            text = f"joint {i} at {speed:.2f} rad/s, limit {fastest:.2f}"
+            return Fault(FaultKind.JOINT_SPEED, text)
         if (x > high and speed > 0.05) or (x < low and speed < -0.05):
             text = f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
             return Fault(FaultKind.JOINT_POSITION, text)

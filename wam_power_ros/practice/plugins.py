@@ -23,7 +23,7 @@ def task_type(name: str) -> type[Task]:
     Raises:
         ValueError: No installed package has a task of this name, or it cannot be imported.
     """
-    found: type[Task] = load(TASKS, name, "task")
+    found: type[Task] = _load(TASKS, name, "task")
     return found
 
 
@@ -33,15 +33,10 @@ def learner_type(name: str) -> Any:  # noqa: ANN401 - a class; its settings are 
     Raises:
         ValueError: No installed package has a learner of this name, or it cannot be imported.
     """
-    return load(LEARNERS, name, "learner")
+    return _load(LEARNERS, name, "learner")
 
 
-def load(group: str, name: str, what: str) -> Any:  # noqa: ANN401
-    """Load an entry point of a group; `what` names its kind in errors.
-
-    Raises:
-        ValueError: No installed package has it, or it cannot be imported.
-    """
+def _load(group: str, name: str, what: str) -> Any:  # noqa: ANN401
     points: list[EntryPoint] = [p for p in entry_points(group=group) if p.name == name]
     if not points:
         raise ValueError(f"{what} {name!r} is not one of {', '.join(names(group)) or 'none'}")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from simulated import LEVEL, holding_torque, run
 
+from hardware_sim import scenes
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.scene import body_contact
 from hardware_sim.scenes import scene_type
@@ -17,7 +18,6 @@ from hardware_sim.scenes.flip import Flip, wrist_flick
 from hardware_sim.scenes.reach import Reach
 from hardware_sim.settings import SceneSettings, WorldSettings
 from hardware_sim.world import DROP_HEIGHT, World
-from wam_power_ros.practice import plugins
 
 RADIUS = 0.02  # [m] of the ball
 
@@ -89,9 +89,9 @@ def test_a_scene_of_another_package_is_found_by_its_entry_point(
             point("broken", "no_such_package:Scene", group),
         ]
 
-    monkeypatch.setattr(plugins, "entry_points", installed)
+    monkeypatch.setattr(scenes, "entry_points", installed)
     assert scene_type("ball") is Flip
-    with pytest.raises(ValueError, match=r"'broken' .*cannot be loaded: .*no_such_package"):
+    with pytest.raises(ValueError, match=r"'broken' cannot be loaded: .*no_such_package"):
         scene_type("broken")
 
 
