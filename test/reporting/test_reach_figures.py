@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures of the reaching task show paths and obstacle along the movement."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -12,8 +14,8 @@ def a_panel(executed: np.ndarray | None = None) -> Panel:
     """Half a metre along y, with a sphere half way."""
     path = np.linspace([0.4, -0.25, 0.3], [0.4, 0.25, 0.3], 21)
     demonstrations = [path, path + np.array([0.0, 0.0, 0.01])]
-    panel = Panel(demonstrations, np.array([0.4, 0.0, 0.3]), 0.09)
-    return panel.with_paths(path + np.array([0.0, 0.0, 0.1]), [path], executed)
+    learnt = path + np.array([0.0, 0.0, 0.1])
+    return Panel(demonstrations, np.array([0.4, 0.0, 0.3]), 0.09, learnt, [path], executed)
 
 
 def test_reaching_is_drawn_along_the_movement_with_the_obstacle_half_way() -> None:
@@ -28,8 +30,7 @@ def test_reaching_is_drawn_along_the_movement_with_the_obstacle_half_way() -> No
 
 
 def test_a_panel_without_a_learnt_path_shows_the_demonstrations() -> None:
-    panel = a_panel()
-    bare = Panel(panel.demonstrations, panel.obstacle, panel.radius)
+    bare = dataclasses.replace(a_panel(), learnt=None, rollouts=[])
     labels = {line.get_label() for line in reach_figures.paths({"": bare}).axes[0].lines}
     assert {"demonstrations", "start", "goal"} <= labels and "learnt" not in labels
 

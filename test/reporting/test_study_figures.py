@@ -21,7 +21,8 @@ def test_figure_5_has_our_mean_and_the_gain_from_the_first_five_to_the_last() ->
 
 def test_learner_curves_are_medians_and_every_learner_is_named_once() -> None:
     curves = {f"learner {k}": [[0.1 * k, 0.2], [0.1 * k, 0.4], [0.1 * k]] for k in range(12)}
-    axes = study_figures.learner_curves(curves, ours=["learner 3"], marks={"paper": 0.73}).axes[0]
+    settings = {"ours": ["learner 3"], "ylabel": "return", "marks": {"paper": 0.73}}
+    axes = study_figures.learner_curves(curves, **settings).axes[0]
     np.testing.assert_allclose(axes.lines[3].get_ydata(), [0.3, 0.3])
     assert sorted(t.get_text() for t in axes.texts) == sorted(["paper", *curves])
     places = sorted(t.xyann[1] for t in axes.texts if t.get_text() != "paper")
@@ -30,4 +31,4 @@ def test_learner_curves_are_medians_and_every_learner_is_named_once() -> None:
 
 def test_curves_without_a_run_are_refused() -> None:
     with pytest.raises(ValueError, match="no run"):
-        study_figures.learner_curves({"none": []})
+        study_figures.learner_curves({"none": []}, ylabel="return")

@@ -34,8 +34,7 @@ def strip(
     Args:
         name: Name of the figure.
         caption: Caption of the figure.
-        trace: `World.trace` of the rollout: joint positions of arm and pancake, 100 a second.
-            Shape (n, nq).
+        trace: `World.trace` of the rollout: joint positions of arm and pancake. Shape (n, nq).
         first: Time of the first frame [s].
         last: Time of the last frame [s].
 
@@ -50,9 +49,8 @@ def strip(
         images = _images([trace[k] for k in chosen])
     except RuntimeError as error:
         return Figure(name, f"{caption} Not drawn on this machine: {error}.", b"")
-    return Figure.of(
-        name, caption, figures.filmstrip(list(images), FRAMES, (chosen / TRACE_RATE).tolist())
-    )
+    drawn = figures.filmstrip(list(images), FRAMES, (chosen / TRACE_RATE).tolist())
+    return Figure.of(name, caption, drawn)
 
 
 def _images(poses: Sequence[Sequence[float]]) -> np.ndarray:

@@ -21,7 +21,7 @@ import contextlib
 import functools
 import hashlib
 import importlib.metadata
-import importlib.util
+import importlib.resources
 import inspect
 import json
 import os
@@ -36,7 +36,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from joblib import Parallel, delayed, parallel_config
 from rich.console import Console
@@ -72,18 +72,19 @@ LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # another version may 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 CLUSTER_TIMEOUT = 120.0  # [s]
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
+# What a worker returns: the job, its result as JSON text or the traceback, its times [s] and host.
+_Computed = tuple["Job", str, str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a study.
+    """One run of a study, with finite JSON data as arguments and as result.
 
     Attributes:
         study: Folder of its result, such as "pancake-default".
         key: Name of its file there, such as "seed-301".
-        function: Function of an importable module; the same arguments give the same result, which
-            is plain JSON data of finite numbers.
-        arguments: Keyword arguments, plain JSON data.
+        function: Function of an importable module; the same arguments give the same result.
+        arguments: Keyword arguments.
 
     Raises:
         ValueError: `study` or `key` is no file name, or `arguments` are no finite JSON data.
@@ -115,18 +116,6 @@ class Job:
 
 class JobError(Exception):
     """Some jobs failed; the message names each of them with its traceback."""
-
-
-class _Computed(NamedTuple):
-    """What a worker returns: the result as JSON text, or the traceback; times in seconds."""
-
-    index: int  # of the job in the list
-    digest: str
-    text: str
-    error: str
-    wall: float
-    cpu: float
-    host: str
 
 
 def run(
@@ -166,17 +155,26 @@ def run(
         console.print(f"{stale} results of other sources, arguments or versions are not used.")
     if results:
         console.print(f"{len(results)} of {len(jobs)} results are there already.")
+    missing = [job for job in jobs if job.name not in results]
+    left = Counter(job.study for job in missing)
     failed: list[str] = []
-    with _progress(jobs, results, console) as advance, contextlib.ExitStack() as stack:
-        left = [job for job in jobs if job.name not in results]
-        for done in _compute(left, workers, scheduler, stack):
-            job = left[done.index]
-            if done.error:
-                failed.append(f"{job.name}: {done.error}")
+    bar = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn())
+    remaining = (TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}"))
+    with (
+        Progress(*bar, *remaining, console=console, disable=not console.is_terminal) as progress,
+        contextlib.ExitStack() as stack,
+    ):
+        task = progress.add_task("", total=len(jobs), completed=len(results))
+        for job, text, error, times in _compute(missing, workers, scheduler, stack):
+            if error:
+                failed.append(f"{job.name}: {error}")
             else:
-                _write(job, folder, done)
-                results[job.name] = json.loads(done.text)
-            advance(job)
+                _write(job, folder, text, times)
+                results[job.name] = json.loads(text)
+            left[job.study] -= 1
+            progress.update(task, advance=1, description=job.study)
+            if not left[job.study]:
+                console.print(f"{job.study}: done", highlight=False)
     if failed:
         raise JobError(f"{len(failed)} of {len(jobs)} jobs failed.\n" + "\n".join(failed))
     ordered: Results = {}
@@ -213,10 +211,9 @@ def spent(jobs: Sequence[Job], folder: Path) -> tuple[float, float]:
 
 def digest(job: Job) -> str:
     """Digest of all that a job's result depends on, see the module."""
-    function = job.function
-    own = Path(inspect.getfile(function))
-    parts = [function.__module__, function.__qualname__, _json(job.arguments), _code(own)]
-    return _hash([*parts, sources()])
+    function, own = job.function, Path(inspect.getfile(job.function))
+    names = (function.__module__, function.__qualname__)
+    return _hash([*names, _json(job.arguments), _code(own), sources()])
 
 
 def versions(libraries: Sequence[str] = LIBRARIES) -> list[str]:
@@ -242,10 +239,7 @@ def sources() -> str:
 def hashed_sources() -> Iterator[tuple[str, Path]]:
     """Python files that numbers can depend on, each with its name from the package on."""
     for package in PACKAGES:
-        spec = importlib.util.find_spec(package)
-        if spec is None or spec.origin is None:
-            raise ValueError(f"the package {package} cannot be imported")
-        root = Path(spec.origin).parent
+        root = Path(str(importlib.resources.files(package)))
         for path in sorted(root.rglob("*.py")):
             name = f"{package}/{path.relative_to(root).as_posix()}"
             if not any(name == other or name.startswith(f"{other}/") for other in NOT_HASHED):
@@ -257,9 +251,8 @@ def _code(path: Path) -> str:
     """The code of a module without comments, docstrings and layout."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(
-            node, clean=False
-        ):
+        documented = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        if documented and ast.get_docstring(node, clean=False):
             node.body = node.body[1:]
     return ast.dump(tree)
 
@@ -287,7 +280,7 @@ def _compute(
     else:
         config = parallel_config("dask", client=stack.enter_context(_cluster(scheduler)))
         workers, here = -1, None  # all that the cluster has
-    calls = (delayed(_execute)(index, job, digest(job), here) for index, job in enumerate(jobs))
+    calls = (delayed(_execute)(job, digest(job), here) for job in jobs)
     with config:
         done = Parallel(n_jobs=workers, batch_size=1, return_as="generator_unordered")(calls)
     stack.callback(done.close)
@@ -314,7 +307,7 @@ def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if tha
     return client
 
 
-def _execute(index: int, job: Job, expected: str, here: int | None) -> _Computed:
+def _execute(job: Job, expected: str, here: int | None) -> _Computed:
     """Run a job wherever this is; an error is returned, not raised."""
     if here not in (None, os.getpid()):
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asked
@@ -329,35 +322,13 @@ def _execute(index: int, job: Job, expected: str, here: int | None) -> _Computed
     except Exception:
         error = traceback.format_exc()
     wall, cpu = time.perf_counter() - wall, time.thread_time() - cpu
-    return _Computed(index, expected, text, error, wall, cpu, platform.node())
+    return job, text, error, {"wall": wall, "cpu": cpu, "host": platform.node()}
 
 
-def _write(job: Job, folder: Path, done: _Computed) -> None:
+def _write(job: Job, folder: Path, text: str, times: dict[str, Any]) -> None:
     """Write a result, whole or not at all whenever this is interrupted, and note its time."""
     path = job.path(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
-    durable_files.replace(path, f'{{"digest": "{done.digest}", "result": {done.text}}}\n')
-    note = {"job": job.name, "wall": done.wall, "cpu": done.cpu, "host": done.host}
+    durable_files.replace(path, f'{{"digest": "{digest(job)}", "result": {text}}}\n')
     with (folder / "times.jsonl").open("a", encoding="utf-8") as file:
-        file.write(json.dumps(note) + "\n")
-
-
-@contextlib.contextmanager
-def _progress(
-    jobs: Sequence[Job], results: dict[str, Any], console: Console
-) -> Iterator[Callable[[Job], None]]:
-    """A progress bar on a terminal; a line for each study that is finished."""
-    left = Counter(job.study for job in jobs if job.name not in results)
-    bar = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn())
-    remaining = (TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}"))
-    hidden = not console.is_terminal
-    with Progress(*bar, *remaining, console=console, disable=hidden) as progress:
-        task = progress.add_task("", total=len(jobs), completed=len(results))
-
-        def advance(job: Job) -> None:
-            left[job.study] -= 1
-            progress.update(task, advance=1, description=job.study)
-            if not left[job.study]:
-                console.print(f"{job.study}: done", highlight=False)
-
-        yield advance
+        file.write(json.dumps({"job": job.name, **times}) + "\n")

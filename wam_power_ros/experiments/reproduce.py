@@ -12,11 +12,11 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from html import escape
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -71,11 +71,9 @@ def run(
     if unknown:
         raise ValueError(f"{', '.join(unknown)}: no such study; there are {', '.join(STUDIES)}")
     began = time.monotonic()
-    modules = [
-        [importlib.import_module(f"wam_power_ros.experiments.{module}") for module in pair]
-        for name, pair in STUDIES.items()
-        if name in only
-    ]
+    pairs = [pair for name, pair in STUDIES.items() if name in only]
+    package = "wam_power_ros.experiments"
+    modules = [[importlib.import_module(f"{package}.{name}") for name in pair] for pair in pairs]
     wanted = [study.jobs(scale) for study, _ in modules]
     jobs = [job for some in wanted for job in some]
     kept = folder / "results"
@@ -103,14 +101,7 @@ def run(
 def write(
     folder: Path, scale: Scale, chapters: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str
 ) -> Path:
-    """Write `report.html` and its figures.
-
-    Args:
-        folder: Folder to write to; the results are in its folder `results`.
-        scale: Scale of the studies.
-        chapters: Chapters, in order.
-        jobs: All runs the chapters are about.
-        time_it_took: Sentence on the computing time.
+    """Write `report.html` and its figures into a folder that holds the results of all `jobs`.
 
     Raises:
         ValueError: Two figures have one name.
@@ -150,20 +141,15 @@ def render(
             "works: its numbers are no evidence about the paper."
         )
     sections = [chapter.title for chapter in chapters] + [MACHINE]
-    links = "".join(
-        f'<a href="#{html_page.anchor(title)}">{escape(title)}</a>' for title in sections
-    )
-    values = [
-        ("claims with a criterion met", f"{met} of {len(judged)}"),
-        ("runs", str(len(jobs))),
-        ("processor time", duration(cpu)),
-    ]
+    links = [f'<a href="#{html_page.anchor(title)}">{escape(title)}</a>' for title in sections]
+    values = [("claims with a criterion met", f"{met} of {len(judged)}")]
+    values += [("runs", str(len(jobs))), ("processor time", duration(cpu))]
     return html_page.page(
         "Flipping pancakes: the paper reproduced",
         [
             html_page.paragraphs(introduction),
             html_page.cards(values),
-            f"<nav>{links}</nav>",
+            f"<nav>{''.join(links)}</nav>",
             html_page.section("Overview", _verdicts(judged), chapter_html.overview(chapters)),
             *(chapter_html.html(chapter) for chapter in chapters),
             _machine(jobs, time_it_took, kept),
@@ -193,7 +179,7 @@ def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
     for study in dict.fromkeys(job.study for job in jobs):
         own = [job for job in jobs if job.study == study]
         wall, cpu = job_cache.spent(own, kept)
-        seeds = ranges({seed for job in own for seed in _seeds(job.arguments)})
+        seeds = ranges({seed for job in own for seed in _seeds(**job.arguments)})
         rows.append([study, str(len(own)), seeds or "–", duration(cpu), duration(wall)])
     head = ["study", "runs", "seeds", "processor time", "wall time, one after another"]
     return html_page.section(MACHINE, text, html_page.table(head, rows))
@@ -208,13 +194,9 @@ def _processor() -> str:
     return names[0] if names else platform.machine()
 
 
-def _seeds(arguments: dict[str, Any]) -> Iterator[int]:
+def _seeds(seed: int | None = None, seeds: Sequence[int] = (), **_: object) -> list[int]:
     """Seeds in the arguments of a job."""
-    for name, value in arguments.items():
-        if name == "seed":
-            yield value
-        elif name == "seeds":
-            yield from value
+    return [*seeds] if seed is None else [seed, *seeds]
 
 
 def ranges(numbers: set[int]) -> str:
@@ -235,9 +217,8 @@ def duration(seconds: float) -> str:
 def overview(chapters: Sequence[Chapter]) -> Table:
     """Table of the claims of all chapters for the terminal."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("", ratio=5)
-    table.add_column("paper", ratio=2)
-    table.add_column("measured", ratio=4)
+    for name, ratio in (("", 5), ("paper", 2), ("measured", 4)):
+        table.add_column(name, ratio=ratio)
     table.add_column("verdict", no_wrap=True)
     styles = {True: "green", False: "red", None: "dim"}
     for chapter in chapters:

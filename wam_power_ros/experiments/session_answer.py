@@ -46,13 +46,6 @@ class Outcome:
     truth: Truth
     kind: str = "retest"
 
-    @classmethod
-    def of(cls, task: Task, executed: Policy, rollout: Rollout, truth: Truth) -> Outcome:
-        """Assess a rollout."""
-        judged = task.assess(executed, rollout)
-        fault = "" if rollout.fault is None else rollout.fault.text
-        return cls(judged.ret, judged.observation, judged.success, judged.why, fault, truth)
-
 
 def run(folder: Path, film: bool) -> session_report.ShownRollout:
     """Execute the answer of a session; with `film` write `film.webp` into its folder.
@@ -73,10 +66,9 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     world.trace = []
     environment = Environment(world)
     quiet = policy.with_id(answer, f"answer{QUIET}")
-    noise_free = Outcome.of(task, quiet, *environment.run(quiet))
-    sys.stdout.write(f"without noise: {_caption(task, noise_free)}\n")
+    sys.stdout.write(f"without noise: {_caption(task, quiet, *environment.run(quiet))}\n")
     rollout, truth = environment.run(answer)
-    caption = _caption(task, Outcome.of(task, answer, rollout, truth))
+    caption = _caption(task, answer, rollout, truth)
     path = folder / "film.webp"
     if film:
         poses = world.trace[:: round(TRACE_RATE / FILM_RATE)]
@@ -84,15 +76,19 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     return session_report.ShownRollout(caption, rollout, path.read_bytes() if film else None)
 
 
-def _caption(task: Task, outcome: Outcome) -> str:
+def _caption(task: Task, executed: Policy, rollout: Rollout, truth: Truth) -> str:
     """Outcome of a rollout by the task's own observation and by the simulator's ground truth."""
-    ret = "no return" if outcome.ret is None else f"return {outcome.ret:.3f}"
-    truth = ", ".join(
+    judged = task.assess(executed, rollout)
+    fault = "" if rollout.fault is None else rollout.fault.text
+    seen = (judged.ret, judged.observation, judged.success, judged.why)
+    outcome = task.outcome(Outcome(*seen, fault, truth))
+    ret = "no return" if judged.ret is None else f"return {judged.ret:.3f}"
+    known = ", ".join(
         f"{name} {value:.3g}" if isinstance(value, float) else name
-        for name, value in outcome.truth.items()
+        for name, value in truth.items()
         if value is True or (isinstance(value, float) and not name.startswith(ARM))
     )
-    return f"{task.outcome(outcome)}; {ret}. Ground truth: {truth}."
+    return f"{outcome}; {ret}. Ground truth: {known}."
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -45,7 +45,7 @@ def learning_curve(
         marks: Rollout number -> text above it, such as "first success".
         paper: Draw Fig. 5 of the paper behind it: returns must be those of Eq. 5.
     """
-    figure, axes = _figure(7.2, 3.8)
+    figure, (axes,) = side_by_side(7.2, 3.8, 1.0)
     if paper:
         mean_of_six = paper_table("fig5").T
         axes.plot(*mean_of_six, color=PAPER, lw=1.2, label="paper, Fig. 5 (mean of 6 sessions)")
@@ -59,7 +59,7 @@ def learning_curve(
         axes.annotate(text, (number, 1.0), xytext=(3, -4), fontsize=8, color=ACCENT, **top)
     axes.set(xlabel="rollout", ylabel="return")
     axes.xaxis.get_major_locator().set_params(integer=True)
-    _from_zero(axes)
+    axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
     legend(axes)
     return figure
 
@@ -71,7 +71,7 @@ def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) 
         numbers: Numbers of the rollouts. Length n.
         values: Term -> its share of the return, None where unknown. Lengths n.
     """
-    figure, axes = _figure(7.2, 2.8)
+    figure, (axes,) = side_by_side(7.2, 2.8, 1.0)
     bottom = np.zeros(len(numbers))
     for place, (name, given) in enumerate(values.items()):
         heights = np.nan_to_num(np.array(given, dtype=float))
@@ -92,10 +92,7 @@ def stiffness(profiles: Mapping[str, np.ndarray], *, paper: bool) -> Figure:
             (n, T), of which median and the middle 80 % are drawn.
         paper: Draw the paper's policy of the pancake beside them.
     """
-    figure = Figure(figsize=(9.4, 3.6), layout="constrained")
-    absolute, relative = figure.subplots(1, 2)
-    dress(absolute)
-    dress(relative)
+    figure, (absolute, relative) = side_by_side(9.4, 3.6, 1.0, 1.0)
     if paper:
         time, k33 = paper_table("k33").T
         part = time / time[-1]
@@ -136,11 +133,10 @@ def filmstrip(frames: Sequence[np.ndarray], count: int = 8, times: Sequence[floa
     high, wide = frames[0].shape[:2]
     width = 10.0 / len(chosen)
     figure = Figure(figsize=(10.0, width * high / wide + 0.25), layout="constrained")
-    row = figure.subplots(1, len(chosen), squeeze=False)[0]
-    for axes, index in zip(row, chosen, strict=True):
+    strip = figure.subplots(1, len(chosen), squeeze=False)[0]
+    for axes, index in zip(strip, chosen, strict=True):
         axes.imshow(frames[index])
-        axes.set_xticks([])
-        axes.set_yticks([])
+        axes.set(xticks=[], yticks=[])
         axes.spines[:].set_visible(False)
         if len(times):
             axes.set_xlabel(f"{times[index]:.2f} s", fontsize=8, color=INK)
@@ -184,11 +180,13 @@ def png(figure: Figure, dpi: int = 200) -> bytes:
     return buffer.getvalue()
 
 
-def _figure(width: float, height: float) -> tuple[Figure, Axes]:
+def side_by_side(width: float, height: float, *widths: float) -> tuple[Figure, list[Axes]]:
+    """A figure of this size [inch] with axes side by side, of such relative widths."""
     figure = Figure(figsize=(width, height), layout="constrained")
-    axes = figure.subplots()
-    dress(axes)
-    return figure, axes
+    found = list(figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0])
+    for axes in found:
+        dress(axes)
+    return figure, found
 
 
 def dress(axes: Axes) -> None:
@@ -217,16 +215,11 @@ def shared_legend(figure: Figure, many: Iterable[Axes], columns: int) -> None:
     figure.legend(list(found.values()), list(found), ncols=columns, **place)
 
 
-def _from_zero(axes: Axes) -> None:
-    axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
-
-
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
     """Mean of the last `width` usable values up to each place. Shape (n,)."""
     means = np.full(len(values), np.nan)
     for place in range(len(values)):
         window = values[max(0, place - width + 1) : place + 1]
-        usable = window[np.isfinite(window)]
-        if len(usable):
-            means[place] = usable.mean()
+        if np.isfinite(window).any():
+            means[place] = window[np.isfinite(window)].mean()
     return means

@@ -13,16 +13,8 @@ from matplotlib.figure import Figure
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.reporting.figures import (
-    ACCENT,
-    INK,
-    PAN,
-    PANCAKE,
-    STEEL,
-    dress,
-    legend,
-    shared_legend,
-)
+from wam_power_ros.reporting import figures
+from wam_power_ros.reporting.figures import ACCENT, INK, PAN, PANCAKE, STEEL, dress, legend
 from wam_power_ros.tasks.flip.assessment import flight_of
 from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.returns import pancake_return
@@ -72,10 +64,7 @@ def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None)
         pancake: Path of the pancake; may be empty.
         t_f: Time at which the fall was judged [s], marked if given.
     """
-    figure = Figure(figsize=(8.6, 4.0), layout="constrained")
-    side, height = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
-    dress(side)
-    dress(height)
+    figure, (side, height) = figures.side_by_side(8.6, 4.0, 1.15, 1.0)
     every = max(1, round(len(pan.t) / 18))
     pan_normals = rotations.matrix(pan.quat_xyzw)[:, :, 2]  # (T, 3)
     side.plot(pan.position[:, 0], pan.position[:, 2], color=PAN, lw=1.5, label="pan")
@@ -119,9 +108,8 @@ def flights(rollouts: Mapping[str, tuple[EndEffectorPath, BodyPath, float | None
     low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin
     lowest = pans[:, 1].min() - MARGIN - 2.0 * PAN_RADIUS
     low[1] = max(low[1], lowest)  # a pancake that is dropped leaves the view
-    width = 4.2
-    height = width * (high[1] - low[1]) / (high[0] - low[0])
-    figure = Figure(figsize=(width * len(rollouts) + 0.6, height + 1.1), layout="compressed")
+    height = 4.2 * (high[1] - low[1]) / (high[0] - low[0])
+    figure = Figure(figsize=(4.2 * len(rollouts) + 0.6, height + 1.1), layout="compressed")
     row = figure.subplots(1, len(rollouts), squeeze=False)[0]
     for axes, (title, (pan, pancake, t_f)) in zip(row, rollouts.items(), strict=True):
         dress(axes)
@@ -131,21 +119,21 @@ def flights(rollouts: Mapping[str, tuple[EndEffectorPath, BodyPath, float | None
         times = pancake.t if len(pancake.t) else pan.t[:: max(1, len(pan.t) // 20)]
         nearest = np.clip(np.searchsorted(pan.t, times), 0, len(pan.t) - 1)
         for k in nearest[_apart(pan.position[nearest], 0.02)]:
-            _disc(axes, pan.position[k], pan_normals[k], PAN_RADIUS, (STEEL, STEEL), 0.45)
+            _disc(axes, (pan.position[k], pan_normals[k]), PAN_RADIUS, (STEEL, STEEL), 0.45)
         if len(pancake.t):
             x, _, z = pancake.position.T
             axes.plot(x, z, color=BROWN, lw=0.7, ls=":", label="pancake")
             normals = _normals(pancake, pan_normals[nearest[0]])
             for k in _apart(pancake.position, 0.025):
-                place = pancake.position[k]
-                _disc(axes, place, normals[k], PANCAKE_RADIUS, (YELLOW, BROWN), 0.95)
+                pose = (pancake.position[k], normals[k])
+                _disc(axes, pose, PANCAKE_RADIUS, (YELLOW, BROWN), 0.95)
             if t_f is not None:
                 at = [np.interp(t_f, pancake.t, values) for values in (x, z)]
                 axes.plot(*at, "o", ms=9, mfc="none", mec=ACCENT, mew=1.4, label="$t_f$")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, outward [m]")
         axes.set_aspect("equal")
     row[0].set_ylabel("z, up [m]")
-    shared_legend(figure, row, 3)
+    figures.shared_legend(figure, row, 3)
     return figure
 
 
@@ -172,14 +160,10 @@ def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> 
 
 
 def _disc(
-    axes: Axes,
-    place: np.ndarray,
-    normal: np.ndarray,
-    radius: float,
-    colors: tuple[str, str],
-    alpha: float,
+    axes: Axes, pose: tuple[np.ndarray, ...], radius: float, colors: tuple[str, str], alpha: float
 ) -> None:
-    """Draw a disc edge-on, the side its normal points to in the first colour, with the normal."""
+    """Draw a disc (place, normal) edge-on with its normal, which points to the first colour."""
+    place, normal = pose
     n = normal[[0, 2]]
     along = np.array([n[1], -n[0]])
     centre = place[[0, 2]]

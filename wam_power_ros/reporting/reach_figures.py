@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -38,15 +38,6 @@ class Panel:
     learnt: np.ndarray | None = None
     rollouts: Sequence[np.ndarray] = ()
     executed: np.ndarray | None = None
-
-    def with_paths(
-        self,
-        learnt: np.ndarray,
-        rollouts: Sequence[np.ndarray] = (),
-        executed: np.ndarray | None = None,
-    ) -> Panel:
-        """The same scene with other paths."""
-        return replace(self, learnt=learnt, rollouts=rollouts, executed=executed)
 
     @property
     def start(self) -> np.ndarray:

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from matplotlib.figure import Figure
 
 from wam_power_ros.learning import policy
 from wam_power_ros.learning.dmp import activations
@@ -38,17 +39,11 @@ AGREEMENT = {  # task -> question, and the keys of its answer in ground truth an
 
 @dataclass(frozen=True)
 class ShownRollout:
-    """A rollout shown in full: what the session's records do not hold.
-
-    Attributes:
-        caption: Outcome.
-        rollout: Its paths.
-        film: An animated .webp, None when nothing could render it.
-    """
+    """A rollout shown in full, with its outcome as caption."""
 
     caption: str
     rollout: Rollout
-    film: bytes | None = None
+    film: bytes | None = None  # an animated .webp
 
 
 def render(
@@ -75,7 +70,7 @@ def render(
     if shown is not None:
         parts.append(_shown(task, shown, why_no_film))
     if records:
-        parts.append(_curves(header, task, records))
+        parts.append(_curves(task, records))
     if answer is not None:
         profiles = {} if start is None else {"start": vertical_stiffness(start)}
         profiles[answer.id] = vertical_stiffness(answer)
@@ -83,8 +78,7 @@ def render(
         if task.name == "flip":
             text += " The paper's policy changed by a few percent."
         drawn = figures.stiffness(profiles, paper=task.name == "flip")
-        image = html_page.image(figures.svg(drawn))
-        parts.append(html_page.section("Stiffness", [text], image))
+        parts.append(html_page.section("Stiffness", [text], _svg(drawn)))
     parts += [_speeds(records), _table(task, records), _settings(header)]
     return html_page.page(f"Session of seed {header.seed}, task {task.name}", parts)
 
@@ -122,16 +116,18 @@ def _good(task: Task, record: Record) -> bool:
     return flip_figures.flipped_and_caught(record) if task.name == "flip" else record.success
 
 
+def _svg(drawn: Figure) -> str:
+    return html_page.image(figures.svg(drawn))
+
+
 def _cards(task: Task, records: Sequence[Record]) -> str:
     usable = [record.ret for record in records if record.ret is not None]
     tests = [record for record in records if record.kind == "retest"]
     cards = [("rollouts", str(len(records)))]
     if usable:
         last = usable[-5:]
-        cards += [
-            ("return of the first", f"{usable[0]:.3f}"),
-            (f"mean return of the last {len(last)}", f"{statistics.mean(last):.3f}"),
-        ]
+        cards.append(("return of the first", f"{usable[0]:.3f}"))
+        cards.append((f"mean return of the last {len(last)}", f"{statistics.mean(last):.3f}"))
     if tests:
         good = sum(_good(task, record) for record in tests)
         what = "flipped and caught" if task.name == "flip" else "that succeeded"
@@ -154,19 +150,16 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
         text.append(f"Rollout {first} was the first that was {what}.")
     elif records:
         text.append(f"No rollout was {what} yet.")
-    rated = [record for record in records if record.adjustment is not None]
-    if rated:
-        rewarded = sum((record.adjustment or 0.0) > 0.0 for record in rated)
+    if ratings := [record.adjustment for record in records if record.adjustment is not None]:
+        rewarded = sum(rating > 0.0 for rating in ratings)
         text.append(
-            f"A person rewarded {rewarded} rollouts and punished {len(rated) - rewarded}; the "
+            f"A person rewarded {rewarded} rollouts and punished {len(ratings) - rewarded}; the "
             "table has the amounts behind the returns."
         )
     begun = header.candidates
-    later = dict.fromkeys(r.demonstration for r in records if r.demonstration not in begun)
-    if later:
+    if later := dict.fromkeys(r.demonstration for r in records if r.demonstration not in begun):
         text.append(f"Given in the middle of learning: {', '.join(later)}.")
-    unusable = sum(record.ret is None for record in records)
-    if unusable:
+    if unusable := sum(record.ret is None for record in records):
         text.append(f"{unusable} rollouts could not be judged and were not learnt from.")
     if task.name in AGREEMENT:
         question, true, seen = AGREEMENT[task.name]
@@ -179,8 +172,7 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
                 f"{len(judged)} rollouts."
             )
     text += [f"{line[0].upper()}{line[1:]}." for line in task.summary(records)]
-    decisions = [record.note for record in records if record.note]
-    if decisions:
+    if decisions := [record.note for record in records if record.note]:
         text.append(f"Last decision: {decisions[-1]}.")
     return html_page.paragraphs([" ".join(text)])
 
@@ -198,34 +190,29 @@ def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
             "are camera frames."
         )
     if task.name in ANSWER_FIGURES:
-        drawn = ANSWER_FIGURES[task.name](task, rollout)
-        content += html_page.image(figures.svg(drawn))
+        content += _svg(ANSWER_FIGURES[task.name](task, rollout))
     return html_page.section(f"The answer, {rollout.tool.id}", [text], content)
 
 
-def _curves(header: SessionHeader, task: Task, records: Sequence[Record]) -> str:
+def _curves(task: Task, records: Sequence[Record]) -> str:
+    flip = task.name == "flip"
     first = next((record.number for record in records if _good(task, record)), None)
-    marks = (
-        {} if first is None else {first: "first flip" if task.name == "flip" else "first success"}
-    )
+    marks = {} if first is None else {first: "first flip" if flip else "first success"}
     own = [math.nan if record.ret is None else record.ret for record in records]
+    eq5 = [flip_figures.equation_5(record) for record in records] if flip else None
     html = ""
-    if task.name == "flip":
-        eq5 = [flip_figures.equation_5(record) for record in records]
-        html += html_page.section(
-            "Learning curve",
-            ["Return of Eq. 5 of every rollout. The paper's curve is the mean of six sessions."],
-            html_page.image(figures.svg(figures.learning_curve(eq5, marks, paper=True))),
-        )
-    if task.name != "flip" or own != eq5:
-        html += html_page.section(
-            "Return that was learnt from" if task.name == "flip" else "Learning curve",
-            ["The session's own return of every rollout."],
-            html_page.image(figures.svg(figures.learning_curve(own, marks, paper=False))),
-        )
+    if eq5 is not None:
+        text = "Return of Eq. 5 of every rollout. The paper's curve is the mean of six sessions."
+        drawn = figures.learning_curve(eq5, marks, paper=True)
+        html += html_page.section("Learning curve", [text], _svg(drawn))
+    if own != eq5:
+        title = "Return that was learnt from" if flip else "Learning curve"
+        drawn = figures.learning_curve(own, marks, paper=False)
+        text = "The session's own return of every rollout."
+        html += html_page.section(title, [text], _svg(drawn))
     values = {name: [record.terms.get(name) for record in records] for name in term_names(records)}
     drawn = figures.terms([record.number for record in records], values)
-    return html + html_page.section("Terms", content=html_page.image(figures.svg(drawn)))
+    return html + html_page.section("Terms", content=_svg(drawn))
 
 
 def _speeds(records: Sequence[Record]) -> str:
@@ -255,17 +242,11 @@ def _speeds(records: Sequence[Record]) -> str:
 def _table(task: Task, records: Sequence[Record]) -> str:
     names = term_names(records)
     heads = ["#", "kind", "return", *names, "outcome", "decision"]
-    rows = [
-        [
-            str(record.number),
-            record.kind,
-            returned(record),
-            *(number(record.terms.get(name)) for name in names),
-            task.outcome(record),
-            record.note,
-        ]
-        for record in records
-    ]
+    rows = []
+    for record in records:
+        cells = [str(record.number), record.kind, returned(record)]
+        cells += [number(record.terms.get(name)) for name in names]
+        rows.append([*cells, task.outcome(record), record.note])
     good = [index for index, record in enumerate(records) if record.success]
     return html_page.section("Every rollout", content=html_page.table(heads, rows, good=good))
 

@@ -15,15 +15,14 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from wam_power_ros.reporting import figures
 from wam_power_ros.reporting.figures import CYCLE, INK, PAPER, STEEL, dress, legend, paper_table
 
 COLORS = (*CYCLE, "#3a9a9a", "#a07d2c", "#6b7280", "#c2649a", "#5a7d2a")
 HALO = [patheffects.withStroke(linewidth=3, foreground="white")]
 
 
-def sessions_over_paper(
-    sessions: Mapping[str, Sequence[Sequence[float | None]]], ylabel: str = "return (Eq. 5)"
-) -> Figure:
+def sessions_over_paper(sessions: Mapping[str, Sequence[Sequence[float | None]]]) -> Figure:
     """Fig. 5: mean return per rollout with standard deviations over the digitised curve.
 
     Beside it the gain: mean of the first five rollouts and of the last five, per session.
@@ -31,7 +30,6 @@ def sessions_over_paper(
     Args:
         sessions: Name -> returns of each session, None or NaN where a rollout was not usable;
             sessions of one name may differ in length.
-        ylabel: Label of the returns.
 
     Raises:
         ValueError: A name has no session.
@@ -48,8 +46,7 @@ def sessions_over_paper(
         stacked = stack(runs)
         color = COLORS[place - 1]
         rollout = np.arange(1, stacked.shape[1] + 1)
-        count = np.isfinite(stacked).sum(axis=0)
-        some = count > 0
+        some = np.isfinite(stacked).any(axis=0)
         mean, sd = _moments(stacked)
         # as in the paper, a bar at every rollout; each name a little aside of the other
         bars = {"elinewidth": 0.6, "ecolor": _faint(color), "capsize": 1.5, "capthick": 0.6}
@@ -60,7 +57,7 @@ def sessions_over_paper(
             gain.plot([place - 0.28, place + 0.28], ends, color=color, lw=0.6, alpha=0.28)
         _gain_line(gain, place, float(np.mean(early)), float(np.mean(late)), color)
         names.append(name)
-    axes.set(xlabel="rollout", ylabel=ylabel)
+    axes.set(xlabel="rollout", ylabel="return (Eq. 5)")
     axes.set_xlim(0.0, None)
     gain.set_xticks(range(len(names)), names, fontsize=8)
     gain.set_xlim(-0.6, len(names) - 0.4)
@@ -89,8 +86,8 @@ def first_and_last_five(runs: Sequence[Sequence[float | None]]) -> tuple[np.ndar
 def learner_curves(
     curves: Mapping[str, Sequence[Sequence[float | None]]],
     ours: Collection[str] = (),
-    ylabel: str = "return",
-    xlabel: str = "rollout",
+    *,
+    ylabel: str,
     marks: Mapping[str, float] | None = None,
 ) -> Figure:
     """Median over the runs of each learner, with quartiles of the highlighted ones.
@@ -100,14 +97,10 @@ def learner_curves(
             return so far, or that of the current mean. Runs of one name may differ in length.
         ours: Highlighted names: thick lines with quartiles; all, if none is named.
         ylabel: Label of the values.
-        xlabel: Label of their indices.
         marks: Text -> value at which a level line is drawn, such as "paper, full" -> 0.73.
     """
-    figure = Figure(figsize=(8.6, 4.4), layout="constrained")
-    axes = figure.subplots()
-    dress(axes)
-    ends = []
-    longest = 0
+    figure, (axes,) = figures.side_by_side(8.6, 4.4, 1.0)
+    ends, longest = [], 0
     for place, (name, runs) in enumerate(curves.items()):
         stacked = stack(runs)
         color = COLORS[place % len(COLORS)]
@@ -126,7 +119,7 @@ def learner_curves(
         style = {"ha": "right", "fontsize": 8, "color": STEEL, "path_effects": HALO}
         above = {"xytext": (-3, 2), "textcoords": "offset points"}
         axes.annotate(text, (longest, value), **above, **style)
-    axes.set(xlabel=xlabel, ylabel=ylabel)
+    axes.set(xlabel="rollout", ylabel=ylabel)
     axes.set_xlim(0.0, longest)
     _label_ends(axes, ends)
     return figure
@@ -148,18 +141,21 @@ def _label_ends(axes: Axes, ends: Sequence[tuple[float, int, str, str, bool]]) -
         if not moved:
             break
     right = axes.get_xlim()[1]
+    beside = {
+        "textcoords": "axes fraction",
+        "va": "center",
+        "fontsize": 8.5,
+        "annotation_clip": False,
+    }
     for height, (value, _, name, color, strong) in zip(heights, order, strict=True):
         axes.annotate(
             name,
             (right, value),
             xytext=(1.035, (height - low) / (high - low)),
-            textcoords="axes fraction",
-            va="center",
-            fontsize=8.5,
             fontweight="bold" if strong else "normal",
             color=color,
-            annotation_clip=False,
             arrowprops={"arrowstyle": "-", "color": color, "lw": 0.6, "relpos": (0, 0.5)},
+            **beside,
         )
 
 

@@ -76,8 +76,7 @@ def summary(records: Sequence[Record], task: Task) -> str:
     returns = [record.ret for record in records if record.ret is not None]
     if not returns:
         return f"{len(records)} rollouts, none of them usable"
-    best = max(records, key=lambda record: record.ret or 0.0)
-    last = returns[-5:]
+    best, last = max(records, key=lambda record: record.ret or 0.0), returns[-5:]
     lines = [
         f"{len(records)} rollouts; return {returns[0]:.3f} at first, "
         f"{sum(last) / len(last):.3f} over the last {len(last)}, "
@@ -85,8 +84,7 @@ def summary(records: Sequence[Record], task: Task) -> str:
         *task.summary(records),
         *_peaks([r.truth for r in records if r.kind == "retest" and r.truth]),
     ]
-    notes = [record.note for record in records if record.note]
-    if notes:
+    if notes := [record.note for record in records if record.note]:
         lines.append(f"last decision: {notes[-1]}")
     return "\n".join(lines)
 
@@ -95,11 +93,9 @@ def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
     """Peak speeds of the arm in the simulator's ground truth of some rollouts."""
     if not truths or not all("peak_qd" in truth for truth in truths):
         return []
+    points = ("peak_elbow_speed", "peak_forearm_speed", "peak_pan_speed")
+    elbow, forearm, tool = (max(truth[point] for truth in truths) for point in points)
     qd = np.max([truth["peak_qd"] for truth in truths], axis=0)
-    elbow, forearm, tool = (
-        max(truth[f"peak_{point}_speed"] for truth in truths)
-        for point in ("elbow", "forearm", "pan")
-    )
     beyond = sum(bool(truth["beyond_no_load"]) for truth in truths)
     return [
         f"  peak joint speeds {' '.join(f'{v:.1f}' for v in qd)} rad/s; beyond a motor's no-load "
@@ -135,16 +131,9 @@ class Display:
             self._live.stop()
 
     def show(self, log: Sequence[Line], most: int, outcome: Outcome) -> None:
-        """Show the session as it is now.
-
-        Args:
-            log: The whole log; its new lines are printed where there is no terminal.
-            most: Largest possible number of rollouts.
-            outcome: Outcome of a record in a few words, such as `Task.outcome`.
-        """
-        self._outcome = outcome
+        """Show the whole log of a session of at most `most` rollouts as it is now."""
         new = log[len(self._log) :]
-        self._log = log
+        self._outcome, self._log = outcome, log
         count = sum(isinstance(entry, Record) for entry in log)
         self._progress.update(self._task, completed=count, total=max(most, count))
         if not self._console.is_terminal:

@@ -35,15 +35,10 @@ OURS = "screened"
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """All runs of a learner on a task.
+    """All runs of a learner on a task."""
 
-    Attributes:
-        final: Return of the answer of each run. Shape (runs,).
-        returns: Returns of the rollouts. Shape (runs, rollouts).
-    """
-
-    final: np.ndarray
-    returns: np.ndarray
+    final: np.ndarray  # return of the answer of each run, (runs,)
+    returns: np.ndarray  # of the rollouts, (runs, rollouts)
 
     @classmethod
     def of(cls, results: list[Mapping[str, Any]]) -> Runs:
@@ -74,11 +69,7 @@ class Runs:
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `comparison.jobs`.
-
-    Args:
-        results: Study -> key -> result; other studies are ignored.
-    """
+    """The chapter of `comparison.jobs`; results of other studies are ignored."""
     return Chapter(
         "Learners side by side",
         [
@@ -108,17 +99,11 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
     rows = []
     for name, some in runs.items():
         final = some.final
-        numbers = (final.mean(), np.median(final), final.std(ddof=1), some.practised.mean())
+        means = (final.mean(), np.median(final), final.std(ddof=1), some.practised.mean())
         p = (_p_greater(ours.final, final), _p_greater(ours.practised, some.practised))
-        rows.append(
-            [
-                LEARNERS[name],
-                str(len(final)),
-                *(f"{number:.3f}" for number in numbers),
-                some.needed(level),
-                *("" if name == OURS else f"{value:.1g}" for value in p),
-            ]
-        )
+        cells = [*(f"{value:.3f}" for value in means), some.needed(level)]
+        cells += ["" if name == OURS else f"{value:.1g}" for value in p]
+        rows.append([LEARNERS[name], str(len(final)), *cells])
     best = max(range(len(rows)), key=lambda row: float(rows[row][2]))
     measured = {
         "its answer": {name: some.final for name, some in runs.items()},
@@ -164,18 +149,15 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
 
 def _ahead(name: str, returns: Mapping[str, np.ndarray], what: str, over: str) -> Claim:
     """Claim that a learner is ahead of all FOILS."""
-    ours, others = returns[name], {foil: returns[foil] for foil in FOILS if foil in returns}
-    p_values = [_p_greater(ours, values) for values in others.values()]
-    ahead = all(ours.mean() > values.mean() for values in others.values())
-    return Claim(
-        f"{LEARNERS[name]} ahead of {', '.join(LEARNERS[foil] for foil in others)}: {what} "
-        "(rank-sum p < 0.01)",
-        "",
-        f"{ours.mean():.3f} against {', '.join(f'{v.mean():.3f}' for v in others.values())}",
-        f"p = {', '.join(f'{p:.1g}' for p in p_values)}",
-        over,
-        ahead and max(p_values) < 0.01,
-    )
+    foils = [foil for foil in FOILS if foil in returns]
+    ours, others = returns[name], [returns[foil] for foil in foils]
+    p_values = [_p_greater(ours, values) for values in others]
+    ahead = all(ours.mean() > values.mean() for values in others) and max(p_values) < 0.01
+    names = ", ".join(LEARNERS[foil] for foil in foils)
+    against = f"{ours.mean():.3f} against {', '.join(f'{v.mean():.3f}' for v in others)}"
+    spread = f"p = {', '.join(f'{p:.1g}' for p in p_values)}"
+    claimed = f"{LEARNERS[name]} ahead of {names}: {what} (rank-sum p < 0.01)"
+    return Claim(claimed, "", against, spread, over, ahead)
 
 
 def _p_greater(ours: np.ndarray, others: np.ndarray) -> float:

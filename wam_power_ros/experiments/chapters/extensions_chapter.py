@@ -26,11 +26,7 @@ PAPERS = "6"  # size of the elite in the paper
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `extensions.jobs`.
-
-    Args:
-        results: Study -> key -> result; other studies are ignored.
-    """
+    """The chapter of `extensions.jobs`; results of other studies are ignored."""
     return Chapter(
         title="Extensions the paper asks for (Sec. IV)",
         text=[
@@ -44,20 +40,18 @@ def chapter(results: Results) -> Chapter:
 
 
 def _sigma(results: Results) -> Chapter:
-    tasks = {
-        "reaching, without noise": _by_size(results[REACHING]),
-        "reaching, noisy returns": _by_size(results[REACHING_NOISY]),
-        "pancake, Eq. 5": {
-            study.removeprefix(SIGMA): _means(runs, "retests")
-            for study, runs in results.items()
-            if study.startswith(SIGMA)
-        },
+    pancake = {
+        study.removeprefix(SIGMA): runs
+        for study, runs in results.items()
+        if study.startswith(SIGMA)
     }
-    sizes = {
-        "reaching, without noise": results[REACHING][f"sigma-{AUTO}"]["sigma"],
-        "reaching, noisy returns": results[REACHING_NOISY][f"sigma-{AUTO}"]["sigma"],
-        "pancake, Eq. 5": [run["sigma"] for run in results[f"{SIGMA}{AUTO}"].values()],
-    }
+    tasks, sizes = {}, {}  # task -> size of the elite -> returns; task -> automatic sizes
+    for task, study in (("without noise", REACHING), ("noisy returns", REACHING_NOISY)):
+        by_size = {key.removeprefix("sigma-"): run for key, run in results[study].items()}
+        tasks[f"reaching, {task}"] = {name: run["final"] for name, run in by_size.items()}
+        sizes[f"reaching, {task}"] = by_size[AUTO]["sigma"]
+    tasks["pancake, Eq. 5"] = {name: _means(runs, "retests") for name, runs in pancake.items()}
+    sizes["pancake, Eq. 5"] = [run["sigma"] for run in pancake[AUTO].values()]
     names = list(dict.fromkeys(name for values in tasks.values() for name in values))
     rows, best, claims, sentences = [], [], [], []
     for task, values in tasks.items():
@@ -69,17 +63,13 @@ def _sigma(results: Results) -> Chapter:
         good, bad = (pick(fixed, key=lambda name: fixed[name]) for pick in (max, min))
         p_good, p_bad = (_p(values[AUTO], values[name]) for name in (good, bad))
         loses = medians[AUTO] < medians[good] and p_good < LEVEL
-        claims.append(
-            Claim(
-                f"Automatic elite no worse than the best fixed one: {task}",
-                "proposed",
-                f"{medians[AUTO]:.3f} against {medians[good]:.3f} (σ = {good})",
-                f"p = {p_good:.2g}; worst fixed one {medians[bad]:.3f} (σ = {bad}), "
-                f"p = {p_bad:.2g}",
-                f"{len(values[AUTO])} runs each",
-                not loses,
-            )
+        what = f"Automatic elite no worse than the best fixed one: {task}"
+        measured = f"{medians[AUTO]:.3f} against {medians[good]:.3f} (σ = {good})"
+        spread = (
+            f"p = {p_good:.2g}; worst fixed one {medians[bad]:.3f} (σ = {bad}), p = {p_bad:.2g}"
         )
+        over = f"{len(values[AUTO])} runs each"
+        claims.append(Claim(what, "proposed", measured, spread, over, not loses))
         chosen = np.array([size for size in sizes[task] if size is not None])
         sentences.append(
             f"{task}: median {np.median(chosen):.0f} ({chosen.min():.0f} to {chosen.max():.0f})"
@@ -150,24 +140,14 @@ def _compared(
         p = _p(without, with_)
         rows.append([name, _spread(without, form), _spread(with_, form), f"{p:.2g}"])
         if key in ("landed", "true_flip"):
-            claims.append(
-                Claim(
-                    f"{what}: {name}",
-                    "proposed",
-                    f"mean {np.mean(with_):.0%} against {np.mean(without):.0%} without",
-                    f"p = {p:.2g}",
-                    f"{len(with_)} sessions each",
-                    bool(np.mean(with_) > np.mean(without) and p < LEVEL),
-                )
-            )
+            means = f"mean {np.mean(with_):.0%} against {np.mean(without):.0%} without"
+            met = bool(np.mean(with_) > np.mean(without) and p < LEVEL)
+            over = f"{len(with_)} sessions each"
+            claims.append(Claim(f"{what}: {name}", "proposed", means, f"p = {p:.2g}", over, met))
     used = [[run["used"] for run in runs.values()] for runs in (alone, helped)]
     rows.append(["rollouts used", *(_spread(u, ".0f") for u in used), f"{_p(*used):.2g}"])
     head = ("of a session, median and quartiles", "without", "with", "p")
     return claims, [Table(f"{what}: the answers of the sessions.", head, rows)]
-
-
-def _by_size(runs: Mapping[str, Mapping[str, Any]]) -> dict[str, list[float]]:
-    return {key.removeprefix("sigma-"): run["final"] for key, run in runs.items()}
 
 
 def _means(runs: Mapping[str, Mapping[str, Any]], key: str) -> list[float]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,51 +26,47 @@ OPEN = "how often a success has to be repeated, and how the answer was tested"
 
 @dataclass(frozen=True)
 class Sessions:
-    """Sessions held under one condition, and their statistics.
-
-    Attributes:
-        runs: Results of `flip_sessions.session`.
-    """
+    """Sessions held under one condition, results of `flip_sessions.session`, and statistics."""
 
     runs: Sequence[Mapping[str, Any]]
 
     def __len__(self) -> int:
         return len(self.runs)
 
-    @cached_property
+    @property
     def retests(self) -> list[Row]:
         """Re-tests of all answers."""
         return [row for run in self.runs for row in run["retests"]]
 
-    @cached_property
+    @property
     def used(self) -> np.ndarray:
         """Rollouts each session used. Shape (n,)."""
         return np.array([run["used"] for run in self.runs])
 
-    @cached_property
+    @property
     def landed(self) -> np.ndarray:
         """Share of each session's re-tests that landed. Shape (n,)."""
         return np.array([share(run["retests"], "landed") for run in self.runs])
 
-    @cached_property
+    @property
     def true_flips(self) -> np.ndarray:
         """Share of each session's re-tests that were true flips. Shape (n,)."""
         return np.array([share(run["retests"], "true_flip") for run in self.runs])
 
-    @cached_property
+    @property
     def curves(self) -> list[list[float]]:
         """Returns of the rollouts of each session that could be judged."""
         return [[ret for ret in run["curve"] if ret is not None] for run in self.runs]
 
-    @cached_property
+    @property
     def gain(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean return of the first and of the last five rollouts of each session. Shapes (n,)."""
         return study_figures.first_and_last_five(self.curves)
 
-    def means(self, name: str) -> np.ndarray:
-        """Mean of a quantity over each session's re-tests, where there are any. Shape (<= n,)."""
+    def means(self, name: str, form: str) -> list[str]:
+        """Cells: quantiles of the sessions' mean of a quantity over the re-tests, if any."""
         tested = [run["retests"] for run in self.runs if run["retests"]]
-        return np.array([values(rows, name).mean() for rows in tested])
+        return _quantiles(np.array([values(rows, name).mean() for rows in tested]), form)
 
     def stiffness(self, which: str) -> np.ndarray:
         """K33 profile of each policy, "learnt" or "demonstrated". Shape (<= n, T)."""
@@ -83,25 +78,18 @@ class Sessions:
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `flip_sessions.jobs`.
-
-    Args:
-        results: Study -> key -> result of `flip_sessions.session`; other studies are ignored.
-    """
+    """The chapter of `flip_sessions.jobs`; results of other studies are ignored."""
     default, paper, long = (Sessions([*results[s].values()]) for s in (DEFAULT, PAPER, LONG))
-    learnt = {
-        name.removeprefix(LEARNT): Sessions([*runs.values()])
-        for name, runs in results.items()
-        if name.startswith(LEARNT)
-    }
-    ablated = {
-        name.removeprefix(ABLATION): runs
-        for name, runs in results.items()
-        if name.startswith(ABLATION)
-    }
+    learnt, ablated = (
+        {name.removeprefix(of): runs for name, runs in results.items() if name.startswith(of)}
+        for of in (LEARNT, ABLATION)
+    )
     seeds = next(iter(ablated.values()))
     ablated["full"] = {key: results[PAPER][key] for key in seeds}  # of the same seeds
-    ablation = {name: Sessions([*runs.values()]) for name, runs in ablated.items()}
+    conditions, ablation = (
+        {name: Sessions([*runs.values()]) for name, runs in some.items()}
+        for some in (learnt, ablated)
+    )
     return Chapter(
         "Flipping a pancake (Sec. III-B, Figs. 3 to 6)",
         [
@@ -116,7 +104,7 @@ def chapter(results: Results) -> Chapter:
         ],
         parts=[
             _default(default),
-            _robustness(default, learnt),
+            _robustness(default, conditions),
             _paper(paper, long, default),
             _stiffness(default, paper, ablation),
         ],
@@ -124,12 +112,8 @@ def chapter(results: Results) -> Chapter:
 
 
 def _default(sessions: Sessions) -> Chapter:
-    landed, true, used, retests = (
-        sessions.landed,
-        sessions.true_flips,
-        sessions.used,
-        sessions.retests,
-    )
+    landed, true = sessions.landed, sessions.true_flips
+    used, retests = sessions.used, sessions.retests
     count = f"{len(sessions)} sessions"
     over = f"{count}, {len(retests)} re-tests"
     beyond = sum(row["beyond_no_load"] for row in retests)
@@ -140,21 +124,16 @@ def _default(sessions: Sessions) -> Chapter:
     peaks = np.array([row["peak_qd"] for row in retests]).max(axis=0)
     speeds = ", ".join(f"J{k} {peak:.1f}" for k, peak in enumerate(peaks, start=1))
     claims = [
-        Claim(
-            f"Shipped default: landed in at least {RELIABLE:.0%} of re-tests",
-            "",
-            sessions.reliable(landed),
-            f"mean {landed.mean():.1%}, worst session {landed.min():.0%}",
-            over,
-            int((landed >= RELIABLE).sum()) >= 0.9 * len(sessions),
-        ),
-        Claim(
-            f"Shipped default: true flips in at least {RELIABLE:.0%} of re-tests",
-            "",
-            sessions.reliable(true),
-            f"mean {true.mean():.1%}, worst session {true.min():.0%}",
-            over,
-            int((true >= RELIABLE).sum()) >= 2.0 / 3.0 * len(sessions),
+        *(
+            Claim(
+                f"Shipped default: {what} in at least {RELIABLE:.0%} of re-tests",
+                "",
+                sessions.reliable(shares),
+                f"mean {shares.mean():.1%}, worst session {shares.min():.0%}",
+                over,
+                int((shares >= RELIABLE).sum()) >= wanted * len(sessions),
+            )
+            for what, shares, wanted in (("landed", landed, 0.9), ("true flips", true, 2.0 / 3.0))
         ),
         Claim(
             "Shipped default: rollouts on the arm until the answer, all counted",
@@ -184,10 +163,10 @@ def _default(sessions: Sessions) -> Chapter:
     rows = [
         ["landed, share of re-tests", *_quantiles(landed, ".0%")],
         ["true flips, share of re-tests", *_quantiles(true, ".0%")],
-        ["angle at t_f, mean [degrees]", *_quantiles(sessions.means("angle_deg"), ".0f")],
+        ["angle at t_f, mean [degrees]", *sessions.means("angle_deg", ".0f")],
         ["rollouts until the answer", *_quantiles(used, ".0f")],
-        ["miss at t_f, mean [m]", *_quantiles(sessions.means("miss"), ".3f")],
-        ["apex, mean [m]", *_quantiles(sessions.means("apex"), ".2f")],
+        ["miss at t_f, mean [m]", *sessions.means("miss", ".3f")],
+        ["apex, mean [m]", *sessions.means("apex", ".2f")],
     ]
     head = ("of a session", "least", "lower quartile", "median", "upper quartile", "most")
     caption = f"The answers of {count}. Peak joint speeds in any re-test [rad/s]: {speeds}."
@@ -219,8 +198,8 @@ def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> Chapter:
     again = []
     for name, others in learnt.items():
         back = [row for run in others.runs for row in next(iter(run["carried"].values()), [])]
-        count = [f"{len(others)}", f"{np.median(others.used):.0f}"]
-        again.append([name, *count, *_outcomes(others.retests), _percent(back, "landed")])
+        cells = [name, f"{len(others)}", f"{np.median(others.used):.0f}"]
+        again.append([*cells, *_outcomes(others.retests), _percent(back, "landed")])
     outcomes = ("landed", "true flips", "angle at t_f", "beyond no-load speed")
     return Chapter(
         "Robustness against other conditions",
@@ -246,8 +225,7 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
     gain = late - early
     fig5 = figures.paper_table("fig5")[:, 1]
     paper_early, paper_late = fig5[:5].mean(), fig5[-5:].mean()
-    fires = [run["fires"] for run in sessions.runs]
-    fired = [number for number in fires if number is not None]
+    fired = [run["fires"] for run in sessions.runs if run["fires"] is not None]
     landed, true = sessions.landed, sessions.true_flips
     over = f"{len(sessions)} sessions"
     six = Sessions(sessions.runs[:6])
@@ -273,7 +251,7 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
             "Paper's preset: rollout of the third return in a row of at least 0.9",
             f"mean curve first reaches 0.9 at {int(np.argmax(fig5 >= 0.9)) + 1}",
             f"median {np.median(fired):.0f}" if fired else "never",
-            f"{len(fired)} of {len(fires)} sessions within their rollouts",
+            f"{len(fired)} of {len(sessions)} sessions within their rollouts",
             over,
             None,
             "what makes a return reproducible",
@@ -290,10 +268,9 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
     ]
     rows = []
     for name, some in (("50", sessions), ("50, the first six sessions", six), ("100", long)):
-        first, last = some.gain
-        returns = [f"{len(some)}", f"{first.mean():.2f}", f"{last.mean():.2f}"]
+        means = [f"{returns.mean():.2f}" for returns in some.gain]
         apex = f"{values(some.retests, 'apex').mean():.2f}"
-        rows.append([name, *returns, *_outcomes(some.retests)[:3], apex])
+        rows.append([name, f"{len(some)}", *means, *_outcomes(some.retests)[:3], apex])
     returns = ("sessions", "first five", "last five")
     curves = {"first six": six.curves, "all": sessions.curves}
     return Chapter(
@@ -354,16 +331,10 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
     for name, sessions in ablation.items():
         curves, final = stacked[name], finals[name]
         blocks = [np.nanmean(curves[:, k : k + BLOCK]) for k in range(0, curves.shape[1], BLOCK)]
-        rows.append(
-            [
-                name,
-                " ".join(f"{value:.2f}" for value in blocks),
-                f"{final.mean():.3f} ± {final.std():.3f}",
-                f"{sessions.landed.mean():.0%}",
-                f"{sessions.true_flips.mean():.0%}",
-                "" if name == "full" else f"{_p(full, final):.3g}",
-            ]
-        )
+        returns = " ".join(f"{value:.2f}" for value in blocks)
+        cells = [returns, f"{final.mean():.3f} ± {final.std():.3f}"]
+        cells += [f"{shares.mean():.0%}" for shares in (sessions.landed, sessions.true_flips)]
+        rows.append([name, *cells, "" if name == "full" else f"{_p(full, final):.3g}"])
     if "diagonal" in finals:
         other = finals["diagonal"]
         claims.append(
@@ -457,13 +428,13 @@ def _flights(sessions: Sessions, name: str, whose: str) -> list[Figure]:
         return []
     flights = {}
     for title in ("demonstration", "reproduction", "answer"):
+        own = shown[title]
         pan, pancake = (
-            {key: np.array(data) for key, data in shown[title][body].items()}
-            for body in ("pan", "pancake")
+            {k: np.array(v) for k, v in own[body].items()} for body in ("pan", "pancake")
         )
-        paths = EndEffectorPath(title, **pan), BodyPath(title, **pancake)
-        flights[title] = (*paths, shown[title]["t_f"])
+        flights[title] = (EndEffectorPath(title, **pan), BodyPath(title, **pancake), own["t_f"])
     last = shown["answer"]["t_f"] or 1.0
+    film = f"Fig. 6. The answer of the same session with {whose}."
     return [
         Figure.of(
             f"fig3-4-flights-{name}",
@@ -471,11 +442,5 @@ def _flights(sessions: Sessions, name: str, whose: str) -> list[Figure]:
             "and the answer, from the side.",
             flip_figures.flights(flights),
         ),
-        filmstrip.strip(
-            f"fig6-film-{name}",
-            f"Fig. 6. The answer of the same session with {whose}.",
-            shown["trace"],
-            0.0,
-            last + 0.25,
-        ),
+        filmstrip.strip(f"fig6-film-{name}", film, shown["trace"], 0.0, last + 0.25),
     ]

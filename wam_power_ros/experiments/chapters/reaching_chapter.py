@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 PAPER = {"full": 0.73, "diagonal": 0.61}  # after 100 rollouts, mean of 10 experiments
 FIRST = 10  # runs, as many as the paper's
 LEVEL = 0.73
+JOINED = ("means", "best", "stuck", "paths")  # what a job has of each of its runs
 GEOMETRY = (
     "demonstrations, obstacle and unit of length: a calibrated geometry, with decimetres in Eq. 4, "
     "the only unit that can give both figures"
@@ -50,13 +51,11 @@ class Runs:
     def of(cls, study: Mapping[str, Mapping[str, Any]], variant: str) -> Runs:
         """Join the jobs of a variant."""
         parts = [part for part in study.values() if part["variant"] == variant]
-        best, stuck, paths, means = (
-            [value for part in parts for value in part[name]]
-            for name in ("best", "stuck", "paths", "means")
-        )
+        joined = ([value for part in parts for value in part[name]] for name in JOINED)
+        means, best, stuck, paths = joined
         first = parts[0]
-        demonstrations = [np.array(path) for path in first["demonstrations"]]
-        panel = reach_figures.Panel(demonstrations, np.array(first["obstacle"]), first["radius"])
+        shown = [np.array(path) for path in first["demonstrations"]]
+        panel = reach_figures.Panel(shown, np.array(first["obstacle"]), first["radius"])
         arrays = [np.array(path) for path in paths]
         return cls(np.array(means), best, stuck, arrays, first["start"], panel)
 
@@ -72,11 +71,7 @@ class Runs:
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `reaching.jobs`.
-
-    Args:
-        results: Study -> key -> result; other studies are ignored.
-    """
+    """The chapter of `reaching.jobs`; results of other studies are ignored."""
     synthetic, taught = (
         {variant: Runs.of(results[study], variant) for variant in VARIANTS}
         for study in (SYNTHETIC, TAUGHT)
@@ -153,7 +148,7 @@ def _synthetic(runs: Mapping[str, Runs]) -> Chapter:
     learnt = {}
     for variant, some in runs.items():
         best = some.paths[int(np.argmax(some.final[:FIRST]))]
-        learnt[variant] = some.panel.with_paths(best, some.paths[:FIRST])
+        learnt[variant] = replace(some.panel, learnt=best, rollouts=some.paths[:FIRST])
     return Chapter(
         "Synthetic demonstrations",
         [
@@ -195,8 +190,8 @@ def _taught(
         clearances = (f"{1e3 * one[name]:+.1f} mm" for name in ("planned_clearance", "clearance"))
         returns = (f"{one[name]:.3f}" for name in ("planned_return", "executed_return"))
         rows.append([variant, *lengths, *clearances, *returns, one["fault"] or "none"])
-        paths = np.array(one["planned"]), [], np.array(one["executed"])
-        panels[variant] = runs[variant].panel.with_paths(*paths)
+        planned, path = np.array(one["planned"]), np.array(one["executed"])
+        panels[variant] = replace(runs[variant].panel, learnt=planned, executed=path)
     clear = sum(executed[variant]["clearance"] > 0.0 for variant in VARIANTS)
     distances = ("rms deviation", "largest", "planned clearance", "executed clearance")
     return Chapter(
@@ -243,16 +238,11 @@ def _practice(runs: Mapping[str, Any]) -> Table:
     rows = []
     for variant in VARIANTS:
         some = [run for run in runs.values() if run["variant"] == variant]
-        rows.append(
-            [
-                variant,
-                f"{len(some)} of {len(some[0]['returns'])}",
-                f"{np.mean([run['returns'][0] for run in some]):.3f}",
-                f"{np.mean([run['return'] for run in some]):.3f}",
-                " ".join(f"{1e3 * run['clearance']:+.0f}" for run in some) + " mm",
-                f"{sum(run['faults'] for run in some)}",
-            ]
-        )
+        first = np.mean([run["returns"][0] for run in some])
+        learnt = np.mean([run["return"] for run in some])
+        clearances = " ".join(f"{1e3 * run['clearance']:+.0f}" for run in some) + " mm"
+        cells = [f"{len(some)} of {len(some[0]['returns'])}", f"{first:.3f}", f"{learnt:.3f}"]
+        rows.append([variant, *cells, clearances, f"{sum(run['faults'] for run in some)}"])
     return Table(
         "Practised on the arm: runs and rollouts, return of the first rollout and of the learnt "
         "policy, both executed, means over the runs; distance of each learnt policy from the "

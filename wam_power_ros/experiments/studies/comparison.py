@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learners side by side on both tasks: same rollouts, tuned alike, compared on other seeds.
 
-    python -m wam_power_ros.experiments.studies.comparison --tune pancake [--learner pi2]
+    python -m wam_power_ros.experiments.studies.comparison pancake [pi2]
 
 tunes one learner or all on a task: all settings of GRID with all noises of NOISE on a few tuning
 seeds, then the best of these on more of them. The result is written into TUNED by hand.
@@ -26,17 +26,11 @@ REFINED = ("screened", "shaped")  # learners that claims are made of: ours, and 
 
 
 class Choice(NamedTuple):
-    """A learner's settings as data, and its exploration.
-
-    Attributes:
-        settings: Settings of the learner.
-        stiffness: Standard deviation of stiffness, as a share of the mean stiffness.
-        attractor: Standard deviation of attractors [m].
-    """
+    """A learner's settings as data, and the standard deviations of its exploration."""
 
     settings: dict[str, Any]
-    stiffness: float
-    attractor: float
+    stiffness: float  # as a share of the mean stiffness
+    attractor: float  # [m]
 
 
 class Effort(NamedTuple):
@@ -57,11 +51,7 @@ EFFORT = {
     "pancake": Effort(range(21, 23), range(0), 0),
 }
 NOISE = {
-    "reaching": [
-        (stiffness, attractor)
-        for stiffness in (0.3, 0.6, 1.0)
-        for attractor in (0.00625, 0.0125, 0.025, 0.05)
-    ],
+    "reaching": [(k, mu) for k in (0.3, 0.6, 1.0) for mu in (0.00625, 0.0125, 0.025, 0.05)],
     "pancake": [(0.1, 0.01), (0.2, 0.02)],
 }
 # Two settings of each that its literature would suggest for some tens of rollouts.
@@ -69,10 +59,7 @@ GRID: dict[str, list[dict[str, Any]]] = {
     "power": [{"sigma": 3, "decay": 0.965}, {"sigma": 6, "decay": 1.0}],
     "shaped": [{"kind": "shaped_power", "sigma": sigma} for sigma in (3, 6)],
     "adaptive": [{"kind": "adaptive_power", "sigma": sigma} for sigma in (3, 10)],
-    "pi2": [
-        {"kind": "pi2_bb", "population": 5, "decay": 0.9},
-        {"kind": "pi2_bb", "population": 10, "decay": 0.9},
-    ],
+    "pi2": [{"kind": "pi2_bb", "population": count, "decay": 0.9} for count in (5, 10)],
     "cma": [{"kind": "cma_es", "population": population} for population in (6, 12)],
     "reinforce": [{"kind": "reinforce", "population": 10, "rate": rate} for rate in (0.5, 2.0)],
     "enac": [{"kind": "enac", "population": 10, "rate": rate} for rate in (0.5, 2.0)],
@@ -121,43 +108,33 @@ def jobs(scale: Literal["full", "quick"]) -> list[Job]:
     return found
 
 
-def tune(task: str, name: str, folder: Path, workers: int = 1) -> list[tuple[float, Choice]]:
+def tune(task: str, name: str, folder: Path = Path("tuning")) -> list[tuple[float, Choice]]:
     """Choices for a learner with their mean final return on the many seeds, best first.
 
     Args:
         task: "reaching" or "pancake".
         name: Name of the learner, a key of GRID.
         folder: Folder of the results; those that are there are not computed again.
-        workers: Number of processes.
     """
     effort = EFFORT[task]
+    final = "final" if task == "reaching" else "repeats"
+
+    def ranked(choices: Sequence[Choice], seeds: Sequence[int]) -> list[tuple[float, Choice]]:
+        wanted = {f"tune-{task}-{name}-{seeds[0]}-{k}": some for k, some in enumerate(choices)}
+        jobs = [
+            job
+            for study, choice in wanted.items()
+            for job in _runs(task, study, name, choice, seeds, ROLLOUTS[task])
+        ]
+        results = job_cache.run(jobs, folder, workers=2)
+        scores = [np.mean([run[final] for run in results[study].values()]) for study in wanted]
+        return sorted(zip(map(float, scores), choices, strict=True), key=lambda score: -score[0])
+
     choices = [Choice(settings, *noise) for settings in GRID[name] for noise in NOISE[task]]
-    scored = _score(task, name, choices, effort.few, folder, workers)
+    scored = ranked(choices, effort.few)
     if not effort.kept:
         return scored
-    best = [choice for _, choice in scored[: effort.kept]]
-    return _score(task, name, best, effort.many, folder, workers)
-
-
-def _score(
-    task: str,
-    name: str,
-    choices: Sequence[Choice],
-    seeds: Sequence[int],
-    folder: Path,
-    workers: int,
-) -> list[tuple[float, Choice]]:
-    wanted = {}
-    for number, choice in enumerate(choices):
-        study = f"tune-{task}-{name}-{seeds[0]}-{number}"
-        wanted[study] = _runs(task, study, name, choice, seeds, ROLLOUTS[task])
-    results = job_cache.run([job for jobs in wanted.values() for job in jobs], folder, workers)
-    scores = []
-    for (study, _), choice in zip(wanted.items(), choices, strict=True):
-        runs = results[study].values()
-        final = [run["final"] if task == "reaching" else run["repeats"] for run in runs]
-        scores.append((float(np.mean(final)), choice))
-    return sorted(scores, key=lambda score: -score[0])
+    return ranked([choice for _, choice in scored[: effort.kept]], effort.many)
 
 
 def _runs(
@@ -165,9 +142,7 @@ def _runs(
 ) -> list[Job]:
     common = {**choice._asdict(), "rollouts": rollouts}
     if task == "pancake":
-        return [
-            Job(study, f"{name}-{seed}", pancake_run, {**common, "seed": seed}) for seed in seeds
-        ]
+        return [Job(study, f"{name}-{k}", pancake_run, {**common, "seed": k}) for k in seeds]
     chunks = [list(seeds[k : k + CHUNK]) for k in range(0, len(seeds), CHUNK)]
     return [
         Job(study, f"{name}-{chunk[0]}-{chunk[-1]}", reaching_runs, {**common, "seeds": chunk})
@@ -175,18 +150,15 @@ def _runs(
     ]
 
 
-def main(argv: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Tune learners and print the scores."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--tune", choices=ROLLOUTS, required=True, help="task to tune on")
-    parser.add_argument("--learner", choices=GRID, help="tune only this learner")
-    parser.add_argument("--folder", type=Path, default=Path("tuning"), help="folder of the results")
-    parser.add_argument("--workers", type=int, default=2, help="number of processes")
-    args = parser.parse_args(argv)
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("task", choices=ROLLOUTS)
+    parser.add_argument("learner", choices=GRID, nargs="?", help="tune only this learner")
+    args = parser.parse_args()
     for name in [args.learner] if args.learner else GRID:
-        for score, choice in tune(args.tune, name, args.folder, args.workers):
+        for score, choice in tune(args.task, name):
             sys.stdout.write(f"{name:10} {score:.3f} {choice}\n")
-            sys.stdout.flush()
 
 
 if __name__ == "__main__":

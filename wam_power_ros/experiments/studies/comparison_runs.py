@@ -33,24 +33,15 @@ REPEATS = 3  # of the answer
 def reaching_runs(
     settings: dict[str, Any], stiffness: float, attractor: float, seeds: list[int], rollouts: int
 ) -> dict[str, Any]:
-    """Runs of a learner on the synthetic reach.
-
-    Args:
-        settings: Settings of the learner, as data.
-        stiffness: Exploration of the stiffness, as a share of the mean stiffness.
-        attractor: Exploration of the attractors [m].
-        seeds: Seeds of the exploration.
-        rollouts: Number of rollouts of each run.
+    """Runs of a learner on the synthetic reach; arguments as in `comparison.Choice`.
 
     Returns:
         Per seed: "final" return of the mean, "returns" of the rollouts, "means" after each.
     """
     scenario = synthetic()
     parameters = Parametrization(scenario.policy, VARIANT, scales(stiffness, attractor))
-    learners = [
-        learner_of(settings, parameters.size, seed, FreePath(parameters, scenario))
-        for seed in seeds
-    ]
+    size, model = parameters.size, lambda: FreePath(parameters, scenario)
+    learners = [learner_of(settings, size, seed, model()) for seed in seeds]
     runs = learn_many(learners, parameters, scenario, rollouts)
     return {
         "seeds": seeds,
@@ -65,14 +56,8 @@ def pancake_run(
 ) -> dict[str, Any]:
     """A learner on one demonstrated toss: one demonstration, Eq. 5, noisy rollouts.
 
-    A rollout that ends in a fault, or in which the pancake is lost from view, returns 0.
-
-    Args:
-        settings: Settings of the learner, as data.
-        stiffness: Exploration of the stiffness, as a share of the mean stiffness.
-        attractor: Exploration of the attractors [m].
-        seed: Seed of demonstrator, stand-in and exploration.
-        rollouts: Number of rollouts; the first reproduces the demonstration.
+    A rollout that ends in a fault, or in which the pancake is lost from view, returns 0. The first
+    reproduces the demonstration; settings and exploration are as in `comparison.Choice`.
 
     Returns:
         "returns" of the rollouts, "repeats" of the final mean, number of "faults" of the rollouts.
@@ -105,19 +90,13 @@ def pancake_run(
 
 
 def learner_of(settings: dict[str, Any], size: int, seed: int, model: Model) -> Learner:
-    """Construct a learner.
-
-    Args:
-        settings: Name of the learner, "power" if omitted, under "kind"; and its settings.
-        size: Number of parameters.
-        seed: Seed of the exploration.
-        model: Predictor of returns, for a learner that needs one.
+    """Construct the learner that `settings` name under "kind" ("power" if omitted).
 
     Raises:
         ValueError: The learner or a setting is unknown, or a value is out of range.
     """
     values = dict(settings)
     found = plugins.learner_type(values.pop("kind", "power"))
-    chosen = found.Settings(**values)
-    learner: Learner = found(size, chosen, generator(seed), model if found.needs_model else None)
+    given = model if found.needs_model else None
+    learner: Learner = found(size, found.Settings(**values), generator(seed), given)
     return learner

@@ -39,13 +39,9 @@ Scale = Literal["full", "quick"]
 
 
 def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> dict[str, Any]:
-    """Reaching with an elite of some size, full matrices, a run for every seed.
+    """Reaching with an elite of size `sigma`, full matrices, a run for every seed.
 
-    Args:
-        sigma: Size of the elite of PoWER.
-        seeds: Seeds of the exploration.
-        noise: Standard deviation of the noise added to each return.
-        rollouts: Number of rollouts of each run.
+    `noise` is the standard deviation of what is added to each return.
 
     Returns:
         Noise-free return of the final mean, and the median size of the elite, of each run.
@@ -142,28 +138,20 @@ def jobs(scale: Scale) -> list[Job]:
         wanted += [Job(study, f"sigma-{s}", search, {"sigma": s, **arguments}) for s in sizes]
     series = 1 if quick else 3
     # Reproductions of demonstrations that are not chosen are not among the paper's rollouts.
-    paper = {
-        "budget": series - 1 + (4 if quick else 50),
-        "confirm": 0,
-        "retests": 1 + 9 * (not quick),
-    }
+    budget = series - 1 + (4 if quick else 50)
+    paper = {"budget": budget, "confirm": 0, "retests": 1 if quick else 10}
     flip = {"retests": paper["retests"], **({"budget": 6} if quick else {})}
     common = {"demonstrations": series}
     for seed in seeds:
         novice = {"seed": seed, "name": "paper", "pitch_rate": NOVICE, **common}
-        wanted += [
-            Job(
-                f"{SIGMA}{s}",
-                f"seed-{seed}",
-                session,
-                {**novice, "changes": {**paper, "learner": {"sigma": s}}},
-            )
-            for s in (AUTO, 6, *([] if quick else [20]))  # a session takes half a minute
-        ]
-        person = {**novice, "changes": paper, "ratings": 2 if quick else RATINGS_MAX}
-        wanted.append(Job(PERSON, f"seed-{seed}", session, person))
-        for after in (0, 2 if quick else GIVEN_AFTER):
-            poor = {"seed": seed, "name": "flip", "changes": flip, "pitch_rate": POOR, **common}
-            study = f"{DEMONSTRATION}{'with' if after else 'without'}"
-            wanted.append(Job(study, f"seed-{seed}", session, {**poor, "given_after": after}))
+        poor = {"seed": seed, "name": "flip", "changes": flip, "pitch_rate": POOR, **common}
+        studies = {}
+        for size in (AUTO, 6) if quick else (AUTO, 6, 20):  # a session takes half a minute
+            changes = {**paper, "learner": {"sigma": size}}
+            studies[f"{SIGMA}{size}"] = {**novice, "changes": changes}
+        most = 2 if quick else RATINGS_MAX
+        studies[PERSON] = {**novice, "changes": paper, "ratings": most}
+        studies[f"{DEMONSTRATION}without"] = {**poor, "given_after": 0}
+        studies[f"{DEMONSTRATION}with"] = {**poor, "given_after": 2 if quick else GIVEN_AFTER}
+        wanted += [Job(s, f"seed-{seed}", session, chosen) for s, chosen in studies.items()]
     return wanted

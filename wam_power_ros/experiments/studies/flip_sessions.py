@@ -50,12 +50,8 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "2 ms more delay": {"command_delay_ticks": 3},
     "80 V": {"bus_voltage": 80.0},
 }
-LEARNT_UNDER = (
-    "wind 0.2 m/s",
-    "wind 0.3 m/s",
-    "2 ms more delay",
-    "80 V",
-)  # sessions are held there, too
+# Conditions that whole sessions are held in, too.
+LEARNT_UNDER = ("wind 0.2 m/s", "wind 0.3 m/s", "2 ms more delay", "80 V")
 LESS = ("attractors", "diagonal", "symmetric")  # than the full matrices of the paper's sessions
 Scale = Literal["full", "quick"]
 
@@ -126,15 +122,7 @@ def practise(
     seed: int,
     report: Callable[[Record], None] | None = None,
 ) -> Practice:
-    """A session in one process, from the reproductions to the last re-test.
-
-    Args:
-        environment: Environment in which it practises.
-        candidates: Fitted policies to choose from.
-        settings: Settings of the session.
-        seed: Seed of the exploration.
-        report: Called with every record.
-    """
+    """A session in one process, to the last re-test; `report` is called with every record."""
     practice = Practice.of(settings, {}, candidates, seed, environment)
     for record in rollouts(environment, practice):
         if report is not None:
@@ -200,22 +188,22 @@ def session(
     }
     if best is None or parameters is None:  # nothing could be reproduced
         return result
+    demonstrated, answer = parameters.policy0, best.policy
     result["k33"] = {
-        "demonstrated": _k33(parameters.policy0),
-        "learnt": _k33(best.policy),
-        "duration": best.policy.basis.duration,
+        "demonstrated": _k33(demonstrated),
+        "learnt": _k33(answer),
+        "duration": answer.basis.duration,
     }
     for place, (where, other) in enumerate((carried or {}).items()):
         elsewhere = stand_in(seed, **other)
-        runs = [elsewhere.run(with_id(best.policy, f"carried-{place}-{k}")) for k in range(repeats)]
+        runs = [elsewhere.run(with_id(answer, f"carried-{place}-{k}")) for k in range(repeats)]
         result["carried"][where] = [
             _outcome(truth, "" if rollout.fault is None else rollout.fault.text)
             for rollout, truth in runs
         ]
     if keep_paths:
-        result["figure_paths"] = _figure_paths(
-            environment, seed, pitch_rate, parameters.policy0, best.policy
-        )
+        paths = _figure_paths(environment, seed, pitch_rate, demonstrated, answer)
+        result["figure_paths"] = paths
     return result
 
 
@@ -232,13 +220,13 @@ def _confirmed(practice: Practice, settings: SessionSettings) -> bool:
 
 def _kept(record: Record) -> dict[str, Any]:
     """The part of a record that is kept."""
-    flight, truth = record.observation, record.truth or {}
+    flight = record.observation
     return {
         "kind": record.kind,
         "ret": record.ret,
         "success": record.success,
         "seen_angle_deg": None if flight is None else math.degrees(flight["angle"]),
-        **_outcome(truth, record.fault),
+        **_outcome(record.truth or {}, record.fault),
     }
 
 
@@ -261,12 +249,9 @@ def _outcome(truth: Truth, fault: str) -> dict[str, Any]:
 def _fires(returns: Sequence[float | None]) -> int | None:
     """Rollout at which the paper's rule first stops: enough good returns in a row."""
     wanted, level = FIRES
-    in_a_row = 0
-    for number, ret in enumerate(returns, start=1):
-        in_a_row = in_a_row + 1 if (ret or 0.0) >= level else 0
-        if in_a_row == wanted:
-            return number
-    return None
+    good = [(ret or 0.0) >= level for ret in returns]
+    ends = range(wanted, len(good) + 1)
+    return next((end for end in ends if all(good[end - wanted : end])), None)
 
 
 def _k33(policy: Policy) -> list[float]:
@@ -338,31 +323,23 @@ def jobs(scale: Scale) -> list[Job]:
     default = {**common, "name": "flip", "changes": {**retests, **({"budget": 4} if quick else {})}}
     paper = {**common, "name": "paper", "pitch_rate": NOVICE}
     conditions = dict(list(CONDITIONS.items())[one])
-    wanted = [
-        (DEFAULT, seed, {**default, "carried": conditions, "keep_paths": seed == seeds[0]})
-        for seed in seeds
-    ]
-    wanted += [
-        (
-            f"{LEARNT}{name.replace(' ', '-').replace('/', '-')}",
-            seed,
-            {**default, "condition": CONDITIONS[name], "carried": {"as it is": {}}},
-        )
-        for name in LEARNT_UNDER[one]
-        for seed in seeds[:5][one]
-    ]
     changes = {count: {**fewer, "budget": budgets[count], "confirm": 0} for count in budgets}
-    wanted += [
-        (PAPER, seed, {**paper, "changes": changes[50], "keep_paths": seed == seeds[0]})
-        for seed in seeds[one]
-    ]
-    wanted += [(LONG, seed, {**paper, "changes": changes[100]}) for seed in seeds[:4][one]]
-    wanted += [
-        (f"{ABLATION}{variant}", seed, {**paper, "changes": {**changes[50], "variant": variant}})
-        for variant in LESS[2 if quick else 0 :]
-        for seed in seeds[:8][one]
-    ]
-    return [
-        Job(study, f"seed-{seed}", session, {"seed": seed, **arguments})
-        for study, seed, arguments in wanted
-    ]
+    wanted: list[Job] = []
+
+    def add(study: str, some: Sequence[int], **arguments: object) -> None:
+        for seed in some:
+            wanted.append(Job(study, f"seed-{seed}", session, {"seed": seed, **arguments}))
+
+    for seed in seeds:
+        add(DEFAULT, [seed], **default, carried=conditions, keep_paths=seed == seeds[0])
+    for name in LEARNT_UNDER[one]:
+        study = f"{LEARNT}{name.replace(' ', '-').replace('/', '-')}"
+        here = {"condition": CONDITIONS[name], "carried": {"as it is": {}}}
+        add(study, seeds[:5][one], **default, **here)
+    for seed in seeds[one]:
+        add(PAPER, [seed], **paper, changes=changes[50], keep_paths=seed == seeds[0])
+    add(LONG, seeds[:4][one], **paper, changes=changes[100])
+    for variant in LESS[2 if quick else 0 :]:
+        some = {**changes[50], "variant": variant}
+        add(f"{ABLATION}{variant}", seeds[:8][one], **paper, changes=some)
+    return wanted

@@ -19,15 +19,8 @@ from hardware_sim.world import World
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.jobs import Job
-from wam_power_ros.experiments.studies.reaching_runs import (
-    DRAWN,
-    NOISE,
-    POWER,
-    VARIANTS,
-    as_data,
-    generator,
-    study,
-)
+from wam_power_ros.experiments.studies import reaching_runs
+from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, VARIANTS, as_data, study
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
@@ -35,11 +28,8 @@ from wam_power_ros.learning.power import Power
 from wam_power_ros.params.resources import share
 from wam_power_ros.tasks.reach.scenario import Scenario, taught
 
-TAUGHT, EXECUTED, PRACTISED = (
-    "reaching-taught",
-    "reaching-executed",
-    "reaching-practised",
-)  # studies
+# studies
+TAUGHT, EXECUTED, PRACTISED = "reaching-taught", "reaching-executed", "reaching-practised"
 NOISE_SEED = 7  # of the stand-in
 PRACTICE_MAX = 60  # rollouts on the arm
 PRACTISING = 3  # number of seeds that practise on the arm
@@ -73,9 +63,8 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     policy, _ = parameters.policy(run.mean, "reach-0001")
     executed, fault = _executed(Environment(World(seed=NOISE_SEED)), policy, scenario)
     planned = scenario.free(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
-    shown = np.linspace(0, scenario.steps - 1, DRAWN).round().astype(int)
+    shown = np.linspace(0, scenario.steps - 1, reaching_runs.DRAWN).round().astype(int)
     deviation = np.linalg.norm(executed - planned, axis=1)
-    away = np.linalg.norm(executed - scenario.obstacle, axis=1)
     return {
         "variant": variant,
         "seed": seed,
@@ -84,10 +73,8 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
         "executed": executed[shown].round(5).tolist(),
         "rms": float(np.sqrt((deviation**2).mean())),
         "largest": float(deviation.max()),
-        "clearance": float(away.min() - scenario.radius),
-        "planned_clearance": float(
-            np.linalg.norm(planned - scenario.obstacle, axis=1).min() - scenario.radius
-        ),
+        "clearance": _clearance(executed, scenario),
+        "planned_clearance": _clearance(planned, scenario),
         "planned_return": run.final,
         "executed_return": float(scenario.worth(scenario.stopped(executed[np.newaxis])[0])[0]),
     }
@@ -102,7 +89,7 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     """
     scenario = taught_scenario()
     parameters = Parametrization(scenario.policy, variant, NOISE[variant])
-    learner = Power(parameters.size, POWER, generator(seed))
+    learner = Power(parameters.size, POWER, reaching_runs.generator(seed))
     environment = Environment(World(seed=seed))
 
     def returned(z: np.ndarray, policy_id: str) -> tuple[np.ndarray, str, float]:
@@ -118,16 +105,20 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
         returns.append(ret)
         faults += bool(fault)
     path, fault, ret = returned(parameters.clip(learner.mean), "learnt")
-    away = np.linalg.norm(path - scenario.obstacle, axis=1)
     return {
         "variant": variant,
         "seed": seed,
         "returns": returns,
         "faults": faults,
         "return": ret,
-        "clearance": float(away.min() - scenario.radius),
+        "clearance": _clearance(path, scenario),
         "fault": fault,
     }
+
+
+def _clearance(path: np.ndarray, scenario: Scenario) -> float:
+    """Least distance of a path (T, 3) from the surface of the sphere [m]."""
+    return float(np.linalg.norm(path - scenario.obstacle, axis=1).min() - scenario.radius)
 
 
 def _executed(
@@ -135,10 +126,9 @@ def _executed(
 ) -> tuple[np.ndarray, str]:
     """The tool's path (T, 3) [m] at the samples of the scenario, and the fault if any."""
     rollout, _ = environment.run(policy)
-    pan, fault = rollout.tool, rollout.fault
     t = np.arange(scenario.steps) * scenario.period
-    path = np.stack([np.interp(t, pan.t, x) for x in pan.position.T], axis=1)
-    return path, "" if fault is None else fault.text
+    path = [np.interp(t, rollout.tool.t, x) for x in rollout.tool.position.T]
+    return np.stack(path, axis=1), "" if rollout.fault is None else rollout.fault.text
 
 
 @cache

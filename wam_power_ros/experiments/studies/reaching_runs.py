@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,45 +91,21 @@ def study(
     noise: NoiseScales | None = None,
     workers: int = 1,
 ) -> list[Run]:
-    """PoWER on one variant, a run for every seed.
-
-    Args:
-        variant: Of the parameters, "full" or "diagonal".
-        seeds: Seeds of the exploration.
-        rollouts: Number of rollouts of each run.
-        scenario: Reaching scenario.
-        noise: Exploration scales; NOISE of the variant if omitted.
-        workers: Number of processes; the result does not depend on it.
-    """
+    """PoWER on one variant, a run for every seed; the number of workers changes no result."""
     parameters = Parametrization(scenario.policy, variant, noise or NOISE[variant])
 
-    def power(seed: int) -> Power:
-        return Power(parameters.size, POWER, generator(seed))
+    def runs(chunk: Sequence[int]) -> list[Run]:
+        learners = [Power(parameters.size, POWER, generator(seed)) for seed in chunk]
+        return learn_many(learners, parameters, scenario, rollouts)
 
-    return in_chunks(power, seeds, parameters, scenario, rollouts, workers)
+    chunks = [seeds[k : k + CHUNK] for k in range(0, len(seeds), CHUNK)]
+    found = Parallel(n_jobs=workers)(delayed(runs)(chunk) for chunk in chunks)
+    return [run for chunk in found for run in chunk]
 
 
 def generator(seed: int) -> np.random.Generator:
     """Random generator of a run."""
     return np.random.Generator(np.random.PCG64(seed))
-
-
-def in_chunks(
-    learner: Callable[[int], Learner],
-    seeds: Sequence[int],
-    parameters: Parametrization,
-    scenario: Scenario,
-    rollouts: int,
-    workers: int = 1,
-) -> list[Run]:
-    """`learn_many` for the learners of all seeds, in chunks of fixed size."""
-
-    def runs(chunk: Sequence[int]) -> list[Run]:
-        return learn_many([learner(seed) for seed in chunk], parameters, scenario, rollouts)
-
-    chunks = [seeds[k : k + CHUNK] for k in range(0, len(seeds), CHUNK)]
-    found = Parallel(n_jobs=workers)(delayed(runs)(chunk) for chunk in chunks)
-    return [run for chunk in found for run in chunk]
 
 
 def as_data(
