@@ -251,7 +251,7 @@ class Practice:
         """Assess the executed trial and learn from it.
 
         Args:
-            trial: What `next_trial` returned.
+            trial: Trial that `next_trial` returned.
             rollout: Its rollout.
             bag: Name of the rollout's bag.
             truth: Ground truth of the simulator, logged only.

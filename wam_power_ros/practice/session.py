@@ -151,7 +151,7 @@ class Session:
             settings: Settings of the session.
             seed: Seed of the exploration.
             candidates: Policies fitted to the demonstrations.
-            context: What the task must remember of them, see `Task.context_of`.
+            context: Data of them that the task keeps, see `Task.context_of`.
             demonstrations: Bags the candidates were fitted to.
             clock: Wall-clock figures.
 

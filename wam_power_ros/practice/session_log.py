@@ -43,7 +43,7 @@ class Record(_Line):
         success: Whether it met the task's criterion of success.
         why: Reason why it was not learnt from, or a remark.
         note: Decision of the practice after this rollout, for a person.
-        observation: What the task observed of the rollout, as data for JSON; None when nothing.
+        observation: Observation of the task, as data for JSON; None when there is none.
         fault: Text of the controller's fault, empty when there was none.
         generator: State of the random generator after this trial was drawn.
         bag: Name of its bag.

@@ -22,7 +22,7 @@ class Draw:
         attempt: 1, or more when earlier rollouts of the same z said nothing about it.
         rejections: Number of infeasible samples before this one; from 20 on, and for a mean or an
             answer, the number of times the way to it was halved instead, see `FeasibleSampler`.
-        purpose: What the trial is for, for a person.
+        purpose: Purpose of the trial, for a person.
     """
 
     kind: Kind

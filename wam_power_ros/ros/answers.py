@@ -19,7 +19,7 @@ _FORM = re.compile(r"\[(\w+)((?: \w+=\S+)*)\](?: (.*))?", re.DOTALL)
 
 
 class Code(str, enum.Enum):
-    """What became of a request."""
+    """Outcome of a request."""
 
     DONE = "done"
     REFUSED = "refused"  # for a reason that only a person needs to know
@@ -38,7 +38,7 @@ class Answer:
     """An answer of a service.
 
     Attributes:
-        code: What became of the request.
+        code: Outcome of the request.
         text: Sentence for a person; may be empty.
         values: Values by name, without spaces, such as the id of the policy.
     """

@@ -31,7 +31,7 @@ class Assessment:
     Attributes:
         ret: Return, at least 0; None when the rollout says nothing about its policy.
         terms: Terms of the return, by name.
-        observation: What was observed of the rollout, as data for JSON; None when nothing was.
+        observation: Observation of the rollout, as data for JSON; None when there is none.
         success: Whether the rollout met the task's criterion of success.
         why: Reason for a missing return, or a remark; may be empty.
     """

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The toss a policy has planned, before any rollout: Eq. 1's own movement, then free flight.
+"""Prediction of a policy's toss before any rollout: the movement of Eq. 1, then free flight.
 
 The pan follows Eq. 1 exactly. The pancake lies at its centre and leaves when the pan's
-acceleration along its normal falls below gravity's; it keeps the pan's velocity and a share of
-its turning, and flies without air. Crude, and right about what makes one policy's toss
-better than another's: that is all a screening of candidates needs.
+acceleration along its normal falls below gravity's; it keeps the pan's velocity and a share of its
+rotation, and flies without drag. That is crude, but it ranks policies, which is all that the
+screening of candidates needs.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class Tosses:
     """Planned tosses of B policies.
 
     Attributes:
-        tossed: It leaves the pan and rises over it by more than Delta_h. Shape (B,)
-        angle: Turned when it falls through that height [rad]; 0 when not tossed. Shape (B,)
-        apex: Highest point over the pan's height at the start [m]. Shape (B,)
-        landing_error: Pancake - pan at that time, x and y [m]. Shape (B, 2)
+        tossed: Whether the pancake rises above the pan by more than Delta_h. Shape (B,).
+        angle: Rotation when it falls through that height [rad]; 0 when not tossed. Shape (B,).
+        apex: Highest point above the pan's height at the start [m]. Shape (B,).
+        landing_error: Position of pancake less pan at that time, x and y [m]. Shape (B, 2).
     """
 
     tossed: np.ndarray
@@ -45,13 +45,13 @@ class Tosses:
 def plan_tosses(
     parameters: Parametrization, z: np.ndarray, start: np.ndarray, tail: float = 1.0
 ) -> Tosses:
-    """Tosses of policies at z (B, size), of a pan that is at `start` (3,) [m] when they begin.
+    """Predicted tosses of many policies.
 
     Args:
-        parameters: What z means.
-        z: Coordinates. Shape (B, size)
-        start: Of the pan's centre, base frame [m]. Shape (3,)
-        tail: Time after the movement that is looked at [s].
+        parameters: Parametrization of the policies.
+        z: Coordinates. Shape (B, size).
+        start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
+        tail: Time after the movement that is predicted as well [s].
     """
     position, velocity, rotation, omega = _movement(parameters, z, start, tail)
     steps = len(position)
@@ -90,8 +90,8 @@ def planned_terms(tosses: Tosses, weights: PancakeWeights | LandingWeights) -> n
 
     Args:
         tosses: Planned tosses of B policies.
-        weights: Of Eq. 5 (terms orientation, position, altitude), or of `landing_return` (terms
-            rotation, altitude, landing, caught).
+        weights: Weights of Eq. 5 (terms orientation, position, altitude), or of `landing_return`
+            (terms rotation, altitude, landing, caught).
 
     Returns:
         Shape (B, 3) or (B, 4).
@@ -123,10 +123,10 @@ def planned_terms(tosses: Tosses, weights: PancakeWeights | LandingWeights) -> n
 
 
 class TossModel:
-    """A `learner.Model` of Eq. 5: the planned toss, put right by what rollouts returned.
+    """A `learner.Model`: the return of the planned toss, corrected by the returns of rollouts.
 
-    The return is taken to be sum_j (1 + w_j) term_j + w_0, the terms those of the planned toss,
-    with w normal about zero: a ridge regression, exact and done anew after every rollout.
+    The return is modelled as sum_j (1 + w_j) term_j + w_0, with the terms of the planned toss and
+    w normal about zero: a ridge regression, solved anew after every rollout.
     """
 
     def __init__(
@@ -137,14 +137,14 @@ class TossModel:
         trust: float = 0.3,
         noise: float = 0.05,
     ) -> None:
-        """Know the plan, and nothing of any rollout.
+        """Start without any rollout.
 
         Args:
-            parameters: What z means.
-            start: Of the pan's centre, base frame [m]. Shape (3,)
-            weights: Of Eq. 5, the paper's when omitted.
+            parameters: Parametrization of the policies.
+            start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
+            weights: Weights of the return; the paper's of Eq. 5 when omitted.
             trust: Standard deviation of w before any rollout.
-            noise: Of a return about what w explains.
+            noise: Standard deviation of a return about the model.
         """
         self._parameters, self._start = parameters, np.asarray(start, dtype=float)
         self._weights = PancakeWeights() if weights is None else weights

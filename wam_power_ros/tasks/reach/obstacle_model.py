@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of a reach before it is tried, and what stopped rollouts tell of the obstacle."""
+"""Prediction of a reach: the free path of Eq. 1, and obstacles inferred from stopped rollouts."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ import numpy as np
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.reach.scenario import Scenario, held
 
-REACH = 0.04  # [m] from a place where something was met within which it is expected again
-AHEAD = 0.02  # [m] beyond the first sample that was not reached: what stopped it has a depth
-EVERY = 4  # samples of a path from one that is looked at to the next: 4 cm at most
+REACH = 0.04  # [m] radius about a contact within which another contact is predicted
+AHEAD = 0.02  # [m] of a contact beyond the first sample that was not reached
+EVERY = 4  # samples between those of a path that are checked: 4 cm at most
 
 
 class FreePath:
-    """A `learner.Model` of Eq. 4: the path of Eq. 1, which stops where something was met before.
+    """A `learner.Model` of Eq. 4: the path of Eq. 1, stopped at contacts of earlier rollouts.
 
-    Known from the start are Eq. 1, the demonstration and the return. The obstacle is not: where a
-    rollout was stopped follows from its return, the path being known. There, and `REACH` about
-    it, a later path is expected to stop as well.
+    It is given Eq. 1, the demonstration and the return, but no obstacle: the place of a contact
+    is inferred from the return of a rollout, its path being known. Later paths are predicted to
+    stop within `REACH` of it. The inference is exact for returns without noise.
     """
 
     def __init__(self, parameters: Parametrization, scenario: Scenario) -> None:
-        """Know the free path; of `scenario` the obstacle is not looked at."""
+        """Start without any contact; the obstacle of `scenario` is not used."""
         self._parameters = parameters
         self._scenario = scenario
         self._met: list[np.ndarray] = []  # (3,) each
 
     def predict(self, z: np.ndarray) -> np.ndarray:
-        """Returns to expect at z (B, size). Shape (B,)."""
+        """Predicted returns at z (B, size). Shape (B,)."""
         path = self._free(z)
         seen = path[:, ::EVERY]
         blocked = np.zeros(seen.shape[:2], dtype=bool)
@@ -39,7 +39,7 @@ class FreePath:
         return self._scenario.worth(held(path, last))
 
     def learn(self, z: np.ndarray, ret: float) -> None:
-        """Find out from its return whether z (size,) was stopped, and where."""
+        """Infer from its return whether the rollout at z (size,) was stopped, and where."""
         path = self._free(z[np.newaxis])
         steps = path.shape[1]
         stops = held(np.repeat(path, steps, axis=0), np.arange(steps))  # (T, T, 3)

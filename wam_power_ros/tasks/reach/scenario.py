@@ -27,7 +27,7 @@ class Scenario:
         period: Time between samples [s].
         radius: Radius of the obstacle, a sphere [m]; 0 for none.
         policy: The least-squares fit, two primitives: where learning starts.
-        start: Where rollouts begin [m]. Shape (3,).
+        start: Position at which rollouts begin [m]. Shape (3,).
         obstacle: Centre of the sphere [m]. Shape (3,).
         demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
         goal: x_G, its last position [m]. Shape (3,).
