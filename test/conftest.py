@@ -35,6 +35,12 @@ T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[1]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the slow folders first: a worker that is left with one at the end keeps all waiting."""
+    slow = ("system", "nodes", "experiments", "console", "benchmark")
+    items.sort(key=lambda item: Path(item.path).parent.name not in slow)
+
+
 @pytest.fixture
 def domain_id() -> Iterator[int]:
     """A DDS domain nobody else on this machine uses, for as long as the test runs."""
