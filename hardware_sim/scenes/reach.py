@@ -79,7 +79,7 @@ class ReachScript:
     """A reach to a place in an arc, the pan kept as it was taken: minimum jerk, a little warped.
 
     Attributes:
-        goal: Where it ends [m]. Shape (3,).
+        goal: Last position [m]. Shape (3,).
         arc: Offset of its middle from the straight line [m]. Shape (3,).
         duration: Duration of the movement [s].
         warp: In (-1, 1); positive when the first half of the way is the faster one.

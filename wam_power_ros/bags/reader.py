@@ -30,7 +30,7 @@ def read_demonstration(
     Args:
         path: Folder of the bag.
         joint_names: Order of the columns of the result.
-        topic: Of type sensor_msgs/JointState; the one the bag notes, or /joint_states, if omitted.
+        topic: Topic of JointState; the one the bag notes, or /joint_states, if omitted.
 
     Returns:
         Stamps (M,) int64 [ns], strictly increasing, and angles (M, nj) [rad].

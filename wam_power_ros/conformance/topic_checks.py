@@ -41,9 +41,9 @@ class Row:
     Attributes:
         name: Name of the check, unique in a table.
         expected: Requirement of the configuration.
-        found: What was measured.
-        verdict: Whether they agree.
-        advice: What to do about it.
+        found: Measured value.
+        verdict: Agreement of the two.
+        advice: Remedy where they differ.
     """
 
     name: str
