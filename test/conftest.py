@@ -35,10 +35,14 @@ T = TypeVar("T")
 ROOT = Path(__file__).resolve().parents[1]
 
 
+# Folders whose tests take longest, longest first; the rest takes seconds a file.
+SLOW = ("system", "benchmark", "nodes", "experiments", "hardware_sim", "console", "practice")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the slow folders first: a worker that is left with one at the end keeps all waiting."""
-    slow = ("system", "nodes", "experiments", "console", "benchmark")
-    items.sort(key=lambda item: Path(item.path).parent.name not in slow)
+    rank = {folder: number for number, folder in enumerate(SLOW)}
+    items.sort(key=lambda item: rank.get(Path(item.path).parent.name, len(SLOW)))
 
 
 @pytest.fixture
