@@ -552,6 +552,20 @@ def test_a_state_that_is_not_valid_is_ignored_and_five_are_a_fault(q: object, qd
     assert controller.mode is Mode.HOLD
 
 
+@pytest.mark.requirement("S-11")
+def test_a_state_that_could_not_be_read_counts_as_one_that_is_not_valid() -> None:
+    controller, plant = begin()
+    stamp, good, _ = plant.state()
+    for k in range(1, 5):
+        controller.refuse_state()
+        controller.step(stamp + k * PERIOD_NS, good, np.zeros(7))
+        assert controller.mode is Mode.HOLD
+    controller.step(stamp + 5 * PERIOD_NS, np.full(7, math.nan), np.zeros(7))
+    assert controller.mode is Mode.FAULT
+    assert controller.latched.kind is FaultKind.STATES_REFUSED
+    assert controller.counters["rejected"] == 5
+
+
 @pytest.mark.requirement("S-42")
 def test_a_long_gap_is_a_fault_and_a_short_one_is_counted() -> None:
     controller, plant = begin()

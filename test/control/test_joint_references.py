@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from wam_power_ros.control.joint_references import Brake, Course, MinJerk, Sampled
+from wam_power_ros.control.joint_references import Brake, Course, MinJerk, Sampled, interpolated
 
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 LOW, HIGH = HOME - 3.0, HOME + 3.0
@@ -36,7 +36,7 @@ def test_speed_and_acceleration_of_a_reference_are_its_derivatives(make_referenc
     reference = {
         "min_jerk": MinJerk(HOME, target, 0.6),
         "brake": Brake(HOME, target, 0.15, HOME - 9.0, HOME + 9.0),
-        "sampled": Sampled(t, recorded, 0.8, 0.002),
+        "sampled": interpolated(t, recorded, 0.8, 0.002),
     }[make_reference]
     grid = np.arange(1, round(reference.duration / 0.002)) * 0.002
     q, qd, qdd = (np.array(rows) for rows in zip(*map(reference.at, grid), strict=True))
@@ -60,7 +60,7 @@ def test_a_course_goes_from_move_to_replay_to_brake_without_a_step() -> None:
     recorded = HOME + 0.2 * np.sin(2.0 * t)[:, None] * np.ones(7)
     course = Course(brake)
     away = HOME + 0.31
-    course.begin(lambda q: MinJerk(q, recorded[0], 0.5), Sampled(t, recorded, 1.0, 0.002))
+    course.begin(lambda q: MinJerk(q, recorded[0], 0.5), interpolated(t, recorded, 1.0, 0.002))
     assert course.reference is None
     rows, kinds = [], []
     for k in range(1500):
@@ -102,4 +102,4 @@ def test_a_movement_that_makes_no_sense_is_refused(
     t: np.ndarray, q: np.ndarray, speed: float, rule: str
 ) -> None:
     with pytest.raises(ValueError, match=rule):
-        Sampled(t, q, speed, 0.002)
+        interpolated(t, q, speed, 0.002)

@@ -14,7 +14,7 @@ Q = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 
 
 def test_the_error_of_joints_and_tool_is_reported() -> None:
-    error = TrackingError(ARM, 100)
+    error = TrackingError(ARM)
     for k in range(100):
         off = 0.01 * np.eye(7)[0] * (1.0 if k < 50 else 0.0)
         error.add(Q + off, Q)
@@ -32,15 +32,17 @@ def test_the_error_of_joints_and_tool_is_reported() -> None:
 
 
 def test_before_any_state_all_errors_are_zero() -> None:
-    error = TrackingError(ARM, 100)
+    error = TrackingError(ARM)
     assert error.tool() == (0.0, 0.0)
     assert not error.rms.any()
 
 
-def test_more_states_than_expected_are_counted_for_the_joints_and_do_no_harm() -> None:
-    error = TrackingError(ARM, 2)
+def test_the_tool_is_compared_every_few_states_and_every_joint_in_each() -> None:
+    error = TrackingError(ARM)
     for k in range(10 * TOOL_EVERY):
         error.add(Q + 0.001 * k, Q)
     assert error.count == 10 * TOOL_EVERY
     assert error.largest[3] == pytest.approx(0.001 * (error.count - 1))
-    assert np.isfinite(error.tool()).all()
+    last = TOOL_EVERY * (error.count // TOOL_EVERY - 1)  # compared
+    apart = ARM.tool_pose(Q + 0.001 * last)[0] - ARM.tool_pose(Q)[0]
+    assert error.tool()[1] == pytest.approx(np.linalg.norm(apart))

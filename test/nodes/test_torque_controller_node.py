@@ -181,6 +181,28 @@ def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(
     assert np.isfinite(arm.answer().tau).all()
 
 
+@pytest.mark.requirement("S-11")
+def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_each(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    for names, q in (
+        (NAMES[:6], HOME[:6]),
+        ([*NAMES[:6], "wam_j1"], HOME),
+        (NAMES, np.append(HOME[:6], math.nan)),
+        (NAMES, np.append(HOME[:6], 1e9)),  # the reader lets it pass, the controller does not
+    ):
+        arm.send(names, q)
+        arm.send()
+        assert arm.answer().label == "hold"
+    arm.send([*NAMES, "wam_j1"], np.append(HOME, 0.0))
+    arm.send()
+    assert arm.answer().label == "fault"
+    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
+    assert report["fault kind"] == FaultKind.STATES_REFUSED.value
+
+
 @pytest.mark.requirement("S-14")
 def test_states_without_velocity_get_torques_too(probe: Probe, processes: Processes) -> None:
     arm = PlayedArm(probe, processes)

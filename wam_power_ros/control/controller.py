@@ -108,7 +108,7 @@ class Controller:
     @property
     def policy_id(self) -> str | None:
         """Id of the policy that is loaded."""
-        return None if self._policy is None else self._policy.policy.id
+        return None if self._policy is None else self._policy.id
 
     @property
     def at_rest(self) -> bool:
@@ -142,9 +142,17 @@ class Controller:
         Raises:
             ControllerError: During a rollout, or when the policy does not fit the arm.
         """
+        self.load_prepared(prepare(policy, self.arm.n, self.limits, self.settings))
+
+    def load_prepared(self, policy: PreparedPolicy) -> None:
+        """Make a policy the one to execute that was prepared for this arm and these settings.
+
+        Raises:
+            ControllerError: During a rollout.
+        """
         if self._mode is Mode.ROLLOUT:
             raise ControllerError(Refusal.BUSY, f"policy {policy.id} refused during a rollout")
-        self._policy = prepare(policy, self.arm.n, self.limits, self.settings)
+        self._policy = policy
 
     def hold(self) -> None:
         """Come to rest and hold the posture; aborts what is under way.
@@ -180,7 +188,7 @@ class Controller:
         """
         if self._policy is None:
             raise ControllerError(Refusal.NOTHING, "move_to_start refused: no policy is loaded")
-        self._move(Mode.MOVE_TO_START, self._policy.policy.q_start)
+        self._move(Mode.MOVE_TO_START, self._policy.q_start)
 
     def start_replay(self, trajectory: JointTrajectory, speed: float = 1.0) -> None:
         """Move to the start of a recorded joint movement, then follow it, then hold.
@@ -193,7 +201,15 @@ class Controller:
             ControllerError: While moving, in a mode that does not allow it, or when the movement is
                 not within the arm's limits.
         """
-        movement = replay_trajectory.sampled(trajectory, speed, self.settings.period, self.limits)
+        period, limits = self.settings.period, self.limits
+        self.start_sampled(replay_trajectory.sampled(trajectory, speed, period, limits))
+
+    def start_sampled(self, movement: Sampled) -> None:
+        """As `start_replay`, for a movement of `replay_trajectory.sampled` for this arm.
+
+        Raises:
+            ControllerError: While moving, or in a mode that does not allow it.
+        """
         self._require_switch(Mode.REPLAY)
         self._move(Mode.REPLAY, movement.q[0], movement)
 
@@ -304,10 +320,10 @@ class Controller:
             raise refused(Refusal.BUSY, f"mode is {self._mode.value}, not hold")
         if unrest := self._unrest():
             raise refused(Refusal.BUSY, unrest)
-        error = np.abs(last.q - prepared.policy.q_start)
+        error = np.abs(last.q - prepared.q_start)
         worst = int(np.argmax(error))
         if error[worst] > self.settings.start_tolerance:
-            joint, policy = self.arm.joint_names[worst], prepared.policy.id
+            joint, policy = self.arm.joint_names[worst], prepared.id
             text = f"{joint} is {error[worst]:.3f} rad from the start of policy {policy}"
             raise refused(Refusal.NOT_AT_START, text, policy=policy)
         return prepared
@@ -340,6 +356,12 @@ class Controller:
         if state is Unanswered.REFUSED and states.refused_in_row >= 3:
             return self.stale_torque()
         return self._sent
+
+    def refuse_state(self) -> None:
+        """Count a joint state that could not be read, as `step` counts those it refuses."""
+        self._states.refuse()
+        if (fault := self._states.fault) is not None:
+            self.fault(fault)
 
     def stale_torque(self) -> np.ndarray:
         """The torque to send when no state has come: carries the arm in its last known posture.

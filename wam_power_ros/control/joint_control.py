@@ -51,8 +51,8 @@ class JointControl:
     def move(self, goal: np.ndarray, speed: float, *then: Sampled) -> None:
         """Move to a posture [rad] with a peak joint speed [rad/s], then replay what is given."""
         self.begin(lambda q: MinJerk(q, goal, speed), *then)
-        for sampled in then:
-            self.replay_error = TrackingError(self._arm, len(sampled.q))
+        if then:
+            self.replay_error = TrackingError(self._arm)
 
     def release(self) -> None:
         """Forget the reference: the next one begins where the arm is."""

@@ -4,6 +4,7 @@
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -88,14 +89,32 @@ class Brake:
         return self._q + way * self._qd, left * self._qd, change * self._qd
 
 
+@dataclass(eq=False)
 class Sampled:
-    """Recorded movement, interpolated by a cubic spline and sampled on the control grid.
+    """Recorded movement, sampled on the control grid.
 
     Attributes:
         q: Joint positions [rad]. Shape (rows, n).
         qd: Joint speeds [rad/s]. Shape (rows, n).
         qdd: Joint accelerations [rad/s^2]. Shape (rows, n).
         duration: Duration of the movement [s].
+        period: Sampling period of the control loop [s].
+    """
+
+    q: np.ndarray
+    qd: np.ndarray
+    qdd: np.ndarray
+    duration: float
+    period: float
+
+    def at(self, t: float) -> State:
+        """See `JointReference`; the nearest row."""
+        row = min(max(round(t / self.period), 0), len(self.q) - 1)
+        return self.q[row], self.qd[row], self.qdd[row]
+
+
+def interpolated(t: npt.ArrayLike, q: npt.ArrayLike, speed: float, period: float) -> Sampled:
+    """Interpolate a recorded movement by a cubic spline and sample it on the control grid.
 
     Args:
         t: Times, strictly increasing [s]. Shape (N,), N >= 4.
@@ -106,32 +125,22 @@ class Sampled:
     Raises:
         ValueError: A shape or value is not allowed; names it.
     """
-
-    def __init__(self, t: npt.ArrayLike, q: npt.ArrayLike, speed: float, period: float) -> None:
-        times, joints = np.array(t, dtype=float), np.array(q, dtype=float)
-        if times.ndim != 1 or joints.ndim != 2 or not len(joints) == len(times) >= 4:
-            raise ValueError(
-                f"t {times.shape} and q {joints.shape} must be (N,) and (N, n), N >= 4"
-            )
-        if not (
-            np.isfinite(times).all() and np.isfinite(joints).all() and np.all(np.diff(times) > 0.0)
-        ):
-            raise ValueError("the times must increase and all values be finite")
-        if not 0.0 < speed < math.inf:
-            raise ValueError(f"speed {speed} must be positive")
-        self.duration = float(times[-1] - times[0]) / speed
-        if self.duration > 600.0:
-            raise ValueError(f"the movement takes {self.duration:.0f} s; at most 600 allowed")
-        self._period = period
-        rows = round(self.duration / period) + 1
-        spline = CubicSpline((times - times[0]) / speed, joints)
-        grid = np.minimum(np.arange(rows) * period, self.duration)
-        self.q, self.qd, self.qdd = (spline(grid, order) for order in range(3))
-
-    def at(self, t: float) -> State:
-        """See `JointReference`; the nearest row."""
-        row = min(max(round(t / self._period), 0), len(self.q) - 1)
-        return self.q[row], self.qd[row], self.qdd[row]
+    times, joints = np.array(t, dtype=float), np.array(q, dtype=float)
+    if times.ndim != 1 or joints.ndim != 2 or not len(joints) == len(times) >= 4:
+        raise ValueError(f"t {times.shape} and q {joints.shape} must be (N,) and (N, n), N >= 4")
+    if not (
+        np.isfinite(times).all() and np.isfinite(joints).all() and np.all(np.diff(times) > 0.0)
+    ):
+        raise ValueError("the times must increase and all values be finite")
+    if not 0.0 < speed < math.inf:
+        raise ValueError(f"speed {speed} must be positive")
+    duration = float(times[-1] - times[0]) / speed
+    if duration > 600.0:
+        raise ValueError(f"the movement takes {duration:.0f} s; at most 600 allowed")
+    spline = CubicSpline((times - times[0]) / speed, joints)
+    grid = np.minimum(np.arange(round(duration / period) + 1) * period, duration)
+    rows, speeds, accelerations = (spline(grid, order) for order in range(3))
+    return Sampled(rows, speeds, accelerations, duration, period)
 
 
 class Course:

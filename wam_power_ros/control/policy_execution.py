@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A policy on the arm: what makes it fit, the rollout under way, and the path so far."""
 
+import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,15 +28,21 @@ TURN_MAX = 2.0  # [rad]
 
 @dataclass(frozen=True, eq=False)
 class PreparedPolicy:
-    """A policy that fits the arm, with all tables computed.
+    """A policy that fits the arm, with all tables computed: all that a rollout needs of it.
 
     Attributes:
-        policy: The policy.
+        id: Id of the policy.
+        duration: Duration of the movement [s].
+        q_start: Joint angles at its start [rad]. Shape (n,).
+        orientation_reference: R_ref as a unit quaternion xyzw. Shape (4,).
         tables: Tables of Eq. 1 on the grid of the control loop.
-        content: The policy as text, the same whatever its id; empty without `hold_to_run`.
+        content: Digest of the policy, the same whatever its id; empty without `hold_to_run`.
     """
 
-    policy: Policy
+    id: str
+    duration: float
+    q_start: np.ndarray
+    orientation_reference: np.ndarray
     tables: dmp.Tables
     content: str
 
@@ -65,8 +72,17 @@ def prepare(policy: Policy, n: int, limits: Limits, settings: ControllerSettings
         text = f"stiffness {stiffest:.0f} of {name} is above the limit {most:.0f} 1/s^2"
     if text:
         raise ControllerError(Refusal.REFUSED, text)
-    content = to_json(with_id(policy, "content")) if settings.hold_to_run else ""
-    return PreparedPolicy(policy, dmp.tabulate(policy, settings.period), content)
+    content = ""
+    if settings.hold_to_run:
+        content = hashlib.sha256(to_json(with_id(policy, "content")).encode()).hexdigest()
+    return PreparedPolicy(
+        id=policy.id,
+        duration=policy.basis.duration,
+        q_start=start,
+        orientation_reference=policy.orientation_reference,
+        tables=dmp.tabulate(policy, settings.period),
+        content=content,
+    )
 
 
 class Execution:
@@ -84,17 +100,16 @@ class Execution:
     """
 
     def __init__(self, prepared: PreparedPolicy, arm: Arm, settings: ControllerSettings) -> None:
-        policy = prepared.policy
-        self.id = policy.id
+        self.id = prepared.id
         self.start_ns: int | None = None
         self.complete = False
         self._arm, self._tables = arm, prepared.tables
         self._law: Law = getattr(torque_law, settings.law)
-        self._reference = rotations.matrix(policy.orientation_reference).T
+        self._reference = rotations.matrix(prepared.orientation_reference).T
         *self._obstacle, self._obstacle_radius = settings.obstacle
         self._period_ns = round(settings.period * 1e9)
         # Ticks: the last one, from one sample of the path to the next, of the next sample.
-        self._end = round((policy.basis.duration + settings.settle_time) / settings.period)
+        self._end = round((prepared.duration + settings.settle_time) / settings.period)
         self._every = max(1, round(PATH_PERIOD / settings.period))
         self._next_sample = 0
         self._count = 0  # samples of the path so far

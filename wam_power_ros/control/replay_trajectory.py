@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from wam_power_ros.control.joint_references import JointTrajectory, Sampled
+from wam_power_ros.control.joint_references import JointTrajectory, Sampled, interpolated
 from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.demonstration import smooth_joints
@@ -66,7 +66,7 @@ def sampled(trajectory: JointTrajectory, speed: float, period: float, limits: Li
         ControllerError: It is no movement of this arm, leaves the joint limits, or is too fast.
     """
     try:
-        movement = Sampled(trajectory.t, trajectory.q, speed, period)
+        movement = interpolated(trajectory.t, trajectory.q, speed, period)
     except (ValueError, TypeError, AttributeError) as error:
         raise ControllerError(Refusal.REFUSED, f"replay refused: {error}") from None
     n = len(limits.q_min)

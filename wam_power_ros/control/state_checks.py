@@ -115,6 +115,12 @@ class StateChecks:
         self.last = JointState(stamp_ns, positions, speeds, dt)
         return self.last
 
+    def refuse(self) -> None:
+        """Count a joint state that could not be read, as one that `take` refuses."""
+        self._count += 1
+        self.fault = None
+        self._refuse("rejected")
+
     def _refuse(self, counter: str) -> Unanswered:
         self.counters[counter] += 1
         self.refused_in_row += 1

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -33,24 +34,27 @@ class TrackingError:
 
     Args:
         arm: Model of the arm, for its forward kinematics.
-        states: Expected number of states.
     """
 
-    def __init__(self, arm: ToolPose, states: int) -> None:
+    def __init__(self, arm: ToolPose) -> None:
         self._arm = arm
         self.count = 0
         self.largest = np.zeros(arm.n)
         self._squares = np.zeros(arm.n)
-        self._postures = np.empty((states // TOOL_EVERY + 2, 2, arm.n))
+        self._compared = 0  # positions of the tool, as the movement goes: at its end there is
+        self._tool_squares, self._tool_largest = 0.0, 0.0  # no time for all of them
 
     def add(self, q_ref: np.ndarray, q: np.ndarray) -> None:
         """Add one state: reference and measured posture [rad]. Shapes (n,)."""
         error = q_ref - q
         self._squares += error * error
         np.maximum(self.largest, np.abs(error), out=self.largest)
-        row, rest = divmod(self.count, TOOL_EVERY)
-        if rest == 0 and row < len(self._postures):
-            self._postures[row, 0], self._postures[row, 1] = q_ref, q
+        if self.count % TOOL_EVERY == 0:
+            apart = self._arm.tool_pose(q_ref)[0] - self._arm.tool_pose(q)[0]
+            distance = math.hypot(*apart.tolist())
+            self._compared += 1
+            self._tool_squares += distance * distance
+            self._tool_largest = max(self._tool_largest, distance)
         self.count += 1
 
     @property
@@ -60,12 +64,7 @@ class TrackingError:
 
     def tool(self) -> tuple[float, float]:
         """Root mean square and largest distance of the tool from its reference [m]."""
-        postures = self._postures[: -(-self.count // TOOL_EVERY)]
-        if not len(postures):
-            return 0.0, 0.0
-        positions = [[self._arm.tool_pose(q)[0] for q in pair] for pair in postures]
-        distance = np.linalg.norm(np.diff(np.array(positions), axis=1), axis=2)
-        return float(np.sqrt(np.mean(distance**2))), float(distance.max())
+        return math.sqrt(self._tool_squares / max(self._compared, 1)), self._tool_largest
 
     def text(self, joint_names: Sequence[str]) -> str:
         """Summary in a few lines."""

@@ -198,6 +198,8 @@ class TorqueController(LifecycleNode):
         try:
             reading = self._read(message)
         except ValueError as error:
+            if controller is not None:
+                controller.refuse_state()
             return self._refuse("joint state", error)
         if reading is None or controller is None:
             return None
