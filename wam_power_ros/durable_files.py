@@ -4,7 +4,31 @@
 from __future__ import annotations
 
 import os
+import stat
 from pathlib import Path
+
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def check_regular(path: Path) -> None:
+    """Refuse what is no regular file: reading a FIFO or a device may block, or never end.
+
+    Raises:
+        ValueError: It is another kind of file, missing, or a link that leads nowhere; says which.
+    """
+    try:
+        mode = path.stat().st_mode
+    except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links, before Python 3.13
+        raise ValueError(f"{path} cannot be read: {error}") from None
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "no regular file")
+        raise ValueError(f"{path} is {kind}; it must be a regular file")
 
 
 def sync(path: Path) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import yaml
 
+from wam_power_ros.durable_files import check_regular
+
 SIZE_MAX = 1_000_000  # [bytes]
 DEPTH_MAX = 20  # levels of nesting
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # builds plain data, runs nothing
@@ -16,8 +18,10 @@ def read(file: Path) -> object:
     """Return the plain data in a YAML file.
 
     Raises:
-        ValueError: When it is too large, nested too deeply, has an alias, or is not YAML.
+        ValueError: When it is no regular file, too large, nested too deeply, has an alias, or is
+            not YAML.
     """
+    check_regular(file)
     size = file.stat().st_size
     if size > SIZE_MAX:
         raise ValueError(f"{file} has {size} bytes, at most {SIZE_MAX} are believed")

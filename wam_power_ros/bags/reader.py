@@ -13,7 +13,7 @@ import numpy as np
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import Reader
 
-from wam_power_ros.bags import plain_yaml
+from wam_power_ros.bags import integrity, plain_yaml
 from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES, unfinished
 
 
@@ -140,7 +140,7 @@ def topics(path: Path) -> dict[str, Topic]:
         ValueError: It is no bag, or a topic has several types.
     """
     found: dict[str, Topic] = {}
-    with _reading(path) as reader:
+    with _reading(path) as (reader, _):
         for item in sorted(reader.connections, key=lambda item: item.topic):
             known = found.get(item.topic, Topic(item.msgtype, ()))
             if known.msgtype != item.msgtype:
@@ -157,18 +157,25 @@ def messages(path: Path, names: Iterable[str]) -> Iterator[tuple[str, int, bytes
         ValueError: It is no bag, or damaged.
     """
     names = set(names)
-    with _reading(path) as reader:
+    with _reading(path) as (reader, budget):
         kept = [item for item in reader.connections if item.topic in names]
+        packed = reader.compression_mode == "message"
+        if packed:  # unpacked here, with a limit
+            reader.storage.metadata = reader.storage.metadata._replace(compression_mode=None)
         for connection, stamp_ns, cdr in reader.messages(kept) if kept else ():
+            if packed:
+                where = f"{path}: a message on {connection.topic}"
+                cdr = integrity.unpack(cdr, "zstd", integrity.UNPACKED_MAX, where)
+            budget.take(len(cdr))
             yield connection.topic, stamp_ns, cdr
 
 
 @contextmanager
-def _reading(path: Path) -> Iterator[Reader]:
+def _reading(path: Path) -> Iterator[tuple[Reader, integrity.Budget]]:
     _check_metadata(path)
     try:
-        with Reader(path) as reader:
-            yield reader
+        with integrity.checked(path) as (folder, budget), Reader(folder) as reader:
+            yield reader, budget
     except Exception as error:  # whatever a damaged file makes the reader raise
         raise ValueError(f"{path} cannot be read as a bag: {error}") from error
 

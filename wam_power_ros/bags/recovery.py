@@ -2,7 +2,7 @@
 """Recovery of damaged bags, as a kill, a full disk or an incomplete copy leaves them.
 
 An MCAP file is a sequence of records. Every complete message, also of a truncated chunk, is copied
-into a new bag.
+into a new bag; a chunk that does not match its checksum is left out whole and named.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import mmap
 import os
 import shutil
 import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,11 +21,11 @@ from pathlib import Path
 from rosbags.interfaces import Qos
 
 from wam_power_ros.bags import layout, plain_yaml, reader
+from wam_power_ros.bags.integrity import CHUNK, CHUNK_CRC_AT, CHUNK_HEADER, MAGIC, RECORD_HEADER
 from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.durable_files import check_regular
 
-MAGIC = b"\x89MCAP0\r\n"
-HEADER_SIZE = 9  # of a record: opcode and size
 PROFILES = "offered_qos_profiles"
 # How rosbag2 names what is not the default; before Jazzy by number
 BEST_EFFORT = {"best_effort", 2}
@@ -38,7 +39,7 @@ class Recovered:
     Attributes:
         path: Folder of the new bag; the damaged one is left as it is.
         messages: Number of messages in it, by topic.
-        left_out: Reason by topic that could not be copied.
+        left_out: Reason by topic that could not be copied, or by part of a file that is damaged.
     """
 
     path: Path
@@ -127,19 +128,22 @@ class _Copy:
         """Copy the records of one file, which has ids of schemas and channels of its own."""
         self._schemas.clear()
         self._topics.clear()
+        check_regular(file)
         if file.stat().st_size <= len(MAGIC):
             return
+        damaged: list[str] = []
         with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ) as data:
             if data[: len(MAGIC)] != MAGIC:
                 raise ValueError(f"{file} is not an MCAP file: it begins {data[:8]!r}")
             try:
-                for opcode, body in _records(data, len(MAGIC)):
+                for opcode, body in _records(data, len(MAGIC), damaged):
                     self._record(opcode, body)
             except (struct.error, UnicodeDecodeError, KeyError):
-                pass  # not a record: the file is damaged from here on
+                damaged.append("all that follows a damaged record")
             except _CompressedError as error:
                 text = f"{file} holds chunks compressed with {error}, which this cannot recover"
                 raise ValueError(f"{text}; `mcap recover` can") from None
+            self.left_out |= {f"{file.name}, {part}": "damaged" for part in damaged}
 
     def _record(self, opcode: int, body: bytes) -> None:
         if opcode == 0x03:  # schema
@@ -180,18 +184,29 @@ class _CompressedError(Exception):
     """A chunk is compressed, by the algorithm that the message names."""
 
 
-def _records(data: bytes | mmap.mmap, at: int) -> Iterator[tuple[int, bytes]]:
-    """Complete MCAP records from an offset on, also in chunks; the data may be truncated."""
-    while at + HEADER_SIZE <= len(data):
-        opcode, size = struct.unpack_from("<BQ", data, at)
-        begin = at + HEADER_SIZE
-        at = begin + size
+def _records(data: bytes | mmap.mmap, at: int, damaged: list[str]) -> Iterator[tuple[int, bytes]]:
+    """Complete MCAP records from an offset on, also in chunks; the data may be truncated.
+
+    A chunk that does not match its checksum, or was not written as it is, is named in `damaged`.
+    The checksum of one that is cut off by the end of the data cannot be asked.
+    """
+    while at + RECORD_HEADER.size <= len(data):
+        opcode, size = RECORD_HEADER.unpack_from(data, at)
+        begin = at + RECORD_HEADER.size
+        where, at = f"chunk at byte {at}", begin + size
         body = data[begin:at]
-        if opcode == 0x06:  # chunk, perhaps truncated
-            compression, end = _text(body, 28)
+        if opcode == CHUNK:  # perhaps truncated
+            compression, end = _text(body, CHUNK_HEADER.size)
             if compression:
                 raise _CompressedError(compression)
-            yield from _records(body, end + 8)
+            (crc,) = struct.unpack_from("<I", body, CHUNK_CRC_AT)
+            (packed,) = struct.unpack_from("<Q", body, end)
+            records = body[end + 8 : end + 8 + packed]
+            whole = len(records) == packed
+            if crc and (zlib.crc32(records) != crc if whole else len(body) == size):
+                damaged.append(where)
+            else:
+                yield from _records(body, end + 8, damaged)
         elif len(body) == size:
             yield opcode, body
 

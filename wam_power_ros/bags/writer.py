@@ -11,13 +11,17 @@ import fcntl
 import json
 import os
 import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import ClassVar
 
 from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import McapWriter
 
 from wam_power_ros import durable_files
+from wam_power_ros.bags import integrity
 from wam_power_ros.bags.gaps import GapCounter
 from wam_power_ros.bags.layout import EVENT, STRING, TYPES, qos, unfinished
 
@@ -38,6 +42,29 @@ def header_stamp(cdr: bytes) -> int:
         raise ValueError(f"message of {len(cdr)} bytes cannot hold a header")
     sec, nanosec = struct.unpack_from("<iI" if cdr[1] & 1 else ">iI", cdr, 4)
     return sec * 1_000_000_000 + nanosec
+
+
+class _Storage(McapWriter):
+    """MCAP with the checksums that rosbags leaves out."""
+
+    def close_chunk(self) -> None:
+        """Write the chunk, then its checksum."""
+        crc = zlib.crc32(self.chunk.bio.getbuffer())
+        begin = self.bio.tell() + integrity.RECORD_HEADER.size + integrity.CHUNK_CRC_AT
+        super().close_chunk()
+        end = self.bio.tell()
+        self.bio.seek(begin)
+        self.bio.write(struct.pack("<I", crc))
+        self.bio.seek(end)
+
+    def close(self, version: int, metadata: str) -> None:
+        """Close the file, then write the checksums of the whole of it."""
+        super().close(version, metadata)
+        integrity.seal(self.path)
+
+
+class _Writer(Writer):
+    STORAGE_PLUGINS: ClassVar = {StoragePlugin.MCAP: _Storage}
 
 
 class BagWriter:
@@ -63,7 +90,7 @@ class BagWriter:
         self._parent.mkdir(parents=True)
         self._lock = os.open(self._parent, os.O_RDONLY)
         fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # `recover` keeps off a live bag
-        self._writer = Writer(
+        self._writer = _Writer(
             self._parent / path.name, version=9, storage_plugin=StoragePlugin.MCAP
         )
         self._writer.open()

@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Integrity of bags: no changed bit is read, no small file becomes a large one, nothing blocks."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import sqlite3
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+from backports import zstd
+from bag_samples import NAMES, QOS, START, demonstration, joint_state, random_q
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+from wam_power_ros.bags import integrity, layout, reader
+from wam_power_ros.bags.integrity import CHUNK, CHUNK_HEADER, RECORD_HEADER
+from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.bags.recovery import recover
+from wam_power_ros.bags.writer import BagWriter
+
+BLOCKED = 20  # [s] after which a reader counts as blocked
+MEMORY = 400_000_000  # [byte] that a reader of a small bag may take
+DISK = 200_000_000  # [byte] that it may write into one file
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    """A closed bag of three chunks."""
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
+    for index, row in enumerate(random_q(60)):
+        stamp_ns = START + 2_000_000 * index
+        writer.write("/joint_states", stamp_ns, joint_state(stamp_ns, NAMES, row))
+        if index % 20 == 19:
+            writer.flush()
+    return writer.close({"joint_names": json.dumps(NAMES), "state_topic": "/joint_states"})
+
+
+def records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Offset, opcode and length of the records of an MCAP file."""
+    at = 8
+    while at < len(data) - 8:
+        opcode, length = RECORD_HEADER.unpack_from(data, at)
+        yield at, opcode, length
+        at += RECORD_HEADER.size + length
+
+
+def flipped(data: bytes, place: int, bit: int) -> bytes:
+    damaged = bytearray(data)
+    damaged[place] ^= 1 << bit
+    return bytes(damaged)
+
+
+def unsealed(data: bytes) -> bytes:
+    """The file with the checksums of its chunks only, as other recorders write it."""
+    found = bytearray(data)
+    for at, opcode, _ in records(data):
+        if opcode == integrity.DATA_END:
+            found[at + 9 : at + 13] = bytes(4)
+        elif opcode == integrity.FOOTER:
+            found[at + 25 : at + 29] = bytes(4)
+    return bytes(found)
+
+
+@pytest.mark.requirement("S-57")
+def test_no_flipped_bit_of_a_bag_is_read_as_another_movement(bag: Path) -> None:
+    rng = np.random.default_rng(0)
+    for file in (bag / "demo.mcap", bag / "metadata.yaml"):
+        whole = file.read_bytes()
+        for place in rng.integers(0, len(whole), 300):
+            file.write_bytes(flipped(whole, place, int(rng.integers(8))))
+            try:
+                stamps_ns, q = read_demonstration(bag, NAMES)
+            except ValueError as error:
+                assert str(bag) in str(error)
+            else:
+                assert file.name == "metadata.yaml", f"byte {place} is not covered by a checksum"
+                np.testing.assert_array_equal(q, random_q(60))
+                np.testing.assert_array_equal(stamps_ns, START + 2_000_000 * np.arange(60))
+        file.write_bytes(whole)
+
+
+@pytest.mark.requirement("S-57")
+def test_a_flipped_bit_in_a_chunk_of_another_recorder_is_named_with_the_chunk(bag: Path) -> None:
+    file = bag / "demo.mcap"
+    whole = unsealed(file.read_bytes())
+    file.write_bytes(whole)
+    np.testing.assert_array_equal(read_demonstration(bag, NAMES)[1], random_q(60))
+    chunks = [(at, length) for at, opcode, length in records(whole) if opcode == CHUNK]
+    assert len(chunks) == 3
+    rng = np.random.default_rng(1)
+    for at, length in chunks:
+        for place in rng.integers(CHUNK_HEADER.size + 12, length, 40):
+            file.write_bytes(flipped(whole, at + 9 + int(place), int(rng.integers(8))))
+            with pytest.raises(ValueError, match=f"chunk at byte {at} is damaged: its checksum"):
+                read_demonstration(bag, NAMES)
+
+
+@pytest.mark.requirement("S-57")
+def test_recovery_leaves_a_damaged_chunk_out_and_names_it(bag: Path) -> None:
+    file = bag / "demo.mcap"
+    whole = file.read_bytes()
+    chunks = [(at, length) for at, opcode, length in records(whole) if opcode == CHUNK]
+    rng = np.random.default_rng(2)
+    for number, (at, length) in enumerate(chunks):
+        for _ in range(4):
+            place = at + 9 + int(rng.integers(CHUNK_HEADER.size + 12, length))
+            file.write_bytes(flipped(whole, place, int(rng.integers(8))))
+            made = recover(bag)
+            assert f"demo.mcap, chunk at byte {at}" in made.left_out
+            if number:  # the first one has the topics
+                kept = np.delete(random_q(60), slice(20 * number, 20 * number + 20), axis=0)
+                np.testing.assert_array_equal(read_demonstration(made.path, NAMES)[1], kept)
+            shutil.rmtree(made.path)
+
+
+def test_another_reader_of_the_format_agrees_with_the_checksums(bag: Path) -> None:
+    mcap_reader = pytest.importorskip("mcap.stream_reader")
+    whole = (bag / "demo.mcap").read_bytes()
+    with (bag / "demo.mcap").open("rb") as file:
+        found = list(mcap_reader.StreamReader(file, validate_crcs=True).records)
+    ends = [item for item in found if type(item).__name__ in ("DataEnd", "Footer")]
+    assert ends[0].data_section_crc and ends[1].summary_crc
+    (at,) = [at for at, opcode, _ in records(whole) if opcode == integrity.DATA_END]
+    assert integrity.zlib.crc32(whole[:at]) == ends[0].data_section_crc
+
+
+@pytest.mark.requirement("S-57")
+@pytest.mark.parametrize("name", ["starting_time", "custom_data"])
+def test_metadata_that_differ_from_the_copy_in_the_file_are_refused(bag: Path, name: str) -> None:
+    file = bag / "metadata.yaml"
+    text = file.read_text()
+    old = {"starting_time": str(START), "custom_data": "wam_j1"}[name]
+    new = {"starting_time": str(START + 1), "custom_data": "wam_j9"}[name]
+    assert old in text
+    file.write_text(text.replace(old, new))
+    with pytest.raises(ValueError, match=rf"metadata\.yaml.*{name}"):
+        read_demonstration(bag, NAMES)
+
+
+@pytest.mark.parametrize("mode", [CompressionMode.FILE, CompressionMode.MESSAGE])
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_compressed_bag_reads_the_same(
+    tmp_path: Path, mode: CompressionMode, storage: StoragePlugin
+) -> None:
+    path = compressed(tmp_path / "lab", mode, storage, random_q(30))
+    np.testing.assert_array_equal(read_demonstration(path, NAMES)[1], random_q(30))
+
+
+def test_a_bag_with_compressed_chunks_reads_the_same(tmp_path: Path) -> None:
+    path = compressed(tmp_path / "lab", CompressionMode.STORAGE, StoragePlugin.MCAP, random_q(30))
+    np.testing.assert_array_equal(read_demonstration(path, NAMES)[1], random_q(30))
+
+
+def compressed(path: Path, mode: CompressionMode, storage: StoragePlugin, q: np.ndarray) -> Path:
+    writer = Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection(
+            "/joint_states", layout.JOINT_STATE, typestore=layout.TYPES, offered_qos_profiles=QOS
+        )
+        for index, row in enumerate(q):
+            stamp_ns = START + 2_000_000 * index
+            writer.write(topic, stamp_ns, joint_state(stamp_ns, NAMES, row))
+    return path
+
+
+# Bombs: small bags that would unpack to 1.5 GB.
+
+LARGE = 1_500_000_000  # [byte]
+
+
+def zeros(size: int) -> bytes:
+    """Many zeros, compressed by zstd, some ten thousand times smaller."""
+    packer = zstd.ZstdCompressor()
+    pieces = [packer.compress(bytes(10_000_000)) for _ in range(size // 10_000_000)]
+    return b"".join([*pieces, packer.flush()])
+
+
+def chunk_bomb(path: Path, declared: int, compression: str, content: bytes) -> None:
+    """Replace the first chunk of a bag, and what its index says of it."""
+    demonstration(path, random_q(5))
+    file = path / "demo.mcap"
+    whole = unsealed(file.read_bytes())
+    at, length = next((at, length) for at, opcode, length in records(whole) if opcode == CHUNK)
+    body = CHUNK_HEADER.pack(START, START + 1, declared, 0)
+    body += struct.pack("<I", len(compression)) + compression.encode()
+    body += struct.pack("<Q", len(content)) + content
+    made = whole[:at] + RECORD_HEADER.pack(CHUNK, len(body)) + body + whole[at + 9 + length :]
+    footer = len(made) - 8 - 29  # the summary is found no more: the file is read from its begin
+    file.write_bytes(made[: footer + 9] + bytes(20) + made[-8:])
+
+
+def zstd_chunk_of_a_declared_size(path: Path) -> None:
+    chunk_bomb(path, LARGE, "zstd", zeros(LARGE))
+
+
+def zstd_chunk_that_declares_less(path: Path) -> None:
+    chunk_bomb(path, 1000, "zstd", zeros(LARGE))
+
+
+def lz4_chunk_that_declares_less(path: Path) -> None:
+    chunk_bomb(path, 1000, "lz4", lz4.frame.compress(bytes(LARGE // 2)))
+
+
+def many_chunks(path: Path) -> None:
+    """Chunks of an allowed size each, all of the same time: a reader in order of time has all."""
+    chunk_bomb(path, 60_000_000, "zstd", zeros(60_000_000))
+    file = path / "demo.mcap"
+    whole = file.read_bytes()
+    at, length = next((at, length) for at, opcode, length in records(whole) if opcode == CHUNK)
+    file.write_bytes(whole[:at] + whole[at : at + 9 + length] * 25 + whole[at + 9 + length :])
+
+
+def file_bomb(path: Path) -> None:
+    compressed(path, CompressionMode.FILE, StoragePlugin.MCAP, random_q(5))
+    (path / "demo.mcap.zstd").write_bytes(zeros(400_000_000))
+
+
+def message_bomb(path: Path) -> None:
+    compressed(path, CompressionMode.MESSAGE, StoragePlugin.SQLITE3, random_q(5))
+    with sqlite3.connect(path / "demo.db3") as database:
+        database.execute("UPDATE messages SET data = ?", (zeros(LARGE),))
+
+
+def computed_rows(path: Path) -> None:
+    with Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        topic = writer.add_connection("/joint_states", layout.JOINT_STATE, typestore=layout.TYPES)
+        writer.write(topic, START, joint_state(START, NAMES, np.zeros(3)))
+    with sqlite3.connect(path / "demo.db3") as database:
+        database.execute("ALTER TABLE messages RENAME TO old")
+        database.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+            "data BLOB GENERATED ALWAYS AS (zeroblob(900000000)))"
+        )
+        database.execute("INSERT INTO messages(topic_id, timestamp) SELECT 1, 1 FROM old")
+
+
+BOMBS = [
+    (zstd_chunk_of_a_declared_size, "unpacks to 1500000000 bytes; at most 64000000"),
+    (zstd_chunk_that_declares_less, "unpacks to more than 1000 bytes"),
+    (lz4_chunk_that_declares_less, "unpacks to more than 1000 bytes"),
+    (many_chunks, "unpacks to more than"),
+    (file_bomb, "unpacks to more than"),
+    (message_bomb, "unpacks to more than 64000000 bytes"),
+    (computed_rows, "'messages', a view, a trigger or computed"),
+]
+
+
+@pytest.mark.requirement("S-58")
+@pytest.mark.parametrize(("make", "why"), BOMBS, ids=lambda item: getattr(item, "__name__", ""))
+def test_a_small_bag_that_unpacks_to_a_large_one_is_refused_in_bounded_memory_and_disk(
+    tmp_path: Path, make: Callable[[Path], None], why: str
+) -> None:
+    make(tmp_path / "demo")
+    script = f"""
+import resource, sys
+sys.path[:0] = {sys.path!r}
+from pathlib import Path
+from wam_power_ros.bags.reader import read_demonstration
+pages = int(Path("/proc/self/statm").read_text().split()[0])
+most = pages * resource.getpagesize() + {MEMORY}
+resource.setrlimit(resource.RLIMIT_AS, (most, most))
+resource.setrlimit(resource.RLIMIT_FSIZE, ({DISK}, {DISK}))
+try:
+    read_demonstration(Path({str(tmp_path / "demo")!r}), {NAMES!r})
+except ValueError as error:
+    print(error)
+"""
+    environment = os.environ | {"TMPDIR": str(tmp_path), "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", script]
+    ended = subprocess.run(
+        command, capture_output=True, text=True, timeout=120, env=environment, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert why in ended.stdout
+    assert [left.name for left in tmp_path.iterdir()] == ["demo"]
+
+
+@pytest.fixture
+def unblocked() -> Iterator[None]:
+    """End a read that blocks, as a failure of its test."""
+
+    def blocked(*_: object) -> None:
+        raise AssertionError("reading blocks")
+
+    before = signal.signal(signal.SIGALRM, blocked)
+    signal.alarm(BLOCKED)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def named_socket(path: Path) -> None:
+    """Bind by a short name: the path of a test's folder is longer than a socket's may be."""
+    folder = os.getcwd()
+    os.chdir(path.parent)
+    try:
+        with socket.socket(socket.AF_UNIX) as bound:
+            bound.bind(path.name)
+    finally:
+        os.chdir(folder)
+
+
+SPECIAL: list[tuple[Callable[[Path], object], str]] = [
+    (os.mkfifo, "is a FIFO"),
+    (lambda path: path.symlink_to("/dev/zero"), "is a device"),
+    (named_socket, "is a socket"),
+    (lambda path: path.symlink_to(path.name), "symbolic link|Symlink loop"),
+    (lambda path: path.mkdir(), "is a folder"),
+]
+
+
+@pytest.mark.requirement("S-58")
+@pytest.mark.parametrize("name", ["demo.mcap", "metadata.yaml"])
+@pytest.mark.parametrize(("make", "why"), SPECIAL)
+def test_what_is_no_regular_file_is_refused_at_once(
+    bag: Path, unblocked: None, name: str, make: Callable[[Path], object], why: str
+) -> None:
+    (bag / name).unlink()
+    make(bag / name)
+    with pytest.raises(ValueError, match=why if name == "demo.mcap" else f"{why}|no metadata"):
+        read_demonstration(bag, NAMES)
+    with pytest.raises(ValueError, match=str(bag)):
+        reader.topics(bag)
+    if name == "demo.mcap":
+        with pytest.raises(ValueError, match=str(bag)):
+            recover(bag)
