@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller against a rigid-body arm: semi-implicit Euler, 1 ms, no contact."""
+"""The controller against the arm of `rigid_arm`."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,145 +9,32 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from open_loop import reproduced
+from rigid_arm import (
+    A_TEST,
+    HOME,
+    LIMITS,
+    MODEL,
+    NAMES,
+    PERIOD_NS,
+    POLICY,
+    URDF,
+    Plant,
+    begin,
+    check,
+    make,
+    make_policy,
+    run,
+    tool,
+)
 
 from wam_power_ros import rotations
 from wam_power_ros.control import safety, torque_law
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import TRANSITIONS, ControllerError, Mode
 from wam_power_ros.learning import dmp
-from wam_power_ros.learning.policy import Basis, Policy, with_id
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
-from wam_power_ros.params.resources import share
-
-URDF = share("urdf/wam7.urdf").read_text()
-NAMES = [f"wam_j{i}" for i in range(1, 8)]
-MODEL = Arm(URDF, NAMES)  # of the plant; each controller has its own
-LIMITS = safety.limits_of(MODEL)
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
-PERIOD_NS = 2_000_000
-A_TEST = Fault(FaultKind.SOFTWARE, "a test")
-ENCODER = np.array([3.65, 2.72, 4.56, 8.52, 7.91, 7.91, 10.27]) * 1e-5  # [rad] a count
-
-
-def make_policy(
-    id: str = "trial-0001", q_start: np.ndarray = HOME, size: float = 1.0, pitch: float = 0.3
-) -> Policy:
-    """A dip, an upward throw with the pan's edge up, and back: 8 primitives in 0.8 s."""
-    position, rotation = MODEL.tool_pose(q_start)
-    shape = np.array([0.0, -0.3, -1.0, 0.6, 1.0, 0.4, 0.1, 0.0]) * size
-    attractors = position + shape[:, None] * np.array([0.03, 0.02, 0.12])
-    turning = np.zeros((8, 3))
-    turning[:, 1] = -pitch * shape
-    skew = np.array([[0.0, 40.0, 0.0], [-40.0, 0.0, 20.0], [0.0, -20.0, 0.0]])
-    return Policy(
-        id=id,
-        basis=Basis(8, 0.8, 0.0025),
-        stiffness=np.tile(np.diag([200.0, 300.0, 400.0]) + skew, (8, 1, 1)),
-        attractors=attractors,
-        damping=32.0,
-        orientation_reference=rotations.quat_xyzw(rotation),
-        rotation_attractors=turning,
-        rotation_stiffness=400.0,
-        rotation_damping=36.0,
-        q_start=q_start,
-    )
-
-
-POLICY = make_policy()
-
-
-@dataclass
-class Plant:
-    """An arm that obeys torques; with `sensing`, through encoders and a 180 rad/s velocity filter.
-
-    `delay` counts periods between a state and the torque that answers it taking effect.
-    """
-
-    q: np.ndarray
-    delay: int = 0
-    sensing: bool = False
-    friction: float = 0.0
-    push: Callable[[float, np.ndarray, np.ndarray], np.ndarray] | None = None
-    adds_gravity: bool = False
-
-    def __post_init__(self) -> None:
-        self.q, self.qd, self.stamp = self.q.copy(), np.zeros(7), 10**12
-        carried = np.zeros(7) if self.adds_gravity else MODEL.gravity(self.q)
-        self._pending = [carried] * self.delay
-        self._filtered, self._last = np.zeros(7), self._read()
-
-    def _read(self) -> np.ndarray:
-        return np.round(self.q / ENCODER) * ENCODER if self.sensing else self.q.copy()
-
-    def state(self) -> tuple[int, np.ndarray, np.ndarray]:
-        """Stamp, q, qd as the driver would publish them."""
-        q = self._read()
-        if not self.sensing:
-            return self.stamp, q, self.qd.copy()
-        share = 1.0 - math.exp(-180.0 * 0.002)
-        self._filtered = self._filtered + share * ((q - self._last) / 0.002 - self._filtered)
-        self._last = q
-        return self.stamp, q, self._filtered.copy()
-
-    def step(self, tau: np.ndarray) -> None:
-        """One period under a torque."""
-        self._pending.append(tau)
-        tau = self._pending.pop(0)
-        for _ in range(2):
-            total = tau - self.friction * (
-                MODEL.friction * np.tanh(self.qd / 0.01) + MODEL.damping * self.qd
-            )
-            if self.adds_gravity:
-                total = total + MODEL.gravity(self.q)
-            if self.push is not None:
-                total = total + self.push((self.stamp - 10**12) * 1e-9, self.q, self.qd)
-            self.qd = self.qd + 0.001 * MODEL.forward_dynamics(self.q, self.qd, total)
-            self.q = self.q + 0.001 * self.qd
-        self.stamp += PERIOD_NS
-
-
-def make(policy: Policy | None = POLICY, **choices: object) -> Controller:
-    controller = Controller(Arm(URDF, NAMES), ControllerSettings(**choices))
-    if policy is not None:
-        controller.load(policy)
-    return controller
-
-
-def begin(q: np.ndarray = HOME, controller: Controller | None = None, **plant: object) -> tuple:
-    """A controller that has held for 0.1 s, and its plant."""
-    controller, plant = controller or make(), Plant(q, **plant)
-    controller.step(*plant.state())
-    controller.hold()
-    run(controller, plant, 0.1)
-    return controller, plant
-
-
-def run(
-    controller: Controller, plant: Plant, seconds: float, until: Callable[[], bool] | None = None
-) -> list[np.ndarray]:
-    """Close the loop; every torque is checked. Returns the torques."""
-    torques = []
-    for _ in range(round(seconds / 0.002)):
-        if until is not None and until():
-            break
-        tau = controller.step(*plant.state())
-        check(tau, torques[-1] if torques else tau)
-        torques.append(tau)
-        plant.step(tau)
-    return torques
-
-
-def check(tau: np.ndarray, previous: np.ndarray, dt: float = 0.002) -> None:
-    assert np.isfinite(tau).all()
-    assert np.all(np.abs(tau) <= LIMITS.torque)
-    assert np.all(np.abs(tau - previous) <= LIMITS.torque_rate * dt + 1e-9)
-
-
-def tool(plant: Plant) -> np.ndarray:
-    return MODEL.tool_pose(plant.q)[0]
-
+from wam_power_ros.learning.policy import Policy, with_id
+from wam_power_ros.learning.rollout import EndEffectorPath, FaultKind
 
 # ------------------------------------------------------------------------------ gravity and hold
 
@@ -202,7 +87,8 @@ def test_hold_returns_after_a_push(delay: int, sensing: bool) -> None:
     def push(t: float, q: np.ndarray, _: np.ndarray) -> np.ndarray:
         return MODEL.jacobian(q)[:3].T @ (20.0, 30.0, 10.0) if 0.2 < t < 0.4 else np.zeros(7)
 
-    controller, plant = begin(delay=delay, sensing=sensing, push=push)
+    felt = make(contact_share=1.0)  # as little as can be
+    controller, plant = begin(controller=felt, delay=delay, sensing=sensing, push=push)
     run(controller, plant, 0.3)
     assert np.linalg.norm(tool(plant) - MODEL.tool_pose(HOME)[0]) > 0.01
     run(controller, plant, 1.2)
@@ -250,7 +136,7 @@ def test_a_move_to_start_arrives_at_limited_speed_and_is_ready(friction: float) 
 
 @pytest.mark.requirement("S-25")
 def test_a_blocked_move_is_a_fault() -> None:
-    controller, plant = begin(HOME + 0.6)
+    controller, plant = begin(HOME + 0.6, controller=make(contact_share=100.0))
     controller.move_to_start()
     stuck = plant.q.copy()
     for _ in range(3000):
@@ -267,7 +153,7 @@ def test_a_held_arm_that_was_carried_off_does_not_spring_back() -> None:
         return cut - 3.0 * qd * (t >= 0.3)
 
     sent = [np.zeros(7)]
-    controller, plant = begin(push=idle)
+    controller, plant = begin(controller=make(contact_share=100.0), push=idle)
     for _ in range(3000):
         sent.append(controller.step(*plant.state()))
         plant.step(sent[-1])
@@ -276,7 +162,7 @@ def test_a_held_arm_that_was_carried_off_does_not_spring_back() -> None:
     assert "rad away" in controller.latched.text
     q, plant.push = plant.q.copy(), None  # the board lets torques through again
     run(controller, plant, 1.0)
-    assert np.abs(plant.q - q).max() < 0.2
+    assert np.abs(plant.q - q).max() < 0.25  # it was falling
     assert controller.mode is Mode.FAULT
 
 
@@ -542,12 +428,15 @@ def test_a_state_that_is_not_valid_is_ignored_and_five_are_a_fault(q: object, qd
         answer = tau
     assert controller.mode is Mode.HOLD
     assert controller.counters["rejected"] == 4
-    assert controller.counters["stale"] == 2  # from the third on, g(q) of the last valid state
+    assert np.array_equal(answer, tau)  # nothing new is to be sent
     check(controller.step(stamp + 5 * PERIOD_NS, q, qd), answer)
     assert controller.mode is Mode.FAULT
     with pytest.raises(ControllerError, match="not valid"):
         controller.reset()
-    controller.step(stamp + 6 * PERIOD_NS, good, np.zeros(7))
+    for k in range(6, 6 + 1 + 100):
+        with pytest.raises(ControllerError, match=r"not valid|at rest for 0\.2 s"):
+            controller.reset()
+        controller.step(stamp + k * PERIOD_NS, good, np.zeros(7))
     controller.reset()
     assert controller.mode is Mode.HOLD
 
@@ -615,11 +504,12 @@ def test_overspeed_is_a_fault_in_the_third_state(joint: int) -> None:
 def test_teaching_has_a_speed_limit_of_its_own() -> None:
     limits = safety.limits_of(MODEL, teaching_tool_speed=0.5)
     for teaching, mode in ((False, Mode.HOLD), (True, Mode.FAULT)):
-        controller, plant = begin(controller=make(limits=limits))
+        controller, plant = begin(controller=make(limits=limits, contact_share=100.0))
         controller.set_gravity_compensation(teaching)
         stamp, q, _ = plant.state()
+        qd = np.array([0.8, 0, 0, 0, 0, 0, 0])
         for k in range(4):
-            controller.step(stamp + k * PERIOD_NS, q, np.array([0.8, 0, 0, 0, 0, 0, 0]))
+            controller.step(stamp + k * PERIOD_NS, q + k * 0.002 * qd, qd)
         assert controller.mode is mode
 
 
@@ -736,24 +626,30 @@ def test_a_fault_brings_the_arm_to_rest_carries_it_and_stays_until_reset() -> No
 @pytest.mark.requirement("S-44")
 def test_a_driver_that_starts_again_from_zero_faults_and_can_be_reset() -> None:
     controller, _ = begin()
-    for k in range(10):
+    for k in range(110):
         controller.step(k * PERIOD_NS, HOME, np.zeros(7))
     assert controller.mode is Mode.FAULT
     controller.reset()
-    controller.step(10 * PERIOD_NS, HOME, np.zeros(7))
+    controller.step(110 * PERIOD_NS, HOME, np.zeros(7))
     assert controller.mode is Mode.HOLD
 
 
 @pytest.mark.requirement("S-41")
-def test_the_stale_torque_carries_the_arm_without_a_velocity_term() -> None:
+@pytest.mark.parametrize("friction", [0.5, 1.0, 2.0])
+def test_without_states_the_arm_is_braked_on_its_model_alone(friction: float) -> None:
     assert np.array_equal(make().stale_torque(), np.zeros(7))
-    controller, plant = begin()
+    controller, plant = begin(friction=friction)
     controller.execute()
-    torques = run(controller, plant, 0.4)
-    for _ in range(100):
-        torques.append(controller.stale_torque())
-        check(torques[-1], torques[-2])
-    assert np.allclose(torques[-1], MODEL.gravity(controller._states.last.q), atol=1e-12)
+    tau = run(controller, plant, 0.4)[-1]
+    speeds = []
+    for _ in range(500):
+        before, tau = tau, controller.stale_torque()
+        check(tau, before)
+        plant.step(tau)
+        speeds.append(MODEL.motion(plant.q, plant.qd).tool_speed)
+    assert max(speeds) < speeds[0] + 0.05
+    assert max(speeds[250:]) < safety.REST_SPEED
+    assert np.abs(tau - MODEL.gravity(plant.q)).max() < MODEL.friction.max()
 
 
 @pytest.mark.requirement("S-04")

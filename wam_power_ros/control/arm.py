@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+FRICTION_SPEED = 0.02  # [rad/s] at which Coulomb friction is nearly whole
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tool's origin, along the base's axes
 
 
@@ -243,6 +244,14 @@ class Arm:
     def gravity(self, q: np.ndarray) -> np.ndarray:
         """g(q) [N m]. Shape (n,)."""
         return pin.computeGeneralizedGravity(self.model, self._data, q)
+
+    def bias(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        """C(q, qd) qd + g(q) [N m]. Shape (n,)."""
+        return pin.nonLinearEffects(self.model, self._data, q, qd)
+
+    def resistance(self, qd: np.ndarray) -> np.ndarray:
+        """Torque that the friction of moving joints takes [N m]. Shape (n,)."""
+        return self.friction * np.tanh(qd / FRICTION_SPEED) + self.damping * qd
 
     def inverse_dynamics(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Torque for an acceleration, by recursive Newton-Euler [N m]. Shape (n,)."""

@@ -26,13 +26,17 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
+from wam_power_ros.control.plausibility import Bound, Estimate, Plausibility
 from wam_power_ros.control.policy_execution import Execution, PreparedPolicy, prepare
-from wam_power_ros.control.state_checks import JointState, StateChecks, Unanswered
+from wam_power_ros.control.state_checks import JointState, StateChecks
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
+# What may be unexplained at a standing joint in a rollout: share of its torque limit, and at most
+STANDING_SHARE, STANDING_MOST = 0.13, 7.0  # [N m], a kilogram that nobody told of at arm's length
+REST_NS = 200_000_000  # [ns] of rest after which a fault may be reset
 
 
 class Controller:
@@ -46,26 +50,33 @@ class Controller:
             of torques `limited` and `stale`; of `faults`.
         latched: Fault that is latched, None without.
         rollout_stamp_ns: Stamp of the first state of the last rollout that ended, or None [ns].
+        fresh: Whether the last state was accepted as a new one.
         enabled: Whether a person holds the enabling switch, where `hold_to_run` asks for one; set
             from outside, before every state.
 
     Args:
         arm: Model of the arm, used by this controller alone.
         settings: Settings of the controller.
+        latched: Fault of a controller before this one, which only a reset ends.
 
     Raises:
         ValueError: The settings do not fit the arm.
     """
 
-    def __init__(self, arm: Arm, settings: ControllerSettings | None = None) -> None:
+    def __init__(
+        self,
+        arm: Arm,
+        settings: ControllerSettings | None = None,
+        latched: Fault | None = None,
+    ) -> None:
         self.settings = settings = settings or ControllerSettings()
         self.arm = arm
         self.limits = settings.limits or safety.limits_of(arm)
         if (n := self.limits.torque.size) != arm.n:
             raise ValueError(f"limits are for {n} joints, the arm has {arm.n}")
-        self.latched: Fault | None = None
+        self.latched = latched
         self.rollout_stamp_ns: int | None = None
-        self.enabled = False
+        self.enabled = self.fresh = False
 
         self._states = StateChecks(arm.n, settings.period, settings.velocity_cutoff)
         self.counters: Counter[str] = self._states.counters
@@ -76,6 +87,22 @@ class Controller:
         self._rollout: Execution | None = None
         self._finished: EndEffectorPath | None = None
         self._sent = np.zeros(arm.n)  # last torque
+        self._plausibility = Plausibility(arm)
+        self._estimate: Estimate | None = None  # of the arm, in a fault and while no state comes
+        self._rest_ns: int | None = None  # stamp since which the arm rests in a fault
+        contact = Bound(*2 * [settings.contact_share * arm.tau_max])
+        in_rollout = Bound(
+            settings.unexplained_share * arm.tau_max,
+            np.minimum(STANDING_SHARE * arm.tau_max, STANDING_MOST),
+        )
+        self._unexplained: dict[Mode, Bound | None] = {
+            Mode.GRAVITY_COMPENSATION: None,
+            Mode.HOLD: contact,
+            Mode.MOVE_TO_START: contact,
+            Mode.ROLLOUT: in_rollout,
+            Mode.REPLAY: contact,
+            Mode.FAULT: in_rollout,
+        }
         self._laws: dict[Mode, Law] = {
             Mode.INACTIVE: self._rest_torque,
             Mode.GRAVITY_COMPENSATION: self._teaching_torque,
@@ -85,7 +112,7 @@ class Controller:
             Mode.REPLAY: self._joint_torque,
             Mode.FAULT: self._rest_torque,
         }
-        self._set(Mode.INACTIVE)
+        self._set(Mode.INACTIVE if latched is None else Mode.FAULT)
         self._label = self._mode_label
 
     # What a caller may see
@@ -231,6 +258,7 @@ class Controller:
             return
         self.latched = fault
         self.counters["faults"] += 1
+        self._rest_ns = None
         self._enter(Mode.FAULT)
 
     def reset(self) -> None:
@@ -246,8 +274,13 @@ class Controller:
             text = "reset refused: the last joint state was not valid"
             raise ControllerError(Refusal.REFUSED, text)
         self._require_rest("reset")
+        last, rest_ns = self._states.last, self._rest_ns
+        if last is None or rest_ns is None or last.stamp_ns - rest_ns < REST_NS:
+            text = f"reset refused: the arm must be at rest for {REST_NS * 1e-9:.1f} s, in states"
+            raise ControllerError(Refusal.BUSY, f"{text} that fit each other and the torques")
         self._enter(Mode.HOLD, reset=True)
         self.latched = None
+        self._plausibility.begin()
 
     def deactivate(self) -> None:
         """Abort what is under way; nothing may be sent any more. A fault stays latched."""
@@ -261,6 +294,8 @@ class Controller:
             text = f"{mode.value} refused: no joint state has come yet"
             raise ControllerError(Refusal.NOTHING, text)
         self._end_rollout()
+        if self._mode is Mode.INACTIVE:
+            self._plausibility.begin()
         if mode not in REFERENCED:
             self._joints.release()
         self._set(mode)
@@ -334,8 +369,8 @@ class Controller:
         """The torque that answers one joint state.
 
         Finite, within the limits of size and, unless inactive, of change per second. The same
-        stamp again gives the same array; a state that is older or not valid is counted and gets
-        the last torque, after three in a row the torque that carries the arm.
+        stamp again gives the same array; a state that is older or not valid is counted and
+        changes nothing: `fresh` is false for both.
 
         Args:
             stamp_ns: Stamp of the driver's header [ns].
@@ -351,10 +386,9 @@ class Controller:
             fault.kind is FaultKind.JUMP and self._mode is Mode.GRAVITY_COMPENSATION
         ):  # while teaching nothing refers to a posture
             self.fault(fault)
+        self.fresh = isinstance(state, JointState)
         if isinstance(state, JointState):
             return self._answer(state)
-        if state is Unanswered.REFUSED and states.refused_in_row >= 3:
-            return self.stale_torque()
         return self._sent
 
     def refuse_state(self) -> None:
@@ -364,32 +398,33 @@ class Controller:
             self.fault(fault)
 
     def stale_torque(self) -> np.ndarray:
-        """The torque to send when no state has come: carries the arm in its last known posture.
+        """The torque to send when no state has come: brakes and carries the arm on its model alone.
 
-        Each call counts as one period for the limit of change. Without any state yet it is zero.
+        The arm is taken to be where the model predicts it from the last state and the torques
+        since. Each call counts as one period. Without any state yet the torque is zero.
 
         Returns:
             [N m], read-only. Shape (n,).
         """
         self.counters["stale"] += 1
-        if (last := self._states.last) is not None:
-            compensated = self.settings.driver_compensates_gravity
-            tau = np.zeros(self.arm.n) if compensated else self.arm.gravity(last.q)
-            self._sent = safety.limit_torque(tau, self._sent, self.settings.period, self.limits)
-            self._sent.setflags(write=False)
-        return self._sent
+        if (last := self._states.last) is None:
+            return self._sent
+        period = self.settings.period
+        arm = self._estimate = self._estimate or Estimate(self.arm, last.q, last.qd)
+        arm.predict(self._acting_torque(arm.q), period)
+        state = last._replace(q=arm.q, qd=arm.qd)
+        return self._limited(self._with_springs(self._rest_torque(state), arm.q), arm.q, period)
 
-    def _answer(self, state: JointState) -> np.ndarray:
-        """The torque for a state that has been accepted."""
-        _, q, qd, dt = state
-        # The position of the tool is not needed to hold.
-        motion = (self.arm.speeds if self._mode is Mode.HOLD else self.arm.motion)(q, qd)
-        if (fault := self._motion.fault(self._mode, q, qd, motion)) is not None:
-            self.fault(fault)
-        if self.settings.hold_to_run and self._lacks_switch(self._mode):
-            self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
+    def _acting_torque(self, q: np.ndarray) -> np.ndarray:
+        """Torque that the motors give at a posture (n,) [rad]: the last one that was sent [N m]."""
+        compensated = self.settings.driver_compensates_gravity
+        return self._sent + self.arm.gravity(q) if compensated else self._sent
 
-        tau = self._torque(state, motion)
+    def _limited(self, tau: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
+        """What is sent for a torque of the motors, within the limits of size and of change."""
+        if self.settings.driver_compensates_gravity:  # what the motors give is limited
+            tau = np.minimum(np.maximum(tau, -self.limits.torque), self.limits.torque)
+            tau = tau - self.arm.gravity(q)
         if self._mode is Mode.INACTIVE:  # nothing is sent, so nothing jumps
             sent = np.minimum(np.maximum(tau, -self.limits.torque), self.limits.torque)
         else:
@@ -398,9 +433,45 @@ class Controller:
                 self.counters["limited"] += 1
         sent.setflags(write=False)
         self._sent = sent
+        return sent
+
+    def _answer(self, state: JointState) -> np.ndarray:
+        """The torque for a state that has been accepted."""
+        mode, plausibility = self._mode, self._plausibility
+        if mode is not Mode.INACTIVE:
+            acting = self._acting_torque(state.q)
+            bound = self._unexplained[mode]
+            if (doubt := plausibility.fault(self._states.before, state, acting, bound)) is not None:
+                self.fault(doubt)
+        # The position of the tool is not needed to hold.
+        motion = (self.arm.speeds if self._mode is Mode.HOLD else self.arm.motion)(
+            state.q, state.qd
+        )
+        if (fault := self._motion.fault(self._mode, state.q, state.qd, motion)) is not None:
+            self.fault(fault)
+        if self.settings.hold_to_run and self._lacks_switch(self._mode):
+            self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
+        if self._mode is not Mode.FAULT:
+            self._estimate = None
+        else:
+            self._look_for_rest(state, motion)
+            arm = self._estimate = self._estimate or plausibility.estimate(state)
+            if mode is Mode.FAULT:
+                arm.follow(state, self._acting_torque(arm.q))
+            state = state._replace(q=arm.q, qd=arm.qd)
+
+        sent = self._limited(self._torque(state, motion), state.q, state.dt)
         rollout = self._rollout
         self._label = self._mode_label if rollout is None else f"rollout {rollout.id}"
         return sent
+
+    def _look_for_rest(self, state: JointState, motion: Motion | Speeds) -> None:
+        """Note since when the arm has been at rest in a fault, in states that can be believed."""
+        moving = not isinstance(motion, Motion) or safety.unrest(motion)
+        if moving or self._plausibility.doubted_ns == state.stamp_ns:
+            self._rest_ns = None
+        elif self._rest_ns is None:
+            self._rest_ns = state.stamp_ns
 
     def _torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         """The torque of the mode, before the limits; a fault when that cannot be computed."""
@@ -416,16 +487,15 @@ class Controller:
         if fault is not None:
             self.fault(fault)
             tau = self._rest_torque(state, motion)
-        springs = safety.limit_springs(state.q, self.limits)
-        if springs is not None:
-            tau = tau + springs
-        if self.settings.driver_compensates_gravity:
-            tau = tau - self.arm.gravity(state.q)
-        return tau
+        return self._with_springs(tau, state.q)
+
+    def _with_springs(self, tau: np.ndarray, q: np.ndarray) -> np.ndarray:
+        springs = safety.limit_springs(q, self.limits)
+        return tau if springs is None else tau + springs
 
     # The torque of each mode
 
-    def _rest_torque(self, state: JointState, _: Motion | Speeds) -> np.ndarray:
+    def _rest_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
         return self._carrying_torque(state, safety.FAULT_DAMPING)
 
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:

@@ -27,6 +27,11 @@ class ControllerSettings:
             no velocity [rad/s]; libbarrett uses 180.
         stiffness_max: Largest stiffness a policy may ask for [1/s^2]. With a damping of 32 1/s and
             a delay of 8 ms the loop is stable to about 2800, with 4 ms to about 4800.
+        damping_max: Largest damping a policy may ask for [1/s]. Times the delay of the loop it must
+            stay well below pi / 2: with 8 ms it runs away from 196 on.
+        contact_share: Torque that nothing explains, as a share of each joint's limit, beside its
+            friction twice: more is a contact, and a fault, in hold, move and replay.
+        unexplained_share: The same in rollouts, where the arm is faster and touches things.
 
     Raises:
         ValueError: A value is out of range.
@@ -43,6 +48,9 @@ class ControllerSettings:
     settle_time: float = 1.0
     velocity_cutoff: float = 180.0
     stiffness_max: float = 2500.0
+    damping_max: float = 100.0
+    contact_share: float = 0.1
+    unexplained_share: float = 0.25
 
     def __post_init__(self) -> None:
         if self.law not in LAWS:

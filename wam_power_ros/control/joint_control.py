@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.arm import FRICTION_SPEED, Arm
 from wam_power_ros.control.joint_references import Brake, Course, JointReference, MinJerk, Sampled
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
@@ -16,7 +16,6 @@ from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 BANDWIDTH = 25.0  # [rad/s] w; with a delay of 8 ms, 30 is the most that survives a push of 40 N
 DAMPING_RATIO = 0.7  # zeta
 FRICTION_SHARE = 0.8  # of the joints' friction that is fed forward where the reference moves
-FRICTION_SPEED = 0.02  # [rad/s] of the reference at which the fed friction is nearly whole
 BRAKE_TIME = 0.15  # [s] in which a motion comes to rest when hold begins
 TRACKING_ERROR_MAX = 0.3  # [rad] of a joint while moving, replaying or holding
 _STIFFNESS, _DAMPING = BANDWIDTH**2, 2.0 * DAMPING_RATIO * BANDWIDTH

@@ -70,6 +70,8 @@ def prepare(policy: Policy, n: int, limits: Limits, settings: ControllerSettings
         text = f"q_start {start.round(3).tolist()} of {name} is outside the limits {allowed}"
     elif stiffest > most:
         text = f"stiffness {stiffest:.0f} of {name} is above the limit {most:.0f} 1/s^2"
+    elif (damping := max(policy.damping, policy.rotation_damping)) > settings.damping_max:
+        text = f"damping {damping:.0f} of {name} is above the limit {settings.damping_max:.0f} 1/s"
     if text:
         raise ControllerError(Refusal.REFUSED, text)
     content = ""

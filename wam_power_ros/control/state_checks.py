@@ -32,7 +32,7 @@ class JointState(NamedTuple):
         stamp_ns: Stamp of the driver's header [ns].
         q: Joint positions [rad]. Shape (n,).
         qd: Joint speeds [rad/s]. Shape (n,).
-        dt: Time since the state before, within half and twice the period [s].
+        dt: Time since the state before, at most twice the period [s].
     """
 
     stamp_ns: int
@@ -60,6 +60,7 @@ class StateChecks:
     Attributes:
         counters: Number of states `accepted`, `repeated`, `older`, `rejected`; of `gaps`, `jumps`.
         last: Last accepted state, None before the first.
+        before: State accepted before that one; None when there was none, or a gap between them.
         fault: Fault that the last state gives rise to, None without.
         refused_in_row: Number of states refused since the last accepted one.
 
@@ -72,6 +73,7 @@ class StateChecks:
     def __init__(self, n: int, period: float, velocity_cutoff: float) -> None:
         self.counters: Counter[str] = Counter()
         self.last: JointState | None = None
+        self.before: JointState | None = None
         self.fault: Fault | None = None
         self.refused_in_row = 0
         self._n, self._period, self._cutoff = n, period, velocity_cutoff
@@ -112,6 +114,8 @@ class StateChecks:
         self.counters["accepted"] += 1
         self.refused_in_row = 0
         dt = self._check_continuity(last, stamp_ns, positions)
+        gap = last is None or stamp_ns - last.stamp_ns > self._gap_ns
+        self.before = None if gap else last
         self.last = JointState(stamp_ns, positions, speeds, dt)
         return self.last
 
@@ -169,4 +173,4 @@ class StateChecks:
                 self.counters["jumps"] += 1
                 text = f"a joint jumped by {jump:.3f} rad from one state to the next"
                 self.fault = self.fault or Fault(FaultKind.JUMP, text)
-        return min(max(dt, 0.5 * self._period), 2.0 * self._period)
+        return min(dt, 2.0 * self._period)

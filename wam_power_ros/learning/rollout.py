@@ -27,6 +27,9 @@ class FaultKind(str, enum.Enum):
     STATES_LOST = "states_lost"  # no joint state for too long
     STATES_REFUSED = "states_refused"  # too many joint states that are not valid
     JUMP = "jump"  # a joint's position jumped from one state to the next
+    VELOCITY = "velocity"  # positions and velocities contradict each other
+    EXTERNAL_TORQUE = "external_torque"  # the arm does not move as our torques move it
+    STAMPS = "stamps"  # the stamps do not advance with real time
     RELEASED = "released"  # the enabling switch was released
     SECOND_COMMANDER = "second_commander"
     OVERLOAD = "overload"  # too many control periods missed

@@ -56,6 +56,9 @@ class TorqueControllerParams(Params):
     start_tolerance: Positive
     settle_time: Positive
     stiffness_max: Positive
+    damping_max: Positive
+    contact_share: float = Field(gt=0.0, le=1.0)
+    unexplained_share: float = Field(gt=0.0, le=1.0)
     velocity_cutoff: Positive
 
     def controller(self, urdf: str) -> Controller:

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint states that are well formed and false, to a controller whose arm holds the last torque."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from rigid_arm import HOME, MODEL, PERIOD_NS, POLICY, Plant, begin, check, make, run
+
+from wam_power_ros.control import safety
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.learning.rollout import FaultKind
+
+State = tuple[int, np.ndarray, np.ndarray]
+Lie = Callable[[State], State]
+LONGEST = 15  # states until a lie about a moving arm is a fault: 30 ms
+NOTICED = 0.4  # [rad/s] of a velocity that is wrong; a smaller lie may be noticed later
+START = HOME + np.array([0.3, -0.2, 0.2, -0.3, 0.2, 0.2, 0.3])
+BEGUN = {"early": 0.12, "upwards": 0.33, "late": 0.55}  # [s] of the rollout
+
+
+def frozen(*joints: int, still: bool = False) -> Lie:
+    """Positions of these joints, all if none are named, and velocities unless zero, stay."""
+    kept: list[tuple[np.ndarray, np.ndarray]] = []
+    at = list(joints) or list(range(7))
+
+    def lie(state: State) -> State:
+        stamp, q, qd = state
+        kept.append((q, qd))
+        q, qd = q.copy(), qd.copy()
+        q[at] = kept[0][0][at]
+        qd[at] = 0.0 if still else kept[0][1][at]
+        return stamp, q, qd
+
+    return lie
+
+
+def velocities(change: Callable[[np.ndarray], np.ndarray]) -> Lie:
+    return lambda state: (state[0], state[1], change(state[2]))
+
+
+def two_drivers() -> Lie:
+    turn = [0]
+
+    def lie(state: State) -> State:
+        turn[0] += 1
+        return state[0], state[1] + 0.02 * (turn[0] % 2), state[2]
+
+    return lie
+
+
+LIES: dict[str, Callable[[], Lie]] = {
+    "all frozen": frozen,
+    "all frozen, velocities zero": lambda: frozen(still=True),
+    "joint 2 frozen": lambda: frozen(1),
+    "joint 4 frozen, its velocity zero": lambda: frozen(3, still=True),
+    "velocities zero": lambda: velocities(np.zeros_like),
+    "velocities negated": lambda: velocities(np.negative),
+    "velocities doubled": lambda: velocities(lambda qd: 2.0 * qd),
+    "velocities permuted": lambda: velocities(lambda qd: np.roll(qd, 1)),
+    "velocities of another clock": lambda: velocities(lambda qd: 0.1 * qd),
+    "two drivers": two_drivers,
+}
+
+
+def tool_speed(plant: Plant) -> float:
+    return MODEL.motion(plant.q, plant.qd).tool_speed
+
+
+def lied_to(
+    controller: Controller, plant: Plant, lie: Lie
+) -> tuple[int | None, list[float], float]:
+    """Falsify the plant's states for 1 s.
+
+    Returns:
+        States until the fault, tool speeds [m/s], and by how much the velocity of a joint was
+        wrong at first, beyond half of what was said: the size of the lie [rad/s].
+    """
+    faulted, speeds, tau = None, [], controller.step(*plant.state())
+    plant.step(tau)
+    sizes = []
+    for k in range(500):
+        false = lie(plant.state())
+        said, true = np.abs(false[2]), np.abs(plant.qd)
+        sizes.append(np.abs(false[2] - plant.qd) - 0.5 * np.minimum(said, true))
+        tau, before = controller.step(*false), tau
+        check(tau, before)
+        plant.step(tau)
+        speeds.append(tool_speed(plant))
+        if faulted is None and controller.mode is Mode.FAULT:
+            faulted = k
+    return faulted, speeds, float(np.min(sizes[:LONGEST], axis=0).max())
+
+
+@pytest.fixture(scope="module")
+def nominal() -> float:
+    """Peak tool speed of the rollout without lies [m/s]."""
+    controller, plant = begin(friction=1.0)
+    controller.execute()
+    return max(tool_speed(plant) for _ in range(700) if run(controller, plant, 0.002))
+
+
+@pytest.mark.requirement("S-91")
+@pytest.mark.parametrize("moment", BEGUN)
+@pytest.mark.parametrize("name", LIES)
+def test_a_false_state_in_a_rollout_ends_in_a_stop(name: str, moment: str, nominal: float) -> None:
+    controller, plant = begin(friction=1.0, delay=2, sensing=True)
+    controller.execute()
+    run(controller, plant, BEGUN[moment])
+    faulted, speeds, size = lied_to(controller, plant, LIES[name]())
+    assert max(speeds) < nominal + 0.5
+    if faulted is None:  # the arm did not move enough for anything to be wrong
+        assert size < NOTICED
+        return
+    assert faulted <= LONGEST or size < NOTICED, (faulted, size)
+    assert not controller.latched.kind.of_policy
+    assert max(speeds[faulted + 250 :], default=0.0) < safety.REST_SPEED
+
+
+@pytest.mark.requirement("S-91")
+@pytest.mark.parametrize("name", LIES)
+def test_a_false_state_in_a_move_ends_in_a_stop(name: str) -> None:
+    controller, plant = begin(START, controller=make(move_speed=1.0), friction=1.0, delay=2)
+    controller.move_to_start()
+    run(controller, plant, 0.3)
+    faulted, speeds, size = lied_to(controller, plant, LIES[name]())
+    assert faulted is not None
+    assert faulted <= LONGEST or size < NOTICED, (faulted, size)
+    assert max(speeds) < speeds[0] + 0.2
+    assert max(speeds[faulted + 250 :]) < safety.REST_SPEED
+
+
+@pytest.mark.requirement("S-91")
+@pytest.mark.parametrize("teaching", [False, True])
+@pytest.mark.parametrize("name", LIES)
+def test_a_false_state_of_an_arm_at_rest_moves_nothing(name: str, teaching: bool) -> None:
+    controller, plant = begin(friction=1.0, delay=2)
+    controller.set_gravity_compensation(teaching)
+    _, speeds, _ = lied_to(controller, plant, LIES[name]())
+    assert max(speeds) < safety.REST_SPEED
+
+
+@pytest.mark.requirement("S-91")
+@pytest.mark.parametrize("adds_gravity", [False, True])
+def test_torques_of_another_commander_are_noticed(adds_gravity: bool) -> None:
+    def foreign(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        return np.array([0.0, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0]) * (t > 0.3)
+
+    controller = make(driver_compensates_gravity=adds_gravity)
+    controller, plant = begin(
+        controller=controller, friction=1.0, push=foreign, adds_gravity=adds_gravity
+    )
+    run(controller, plant, 0.5)
+    assert controller.latched.kind is FaultKind.EXTERNAL_TORQUE
+    assert "joint 2" in controller.latched.text
+
+
+@pytest.mark.requirement("S-92")
+@pytest.mark.parametrize("direction", np.eye(3), ids="xyz")
+def test_a_contact_of_30_newtons_stops_a_replay_within_60_milliseconds(
+    direction: np.ndarray,
+) -> None:
+    t = np.linspace(0.0, 3.0, 300)
+    wave = 0.5 * (1.0 - np.cos(2.0 * np.pi * t / 3.0))[:, None]
+    recording = type("Recording", (), {"t": t, "q": HOME + wave * 0.4 * np.ones(7)})
+
+    def contact(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        return MODEL.jacobian(q)[:3].T @ (-30.0 * direction) * (t >= 0.9)
+
+    controller, plant = begin(friction=1.0, delay=2, sensing=True, push=contact)
+    controller.start_replay(recording, speed=0.5)
+    run(controller, plant, 0.9 - (plant.stamp - 10**12) * 1e-9)
+    assert controller.mode is Mode.REPLAY
+    run(controller, plant, 0.06)
+    assert controller.mode is Mode.FAULT
+    assert controller.latched.kind is FaultKind.EXTERNAL_TORQUE
+
+
+@pytest.mark.requirement("S-93")
+@pytest.mark.parametrize("friction", [0.5, 2.0])
+@pytest.mark.parametrize("delay", [0, 4])
+def test_what_the_model_has_wrong_is_no_fault(friction: float, delay: int) -> None:
+    controller, plant = begin(START, friction=friction, delay=delay, sensing=True)
+    scale = np.array([1.05, 0.95, 1.05, 0.95, 1.05, 0.95, 1.05])
+    obey = plant.step
+    plant.step = lambda tau: obey(scale * tau)  # type: ignore[method-assign]
+    controller.move_to_start()
+    run(controller, plant, 6.0, lambda: controller.ready)
+    controller.execute()
+    run(controller, plant, 2.5)
+    assert controller.mode is Mode.HOLD, controller.latched
+
+
+@pytest.mark.requirement("S-26")
+def test_a_reset_needs_rest_for_a_time_and_not_a_turning_point() -> None:
+    controller, plant = begin(friction=0.0)
+    swing = [0.0]
+
+    def push(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
+        return swing[0] * np.sin(2.0 * np.pi * 2.0 * t) * np.eye(7)[0]
+
+    plant.push = push
+    controller.fault(controller.latched or _a_fault())
+    swing[0] = 30.0
+    resets = 0
+    for _ in range(1000):
+        run(controller, plant, 0.002)
+        try:
+            controller.reset()
+            resets += 1
+        except ControllerError:
+            pass
+    assert resets == 0
+    swing[0] = 0.0
+    run(controller, plant, 0.6)
+    controller.reset()
+    assert controller.mode is Mode.HOLD
+
+
+def _a_fault():  # noqa: ANN202
+    from rigid_arm import A_TEST
+
+    return A_TEST
+
+
+def test_states_at_a_flood_of_tiny_stamps_change_the_torque_no_faster() -> None:
+    controller, plant = begin()
+    stamp, q, _ = plant.state()
+    first = tau = controller.step(stamp, q, np.zeros(7))
+    for k in range(1, 101):  # 0.1 ms in all
+        tau = controller.step(stamp + 1000 * k, q - 1e-6 * k, np.zeros(7))
+    assert np.all(np.abs(tau - first) <= 1000.0 * 1e-4 + 1e-9)
+
+
+@pytest.mark.requirement("S-04")
+def test_where_the_driver_adds_gravity_the_motors_keep_their_limit() -> None:
+    limits = safety.limits_of(MODEL, torque=0.5 * MODEL.tau_max)
+    controller = make(driver_compensates_gravity=True, limits=limits)
+    controller, plant = begin(controller=controller, adds_gravity=True)
+    controller.execute()
+    for _ in range(400):
+        tau = controller.step(*plant.state())
+        motor = tau + MODEL.gravity(plant.q)
+        assert np.all(np.abs(motor) <= limits.torque + 1e-9)
+        plant.step(tau)
+
+
+def test_a_policy_that_damps_more_than_a_delayed_loop_can_bear_is_refused() -> None:
+    from dataclasses import replace
+
+    with pytest.raises(
+        ControllerError, match="damping 400 of policy trial-0001 is above the limit 100"
+    ):
+        make(replace(POLICY, damping=400.0))
+
+
+def test_the_state_before_a_gap_is_not_compared_with() -> None:
+    controller, plant = begin()
+    stamp, q, _ = plant.state()
+    controller.step(stamp + 7 * PERIOD_NS, q + 0.02, np.zeros(7))
+    run_on = [controller.step(stamp + k * PERIOD_NS, q + 0.02, np.zeros(7)) for k in range(8, 30)]
+    assert len(run_on) == 22
+    assert controller.latched is None or controller.latched.kind is not FaultKind.VELOCITY

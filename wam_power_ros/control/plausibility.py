@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plausibility of joint states: positions against velocities, and motion against torques.
+
+A joint state may be well formed and false: frozen, of another arm, with another sign or order, or
+moved by torques that are not ours. Two checks see that, and a third one finds out where the arm is
+when its states are not to be believed:
+
+* `VelocityCheck`: what a joint has moved is what its velocity adds up to.
+* `TorqueCheck`: the arm moves as our torques move it. The residual is that of the observer of the
+  generalized momentum [DeLuca2005]: the torque that nothing known explains, low-passed.
+* `Estimate`: state of the arm by its model and by how its positions change.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.state_checks import Q_JUMP, JointState
+from wam_power_ros.learning.rollout import Fault, FaultKind
+
+WINDOW = 0.02  # [s] time constant of the residual
+SLIP_WINDOWS = ((0.02, 0.006), (0.1, 0.01))  # [s], [rad] that position and velocity may differ by
+SLIP_SHARE = 0.3  # of the motion within the window that may be added: filters lag
+_SLIP_AT_ONCE = 0.003  # [rad] what one state may add: one state alone is no fault
+SUSPECTS = 3  # states in a row beyond a bound that make a fault
+REMEMBERED, STRIDE = 100, 4  # states, for the estimate that a fault begins with, and its step
+FRESH = 4  # strides that a lie may have lasted when it is found out
+FRICTION_SHARE = 2.0  # of a joint's Coulomb friction that may be unexplained
+STANDING = 10  # states over which a joint has moved by less than STANDSTILL: it stands
+STANDSTILL = 0.001  # [rad]
+DIFFERENCED = 4  # states that a velocity is differenced over; even, for two drivers in turn
+FROZEN_SHARE = 0.3  # of the model's speed; a joint seen to move slower than that is not believed
+FROZEN_SPEED = 0.1  # [rad/s] of the model, below which a joint may stand still
+
+
+class Bound(NamedTuple):
+    """Largest torque [N m] that may be unexplained beside friction, shapes (n,).
+
+    Attributes:
+        moving: At a joint that moves: what the model may be wrong by.
+        standing: At a joint that stands still. It may be frozen, with the arm moving away under a
+            torque that seems to have no effect: this one is to be found out early.
+    """
+
+    moving: np.ndarray
+    standing: np.ndarray
+
+
+class VelocityCheck:
+    """Compares the change of every position with its velocity.
+
+    Args:
+        n: Number of joints.
+    """
+
+    def __init__(self, n: int) -> None:
+        self._n = n
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew: the next state has no predecessor."""
+        self._sums = [np.zeros((2, self._n)) for _ in SLIP_WINDOWS]
+        self._in_row = 0
+
+    def fault(self, last: JointState, state: JointState) -> Fault | None:
+        """Fault when positions and velocities have contradicted each other for some states.
+
+        Args:
+            last: State before.
+            state: Present state.
+        """
+        dt = (state.stamp_ns - last.stamp_ns) * 1e-9
+        moved, said = state.q - last.q, 0.5 * dt * (last.qd + state.qd)
+        slip = np.minimum(np.abs(moved - said), _SLIP_AT_ONCE)
+        seen = np.stack((slip, np.minimum(np.abs(moved), np.abs(said))))
+        joint, at = -1, 0.0
+        for k, (window, bound) in enumerate(SLIP_WINDOWS):
+            sums = self._sums[k] = math.exp(-dt / window) * self._sums[k] + seen
+            excess = sums[0] - SLIP_SHARE * sums[1]
+            worst = int(excess.argmax())
+            if excess[worst] > bound:
+                joint, at = worst, float(sums[0, worst])
+        self._in_row = self._in_row + 1 if joint >= 0 else 0
+        if self._in_row < SUSPECTS:
+            return None
+        text = f"position and velocity of joint {joint + 1} differ by {at:.3f} rad"
+        return Fault(FaultKind.VELOCITY, text)
+
+
+class TorqueCheck:
+    """Torque at every joint that neither the model nor our own torques explain.
+
+    Args:
+        arm: Model of the arm.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._allowance = FRICTION_SHARE * arm.friction
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew: nothing is unexplained."""
+        self.residual = np.zeros(self._arm.n)
+        self._seen: deque[np.ndarray] = deque(maxlen=STANDING)
+        self._in_row = 0
+
+    def fault(
+        self, last: JointState, state: JointState, tau: np.ndarray, bound: Bound
+    ) -> Fault | None:
+        """Fault when the unexplained torque has exceeded its bound for some states.
+
+        Args:
+            last: State before.
+            state: Present state.
+            tau: Torque at the joints between the two [N m]. Shape (n,).
+            bound: Largest unexplained torque beside friction.
+        """
+        arm = self._arm
+        dt = (state.stamp_ns - last.stamp_ns) * 1e-9
+        keep = math.exp(-dt / WINDOW)
+        gained = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
+        needed = gained + arm.bias(state.q, state.qd) + arm.resistance(state.qd)
+        self.residual = keep * self.residual + (1.0 - keep) * (needed - tau)
+        seen = self._seen
+        standing = len(seen) == STANDING and np.abs(state.q - seen[0]) < STANDSTILL
+        seen.append(state.q)
+        most = np.where(standing, bound.standing, bound.moving)
+        excess = np.abs(self.residual) - self._allowance - most
+        joint = int(excess.argmax())
+        self._in_row = self._in_row + 1 if excess[joint] > 0.0 else 0
+        if self._in_row < SUSPECTS:
+            return None
+        text = f"{self.residual[joint]:.1f} N m at joint {joint + 1} are not ours"
+        return Fault(FaultKind.EXTERNAL_TORQUE, f"{text}: a contact, a payload, another commander")
+
+
+class Plausibility:
+    """Decides whether joint states are to be believed, and remembers those before a lie.
+
+    Attributes:
+        doubted_ns: Stamp of the last state that contradicted another channel, None without [ns].
+
+    Args:
+        arm: Model of the arm.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        self._arm = arm
+        self._velocity, self._torque = VelocityCheck(arm.n), TorqueCheck(arm)
+        self._past: deque[_Past] = deque(maxlen=REMEMBERED)
+        self.doubted_ns: int | None = None
+
+    def begin(self) -> None:
+        """Begin anew: the next state has no predecessor."""
+        self._past.clear()
+        self._velocity.begin()
+        self._torque.begin()
+
+    def fault(
+        self, last: JointState | None, state: JointState, tau: np.ndarray, bound: Bound | None
+    ) -> Fault | None:
+        """Fault of a state that contradicts what else is known; None for one that does not.
+
+        Args:
+            last: State before, None when it is too long ago to compare with.
+            state: Present state.
+            tau: Torque at the joints between the two [N m]. Shape (n,).
+            bound: Largest unexplained torque beside friction, None when a person moves the arm.
+        """
+        if last is None:
+            self.begin()
+            return None
+        fault = self._velocity.fault(last, state)
+        if bound is None:
+            self._torque.begin()
+        else:
+            fault = fault or self._torque.fault(last, state, tau, bound)
+        if fault is not None:
+            self.doubted_ns = state.stamp_ns
+        dt = (state.stamp_ns - last.stamp_ns) * 1e-9
+        self._past.append(_Past(last.q, last.qd, tau, dt))
+        return fault
+
+    def estimate(self, last: JointState) -> Estimate:
+        """Where the arm is: what has been seen to move where it was seen, the rest by its model.
+
+        Args:
+            last: Last state, for when none is remembered.
+        """
+        past = list(self._past)
+        first = past[0] if past else last
+        found = Estimate(self._arm, first.q, first.qd)
+        marks = np.array([each.q for each in past[::STRIDE]])
+        moved = np.diff(marks, axis=0)
+        for k in range(len(moved)):
+            some = past[k * STRIDE : (k + 1) * STRIDE]
+            dt = sum(each.dt for each in some)
+            found.predict(np.mean([each.tau for each in some], axis=0), dt)
+            if k < len(moved) - FRESH:
+                # Within the stride in which it froze a joint has moved too little.
+                goes_on = np.abs(moved[k + 1]) > 0.5 * np.abs(moved[k])
+                seen = (np.abs(moved[k]) > STANDSTILL * STRIDE / STANDING) & goes_on
+                found.q = np.where(seen, marks[k + 1], found.q)
+                found.qd = np.where(seen, moved[k] / dt, found.qd)
+        return found
+
+
+class Estimate:
+    """State of the arm that no single channel can spoil: its model, and how its positions change.
+
+    The velocity channel is not used at all, and of the positions only their changes: an offset
+    does not matter. A joint that stands still although the model has it move is frozen, or has just
+    been stopped by something; the model is right in the first case and does no harm in the second.
+
+    Attributes:
+        q: Joint positions [rad]. Shape (n,).
+        qd: Joint speeds [rad/s]. Shape (n,).
+
+    Args:
+        arm: Model of the arm.
+        q: Positions to begin with [rad]. Shape (n,).
+        qd: Speeds to begin with [rad/s]. Shape (n,).
+    """
+
+    def __init__(self, arm: Arm, q: np.ndarray, qd: np.ndarray) -> None:
+        self._arm = arm
+        self.q, self.qd = q, qd
+        self._seen: deque[tuple[int, np.ndarray]] = deque(maxlen=DIFFERENCED + 1)
+
+    def predict(self, tau: np.ndarray, dt: float) -> None:
+        """Let a torque (n,) [N m] act for a time [s]; friction never reverses a motion."""
+        arm = self._arm
+        mass = arm.mass_matrix(self.q)
+        free = tau - arm.bias(self.q, self.qd) - arm.damping * self.qd
+        qd = self.qd + dt * np.linalg.solve(mass, free)
+        held = dt * arm.friction / mass.diagonal()
+        self.qd = np.sign(qd) * np.minimum(np.maximum(np.abs(qd) - held, 0.0), arm.qd_max)
+        self.q = self.q + dt * self.qd
+
+    def follow(self, state: JointState, tau: np.ndarray) -> None:
+        """Go on to the next state, after a torque (n,) [N m]."""
+        seen = self._seen
+        before = self.q
+        self.predict(tau, state.dt)
+        if seen and state.stamp_ns <= seen[-1][0]:
+            seen.clear()
+        seen.append((state.stamp_ns, state.q))
+        if len(seen) <= DIFFERENCED:
+            return
+        (then_ns, then), (_, previous) = seen[0], seen[-2]
+        qd, moved = (state.q - then) / ((state.stamp_ns - then_ns) * 1e-9), state.q - previous
+        frozen = (np.abs(qd) < FROZEN_SHARE * np.abs(self.qd)) & (np.abs(self.qd) > FROZEN_SPEED)
+        jumped = (np.abs(moved) > Q_JUMP) | (np.abs(qd) > self._arm.qd_max)
+        trusted = ~frozen & ~jumped
+        self.q = np.where(trusted, before + moved, self.q)
+        self.qd = np.where(trusted, qd, self.qd)
+
+
+class _Past(NamedTuple):
+    """A joint state, and the torque that acted for a time after it."""
+
+    q: np.ndarray
+    qd: np.ndarray
+    tau: np.ndarray
+    dt: float
