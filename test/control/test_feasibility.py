@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulated rollout finds what would end a rollout, without an arm that moves."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.arm import WAM_GUARDED, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import simulate_policy
+from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.params.resources import share
@@ -73,6 +75,58 @@ def test_the_margin_decides_what_is_too_fast(arm: Arm) -> None:
     share_used = float((free.qd_peak / arm.qd_max).max())
     assert free.fault is None and share_used > 0.1
     assert simulate_policy(arm, SETTINGS, policy, margin=0.8 * share_used).fault
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("qd_max", FaultKind.JOINT_SPEED),
+        ("elbow_speed", FaultKind.GUARDED_SPEED),
+        ("tool_speed", FaultKind.TOOL_SPEED),
+    ],
+)
+def test_a_tenth_of_each_speed_limit_is_kept_in_reserve(
+    arm: Arm, name: str, kind: FaultKind
+) -> None:
+    policy = lift(arm, 0.25)
+    free = simulate_policy(arm, SETTINGS, policy, margin=1.0)
+    peaks = {
+        "qd_max": free.qd_peak.max(),
+        "elbow_speed": free.elbow_peak,
+        "tool_speed": free.tool_peak,
+    }
+    limit = np.full(7, 1.05 * peaks[name]) if name == "qd_max" else 1.05 * peaks[name]
+    settings = ControllerSettings(limits=limits_of(arm, **{name: limit}))
+    assert simulate_policy(arm, settings, policy, margin=1.0).fault is None
+    assert simulate_policy(arm, settings, policy).fault.kind is kind
+
+
+def test_the_fastest_of_the_guarded_points_is_reported() -> None:
+    urdf, policy = share("urdf/wam7.urdf").read_text(), None
+    peaks = []
+    for guarded in (WAM_GUARDED, WAM_GUARDED[:1], WAM_GUARDED[1:]):
+        arm = Arm(urdf, JOINTS, guarded=guarded)
+        policy = policy or lift(arm, 0.25)
+        peaks.append(simulate_policy(arm, SETTINGS, policy).elbow_peak)
+    assert peaks[0] == max(peaks[1:]) > min(peaks[1:]) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("kind", "factors", "joint"),
+    [("friction", (0.0, 1.0), 5), ("damping", (1.0, 10.0), 4)],  # 4 lifts, 5 is dragged along
+)
+def test_the_friction_of_the_joints_is_simulated_and_brakes(
+    arm: Arm, kind: str, factors: tuple[float, float], joint: int
+) -> None:
+    def peak(factor: float) -> float:
+        def scaled(found: re.Match[str]) -> str:
+            return f'{kind}="{factor * float(found[1])}"'
+
+        urdf = re.sub(rf'{kind}="([^"]*)"', scaled, share("urdf/wam7.urdf").read_text())
+        return simulate_policy(Arm(urdf, JOINTS), SETTINGS, lift(arm, 0.25)).qd_peak[joint - 1]
+
+    less, more = map(peak, factors)
+    assert less > 1.1 * more > 0.0
 
 
 def test_what_the_arm_does_while_it_settles_is_simulated_too(arm: Arm) -> None:

@@ -72,7 +72,7 @@ def test_teaching_damping_grows_with_the_square_of_the_speed() -> None:
 
 
 def exceeded(q: np.ndarray, qd: np.ndarray, **settings: object) -> Fault | None:
-    limits = safety.limits_of(ARM, **settings)
+    limits = safety.limits_of(ARM, **({"workspace_min": (-1.5, -1.5, -1.5)} | settings))
     motion = ARM.motion(q, qd)
     return safety.exceeded(
         q.tolist(), qd.tolist(), motion, ARM.guarded, limits, limits.tool_speed, True
@@ -120,14 +120,20 @@ def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
 
 @pytest.mark.requirement("S-24")
 def test_a_joint_beyond_its_limit_may_move_back_but_not_on() -> None:
-    q, qd = Q.copy(), np.zeros(7)
-    q[3] = LIMITS.q_max[3] + 0.05
-    assert exceeded(q, qd) is None
-    qd[3] = -1.0
-    assert exceeded(q, qd) is None
-    qd[3] = 0.5
-    assert exceeded(q, qd).text.startswith("joint 4 at 3.19")
-    assert exceeded(q, qd).kind is FaultKind.JOINT_POSITION
+    assert LIMITS.q_max[3] + 0.05 == pytest.approx(3.19, abs=0.01)
+    for i in range(7):
+        for end, out in ((LIMITS.q_max[i], 1.0), (LIMITS.q_min[i], -1.0)):
+            q, qd = Q.copy(), np.zeros(7)
+            q[i] = end + 0.05 * out
+            assert exceeded(q, qd) is None  # parked at its stop
+            qd[i] = -0.5 * out
+            assert exceeded(q, qd) is None  # led back
+            qd[i] = 0.06 * out
+            fault = exceeded(q, qd)
+            assert fault.text.startswith(f"joint {i + 1} at {q[i]:.3f} rad, limits ")
+            assert fault.kind is FaultKind.JOINT_POSITION
+            q[i] = end - 0.01 * out
+            assert exceeded(q, qd) is None  # within its limits it may move either way
 
 
 def test_limits_that_make_no_sense_are_refused_by_name() -> None:

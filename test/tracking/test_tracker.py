@@ -69,6 +69,23 @@ def test_velocity_and_spin_of_a_steady_flight_are_those_of_the_flight() -> None:
     np.testing.assert_allclose(state.angular_velocity, omega, atol=1e-6)
 
 
+def test_the_angular_velocity_is_in_the_base_frame_and_extrapolates_the_orientation() -> None:
+    tracker = Tracker(SETTINGS)
+    omega, tilted = np.array([2.0, -1.0, 0.5]), rotations.quat_of_vector(np.array([0.4, 1.1, -0.6]))
+
+    def orientation(t: float) -> np.ndarray:
+        return rotations.multiply(rotations.quat_of_vector(omega * t), tilted)
+
+    for index in range(12):
+        t = index * PERIOD * 1e-9
+        state = tracker.add(stamp(index), PAN + 1e-4 * index, orientation(t))
+    np.testing.assert_allclose(state.angular_velocity, omega, atol=1e-6)
+    coasted = tracker.at(stamp(13.5))
+    assert coasted.validity is Validity.OCCLUDED
+    expected = rotations.matrix(orientation(13.5 * PERIOD * 1e-9))
+    np.testing.assert_allclose(rotations.matrix(coasted.quat_xyzw), expected, atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("position", "quat_xyzw", "fault"),
     [
