@@ -141,7 +141,9 @@ def test_what_the_arm_does_while_it_settles_is_simulated_too(arm: Arm) -> None:
 
 def test_a_policy_the_controller_refuses_is_not_simulated(arm: Arm) -> None:
     stiff = replace(lift(arm, 0.1), stiffness=np.tile(9e4 * np.eye(3), (4, 1, 1)))
-    assert "stiffness" in simulate_policy(arm, SETTINGS, stiff).fault.text
+    refused = simulate_policy(arm, SETTINGS, stiff)
+    assert "stiffness" in refused.fault.text
+    assert (refused.qd_peak.tolist(), refused.elbow_peak, refused.tool_peak) == ([0.0] * 7, 0, 0)
 
 
 def test_an_arm_whose_driver_compensates_gravity_is_simulated_alike(arm: Arm) -> None:

@@ -80,8 +80,8 @@ def test_a_joint_that_is_0_3_rad_off_is_lost_at_rest_and_on_its_way(
 
 def test_an_arm_that_lags_behind_a_brake_is_not_lost_before_the_brake_has_ended() -> None:
     control = JointControl(ARM, LIMITS)
-    control.torque(0, HOME, np.full(7, 2.0))
-    behind = HOME - 0.25  # the brake goes on by 0.15 rad
+    control.torque(0, HOME, 2.0 * np.eye(7)[3])
+    behind = HOME - 0.25 * np.eye(7)[3]  # the brake goes on by 0.15 rad
     control.torque(100 * MS, behind, STILL)
     with pytest.raises(TrackingLost):
         control.torque(151 * MS, behind, STILL)
