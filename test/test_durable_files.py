@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 import pytest
+from disk_flushes import record_flushes
 
 from wam_power_ros import durable_files
 
@@ -39,7 +40,23 @@ def test_the_text_is_flushed_before_the_rename_and_the_folder_after_it(
 ) -> None:
     path = tmp_path / "policy.json"
     durable_files.replace(path, "old")
-    seen: list[str] = []
-    monkeypatch.setattr(os, "fsync", lambda _: seen.append(path.read_text()))
+    part = tmp_path / ".policy.json.part"
+
+    def texts() -> list[str]:
+        return [each.read_text() for each in (path, part) if each.exists()]
+
+    flushed = record_flushes(monkeypatch, texts)
     durable_files.replace(path, "new")
-    assert seen == ["old", "new"]
+    assert flushed == [(part, ["old", "new"]), (tmp_path, ["new"])]
+
+
+@pytest.mark.parametrize("name", ["", "policy.json"])
+def test_a_file_and_a_folder_can_be_flushed_and_nothing_stays_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    (tmp_path / "policy.json").write_text("text")
+    before = set(os.listdir("/proc/self/fd"))
+    flushed = record_flushes(monkeypatch, lambda: None)
+    durable_files.sync(tmp_path / name)
+    assert flushed == [(tmp_path / name, None)]
+    assert set(os.listdir("/proc/self/fd")) == before

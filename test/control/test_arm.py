@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wam_power_ros.control.arm import WAM_GUARDED, Arm, Guarded
+from wam_power_ros.control.arm import WAM_GUARDED, Arm, Guarded, guarded_points
 from wam_power_ros.params.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()
@@ -166,3 +166,62 @@ def test_what_does_not_fit_is_named() -> None:
         Arm(URDF.replace('name="wam_j7" type="revolute"', 'name="wam_j7" type="continuous"'), NAMES)
     with pytest.raises(ValueError, match="armature"):
         Arm(URDF.replace('armature="0.20517"', 'armature="heavy"'), NAMES)
+
+
+@pytest.mark.parametrize("joint", range(1, 8))
+@pytest.mark.parametrize(
+    ("attribute", "value", "words"),
+    [
+        ("armature", "-0.001", "armature .* must not be negative"),
+        ("armature", "nan", "armature .* must be 7 finite numbers"),
+        ("velocity", "0.0", "velocity limits .* must be positive"),
+        ("effort", "0.0", "effort limits .* must be positive"),
+        ("upper", "-9.0", "position limits .* must be below the upper ones"),
+    ],
+)
+def test_one_joint_with_limits_or_a_rotor_that_cannot_be_is_enough_to_be_refused(
+    joint: int, attribute: str, value: str, words: str
+) -> None:
+    begin = URDF.index(f'<joint name="wam_j{joint}"')
+    end = URDF.index("</joint>", begin)
+    spoilt = re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', URDF[begin:end], count=1)
+    with pytest.raises(ValueError, match=words):
+        Arm(URDF[:begin] + spoilt + URDF[end:], NAMES)
+
+
+def test_a_weak_slow_joint_without_a_rotor_is_a_joint() -> None:
+    begin = URDF.index('<joint name="wam_j7"')
+    weak = URDF[begin:]
+    for attribute, value in (("armature", "0.0"), ("velocity", "0.1"), ("effort", "0.01")):
+        weak = re.sub(rf'{attribute}="[^"]*"', f'{attribute}="{value}"', weak, count=1)
+    arm = Arm(URDF[:begin] + weak, NAMES)
+    assert (arm.armature[6], arm.qd_max[6], arm.tau_max[6]) == (0.0, 0.1, 0.01)
+    no_dynamics = re.sub(r"<dynamics[^>]*/>", "", URDF)
+    assert not Arm(no_dynamics, NAMES).armature.any()
+
+
+def test_limits_are_those_of_the_urdf(arm: Arm) -> None:
+    assert (arm.q_min[1], arm.q_max[1]) == pytest.approx((-2.0, 2.0), abs=0.06)
+    for name, values in (("lower", arm.q_min), ("upper", arm.q_max)):
+        assert values.tolist() == [float(x) for x in re.findall(rf'{name}="([^"]*)"', URDF)][:7]
+    for name, values in (("velocity", arm.qd_max), ("effort", arm.tau_max)):
+        assert values.tolist() == [float(x) for x in re.findall(rf' {name}="([^"]*)"', URDF)][:7]
+
+
+def test_guarded_points_are_read_three_numbers_each() -> None:
+    names, links = ["elbow", "forearm"], ["wam_link4", "wam_link4"]
+    offsets = [0.0, 0.0, 0.0, -0.045, -0.35, 0.0]
+    assert guarded_points(names, links, offsets) == WAM_GUARDED
+    assert guarded_points([""], [""], [0.0]) == ()
+    for wrong in (
+        (names, links[:1], offsets),
+        (names[:1], links, offsets),
+        (names, links, offsets[:5]),
+        (names, links, offsets[:4]),
+        (names, links, [*offsets, 0.0, 0.0, 0.0]),
+        (names[:1], links[:1], offsets[:2]),
+    ):
+        with pytest.raises(ValueError, match="must be three for each"):
+            guarded_points(*wrong)
+    with pytest.raises(ValueError, match=r"guarded point elbow .* must be 3 finite numbers"):
+        Arm(URDF, NAMES, guarded=[Guarded("elbow", "wam_link4", (0.0, np.nan, 0.0))])

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A simulated rollout finds what would end a rollout, without an arm that moves."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.arm import WAM_GUARDED, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import simulate_policy
+from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.params.resources import share
@@ -75,6 +77,58 @@ def test_the_margin_decides_what_is_too_fast(arm: Arm) -> None:
     assert simulate_policy(arm, SETTINGS, policy, margin=0.8 * share_used).fault
 
 
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("qd_max", FaultKind.JOINT_SPEED),
+        ("elbow_speed", FaultKind.GUARDED_SPEED),
+        ("tool_speed", FaultKind.TOOL_SPEED),
+    ],
+)
+def test_a_tenth_of_each_speed_limit_is_kept_in_reserve(
+    arm: Arm, name: str, kind: FaultKind
+) -> None:
+    policy = lift(arm, 0.25)
+    free = simulate_policy(arm, SETTINGS, policy, margin=1.0)
+    peaks = {
+        "qd_max": free.qd_peak.max(),
+        "elbow_speed": free.elbow_peak,
+        "tool_speed": free.tool_peak,
+    }
+    limit = np.full(7, 1.05 * peaks[name]) if name == "qd_max" else 1.05 * peaks[name]
+    settings = ControllerSettings(limits=limits_of(arm, **{name: limit}))
+    assert simulate_policy(arm, settings, policy, margin=1.0).fault is None
+    assert simulate_policy(arm, settings, policy).fault.kind is kind
+
+
+def test_the_fastest_of_the_guarded_points_is_reported() -> None:
+    urdf, policy = share("urdf/wam7.urdf").read_text(), None
+    peaks = []
+    for guarded in (WAM_GUARDED, WAM_GUARDED[:1], WAM_GUARDED[1:]):
+        arm = Arm(urdf, JOINTS, guarded=guarded)
+        policy = policy or lift(arm, 0.25)
+        peaks.append(simulate_policy(arm, SETTINGS, policy).elbow_peak)
+    assert peaks[0] == max(peaks[1:]) > min(peaks[1:]) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("kind", "factors", "joint", "ratio"),
+    [("friction", (0.0, 1.0), 5, 3.0), ("damping", (1.0, 10.0), 4, 1.1)],  # 4 lifts, 5 is dragged
+)
+def test_the_friction_of_the_joints_is_simulated_and_brakes(
+    arm: Arm, kind: str, factors: tuple[float, float], joint: int, ratio: float
+) -> None:
+    def peak(factor: float) -> float:
+        def scaled(found: re.Match[str]) -> str:
+            return f'{kind}="{factor * float(found[1])}"'
+
+        urdf = re.sub(rf'{kind}="([^"]*)"', scaled, share("urdf/wam7.urdf").read_text())
+        return simulate_policy(Arm(urdf, JOINTS), SETTINGS, lift(arm, 0.25)).qd_peak[joint - 1]
+
+    less, more = map(peak, factors)
+    assert less > ratio * more > 0.0
+
+
 def test_what_the_arm_does_while_it_settles_is_simulated_too(arm: Arm) -> None:
     late = replace(
         lift(arm, 0.0), basis=Basis(count=4, duration=0.1, variance=1e-5), attractors=_late(arm)
@@ -87,11 +141,20 @@ def test_what_the_arm_does_while_it_settles_is_simulated_too(arm: Arm) -> None:
 
 def test_a_policy_the_controller_refuses_is_not_simulated(arm: Arm) -> None:
     stiff = replace(lift(arm, 0.1), stiffness=np.tile(9e4 * np.eye(3), (4, 1, 1)))
-    assert "stiffness" in simulate_policy(arm, SETTINGS, stiff).fault.text
+    refused = simulate_policy(arm, SETTINGS, stiff)
+    assert "stiffness" in refused.fault.text
+    assert (refused.qd_peak.tolist(), refused.elbow_peak, refused.tool_peak) == ([0.0] * 7, 0, 0)
 
 
 def test_an_arm_whose_driver_compensates_gravity_is_simulated_alike(arm: Arm) -> None:
     policy = lift(arm, 0.2)
+    compensating = ControllerSettings(driver_compensates_gravity=True)
     own = simulate_policy(arm, SETTINGS, policy)
-    driver = simulate_policy(arm, ControllerSettings(driver_compensates_gravity=True), policy)
+    driver = simulate_policy(arm, compensating, policy)
     assert np.array_equal(own.qd_peak, driver.qd_peak)
+    assert simulate_policy(arm, compensating, lift(arm, 0.0)).tool_peak < 0.01  # carried
+
+
+def test_a_policy_is_simulated_without_the_enabling_switch(arm: Arm) -> None:
+    held = ControllerSettings(hold_to_run=True)
+    assert simulate_policy(arm, held, lift(arm, 0.1)).fault is None

@@ -23,6 +23,16 @@ def test_no_brake_ends_beyond_a_joint_limit() -> None:
         assert np.all(stop.at(t)[0] <= HIGH + 1e-12)
 
 
+@pytest.mark.parametrize("out", [1.0, -1.0])
+def test_a_joint_beyond_its_limit_is_not_braked_further_out(out: float) -> None:
+    q = HOME.copy()
+    q[5] = (HIGH if out > 0.0 else LOW)[5] + 0.01 * out
+    end = brake(q, np.full(7, 3.0 * out)).at(1.0)[0]
+    assert end[5] == q[5] and np.all(out * (end - q)[:5] > 0.1)
+    back = brake(q, np.full(7, -3.0 * out)).at(1.0)[0]
+    assert back[5] == pytest.approx(q[5] - 0.5 * 0.15 * 3.0 * out)
+
+
 def test_a_joint_that_hardly_moves_is_not_braked_but_kept() -> None:
     end = brake(HOME, np.array([0.04, -0.04, 0.0, 0.5, 0.0, 0.0, 0.0])).at(1.0)[0]
     assert np.array_equal(np.flatnonzero(end != HOME), [3])
@@ -95,6 +105,8 @@ def test_a_course_without_steps_brakes_and_a_new_one_forgets_the_old() -> None:
         (np.arange(5.0)[::-1], np.zeros((5, 7)), 1.0, "increase"),
         (np.arange(5.0), np.full((5, 7), np.nan), 1.0, "finite"),
         (np.arange(5.0), np.zeros((5, 7)), 0.0, "speed"),
+        (np.arange(5.0), np.zeros((5, 7)), np.inf, "speed"),
+        (np.arange(5.0) * 150.01, np.zeros((5, 7)), 1.0, "600"),
         (np.arange(5.0), np.zeros((5, 7)), 1e-3, "600"),
     ],
 )
@@ -103,3 +115,15 @@ def test_a_movement_that_makes_no_sense_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=rule):
         interpolated(t, q, speed, 0.002)
+
+
+def test_a_recorded_movement_may_begin_at_any_time_and_take_ten_minutes() -> None:
+    t = np.linspace(0.0, 1.0, 51)
+    q = np.sin(3.0 * t)[:, None] * np.ones(7)
+    there, later = (interpolated(t + since, q, 0.5, 0.002) for since in (0.0, 7.0))
+    assert later.duration == pytest.approx(there.duration) and there.duration == 2.0
+    np.testing.assert_allclose(later.q, there.q, atol=1e-9)
+    for before in (-1.0, 0.0, 0.0009):  # and before its beginning
+        assert np.array_equal(there.at(before)[0], there.q[0])
+    assert np.array_equal(there.at(0.0011)[0], there.q[1])
+    assert interpolated(np.arange(5.0) * 150.0, np.zeros((5, 7)), 1.0, 0.1).duration == 600.0

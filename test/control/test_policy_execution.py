@@ -124,6 +124,41 @@ def test_a_policy_that_does_not_fit_is_refused_with_value_and_limit() -> None:
         assert refused.value.refusal is Refusal.REFUSED
 
 
+def test_a_policy_at_the_limits_fits() -> None:
+    flat = np.deg2rad(30.0)
+    turn = np.array([[np.cos(flat), -np.sin(flat)], [np.sin(flat), np.cos(flat)]])
+    stiff = 300.0 * np.eye(3)
+    stiff[:2, :2] = turn @ np.diag([2499.0, 200.0]) @ turn.T  # stiff along a line across the axes
+    for change in (
+        {"q_start": LIMITS.q_min},
+        {"q_start": LIMITS.q_max},
+        {"rotation_stiffness": SETTINGS.stiffness_max},
+        {"stiffness": np.tile(stiff, (4, 1, 1))},
+    ):
+        policy = replace(POLICY, **change)
+        assert prepare(policy, ARM.n, LIMITS, SETTINGS).id == policy.id
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_one_joint_beyond_a_limit_or_one_stiff_matrix_is_enough_to_be_refused(joint: int) -> None:
+    for limit, sign in ((LIMITS.q_min, -1.0), (LIMITS.q_max, 1.0)):
+        start = HOME.copy()
+        start[joint] = limit[joint] + 1e-6 * sign
+        with pytest.raises(ControllerError, match="outside the limits"):
+            prepare(replace(POLICY, q_start=start), ARM.n, LIMITS, SETTINGS)
+    stiffness = POLICY.stiffness.copy()
+    stiffness[joint % 4] *= 9.0
+    with pytest.raises(ControllerError, match="stiffness 2700"):
+        prepare(replace(POLICY, stiffness=stiffness), ARM.n, LIMITS, SETTINGS)
+
+
+def test_a_loop_slower_than_the_path_samples_every_tick() -> None:
+    rollout = execution(settings=replace(SETTINGS, period=0.02))
+    for tick in range(0, 250, 10):
+        answer(rollout, tick)
+    np.testing.assert_allclose(rollout.path(HOME, STILL).t, np.arange(25) * 0.02)
+
+
 def test_the_content_of_a_policy_is_the_same_under_any_name_and_only_kept_where_needed() -> None:
     held = replace(SETTINGS, hold_to_run=True)
     first, second = (

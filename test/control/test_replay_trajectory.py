@@ -59,6 +59,27 @@ def test_what_encoders_add_is_smoothed_away() -> None:
     assert np.abs(accelerations[1] - accelerations[0]).max() < 3.0
 
 
+def test_a_replay_gathers_speed_smoothly_and_ends_as_it_began() -> None:
+    stamps_ns = 10**9 + TICK * np.arange(501)
+    t, followed = movement(stamps_ns, np.outer(np.arange(501) * 0.002, np.ones(7)), 1.0)
+    assert len(t) == 131 and np.diff(t).max() <= 0.01 + 1e-9  # a posture every 10 ms of 1.3 s
+    speed = CubicSpline(t, followed[:, 0])
+    for part, expected in ((0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (0.75, 0.84375), (1.0, 1.0)):
+        assert speed(part * EASE, 1) == pytest.approx(expected, abs=2e-3)
+        assert speed(1.0 + EASE - part * EASE, 1) == pytest.approx(expected, abs=2e-3)
+
+
+def test_a_recording_shorter_than_its_easing_goes_from_rest_to_rest_too() -> None:
+    stamps_ns = 10**9 + TICK * np.arange(101)
+    t, followed = movement(stamps_ns, np.outer(np.arange(101) * 0.002, np.ones(7)), 1.0)
+    assert t[-1] == pytest.approx(0.4)
+    np.testing.assert_allclose(followed + followed[::-1], 0.2, atol=1e-6)
+    assert np.all(np.diff(followed, axis=0) >= -1e-9)
+    speed = CubicSpline(t, followed[:, 0])
+    assert speed([0.0, 0.4], 1) == pytest.approx([0.0, 0.0], abs=0.02)
+    assert speed(0.2, 1) == pytest.approx(1.0, abs=0.02)
+
+
 @pytest.mark.parametrize("speed", [0.0, -1.0, np.nan, np.inf])
 def test_a_speed_that_is_none_is_refused(speed: float) -> None:
     with pytest.raises(ValueError, match="speed"):
@@ -91,3 +112,23 @@ def test_a_movement_beyond_the_limits_or_of_another_arm_is_refused() -> None:
         with pytest.raises(ControllerError, match=text) as refused:
             sampled(SimpleNamespace(t=t, q=wrong), 1.0, 0.002, LIMITS)
         assert refused.value.refusal is Refusal.REFUSED
+
+
+@pytest.mark.requirement("S-16")
+@pytest.mark.parametrize("joint", range(7))
+def test_one_joint_beyond_its_limit_or_too_fast_in_either_direction_is_enough(joint: int) -> None:
+    t = np.linspace(0.0, 1.0, 101)
+    still = np.tile(0.5 * (LIMITS.q_min + LIMITS.q_max), (101, 1))
+    swing = 10.0 * t**3 - 15.0 * t**4 + 6.0 * t**5
+    for limit, sign in ((LIMITS.q_min, -1.0), (LIMITS.q_max, 1.0)):
+        at, fast = still.copy(), still.copy()
+        at[:, joint] = limit[joint]
+        assert sampled(SimpleNamespace(t=t, q=at), 1.0, 0.002, LIMITS).duration == 1.0
+        at[:, joint] += 1e-6 * sign
+        with pytest.raises(ControllerError, match="joint limits"):
+            sampled(SimpleNamespace(t=t, q=at), 1.0, 0.002, LIMITS)
+        room = 0.9 * abs(limit[joint] - still[0, joint])
+        fast[:, joint] += sign * room * swing
+        speed = 1.1 * LIMITS.qd_max[joint] / (1.875 * room)
+        with pytest.raises(ControllerError, match=r"1\.10 times a joint-speed limit"):
+            sampled(SimpleNamespace(t=t, q=fast), speed, 0.002, LIMITS)

@@ -2,6 +2,7 @@
 """Limits and fallbacks as pure functions."""
 
 import math
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wam_power_ros.control import safety
-from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.arm import Arm, Motion, Speeds
+from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
@@ -72,7 +74,7 @@ def test_teaching_damping_grows_with_the_square_of_the_speed() -> None:
 
 
 def exceeded(q: np.ndarray, qd: np.ndarray, **settings: object) -> Fault | None:
-    limits = safety.limits_of(ARM, **settings)
+    limits = safety.limits_of(ARM, **({"workspace_min": (-1.5, -1.5, -1.5)} | settings))
     motion = ARM.motion(q, qd)
     return safety.exceeded(
         q.tolist(), qd.tolist(), motion, ARM.guarded, limits, limits.tool_speed, True
@@ -120,14 +122,20 @@ def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
 
 @pytest.mark.requirement("S-24")
 def test_a_joint_beyond_its_limit_may_move_back_but_not_on() -> None:
-    q, qd = Q.copy(), np.zeros(7)
-    q[3] = LIMITS.q_max[3] + 0.05
-    assert exceeded(q, qd) is None
-    qd[3] = -1.0
-    assert exceeded(q, qd) is None
-    qd[3] = 0.5
-    assert exceeded(q, qd).text.startswith("joint 4 at 3.19")
-    assert exceeded(q, qd).kind is FaultKind.JOINT_POSITION
+    assert LIMITS.q_max[3] + 0.05 == pytest.approx(3.19, abs=0.01)
+    for i in range(7):
+        for end, out in ((LIMITS.q_max[i], 1.0), (LIMITS.q_min[i], -1.0)):
+            q, qd = Q.copy(), np.zeros(7)
+            q[i] = end + 0.05 * out
+            assert exceeded(q, qd) is None  # parked at its stop
+            qd[i] = -0.5 * out
+            assert exceeded(q, qd) is None  # led back
+            qd[i] = 0.06 * out
+            fault = exceeded(q, qd)
+            assert fault.text.startswith(f"joint {i + 1} at {q[i]:.3f} rad, limits ")
+            assert fault.kind is FaultKind.JOINT_POSITION
+            q[i] = end - 0.01 * out
+            assert exceeded(q, qd) is None  # within its limits it may move either way
 
 
 def test_limits_that_make_no_sense_are_refused_by_name() -> None:
@@ -154,3 +162,170 @@ def test_limits_cannot_be_changed_afterwards() -> None:
     with pytest.raises(ValueError, match="read-only"):
         limits.torque[0] = 1e6
     assert isinstance(limits, Limits)
+
+
+def test_the_springs_are_linear_over_a_tenth_of_a_radian_and_on_to_twice_their_torque() -> None:
+    for i in range(7):
+        for end, sign in ((LIMITS.q_max[i], -1.0), (LIMITS.q_min[i], 1.0)):
+            for inside, part in (
+                (0.1001, None),
+                (0.05, 0.5),
+                (-0.05, 1.5),
+                (-0.1, 2.0),
+                (-0.3, 2),
+            ):
+                q = Q.copy()
+                q[i] = end + inside * sign
+                springs = safety.limit_springs(q, LIMITS)
+                if part is None:
+                    assert springs is None
+                else:
+                    assert springs[i] == pytest.approx(part * sign * LIMITS.spring_torque[i])
+
+
+def test_a_torque_within_its_limits_is_handed_on_as_it_is() -> None:
+    previous = 0.5 * LIMITS.torque
+    for part in (-1.0, 0.0, 1.0):
+        wanted = previous + part * LIMITS.torque_rate * 2.0**-11
+        assert safety.limit_torque(wanted, previous, 2.0**-11, LIMITS) is wanted
+    for at in (LIMITS.torque, -LIMITS.torque):
+        assert safety.limit_torque(at, at.copy(), 0.001, LIMITS) is at
+        beyond = safety.limit_torque(1.001 * at, at, 0.001, LIMITS)
+        np.testing.assert_array_equal(beyond, at)
+
+
+def test_an_arm_without_limits_of_its_own_has_those_of_its_urdf_and_the_defaults() -> None:
+    for name, expected in (
+        ("torque", ARM.tau_max),
+        ("torque_rate", np.full(7, 1000.0)),
+        ("q_min", ARM.q_min),
+        ("q_max", ARM.q_max),
+        ("qd_max", ARM.qd_max),
+        ("spring_torque", 0.1 * ARM.tau_max),
+        ("elbow_speed", 2.0),
+        ("tool_speed", 4.0),
+        ("teaching_tool_speed", 4.0),
+        ("workspace_min", [-1.5, -1.5, -0.5]),
+        ("workspace_max", [1.5, 1.5, 2.0]),
+        ("plane", [0.0, 0.0, 1.0, -0.5]),
+    ):
+        np.testing.assert_array_equal(getattr(LIMITS, name), expected)
+    with pytest.raises(ValueError, match=r"limits \['speed'\] do not exist; known: .*tool_speed"):
+        safety.limits_of(ARM, speed=1.0)
+
+
+POSITIVE = (
+    *("torque", "torque_rate", "qd_max", "spring_torque"),
+    *("elbow_speed", "tool_speed", "teaching_tool_speed"),
+)
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Limits) if field.init])
+def test_a_limit_that_makes_no_sense_is_refused_by_its_name(name: str) -> None:
+    value = np.array(getattr(LIMITS, name), dtype=float)
+    wrong = [np.full(value.shape, math.nan), np.full((*value.shape, 1), 1.0)]
+    for place in np.ndindex(value.shape) if name in POSITIVE else []:
+        for bad in (0.0, -1.0, math.inf):
+            spoilt = value.copy()
+            spoilt[place] = bad
+            wrong.append(spoilt)
+    for bad in wrong:
+        with pytest.raises(ValueError, match=f"limit {name} = "):
+            safety.limits_of(ARM, **{name: bad})
+    if value.shape:
+        kept = safety.limits_of(ARM, **{name: value})
+        value[0] = 9.0
+        assert getattr(kept, name)[0] != 9.0
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(kept, name)[0] = 9.0
+
+
+def test_the_lower_limits_are_below_the_upper_ones_and_a_plane_has_a_unit_normal() -> None:
+    for low, high in (("q_min", "q_max"), ("workspace_min", "workspace_max")):
+        for i in range(len(getattr(LIMITS, low))):
+            touching = np.array(getattr(LIMITS, low))
+            touching[i] = getattr(LIMITS, high)[i]
+            with pytest.raises(ValueError, match=rf"limit {low} = .* must be below {high}"):
+                safety.limits_of(ARM, **{low: touching})
+    for length in (1.0 - 2e-6, 1.0 + 2e-6):
+        with pytest.raises(ValueError, match=r"limit plane = .* must begin with a unit normal"):
+            safety.limits_of(ARM, plane=(0.6 * length, 0.0, 0.8 * length, 7.0))
+    safety.limits_of(ARM, plane=(0.6, 0.0, 0.8, 7.0))
+
+
+def moving(**change: object) -> Motion:
+    return ARM.motion(Q, np.zeros(7))._replace(**change)
+
+
+def test_an_arm_is_at_rest_below_5_cm_a_second_and_0_2_radians_a_second() -> None:
+    assert safety.unrest(moving()) == ""
+    twist = np.zeros(6)
+    for rest, unrest, text in (
+        ({"tool_speed": 0.05}, {"tool_speed": 0.0501}, "moves at 0.050 m/s"),
+        ({"guarded_speeds": [0.0, 0.05]}, {"guarded_speeds": [0.06, 0.0]}, "moves at 0.060 m/s"),
+    ):
+        assert safety.unrest(moving(**rest)) == ""
+        assert text in safety.unrest(moving(**unrest))
+    for axis in (3, 4, 5):
+        for sign in (1.0, -1.0):
+            twist = np.zeros(6)
+            twist[axis] = 0.2 * sign
+            assert safety.unrest(moving(twist=twist)) == ""
+            twist[axis] = 0.21 * sign
+            assert "turns at 0.210 rad/s" in safety.unrest(moving(twist=twist))
+    assert safety.unrest(moving(guarded_speeds=[])) == ""
+
+
+def test_at_its_limits_an_arm_is_not_beyond_them() -> None:
+    still = np.zeros(7)
+
+    def found(motion: Motion | Speeds, boxed: bool = True) -> Fault | None:
+        state = Q.tolist(), still.tolist()
+        return safety.exceeded(*state, motion, ARM.guarded, LIMITS, 4.0, boxed)
+
+    for speed, fault in ((4.0, None), (4.001, FaultKind.TOOL_SPEED)):
+        for motion in (moving(tool_speed=speed), Speeds([0.0, 0.0], speed)):
+            assert (found(motion) and found(motion).kind) == fault
+    for speed, fault in ((2.0, None), (2.001, FaultKind.GUARDED_SPEED)):
+        for motion in (moving(guarded_speeds=[0.0, speed]), Speeds([speed, 0.0], 0.0)):
+            assert (found(motion) and found(motion).kind) == fault
+    for axis, (low, high) in enumerate(
+        zip(LIMITS.workspace_min, LIMITS.workspace_max, strict=True)
+    ):
+        for x, fault in (
+            (low, None),
+            (high, None),
+            (low - 1e-6, FaultKind.WORKSPACE),
+            (high + 1e-6, FaultKind.WORKSPACE),
+        ):
+            position = np.zeros(3)
+            position[axis] = x
+            motion = moving(position=position)
+            assert (found(motion) and found(motion).kind) == fault
+            assert found(motion, boxed=False) is None
+
+
+def test_three_states_in_a_row_beyond_a_limit_of_the_mode_are_a_fault() -> None:
+    check = safety.MotionCheck(safety.limits_of(ARM, teaching_tool_speed=0.5), ARM.guarded)
+    still = np.zeros(7)
+
+    def faults(mode: Mode, *motions: Motion | Speeds) -> list[FaultKind | None]:
+        check.begin()
+        found = [check.fault(mode, Q, still, motion) for motion in motions]
+        return [fault and fault.kind for fault in found]
+
+    fast, slow = moving(tool_speed=5.0), moving()
+    for mode in Mode:
+        passive = mode in (Mode.INACTIVE, Mode.FAULT)
+        kind = None if passive else FaultKind.TOOL_SPEED
+        assert faults(mode, fast, fast, fast, fast, slow) == [None, None, kind, kind, None]
+        assert faults(mode, fast, fast, slow, fast, fast) == [None] * 5
+        led = FaultKind.TOOL_SPEED if mode is Mode.GRAVITY_COMPENSATION else None
+        assert faults(mode, *[moving(tool_speed=0.6)] * 3)[2] == led
+        outside = moving(position=np.array([0.0, 0.0, 2.1]))
+        boxed = FaultKind.WORKSPACE if mode in (Mode.ROLLOUT, Mode.REPLAY) else None
+        assert faults(mode, *[outside] * 3)[2] == boxed
+        elbow_low = moving(guarded_positions=[[0.0, 0.0, -0.6], [0.0, 0.0, 0.5]])
+        alone = mode in (Mode.ROLLOUT, Mode.REPLAY, Mode.MOVE_TO_START)
+        assert faults(mode, *[elbow_low] * 3)[2] == (FaultKind.PLANE if alone else None)
+        assert faults(mode, *[Speeds([0.0, 0.0], 0.0)] * 3)[2] is None

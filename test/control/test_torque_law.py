@@ -68,3 +68,12 @@ def test_damping_keeps_the_torque_small_where_the_arm_is_singular(
 def test_an_unknown_law_is_refused_by_name() -> None:
     with pytest.raises(ValueError, match="'magic' must be one of"):
         ControllerSettings(law="magic")
+
+
+def test_a_state_that_makes_no_sense_gets_no_finite_torque(arm: Arm) -> None:
+    motion, dynamics = arm.motion(Q, QD), arm.dynamics(Q, QD)
+    unsound = dynamics._replace(inverse_mass=-dynamics.inverse_mass)
+    with pytest.raises(np.linalg.LinAlgError):
+        torque_law.operational_space(motion, unsound, WANTED)
+    lost = dynamics._replace(bias=np.full(7, np.nan))
+    assert not np.isfinite(torque_law.operational_space(motion, lost, WANTED)).any()

@@ -8,6 +8,7 @@ import pytest
 
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning import demonstration
 from wam_power_ros.learning.demonstration import (
     Demonstration,
     from_joint_samples,
@@ -191,8 +192,67 @@ def test_positions_alone_make_a_demonstration() -> None:
     made = from_positions(np.stack([t**2, t, 0.0 * t], axis=1), 0.01)
     assert made.velocity == pytest.approx(np.stack([2.0 * t, t**0, 0.0 * t], axis=1), abs=1e-9)
     assert made.acceleration == pytest.approx(np.tile([2.0, 0.0, 0.0], (100, 1)), abs=1e-6)
+    assert made.t == pytest.approx(t) and made.period == 0.01
+    assert not made.q.any() and made.q.shape == (100, 1) and not made.rotation_vector.any()
+    assert made.quat_xyzw.tolist() == [[0.0, 0.0, 0.0, 1.0]] * 100
+    assert from_positions(np.zeros((3, 3)), 0.01).duration == pytest.approx(0.02)
     with pytest.raises(ValueError, match="at least 3"):
         from_positions(np.zeros((2, 3)), 0.01)
+
+
+def test_rotation_vectors_turn_the_reference_into_each_orientation() -> None:
+    rng = np.random.default_rng(0)
+    vectors = np.cumsum(rng.normal(0.0, 0.1, (60, 3)), axis=0)
+    reference = rotations.quat_of_vector(np.array([0.5, -1.2, 0.8]))
+    quat = rotations.multiply(
+        rotations.quat_of_vector(vectors), np.broadcast_to(reference, (60, 4))
+    )
+    assert demonstration.rotation_from(quat, reference) == pytest.approx(vectors, abs=1e-12)
+
+
+def test_smoothing_passes_slow_movement_and_halves_the_power_at_9_hz() -> None:
+    t = np.arange(2000) * 0.002
+    middle = slice(500, -500)
+    for frequency, least, most in ((2.0, 0.995, 1.0), (9.34, 0.70, 0.715), (40.0, 0.0, 0.2)):
+        wave = np.sin(2.0 * math.pi * frequency * t)
+        smoothed = demonstration._smoothed(wave)[middle]
+        assert least <= smoothed.std() / wave[middle].std() <= most
+
+
+def test_samples_on_the_grid_are_kept_and_those_between_lie_on_straight_lines() -> None:
+    rng = np.random.default_rng(3)
+    q = rng.normal(size=(80, 2))
+    stamps = 1_000_000_000 + np.arange(80) * PERIOD_NS
+    np.testing.assert_array_equal(demonstration._resampled(stamps, q, 2), q)
+    between = demonstration._resampled(stamps[::2], q[::2], 2)
+    np.testing.assert_allclose(between[::2], q[:79:2], rtol=1e-12)
+    np.testing.assert_allclose(between[1::2], 0.5 * (q[:77:2] + q[2::2]), rtol=1e-12, atol=1e-15)
+
+
+def test_a_movement_begins_at_15_percent_of_the_peak_speed_and_ends_at_5() -> None:
+    rising, falling = np.arange(42) / 42.0, 1.0 - np.arange(203) / 202.0
+    slow = np.full(100, 0.04)  # [m/s] of a peak of 1
+    speed = np.concatenate([slow, rising, falling, slow])
+    assert demonstration._movement(speed) == (100 + 7, 142 + 191)
+    with pytest.raises(ValueError, match=r"at least 0\.05 m/s"):
+        demonstration._movement(0.0499 * speed)
+    assert demonstration._movement(0.05 * speed) == (107, 333)
+
+
+def test_a_turning_point_belongs_to_a_movement_and_a_longer_pause_ends_it() -> None:
+    for pause, extent in ((124, (0, 223)), (125, (0, 49))):  # samples of 2 ms
+        speed = np.concatenate([np.ones(50), np.zeros(pause), np.full(50, 0.5)])
+        assert demonstration._movement(speed) == extent
+        backwards = demonstration._movement(speed[::-1])
+        assert backwards == (len(speed) - 1 - extent[1], len(speed) - 1)
+
+
+def test_the_shortest_recording_is_as_long_as_the_smoothing_reaches() -> None:
+    stamps = 10**9 + np.arange(57) * PERIOD_NS
+    q = np.tile(HOME, (57, 1))
+    assert len(smooth_joints(stamps, q)[0]) == 57
+    with pytest.raises(ValueError, match="56 samples"):
+        smooth_joints(stamps[:-1], q[:-1])
 
 
 def test_a_whole_recording_is_smoothed_without_trimming(arm: Arm) -> None:

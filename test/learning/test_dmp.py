@@ -273,6 +273,26 @@ def test_demonstrations_of_different_length_share_one_duration() -> None:
     assert rmse(x, demonstrations[1].position) < 0.01
 
 
+def test_start_and_orientation_reference_are_those_of_the_first_demonstration() -> None:
+    first, other = toss(), toss(400)
+    turn = rotations.quat_of_vector(np.array([0.3, 0.0, 0.0]))
+    quat = rotations.multiply(np.broadcast_to(turn, (400, 4)), other.quat_xyzw)
+    moving = first.q + np.outer(first.t, np.ones(7))
+    other = replace(other, q=other.q + 0.5, quat_xyzw=quat)
+    policy = fit([replace(first, q=moving), other], FLIP_FIT, "p")
+    assert np.array_equal(policy.q_start, moving[0])
+    assert np.array_equal(policy.orientation_reference, first.quat_xyzw[0])
+
+
+def test_angular_accelerations_are_as_exact_at_both_ends_as_between() -> None:
+    n = 200
+    t = np.arange(n) * DT
+    quat = rotations.quat_of_vector(np.outer(2.0 * t**3, [0.0, 1.0, 0.0]))
+    turning = replace(from_positions(np.zeros((n, 3)), DT), quat_xyzw=quat)
+    omegad = dmp._samples(turning, turning.duration, quat[0])[6]
+    np.testing.assert_allclose(omegad[:, 1], 12.0 * t, atol=0.03)
+
+
 def test_a_demonstration_that_never_moves_still_gives_a_valid_policy() -> None:
     policy = fit([from_positions(np.tile([0.7, 0.0, 0.9], (100, 1)), DT)], FLIP_FIT, "p")
     assert policy.attractors == pytest.approx(np.tile([0.7, 0.0, 0.9], (8, 1)), abs=1e-9)
@@ -308,6 +328,7 @@ def test_clipping_leaves_good_matrices_alone_and_makes_bad_ones_good() -> None:
 def test_clipping_moves_a_symmetric_matrix_no_farther_than_it_must() -> None:
     k = np.diag([-50.0, 100.0, 300.0])
     assert positive_definite(k[None], 10.0)[0] == pytest.approx(np.diag([10.0, 100.0, 300.0]))
+    assert positive_definite(k[None], 0.5)[0] == pytest.approx(np.diag([0.5, 100.0, 300.0]))
 
 
 @pytest.mark.parametrize(

@@ -130,19 +130,59 @@ def test_a_direction_moves_all_attractors_along_its_pattern_and_nothing_else(var
     np.testing.assert_array_equal(policy.stiffness, before.stiffness)
 
 
-def test_a_planar_parameter_moves_its_own_entry() -> None:
-    p = parametrization("planar")
-    z = np.zeros(p.size)
-    z[p.groups["stiffness"].start + 3 * 2 + 2] = 1.0  # K_xz of the third
-    z[p.groups["attractors"].start + 2 * 4 + 1] = 1.0  # mu_z of the fifth
-    z[p.groups["rotation"].start + 7] = 1.0  # r_y of the eighth
-    policy, _ = p.policy(z, "a")
-    for name, moved in (
-        ("stiffness", [[2, 0, 2], [2, 2, 0]]),
-        ("attractors", [[4, 2]]),
-        ("rotation_attractors", [[7, 1]]),
-    ):
-        assert np.argwhere(getattr(policy, name) != getattr(p.policy0, name)).tolist() == moved
+ENTRIES = {  # of K_i, mu_i and r_i, in the order of the parameters
+    "full": ([(i, j) for i in range(3) for j in range(3)], [0, 1, 2], []),
+    "diagonal": ([(0, 0), (1, 1), (2, 2)], [0, 1, 2], []),
+    "symmetric": ([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)], [0, 1, 2], []),
+    "attractors": ([], [0, 1, 2], []),
+    "planar": ([(0, 0), (2, 2), (0, 2)], [0, 2], [1]),
+}
+
+
+@variants
+def test_each_parameter_moves_its_own_entry_to_its_value_and_no_other(variant: str) -> None:
+    p = Parametrization(demonstrated_policy(), variant, NOISE)
+    matrices, axes, turned = ENTRIES[variant]
+    places = [("stiffness", (i, *entry)) for i in range(8) for entry in matrices]
+    places += [("attractors", (i, axis)) for i in range(8) for axis in axes]
+    places += [("rotation_attractors", (i, axis)) for i in range(8) for axis in turned]
+    assert p.size == len(places)
+    for k, (name, place) in enumerate(places):
+        z = np.zeros(p.size)
+        z[k] = 0.5
+        policy, _ = p.policy(z, "a")
+        moved = np.array(getattr(p.policy0, name))
+        moved[place] += 0.5 * p.scale[k]
+        if variant in ("symmetric", "planar") and name == "stiffness" and place[1] != place[2]:
+            moved[place[0], place[2], place[1]] += 0.5 * p.scale[k]
+        np.testing.assert_allclose(getattr(policy, name), moved, rtol=0.0, atol=1e-12)
+        for other in {"stiffness", "attractors", "rotation_attractors"} - {name}:
+            np.testing.assert_array_equal(getattr(policy, other), getattr(p.policy0, other))
+
+
+@variants
+def test_the_parameters_of_the_demonstrated_policy_are_its_entries(variant: str) -> None:
+    p = parametrization(variant)
+    matrices, axes, turned = ENTRIES[variant]
+    stiffness = p.policy0.stiffness
+    if variant in ("symmetric", "planar"):
+        stiffness = symmetric_part(stiffness)
+    expected = [stiffness[i][entry] for i in range(8) for entry in matrices]
+    expected += p.policy0.attractors[:, axes].ravel().tolist()
+    expected += p.policy0.rotation_attractors[:, turned].ravel().tolist()
+    np.testing.assert_array_equal(p.theta0, [*expected, 0.0, 0.0])
+    for array in (p.theta0, p.scale):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+@pytest.mark.parametrize("name", NoiseScales.model_fields)
+def test_noise_is_a_share_up_to_one(name: str) -> None:
+    for value in (1e-9, 1.0):
+        assert getattr(NoiseScales(**(NOISE.model_dump() | {name: value})), name) == value
+    for value in (0.0, 1.01):
+        with pytest.raises(ValueError, match=name):
+            NoiseScales(**(NOISE.model_dump() | {name: value}))
 
 
 def test_what_cannot_be_is_refused_with_its_reason() -> None:

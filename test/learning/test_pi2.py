@@ -2,7 +2,7 @@
 """PI2-BB."""
 
 import numpy as np
-from hill_task import SIZE, climb, rng
+from hill_task import SIZE, TOP, climb, rng
 
 from wam_power_ros.learning.pi2 import Pi2
 
@@ -21,10 +21,18 @@ def test_the_mean_moves_once_a_population_and_the_noise_decays_with_it() -> None
 def test_the_weights_are_those_of_the_formula() -> None:
     z, returns = rng(1).standard_normal((5, SIZE)), np.array([0.1, 0.9, 0.4, 0.2, 0.6])
     learner = Pi2(SIZE, Pi2.Settings(population=5, eliteness=3.0), rng(0))
-    for one, ret in zip(z, returns, strict=True):
-        learner.tell(one, float(ret))
-    weights = np.exp(3.0 * (returns - 0.9) / 0.8)
-    np.testing.assert_allclose(learner.mean, np.average(z, axis=0, weights=weights))
+    for offset in (0.0, 1000.0):  # a level that all returns share does not matter
+        for one, ret in zip(z + offset, returns + offset, strict=True):
+            learner.tell(one, float(ret))
+        weights = np.exp(3.0 * (returns - 0.9) / 0.8)
+        np.testing.assert_allclose(learner.mean, np.average(z, axis=0, weights=weights) + offset)
+
+
+def test_the_greatest_eliteness_follows_the_best_rollout_alone() -> None:
+    learner = climb(Pi2(SIZE, Pi2.Settings(population=5, eliteness=1e6), rng(1)), 4)
+    best = TOP
+    learner.tell(best, 1.0)
+    np.testing.assert_allclose(learner.mean, best)
 
 
 def test_a_population_of_equal_returns_leaves_the_mean() -> None:

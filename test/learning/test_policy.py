@@ -97,6 +97,79 @@ def test_a_wrong_policy_cannot_exist(change: dict[str, Any], words: str) -> None
         replace(make(), **change)
 
 
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "limit", "shape"),
+    [
+        ("stiffness", 1e5, (8, 3, 3)),  # [1/s^2]
+        ("attractors", 10.0, (8, 3)),  # [m]
+        ("rotation_attractors", 30.0, (8, 3)),  # [rad]
+        ("q_start", 30.0, (7,)),  # [rad]
+        ("damping", 1e3, ()),  # [1/s]
+        ("rotation_stiffness", 1e5, ()),  # [1/s^2]
+        ("rotation_damping", 1e3, ()),  # [1/s]
+    ],
+)
+def test_a_value_at_its_limit_is_allowed_and_the_next_beyond_is_not(
+    name: str, limit: float, shape: tuple[int, ...]
+) -> None:
+    at = np.full(shape, limit) * (np.eye(3) if name == "stiffness" else 1.0)
+    signs = (1.0,) if name == "stiffness" or not shape else (1.0, -1.0)
+    for sign in signs:
+        assert np.array_equal(getattr(replace(make(), **{name: sign * at}), name), sign * at)
+        with pytest.raises(ValueError, match=rf"{name}.* = .*{limit}"):
+            replace(make(), **{name: sign * at * (1.0 + 1e-15)})
+
+
+def test_a_basis_and_the_joints_have_their_limits() -> None:
+    for count, duration, variance in ((1, 60.0, 3600.0), (200, 1e-3, 1e-8)):
+        assert Basis(count, duration, variance).duration == duration
+    for arguments in ((1, 60.0 + 1e-9, 1.0), (1, 1.0, 3600.0 + 1e-6), (1, 1.0, 0.999e-8)):
+        with pytest.raises(ValueError, match="must be"):
+            Basis(*arguments)
+    assert Basis(3, 0.8, 0.1).centres.tolist() == [0.0, 0.4, 0.8]
+    for joints in (1, 16):
+        assert len(replace(make(), q_start=np.zeros(joints)).q_start) == joints
+    with pytest.raises(ValueError, match="17 joints"):
+        replace(make(), q_start=np.zeros(17))
+    assert replace(make(), id="x" * 64).id == "x" * 64
+    assert np.array_equal(replace(make(), orientation_reference=LEVEL).orientation_reference, LEVEL)
+    for off in (-2e-6, 2e-6):
+        with pytest.raises(ValueError, match="orientation_reference"):
+            replace(make(), orientation_reference=(1.0 + off) * LEVEL)
+
+
+def test_the_symmetric_part_decides_whether_a_stiffness_is_positive_definite() -> None:
+    def with_stiffness(matrix: np.ndarray) -> Policy:
+        return replace(make(count=2), stiffness=np.stack([300.0 * np.eye(3), matrix]))
+
+    skew = np.array([[0.0, 900.0, 0.0], [-900.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    for allowed in (0.5 * np.eye(3), np.eye(3) + skew):
+        assert np.array_equal(with_stiffness(allowed).stiffness[1], allowed)
+    coupled = 100.0 * np.eye(3)
+    coupled[0, 1] = 300.0  # symmetric part: 150 beside the diagonal of 100
+    for refused in (np.diag([1.0, 1.0, 0.0]), coupled, coupled.T):
+        with pytest.raises(ValueError, match=r"stiffness\[1\] has eigenvalue"):
+            with_stiffness(refused)
+
+
+def test_the_first_of_several_wrong_values_is_named() -> None:
+    attractors = np.array(make().attractors)
+    attractors[2, 1] = attractors[5, 0] = math.nan
+    with pytest.raises(ValueError, match=r"attractors\[2, 1\] = nan"):
+        replace(make(), attractors=attractors)
+
+
+def test_a_text_of_a_million_bytes_is_read_and_no_longer_one() -> None:
+    text = to_json(make())
+    padded = text + " " * (1_000_000 - len(text))
+    assert to_json(from_json(padded)) == text
+    with pytest.raises(ValueError, match="1000001 bytes; at most 1000000 allowed"):
+        from_json(padded + " ")
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -131,6 +204,7 @@ def changed(**keys: object) -> str:
         ("null", "policy text"),
         ("[" * 100_000, "not JSON"),
         ('{"id": 1, "id": 2}', "key 'id' appears twice"),
+        ('{"count": 1, "id": 1, "id": 2}', "key 'id' appears twice"),
         (to_json(make()).replace("32.0", "NaN"), "NaN is not a finite number"),
         (to_json(make()).replace("32.0", "-Infinity"), "not a finite number"),
         (to_json(make()).replace("32.0", "1e999"), "damping"),

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """REINFORCE and the natural actor-critic."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hill_task import rng
@@ -36,3 +38,44 @@ def test_a_step_is_proportional_to_the_rate(found: type[Reinforce] | type[Enac])
         cosine_after(learner, 10)
         means.append(learner.mean)
     np.testing.assert_allclose(means[1], 0.25 * means[0])
+
+
+def reinforce(eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
+    """Each axis with its own baseline of least variance [Peters2008]."""
+    gradient = []
+    for column in eps.T:
+        baseline = sum(column**2 * returns) / sum(column**2)
+        gradient.append(np.mean([e * (r - baseline) for e, r in zip(column, returns, strict=True)]))
+    return np.array(gradient)
+
+
+def natural(eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
+    """Least squares of the returns in psi and a constant [Peters2008]."""
+    return np.linalg.lstsq(np.column_stack([eps, np.ones(len(eps))]), returns, rcond=None)[0][:-1]
+
+
+@pytest.mark.parametrize(("found", "formula"), [(Reinforce, reinforce), (Enac, natural)])
+def test_every_step_is_that_of_the_formula_in_units_of_the_noise(
+    found: type[Reinforce] | type[Enac], formula: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> None:
+    learner = found(3, found.Settings(population=6, rate=0.7, decay=0.5), rng(2))
+    mean, noise = np.zeros(3), 1.0
+    for _ in range(3):
+        z = [learner.ask() for _ in range(6)]
+        returns = np.array([0.02 * np.exp(-np.sum((one - 0.3) ** 2)) for one in z])
+        for one, ret in zip(z, returns, strict=True):
+            learner.tell(one, float(ret))
+        eps = (np.array(z) - mean) / noise
+        mean = mean + 0.7 * noise * formula(eps, (returns - returns.mean()) / returns.std())
+        noise *= 0.5
+        np.testing.assert_allclose(learner.mean, mean, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("found", [Reinforce, Enac])
+def test_a_population_of_equal_returns_leaves_the_mean(
+    found: type[Reinforce] | type[Enac],
+) -> None:
+    learner = found(3, found.Settings(population=4), rng(0))
+    for _ in range(4):
+        learner.tell(learner.ask(), 0.5)
+    assert not learner.mean.any()

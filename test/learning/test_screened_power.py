@@ -60,3 +60,17 @@ def test_a_good_model_helps_and_a_wrong_one_leaves_the_measured_returns_to_decid
     elite = sorted(executed, key=hill)[-3:]
     expected = np.average(elite, axis=0, weights=[hill(z) for z in elite])
     np.testing.assert_allclose(wrong.mean, expected)
+
+
+def test_the_model_learns_the_newest_rollout_with_its_return() -> None:
+    learnt: list[tuple[list[float], float]] = []
+
+    class Recording(CrudeModel):
+        def learn(self, z: np.ndarray, ret: float) -> None:
+            learnt.append((z.tolist(), ret))
+
+    learner = ScreenedPower(SIZE, Settings(candidates=5), rng(0), Recording())
+    told = [(rng(k).standard_normal(SIZE), 0.1 * k) for k in range(4)]
+    for z, ret in told:
+        learner.tell(z, ret)
+    assert learnt == [(z.tolist(), ret) for z, ret in told]

@@ -37,3 +37,22 @@ def test_without_its_three_changes_it_is_power() -> None:
     np.testing.assert_allclose(
         climb(ShapedPower(SIZE, settings, rng(3)), 40).mean, plain.mean, rtol=1e-9, atol=1e-12
     )
+
+
+def test_the_noise_decays_with_every_rollout_after_the_warm_up() -> None:
+    settings = ShapedPower.Settings(warm_up=4, decay=0.5, mirrored=False)
+    learner, source = ShapedPower(SIZE, settings, rng(6)), rng(6)
+    for noise in (1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.25):
+        z = learner.ask()
+        np.testing.assert_array_equal(z, learner.mean + noise * source.standard_normal(SIZE))
+        learner.tell(z, hill(z))
+
+
+def test_rank_weights_are_those_of_the_formula_however_few_the_rollouts() -> None:
+    z, returns = rng(1).standard_normal((4, SIZE)), np.array([0.1, 0.9, 0.4, 0.2])
+    learner = ShapedPower(SIZE, ShapedPower.Settings(sigma=3, warm_up=0, mirrored=False), rng(0))
+    for count in range(1, 5):
+        learner.tell(z[count - 1], float(returns[count - 1]))
+        best = np.argsort(-returns[:count])[:3]
+        weights = np.log(3.5) - np.log(np.arange(1, len(best) + 1))
+        np.testing.assert_allclose(learner.mean, np.average(z[best], axis=0, weights=weights))

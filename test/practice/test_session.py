@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from disk_flushes import record_flushes
 from toss_task import ANY_ARM, demonstrated_policy, practice_in, practice_of, toss
 
 from wam_power_ros.learning.policy import Policy, from_json, to_json
@@ -165,6 +166,55 @@ def test_kill_9_loses_no_acknowledged_rollout(tmp_path: Path) -> None:
     for record in read(folder)[2]:
         trial = practice.next_trial()
         assert practice.learn_assessed(trial, toss(trial, settings.task_settings)) == record
+
+
+@pytest.mark.requirement("S-61")
+def test_a_rollout_is_flushed_as_a_whole_before_it_is_acknowledged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = begun(tmp_path / "s", 2)
+    log = folder / "rollouts.jsonl"
+    with Session.open(folder) as session:
+        flushed = record_flushes(monkeypatch, log.read_bytes)
+        go_on(session, session.practice(ANY_ARM), 1)
+        assert flushed == [(log, log.read_bytes())]
+    assert len(read(folder)[2]) == 3
+
+
+@pytest.mark.requirement("S-61")
+def test_a_session_is_flushed_with_all_it_needs_before_its_header_makes_it_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "new" / "deep" / "s"
+    flushed = record_flushes(monkeypatch, lambda: Session.exists(folder))
+    Session.begin(folder, SETTINGS, 5, CANDIDATES).close()
+    before = [path for path, is_session in flushed if not is_session]
+    after = [path for path, is_session in flushed if is_session]
+    candidates = folder / "candidates"
+    assert before == [
+        candidates / ".flick-1.json.part",
+        candidates,
+        candidates / ".flick-2.json.part",
+        candidates,
+        folder / ".task.json.part",
+        folder,
+        folder / ".session.yaml.part",
+    ]
+    parents = [folder.parent, folder.parent.parent, tmp_path]  # of folders that are new
+    assert after == [folder, *parents, folder / "rollouts.jsonl", folder]
+
+
+@pytest.mark.requirement("S-61")
+def test_a_torn_line_is_cut_off_on_the_disk_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = begun(tmp_path / "s", 2)
+    log = folder / "rollouts.jsonl"
+    whole = log.read_bytes()
+    log.write_bytes(whole + b'{"schema"')
+    flushed = record_flushes(monkeypatch, log.read_bytes)
+    Session.open(folder).close()
+    assert flushed == [(log, whole), (folder, whole)]
 
 
 @pytest.mark.requirement("S-63")

@@ -43,11 +43,13 @@ def test_a_state_comes_back_with_its_twist_in_the_base_frame() -> None:
         np.array([1.0, 2.0, 3.0]),
         np.array([0.0, 0.0, half, half]),
         np.array([0.0, 4.0, 0.0]),
-        np.array([0.0, 0.0, 7.0]),
+        np.array([0.0, 6.0, 7.0]),
         1e-6,
     )
     message = pose_messages.odometry_message(state, "pancake")
-    assert message.twist.twist.linear.x == pytest.approx(4.0)
+    twist = message.twist.twist
+    assert [twist.linear.x, twist.linear.y] == pytest.approx([4.0, 0.0])
+    assert [twist.angular.x, twist.angular.y, twist.angular.z] == pytest.approx([6.0, 0.0, 7.0])
     back = pose_messages.odometry(message)
     for was, is_now in zip(state[2:], back[2:], strict=True):
         np.testing.assert_allclose(is_now, was, atol=1e-12)

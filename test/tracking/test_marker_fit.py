@@ -95,6 +95,24 @@ def test_a_cloud_without_one_clear_pose_is_refused_by_name(points: np.ndarray, w
         marker_fit.fit(points)
 
 
+def test_the_residual_is_the_root_mean_square_distance_of_markers_and_points() -> None:
+    rng = np.random.default_rng(4)
+    for keep in (4, 3):
+        points = (marker_fit.LAYOUT + rng.normal(0.0, 5e-4, (4, 3)))[:keep] + POSITION
+        found = marker_fit.fit(points)
+        seen = marker_fit.LAYOUT[:keep] @ rotations.matrix(found.quat_xyzw).T + found.position
+        expected = np.sqrt(np.mean(np.linalg.norm(points - seen, axis=1) ** 2))
+        assert found.rms == pytest.approx(expected) and 1e-4 < found.rms < 2e-3
+
+
+def test_of_64_points_the_layout_is_found_and_it_cannot_be_changed() -> None:
+    others = POSITION + 2.0 + 0.3 * np.stack(np.meshgrid(*[range(4)] * 3), axis=-1).reshape(-1, 3)
+    found = marker_fit.fit(np.vstack([marker_fit.LAYOUT + POSITION, others[:60]]))
+    np.testing.assert_allclose(found.position, POSITION, atol=1e-9)
+    with pytest.raises(ValueError, match="read-only"):
+        marker_fit.LAYOUT[0] = 0.0
+
+
 def test_a_mirrored_flat_layout_is_the_layout_seen_from_below() -> None:
     found = marker_fit.fit(marker_fit.LAYOUT * [1.0, -1.0, 1.0])
     normal = rotations.matrix(found.quat_xyzw)[:, 2]

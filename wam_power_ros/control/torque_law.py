@@ -33,7 +33,7 @@ def operational_space(motion: Motion, dynamics: Dynamics, acceleration: np.ndarr
         [N m]. Shape (n,).
 
     Raises:
-        numpy.linalg.LinAlgError: The state is not finite.
+        numpy.linalg.LinAlgError: The apparent inertia is not positive definite.
     """
     jacobian = dynamics.jacobian
     apparent = jacobian.dot(dynamics.inverse_mass).dot(jacobian.T)

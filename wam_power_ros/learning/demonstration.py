@@ -11,9 +11,10 @@ import numpy as np
 from wam_power_ros import rotations
 from wam_power_ros.learning.policy import PERIOD, read_only
 
-CUTOFF = 12.0  # -3 dB of the smoothing [Hz]; a hand is slower, quantisation noise is faster
-# Half the window of a cubic Savitzky-Golay filter of this cutoff [Schafer2011] [samples]
-HALF_WINDOW = math.ceil((2.0 / (PERIOD * CUTOFF) + 4.6) / 3.2)
+CUTOFF = 9.0  # -3 dB of the smoothing [Hz]; a hand is slower, quantisation noise faster
+# Half the window of a Savitzky-Golay filter of degree 2 or 3, which smooth alike, of this cutoff
+# [Schafer2011] [samples]
+HALF_WINDOW = math.ceil((1.5 / (PERIOD * CUTOFF) + 4.6) / 3.2)
 WINDOW = 2 * HALF_WINDOW + 1  # [samples]
 GAP_MAX = 0.05  # longest gap that is interpolated [s]
 SPEED_MIN = 0.05  # smallest peak speed of a movement [m/s]

@@ -25,9 +25,9 @@ class _PolicyGradient(GaussianLearner):
             decay: Factor on the exploration noise for each update.
         """
 
-        population: int = Field(ge=2)
+        population: int
         rate: float = Field(default=1.0, gt=0.0, allow_inf_nan=False)
-        decay: float = Field(gt=0.0, le=1.0)
+        decay: float
 
     settings: Settings
 

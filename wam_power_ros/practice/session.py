@@ -161,6 +161,7 @@ class Session:
         """
         check_candidates(candidates, settings.practice)
         folder = Path(folder)
+        new = [folder, *(parent for parent in folder.parents if not parent.exists())]
         folder.mkdir(parents=True, exist_ok=True)
         lock = _lock(folder)
         try:
@@ -182,7 +183,8 @@ class Session:
                 durable_files.replace(path, policy_module.to_json(policy))
             durable_files.replace(folder / "task.json", json.dumps(dict(context or {})) + "\n")
             durable_files.replace(folder / "session.yaml", text)
-            durable_files.sync(folder.parent)
+            for each in new:
+                durable_files.sync(each.parent)
             return cls(folder, lock)
         except BaseException:
             os.close(lock)

@@ -308,7 +308,6 @@ class Tracker:
 
     def _accept(self, frame: _Frame) -> TrackedState | None:
         self._jumps = self._agree = 0
-        self._candidate = None
         self._frames.append(frame)
         while frame.stamp_ns - self._frames[0].stamp_ns > HISTORY:
             self._frames.popleft()

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from toss_task import demonstrated_policy
@@ -23,6 +25,42 @@ def paths(end: float, seen: np.ndarray) -> tuple[EndEffectorPath, BodyPath]:
     pan = EndEffectorPath(POLICY.id, t, np.tile([0.6, 0.0, 0.5], (len(t), 1)), [level] * len(t))
     position = np.tile([0.6, 0.0, 0.503], (len(seen), 1))
     return pan, BodyPath(POLICY.id, seen, position, np.tile(level, (len(seen), 1)))
+
+
+def toss(half_turns: float, aside: float = 0.0) -> tuple[EndEffectorPath, BodyPath]:
+    """A pancake thrown at 0.5 s that comes down 0.6 s later, flat, `aside` of the pan [m]."""
+    t = np.arange(0.005, 1.85, 1 / 120)
+    pan, still = paths(1.86, t)
+    free = np.clip(t - 0.5, 0.0, 0.6)
+    rise = 2.943 * free - 4.905 * free**2
+    half = 0.5 * np.pi * half_turns * free / 0.6
+    position = still.position + np.stack([aside * free / 0.6, 0.0 * t, rise], axis=1)
+    quat_xyzw = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1)
+    return pan, BodyPath(POLICY.id, t, position, quat_xyzw)
+
+
+@pytest.mark.parametrize(
+    ("half_turns", "aside", "least_turn", "success"),
+    [
+        (1.0, 0.0, 150.0, True),
+        (2.0, 0.0, 150.0, False),  # rests in the pan with the same side up
+        (1.0, 0.2, 150.0, False),  # the other side up, but beside the pan
+        (1.0, 0.0, 190.0, False),  # not turned as far as asked for
+        (2.0, 0.0, 0.0, True),  # the side does not matter where no turn is asked for
+    ],
+)
+def test_a_success_rests_in_the_pan_the_other_side_up_having_turned_far_enough(
+    half_turns: float, aside: float, least_turn: float, success: bool
+) -> None:
+    update = {"success_angle": math.radians(least_turn), "success_return": 0.01}
+    assessment = assess(
+        POLICY, Rollout(*toss(half_turns, aside)), SETTINGS.model_copy(update=update)
+    )
+    assert assessment.observation["tossed"] and assessment.observation["seen"]
+    assert assessment.success is success
+    beyond = {**update, "success_return": assessment.ret + 1e-6}
+    rated = assess(POLICY, Rollout(*toss(half_turns, aside)), SETTINGS.model_copy(update=beyond))
+    assert rated.success is False  # whatever it did, its return is too low
 
 
 @pytest.mark.requirement("S-47")
@@ -50,16 +88,11 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
 @pytest.mark.parametrize("name", ["paper", "flip"])
 def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name: str) -> None:
     settings = preset("flip", name).task_settings
-    t = np.arange(0.005, 1.85, 1 / 120)
-    pan, still = paths(1.86, t)
-    free = np.clip(t - 0.5, 0.0, 0.6)  # thrown at 0.5 s, half a turn, caught 0.6 s later
-    rise = 2.943 * free - 4.905 * free**2
-    half = 0.5 * np.pi * free / 0.6
-    position = still.position + np.outer(rise, [0.0, 0.0, 1.0])
-    quat_xyzw = np.stack([0.0 * half, np.sin(half), 0.0 * half, np.cos(half)], axis=1)
+    pan, thrown = toss(half_turns=1.0)
+    t = thrown.t
 
     def judged(seen: np.ndarray) -> Assessment:
-        pancake = BodyPath(POLICY.id, t[seen], position[seen], quat_xyzw[seen])
+        pancake = BodyPath(POLICY.id, t[seen], thrown.position[seen], thrown.quat_xyzw[seen])
         return assess(POLICY, Rollout(pan, pancake), settings)
 
     whole = judged(t > 0.0).ret

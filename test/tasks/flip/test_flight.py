@@ -61,7 +61,9 @@ def test_errors_stay_within_three_stated_standard_deviations(
         [[abs(e) / s for e, s in errors(truth, flight).values()] for truth, flight in seen]
     )
     assert np.mean(ratios <= 3.0) >= 0.98
-    # The stated figures are not merely large.
+    # The stated figures are not merely large: errors come up to a good share of them.
+    t_f, position, normal, angle = np.sqrt(np.mean(ratios**2, axis=0))
+    assert min(t_f, position) > 0.2 and normal > 0.8 and angle > 0.5
     assert np.median([flight.t_f_std for _, flight in seen]) < 0.001
     assert np.median([flight.position_std.max() for _, flight in seen]) < 0.0015
     assert np.median([flight.angle_std for _, flight in seen]) < math.radians(0.5)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The toss as planned, against the tosses of the stand-in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from toss_task import demonstrated_policy
@@ -31,6 +33,26 @@ def test_a_pan_that_rests_tosses_nothing() -> None:
     assert not tosses.tossed[0]
     assert tosses.angle[0] == 0.0 and not tosses.landing_error.any()
     assert tosses.apex[0] == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_pan_moved_towards_the_landing_reduces_the_miss_and_beyond_it_reverses_it() -> None:
+    upwards = np.outer([0.0, 0.0, 0.0, 1.2, 1.2, -0.5, 0.0, 0.0], [0.0, 0.0, 1.0])
+    start = np.array([0.6, 0.0, 0.5])
+    policy = replace(
+        demonstrated_policy(),
+        stiffness=np.tile(400.0 * np.eye(3), (8, 1, 1)),
+        attractors=start + upwards,
+        rotation_attractors=np.zeros((8, 3)),
+    )
+    p = flip_parametrization(policy, "planar", NOISE)
+    shifts = np.array([-0.1, 0.0, 0.05, 0.1])  # [m] of the pan along x at the catch
+    z = np.zeros((len(shifts), p.size))
+    z[:, p.groups["catch_shift"]] = shifts[:, np.newaxis] / p.scale[p.groups["catch_shift"]]
+    tosses = plan_tosses(p, z, start)
+    assert tosses.tossed.all()
+    # Pancake less pan, as `observe_flight` measures it and `landing_correction` needs it.
+    np.testing.assert_allclose(tosses.landing_error[:, 0], -shifts, atol=1e-3)
+    np.testing.assert_allclose(tosses.landing_error[:, 1], 0.0, atol=1e-9)
 
 
 def test_policies_are_planned_as_if_alone() -> None:

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint-space control: a spring and a damper about a reference, by inverse dynamics."""
+
+import numpy as np
+import pytest
+
+from wam_power_ros.control import safety
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.joint_control import JointControl
+from wam_power_ros.control.joint_references import interpolated
+from wam_power_ros.control.tracking_error import TrackingLost
+from wam_power_ros.params.resources import share
+
+ARM = Arm(share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
+LIMITS = safety.limits_of(ARM)
+HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+STILL = np.zeros(7)
+MS = 1_000_000
+AWAY = np.array([0.1, -0.05, 0.02, 0.0, -0.1, 0.2, 0.1])
+
+
+def holding(at: np.ndarray = HOME) -> JointControl:
+    """Joint control that has come to rest in a posture."""
+    control = JointControl(ARM, LIMITS)
+    for stamp in (0, 200 * MS):
+        control.torque(stamp, at, STILL)
+    assert control.holding
+    return control
+
+
+def test_at_its_reference_at_rest_the_arm_gets_the_torque_of_gravity() -> None:
+    np.testing.assert_allclose(holding().torque(202 * MS, HOME, STILL), ARM.gravity(HOME))
+
+
+def test_a_displaced_arm_is_pulled_back_by_spring_and_damper_whatever_its_inertia() -> None:
+    speed = AWAY[::-1]
+    for q, qd in ((HOME + AWAY, STILL), (HOME - AWAY, STILL), (HOME, speed), (HOME + AWAY, speed)):
+        wanted = 25.0**2 * (HOME - q) - 2.0 * 0.7 * 25.0 * qd
+        expected = ARM.inverse_dynamics(q, qd, wanted)
+        np.testing.assert_allclose(holding().torque(202 * MS, q, qd), expected, atol=1e-9)
+
+
+def test_a_reference_that_moves_is_fed_forward_with_most_of_the_friction() -> None:
+    control, goal = holding(), HOME + 3.0 * AWAY
+    control.move(goal, 0.3)
+    control.torque(0, HOME, STILL)
+    assert not control.holding
+    course = control._course.reference
+    for ms in (200, 400, 600):
+        q, qd, qdd = course.at(ms * 1e-3)
+        # 80 % of the friction of the joints, in the direction in which the reference moves
+        friction = 0.8 * (ARM.friction * np.tanh(qd / 0.02) + ARM.damping * qd)
+        expected = ARM.inverse_dynamics(q, qd, qdd) + friction
+        np.testing.assert_allclose(control.torque(ms * MS, q, qd), expected, atol=1e-9)
+        stuck = ARM.inverse_dynamics(q, STILL, qdd + 2.0 * 0.7 * 25.0 * qd) + friction
+        np.testing.assert_allclose(control.torque(ms * MS, q, STILL), stuck, atol=1e-9)
+    end = round((course.duration + 1.0) * 1e9)
+    np.testing.assert_allclose(control.torque(end, goal, STILL), ARM.gravity(goal), atol=1e-9)
+    assert control.holding
+
+
+@pytest.mark.requirement("S-25")
+@pytest.mark.parametrize("joint", range(7))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_that_is_0_3_rad_off_is_lost_at_rest_and_on_its_way(
+    joint: int, sign: float
+) -> None:
+    for on_its_way in (False, True):
+        control = holding()
+        if on_its_way:
+            control.move(HOME + AWAY, 0.3)
+            control.torque(0, HOME, STILL)
+        q = HOME.copy()
+        q[joint] += 0.299 * sign
+        control.torque(1 if on_its_way else 202 * MS, q, STILL)
+        q[joint] = HOME[joint] + 0.301 * sign
+        with pytest.raises(TrackingLost, match=r"0\.301 rad away"):
+            control.torque(2 if on_its_way else 204 * MS, q, STILL)
+
+
+def test_an_arm_that_lags_behind_a_brake_is_not_lost_before_the_brake_has_ended() -> None:
+    control = JointControl(ARM, LIMITS)
+    control.torque(0, HOME, 2.0 * np.eye(7)[3])
+    behind = HOME - 0.25 * np.eye(7)[3]  # the brake goes on by 0.15 rad
+    control.torque(100 * MS, behind, STILL)
+    with pytest.raises(TrackingLost):
+        control.torque(151 * MS, behind, STILL)
+
+
+def test_a_reference_goes_on_from_the_last_one_and_after_a_release_from_the_arm() -> None:
+    carried = HOME + AWAY
+    for released, begins in ((False, HOME), (True, carried)):
+        control = holding()
+        if released:
+            control.release()
+        control.begin()
+        control.torque(300 * MS, carried, STILL)
+        assert np.array_equal(control._course.reference.at(0.0)[0], begins)
+
+
+def test_only_the_states_of_a_replay_count_for_its_error() -> None:
+    t = np.linspace(0.0, 0.1, 11)
+    replay = interpolated(t, HOME + 0.1 * t[:, None] * np.ones(7), 1.0, 0.002)
+    control = holding()
+    assert control.replay_error is None
+    control.move(HOME + AWAY, 0.3)
+    assert control.replay_error is None
+    control.move(replay.q[0], 0.3, replay)
+    first = control.replay_error
+    for tick in range(200):  # a move of 0.1 s, the replay of 0.1 s, and hold
+        control.torque(tick * 2 * MS, HOME + 0.01, STILL)
+    assert control.holding and control.replay_error is first
+    assert first.count == 50 and first.largest.max() == pytest.approx(0.01)
+    control.move(replay.q[0], 0.3, replay)
+    assert control.replay_error is not first and control.replay_error.count == 0

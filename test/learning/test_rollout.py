@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Paths that cannot be are refused with the value and the rule; faults say whose they are."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, FaultKind, Rollout
+
+T = np.array([0.0, 0.01, 0.03])
+LEVEL = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+
+
+def path(kind: type[EndEffectorPath] | type[BodyPath] = BodyPath, **change: object) -> Any:  # noqa: ANN401
+    return kind(**{"id": "a", "t": T, "position": np.zeros((3, 3)), "quat_xyzw": LEVEL, **change})
+
+
+@pytest.mark.parametrize("kind", [EndEffectorPath, BodyPath])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"id": "a/b"}, "id 'a/b'"),
+        ({"t": [0.0, 0.02, 0.02]}, r"path a: t\[2\] = 0.02 follows 0.02; it must increase"),
+        ({"t": [0.0, -0.02, -0.03]}, r"path a: t\[1\] = -0.02 follows 0.0"),
+        ({"t": [0.0, np.nan, 1.0]}, r"path a: t\[1\] = nan"),
+        ({"position": np.zeros((2, 3))}, r"path a: position has shape \(2, 3\)"),
+        ({"position": np.full((3, 3), np.inf)}, "path a: position"),
+        ({"quat_xyzw": LEVEL[:, :3]}, "path a: quat_xyzw has shape"),
+        ({"quat_xyzw": LEVEL * [[1.0], [1.002], [0.9]]}, r"quat_xyzw\[1\] has length 1.002"),
+        ({"quat_xyzw": LEVEL * [[1.0], [1.0], [0.998]]}, r"quat_xyzw\[2\] has length 0.998"),
+    ],
+)
+def test_a_wrong_path_cannot_exist(
+    kind: type[EndEffectorPath] | type[BodyPath], change: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        path(kind, **change)
+
+
+def test_a_path_is_a_copy_that_cannot_be_written() -> None:
+    position = np.zeros((3, 3))
+    made = path(position=position, quat_xyzw=LEVEL * 1.0009)
+    position[0] = 1.0
+    assert not made.position.any() and made.t.tolist() == T.tolist()
+    for name in ("t", "position", "quat_xyzw"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(made, name)[0] = 1.0
+
+
+def test_a_body_may_never_have_been_seen_and_a_tool_has_at_least_one_pose() -> None:
+    nothing = {"t": np.zeros(0), "position": np.zeros((0, 3)), "quat_xyzw": np.zeros((0, 4))}
+    assert len(path(**nothing).t) == 0
+    with pytest.raises(ValueError, match="end-effector path a is empty"):
+        path(EndEffectorPath, **nothing)
+    one = {"t": T[:1], "position": np.zeros((1, 3)), "quat_xyzw": LEVEL[:1]}
+    assert len(path(EndEffectorPath, **one).t) == 1
+
+
+def test_the_two_paths_of_a_rollout_are_of_one_policy() -> None:
+    tool = path(EndEffectorPath)
+    assert Rollout(tool).body is None and Rollout(tool).fault is None
+    assert Rollout(tool, path()).body.id == "a"
+    with pytest.raises(ValueError, match="body is of rollout 'b', the tool's of 'a'"):
+        Rollout(tool, path(id="b"))
+
+
+def test_limits_of_motion_are_faults_of_the_policy_and_no_others_are() -> None:
+    of_policy = {kind.value for kind in FaultKind if kind.of_policy}
+    assert of_policy == {
+        "joint_position",
+        "joint_speed",
+        "guarded_speed",
+        "tool_speed",
+        "workspace",
+        "plane",
+    }
