@@ -15,7 +15,7 @@ from wam_power_ros.learning.rollout import FaultKind
 State = tuple[int, np.ndarray, np.ndarray]
 Lie = Callable[[State], State]
 LONGEST = 15  # states until a lie about a moving arm is a fault: 30 ms
-NOTICED = 0.4  # [rad/s] of a velocity that is wrong; a smaller lie may be noticed later
+NOTICED = 0.5  # [rad/s] of a velocity that is wrong; a smaller lie may be noticed later
 START = HOME + np.array([0.3, -0.2, 0.2, -0.3, 0.2, 0.2, 0.3])
 BEGUN = {"early": 0.12, "upwards": 0.33, "late": 0.55}  # [s] of the rollout
 
@@ -54,6 +54,7 @@ LIES: dict[str, Callable[[], Lie]] = {
     "all frozen": frozen,
     "all frozen, velocities zero": lambda: frozen(still=True),
     "joint 2 frozen": lambda: frozen(1),
+    "joint 2 frozen, its velocity zero": lambda: frozen(1, still=True),
     "joint 4 frozen, its velocity zero": lambda: frozen(3, still=True),
     "velocities zero": lambda: velocities(np.zeros_like),
     "velocities negated": lambda: velocities(np.negative),

@@ -34,8 +34,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
-# What may be unexplained at a standing joint in a rollout: share of its torque limit, and at most
-STANDING_SHARE, STANDING_MOST = 0.13, 7.0  # [N m], a kilogram that nobody told of at arm's length
+STANDING_SHARE = 0.05  # of a torque limit that may be unexplained at a standing joint in a rollout
 REST_NS = 200_000_000  # [ns] of rest after which a fault may be reset
 
 
@@ -91,10 +90,7 @@ class Controller:
         self._estimate: Estimate | None = None  # of the arm, in a fault and while no state comes
         self._rest_ns: int | None = None  # stamp since which the arm rests in a fault
         contact = Bound(*2 * [settings.contact_share * arm.tau_max])
-        in_rollout = Bound(
-            settings.unexplained_share * arm.tau_max,
-            np.minimum(STANDING_SHARE * arm.tau_max, STANDING_MOST),
-        )
+        in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
         self._unexplained: dict[Mode, Bound | None] = {
             Mode.GRAVITY_COMPENSATION: None,
             Mode.HOLD: contact,

@@ -31,8 +31,9 @@ SUSPECTS = 3  # states in a row beyond a bound that make a fault
 REMEMBERED, STRIDE = 100, 4  # states, for the estimate that a fault begins with, and its step
 FRESH = 4  # strides that a lie may have lasted when it is found out
 FRICTION_SHARE = 2.0  # of a joint's Coulomb friction that may be unexplained
-STANDING = 10  # states over which a joint has moved by less than STANDSTILL: it stands
-STANDSTILL = 0.001  # [rad]
+STANDING = 30  # states of the same position, after which a joint stands
+FROZEN = 15  # states of the same position, after which it must have no velocity left
+STANDSTILL = 0.05  # [rad/s] slower than this a joint may be taken to stand still
 DIFFERENCED = 4  # states that a velocity is differenced over; even, for two drivers in turn
 FROZEN_SHARE = 0.3  # of the model's speed; a joint seen to move slower than that is not believed
 FROZEN_SPEED = 0.1  # [rad/s] of the model, below which a joint may stand still
@@ -43,8 +44,8 @@ class Bound(NamedTuple):
 
     Attributes:
         moving: At a joint that moves: what the model may be wrong by.
-        standing: At a joint that stands still. It may be frozen, with the arm moving away under a
-            torque that seems to have no effect: this one is to be found out early.
+        standing: At a joint that has reported the same position for some time, bit for bit. It may
+            be frozen, and the arm move away under a torque that seems to have no effect.
     """
 
     moving: np.ndarray
@@ -65,6 +66,7 @@ class VelocityCheck:
     def begin(self) -> None:
         """Begin anew: the next state has no predecessor."""
         self._sums = [np.zeros((2, self._n)) for _ in SLIP_WINDOWS]
+        self._same = np.zeros(self._n)  # states for which a position has stayed the same
         self._in_row = 0
 
     def fault(self, last: JointState, state: JointState) -> Fault | None:
@@ -78,7 +80,10 @@ class VelocityCheck:
         moved, said = state.q - last.q, 0.5 * dt * (last.qd + state.qd)
         slip = np.minimum(np.abs(moved - said), _SLIP_AT_ONCE)
         seen = np.stack((slip, np.minimum(np.abs(moved), np.abs(said))))
-        joint, at = -1, 0.0
+        self._same = np.where(moved == 0.0, self._same + 1, 0)
+        frozen = (self._same >= FROZEN) & (np.abs(state.qd) > STANDSTILL)
+        joint = int(frozen.argmax()) if frozen.any() else -1
+        at = float(slip[joint])
         for k, (window, bound) in enumerate(SLIP_WINDOWS):
             sums = self._sums[k] = math.exp(-dt / window) * self._sums[k] + seen
             excess = sums[0] - SLIP_SHARE * sums[1]
@@ -107,7 +112,7 @@ class TorqueCheck:
     def begin(self) -> None:
         """Begin anew: nothing is unexplained."""
         self.residual = np.zeros(self._arm.n)
-        self._seen: deque[np.ndarray] = deque(maxlen=STANDING)
+        self._same = np.zeros(self._arm.n)  # states for which a position has stayed the same
         self._in_row = 0
 
     def fault(
@@ -127,10 +132,8 @@ class TorqueCheck:
         gained = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
         needed = gained + arm.bias(state.q, state.qd) + arm.resistance(state.qd)
         self.residual = keep * self.residual + (1.0 - keep) * (needed - tau)
-        seen = self._seen
-        standing = len(seen) == STANDING and np.abs(state.q - seen[0]) < STANDSTILL
-        seen.append(state.q)
-        most = np.where(standing, bound.standing, bound.moving)
+        self._same = np.where(state.q == last.q, self._same + 1, 0)
+        most = np.where(self._same >= STANDING, bound.standing, bound.moving)
         excess = np.abs(self.residual) - self._allowance - most
         joint = int(excess.argmax())
         self._in_row = self._in_row + 1 if excess[joint] > 0.0 else 0
@@ -205,7 +208,7 @@ class Plausibility:
             if k < len(moved) - FRESH:
                 # Within the stride in which it froze a joint has moved too little.
                 goes_on = np.abs(moved[k + 1]) > 0.5 * np.abs(moved[k])
-                seen = (np.abs(moved[k]) > STANDSTILL * STRIDE / STANDING) & goes_on
+                seen = (np.abs(moved[k]) > STANDSTILL * dt) & goes_on
                 found.q = np.where(seen, marks[k + 1], found.q)
                 found.qd = np.where(seen, moved[k] / dt, found.qd)
         return found
