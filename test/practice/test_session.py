@@ -316,7 +316,7 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
         ({"settings": {"task": "fly", "learner": "power"}}, "settings: .*task 'fly' is not one of"),
         (
             {"settings": {"task": "flip", "learner": "power", "task_settings": {"ret": "eq5"}}},
-            "settings.variant: Field required",
+            "settings: task_settings.variant: Field required",
         ),
     ],
 )

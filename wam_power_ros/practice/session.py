@@ -415,7 +415,8 @@ def _brief(error: Exception) -> str:
         first, *others = error.errors()
         where = ".".join(str(part) for part in first["loc"]) or "file"
         more = f" (and {len(others)} more)" if others else ""
-        return f"{where}: {first['msg']}, got {str(first['input'])[:80]}{more}"
+        rule = first["msg"].removeprefix("Value error, ")
+        return f"{where}: {rule}, got {str(first['input'])[:80]}{more}"
     if isinstance(error, json.JSONDecodeError):
         return f"not JSON: {error}"
     return re.sub(r"\s+", " ", str(error))
