@@ -192,7 +192,8 @@ def test_a_rollout_is_flushed_as_a_whole_before_it_is_acknowledged(
     with Session.open(folder) as session:
         flushed = record_flushes(monkeypatch, log.read_bytes)
         go_on(session, session.practice(ANY_ARM), 1)
-        assert flushed == [(log, log.read_bytes())]
+        assert flushed[0] == (log, log.read_bytes())
+        assert [path for path, _ in flushed[1:]] == [folder / f".{ACKNOWLEDGED}.part", folder]
     assert len(read(folder)[2]) == 3
 
 

@@ -36,7 +36,7 @@ LOOK_PERIOD = 0.1  # [s] between checks of the writing and of the free space
 
 
 Megabytes = Annotated[
-    float, Field(ge=1.0, le=1e6, description="in MB: a second of recording, and a terabyte")
+    float, Field(ge=0.0, le=1e9, description="in MB: none is asked for, or a petabyte")
 ]
 
 

@@ -142,7 +142,7 @@ class Session:
         self._size, self._digest = len(data), hashlib.sha256(data)
         self._file = self._open_log()
         self._compare_versions()
-        if self._log:
+        if self._log and _acknowledged(folder) != self._to_acknowledge():
             self._acknowledge()  # of a session that was killed before it could, or has none
 
     @staticmethod
@@ -318,14 +318,15 @@ class Session:
     def _count(self) -> int:
         return sum(isinstance(line, Record) for line in self._log)
 
+    def _to_acknowledge(self) -> _Acknowledged:
+        digest = self._digest.hexdigest()
+        return _Acknowledged(rollouts=self._count, bytes=self._size, sha256=digest)
+
     def _acknowledge(self) -> None:
         """Note what the log holds, so that its loss is seen; the log itself is on disk already."""
-        noted = _Acknowledged(
-            rollouts=self._count, bytes=self._size, sha256=self._digest.hexdigest()
-        )
         path = self.folder / ACKNOWLEDGED
         try:
-            durable_files.replace(path, noted.model_dump_json() + "\n")
+            durable_files.replace(path, self._to_acknowledge().model_dump_json() + "\n")
         except OSError as error:
             _log.warning("%s could not be written: %s", path, error)
 
