@@ -19,6 +19,7 @@ from sensor_msgs.msg import PointCloud2
 from hardware_sim.sensors import MocapFrame, MocapSettings
 from wam_power_ros import rotations
 from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.pancake_tracker_params import WorldToBase
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.tracking.tracker import Y_UP
 
@@ -35,14 +36,14 @@ class OptitrackSimParams(Params):
     markers_topic: str
     reliable: bool
     up_axis: Literal["z", "y"]
-    world_to_base: tuple[float, ...] = Field(min_length=7, max_length=7)
+    world_to_base: WorldToBase
     stamps: Literal["exposure", "receipt"]
     together: int = Field(ge=1, le=10)
     stray: int = Field(ge=0, le=len(STRAY))
-    rate: float
-    noise: float
-    latency: float
-    dropout: float
+    rate: float = Field(ge=1.0, le=500.0, description="in Hz: of the cameras there are")
+    noise: float = Field(ge=0.0, le=1.0, description="in m: a metre of noise is no measurement")
+    latency: float = Field(ge=0.0, le=1.0, description="in s: of a broken network")
+    dropout: float = Field(ge=0.0, le=1.0, description="a share")
     lost: Literal["omit", "repeat", "zero"]
 
     def mocap(self) -> MocapSettings:

@@ -11,7 +11,7 @@ import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,19 +28,24 @@ from hardware_sim.settings import ArmSettings, SceneSettings, WorldSettings
 from hardware_sim.wam import FOLDED, PERIOD, N
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm, Guarded, guarded_points
-from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import diagnostics_message
+
+Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: of no use beyond the reach")]
+Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: no joint here turns so far")]
+Delay = Annotated[float, Field(ge=0.0, le=1.0, description="in s: no link, but a broken one")]
+Spread = Annotated[float, Field(ge=0.0, le=10.0, description="ten times the thing itself")]
 
 
 class WamSimParams(Params):
     """Parameters of config/wam_sim.yaml; ranges are those of the world's settings."""
 
     pace: Literal["lockstep", "real_time"]
-    seed: int = Field(ge=0)
-    realtime_priority: int = Field(ge=0, le=98)
+    seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
+    realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
     joint_names: tuple[str, ...] = Field(min_length=N, max_length=N)
-    other_joints: tuple[str, ...]
+    other_joints: Names
     state_topic: str
     velocity: Literal["filled", "empty", "nan"]
     velocity_topic: str
@@ -48,30 +53,30 @@ class WamSimParams(Params):
     command_type: Literal["multiarray", "joint_state"]
     watchdog: bool
     deactivates: bool
-    state_latency: float = Field(ge=0.0)
-    state_jitter: float = Field(ge=0.0)
+    state_latency: Delay
+    state_jitter: Delay
     state_loss: float = Field(ge=0.0, le=1.0)
-    command_latency: float = Field(ge=0.0)
-    command_jitter: float = Field(ge=0.0)
+    command_latency: Delay
+    command_jitter: Delay
     command_loss: float = Field(ge=0.0, le=1.0)
     urdf: str
-    model_joint_names: tuple[str, ...]
+    model_joint_names: Names
     tool_frame: str
-    guarded_names: tuple[str, ...]
-    guarded_links: tuple[str, ...]
-    guarded_points: tuple[float, ...]
-    home: tuple[float, ...]
+    guarded_names: Names
+    guarded_links: Names
+    guarded_points: tuple[Length, ...] = Field(max_length=24)
+    home: tuple[Angle, ...] = Field(max_length=N)
     drives: Literal["wam", "direct"]
-    bus_voltage: float
-    command_delay_ticks: int
+    bus_voltage: float = Field(ge=1.0, le=100.0, description="in V: the WAM's motors have 48")
+    command_delay_ticks: int = Field(ge=0, le=50, description="0.1 s, which nothing withstands")
     driver_compensates_gravity: bool
-    wind_sd: float
-    torque_scale_sd: float
-    friction_sd: float
+    wind_sd: Spread
+    torque_scale_sd: Spread
+    friction_sd: Spread
     scene: str
-    friction: float
-    body_offset_sd: float
-    obstacle: tuple[float, ...]
+    friction: Spread
+    body_offset_sd: Spread
+    obstacle: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]]
 
     def world(self, mocap: MocapSettings) -> WorldSettings:
         """Settings of the world; where no point is guarded, the tool is logged instead."""

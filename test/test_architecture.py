@@ -39,7 +39,7 @@ ALLOWED: dict[str, set[str]] = {
     "tracking": {"rotations", "learning"},
     "tasks": {"rotations", "learning"},
     "practice": {"durable_files", "learning", "tasks"},
-    "params": {"rotations", "learning", "control", "tracking"},
+    "params": {"durable_files", "rotations", "learning", "control", "tracking"},
     "conformance": {"rotations", "learning", "control", "tracking"},
     "ros": {"rotations", "learning", "params", "bags"},
     "reporting": {"rotations", "learning", "tasks", "practice"},
@@ -179,7 +179,10 @@ LOADED_AS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "imp", "
 RUNS_TEXT = {"eval", "exec", "compile", "__import__"}
 UNSAFE = {"yaml": {"load", "load_all", "full_load", "unsafe_load"}, "os": {"system", "popen"}}
 ANYWHERE = sorted([*MODULES, *(ROOT / "benchmark").rglob("*.py"), *(ROOT / "launch").rglob("*.py")])
-YAML_LOAD = {("plain_yaml.py", "yaml", "load")}  # with a loader that is checked below
+YAML_LOAD = {  # with loaders that are checked below
+    ("plain_yaml.py", "yaml", "load"),
+    ("parameter_file.py", "yaml", "load"),
+}
 
 
 @pytest.mark.parametrize("path", ANYWHERE, ids=label)
@@ -199,11 +202,12 @@ def test_no_file_that_is_loaded_can_run_code(path: Path) -> None:
                 assert isinstance(keyword.value, ast.Constant) and keyword.value.value is False
 
 
-def test_the_loader_of_bags_knows_nothing_but_data() -> None:
+def test_the_loaders_of_yaml_know_nothing_but_data() -> None:
     import yaml
 
     from wam_power_ros.bags import plain_yaml
+    from wam_power_ros.params import parameter_file
 
-    assert issubclass(
-        plain_yaml.LOADER, (yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    )
+    safe = (yaml.SafeLoader, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+    assert issubclass(plain_yaml.LOADER, safe)
+    assert issubclass(parameter_file.Loader, safe)

@@ -25,7 +25,7 @@ def check_regular(path: Path) -> None:
     try:
         mode = path.stat().st_mode
     except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links, before Python 3.13
-        raise ValueError(f"{path} cannot be read: {error}") from None
+        raise ValueError(f"{path}: {getattr(error, 'strerror', error)}") from None
     if not stat.S_ISREG(mode):
         kind = _KINDS.get(stat.S_IFMT(mode), "no regular file")
         raise ValueError(f"{path} is {kind}; it must be a regular file")

@@ -108,7 +108,7 @@ def test_guarded_points_move_as_their_positions_do(arm: Arm) -> None:
 
 
 def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm) -> None:
-    wrist = Guarded("wrist", "wam_link6", (0.0, 0.0, 0.1))
+    wrist = Guarded("wrist", "wam_link6", (0.03, -0.05, 0.1))
     other = Arm(URDF, NAMES, guarded=(*WAM_GUARDED, wrist, WAM_GUARDED[0]))
     assert other.guarded == ("elbow", "forearm", "wrist", "elbow")
     speeds, tool = other.speeds(HOME, np.ones(7))
@@ -116,7 +116,7 @@ def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm
     assert speeds[3] == speeds[0]
     end = Arm(URDF, NAMES, tool_frame="wam_link6").tool_pose(HOME)
     np.testing.assert_allclose(
-        other.motion(HOME, np.ones(7)).guarded_positions[2], end[0] + end[1] @ [0, 0, 0.1]
+        other.motion(HOME, np.ones(7)).guarded_positions[2], end[0] + end[1] @ [0.03, -0.05, 0.1]
     )
     assert Arm(URDF, NAMES, guarded=()).motion(HOME, np.ones(7)).guarded_speeds == []
     with pytest.raises(ValueError, match="another_robots_link"):

@@ -11,7 +11,7 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError, Refusal
-from wam_power_ros.control.policy_execution import TURN_MAX, Execution, prepare
+from wam_power_ros.control.policy_execution import Execution, prepare
 from wam_power_ros.control.tracking_error import TrackingLost
 from wam_power_ros.learning.policy import Basis, Policy, with_id
 from wam_power_ros.params.resources import share
@@ -95,6 +95,11 @@ def test_an_obstacle_met_in_a_tick_that_has_a_sample_leaves_a_valid_path() -> No
     answer(rollout, 0, outside)
     assert answer(rollout, 0.4) is None  # still tick 0
     assert rollout.path(HOME, STILL).t.tolist() == [0.0]
+    later = execution(settings=replace(SETTINGS, obstacle=(*POSITION, 0.05)))
+    for tick in (0, 5, 10):
+        answer(later, tick, outside)
+    assert answer(later, 10.4) is None
+    np.testing.assert_allclose(later.path(HOME, STILL).t, [0.0, 0.01, 0.02])
 
 
 def test_a_rollout_that_never_began_has_a_path_of_one_pose() -> None:
@@ -105,9 +110,9 @@ def test_a_rollout_that_never_began_has_a_path_of_one_pose() -> None:
 
 def test_a_tool_that_is_turned_too_far_is_lost() -> None:
     rollout, turned = execution(), HOME.copy()
-    turned[6] += TURN_MAX - 0.05
+    turned[6] += 1.99
     assert answer(rollout, 0, turned) is not None
-    turned[6] += 0.1
+    turned[6] += 0.02
     with pytest.raises(TrackingLost, match="turned by more than"):
         answer(rollout, 1, turned)
 

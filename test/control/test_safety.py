@@ -118,6 +118,12 @@ def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
     fault = safety.behind_plane({"wrist": behind}, tilted)
     assert fault.kind is FaultKind.PLANE and fault.kind.of_policy
     assert safety.behind_plane({"tool": [math.nan] * 3}, tilted) is not None
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            normal = sign * np.eye(3)[axis]
+            wall = safety.limits_of(ARM, plane=(*normal, 0.2))
+            assert safety.behind_plane({"tool": (0.2 * normal).tolist()}, wall) is None
+            assert "is 0.100 m behind" in safety.behind_plane({"tool": 0.1 * normal}, wall).text
 
 
 @pytest.mark.requirement("S-24")
@@ -328,4 +334,6 @@ def test_three_states_in_a_row_beyond_a_limit_of_the_mode_are_a_fault() -> None:
         elbow_low = moving(guarded_positions=[[0.0, 0.0, -0.6], [0.0, 0.0, 0.5]])
         alone = mode in (Mode.ROLLOUT, Mode.REPLAY, Mode.MOVE_TO_START)
         assert faults(mode, *[elbow_low] * 3)[2] == (FaultKind.PLANE if alone else None)
+        tool_low = moving(position=np.array([0.0, 0.0, -0.6]))
+        assert faults(mode, *[tool_low] * 3)[2] == (boxed or (FaultKind.PLANE if alone else None))
         assert faults(mode, *[Speeds([0.0, 0.0], 0.0)] * 3)[2] is None

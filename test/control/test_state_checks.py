@@ -133,3 +133,65 @@ def test_a_missing_velocity_is_estimated_and_comes_to_rest_bit_for_bit() -> None
     for k in range(106, 206):
         states.take(2 * MS * k, end, None, restart=False)
     assert np.array_equal(states.last.qd, ZERO)
+
+
+def test_what_comes_first_is_accepted_and_counted() -> None:
+    states = checks()
+    assert states.refused_in_row == 0 and states.fault is None
+    for k in range(1, 5):
+        states.take(k * 2 * MS, Q, ZERO, restart=False)
+    assert states.counters == {"accepted": 5}
+
+
+def test_a_position_is_plausible_up_to_20_radians_and_a_speed_to_500() -> None:
+    for bound, largest in ((IMPLAUSIBLE_Q, 20.0), (IMPLAUSIBLE_QD, 500.0)):
+        for sign in (1.0, -1.0):
+            inside = [sign * math.nextafter(largest, 0.0)] * 7  # together longer than the bound
+            assert plausible(inside, bound)
+            assert not plausible([*inside[:6], sign * largest], bound)
+
+
+@pytest.mark.requirement("S-11")
+def test_five_refusals_are_a_fault_when_less_than_fifty_states_lie_between() -> None:
+    for last, kind in ((50, FaultKind.STATES_REFUSED), (51, None)):
+        for unread in (False, True):
+            states = checks()
+            for k in range(1, last + 1):
+                refused = k in (1, 2, 3, 4, last)
+                if refused and unread:
+                    states.refuse()  # could not even be read
+                else:
+                    states.take(k * 2 * MS, None if refused else Q, ZERO, restart=False)
+            assert (states.fault and states.fault.kind) == kind
+            assert states.counters["rejected"] == 5
+
+
+def test_a_fault_belongs_to_its_state_and_not_to_one_that_cannot_be_read_afterwards() -> None:
+    states = checks()
+    states.take(2 * MS, Q + 0.2, ZERO, restart=False)
+    assert states.fault.kind is FaultKind.JUMP
+    states.refuse()
+    assert states.fault is None and states.refused_in_row == 1
+
+
+@pytest.mark.parametrize("speed", [0.3, -0.3])
+def test_a_differentiated_velocity_approaches_the_true_one_at_180_radians_a_second(
+    speed: float,
+) -> None:
+    states, step = checks(), 0.002 * speed * np.ones(7)
+    for k in range(1, 20):
+        states.take(2 * MS * k, Q + k * step, None, restart=False)
+        expected = speed * (1.0 - math.exp(-180.0 * 0.002 * k))
+        np.testing.assert_allclose(states.last.qd, expected, rtol=1e-6)
+
+
+def test_gaps_and_jumps_are_measured_from_the_last_state_whatever_the_clock_says() -> None:
+    later = 10**18
+    states = StateChecks(7, 0.002, 180.0)
+    states.take(later, Q, ZERO, restart=False)
+    states.take(later + 2 * MS, Q - 0.11, ZERO, restart=False)
+    assert states.fault.text == "a joint jumped by 0.110 rad from one state to the next"
+    states.take(later + 3 * MS, Q - 0.2, ZERO, restart=False)
+    assert states.fault is None  # 0.09 rad in less than a period
+    states.take(later + 24 * MS, Q - 0.2, ZERO, restart=False)
+    assert states.fault.text == "no joint state for 21 ms"

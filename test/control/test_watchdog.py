@@ -97,3 +97,34 @@ def test_missed_periods_are_a_warning_and_too_many_a_fault(
     if found is not None:
         assert (found.kind, found.text) == (FaultKind.OVERLOAD, text)
         assert text == "5.1 % of the periods of a second missed, 1 in a row"
+
+
+def test_it_does_not_matter_when_the_clock_began() -> None:
+    later_ns = 10**18
+    watchdog = Watchdog(0.005, 0.002)
+    for ms in range(-25, 1):  # the very first check excuses the process for 20 ms
+        watchdog.check(later_ns + ms * MS)
+    watchdog.arrived(later_ns)
+    watchdog.sent_ns = later_ns
+    for ms in range(1, 15):
+        silence = watchdog.check(later_ns + ms * MS)
+        assert (silence is None) == (ms < 5)
+    for ms in range(15, 30):
+        silence = watchdog.check(later_ns + ms * MS)
+    assert silence.fault.text == "no joint state for 29 ms"
+
+
+def test_where_no_state_ever_came_the_driver_is_asked_to_idle_once_after_each_activation() -> None:
+    watchdog = Watchdog(0.005, 0.002)
+    for start_ms in (10_000, 10_200):
+        found = watched(start_ms + 200, watchdog, start_ms)
+        assert [silence.idle for _, silence in found] == [True] + [False] * (len(found) - 1)
+        assert all(silence.fault.kind is FaultKind.STATES_LOST for _, silence in found)
+        watchdog.activated()
+
+
+def test_a_process_stood_still_when_it_did_not_check_for_more_than_20_ms() -> None:
+    for pause_ns, excused in ((20 * MS, False), (20 * MS + 1, True)):
+        watchdog = fresh()
+        watchdog.check(10 * MS)
+        assert (watchdog.check(10 * MS + pause_ns) is None) == excused

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Annotated
 
 import pytest
@@ -16,6 +17,8 @@ from rclpy.parameter import Parameter
 
 from hardware_sim.optitrack_node import OptitrackSimParams
 from hardware_sim.wam_node import WamSimParams
+from wam_power_ros.console.replay import ReplayParams
+from wam_power_ros.console.teach import TeachParams
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params.node_params import Params
@@ -126,3 +129,78 @@ def test_a_yaml_holds_exactly_what_its_node_reads(
     assert set(values) == set(params.model_fields)
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     params(**(values | lists))
+
+
+PARAMS = (
+    TorqueControllerParams,
+    WamSimParams,
+    OptitrackSimParams,
+    LearnerParams,
+    PancakeTrackerParams,
+    DemonstrationRecorderParams,
+    ReplayParams,
+    TeachParams,
+)
+
+
+def unbounded(params: type[Params]) -> Iterator[str]:
+    """Parameters without a lower or an upper bound, of their numbers or of their length."""
+
+    def missing(name: str, schema: dict) -> Iterator[str]:
+        kind = schema.get("type")
+        if kind in ("integer", "number"):
+            if not schema.keys() & {"minimum", "exclusiveMinimum"}:
+                yield f"{name}: no lower bound"
+            if not schema.keys() & {"maximum", "exclusiveMaximum"}:
+                yield f"{name}: no upper bound"
+        elif kind == "array":
+            if "maxItems" not in schema:
+                yield f"{name}: any number of items"
+            for item in (*schema.get("prefixItems", ()), schema.get("items") or {}):
+                yield from missing(f"{name}[]", item)
+
+    for name, schema in params.model_json_schema()["properties"].items():
+        yield from missing(name, schema)
+
+
+@pytest.mark.requirement("S-18")
+@pytest.mark.parametrize("params", PARAMS)
+def test_every_number_among_the_parameters_has_a_lower_and_an_upper_bound(
+    params: type[Params],
+) -> None:
+    assert list(unbounded(params)) == []
+    assert params.model_config["str_max_length"]
+
+
+def test_a_parameter_without_a_bound_would_be_seen() -> None:
+    assert list(unbounded(Oven)) == [
+        "rings: no upper bound",
+        "heat: no upper bound",
+        "limits: any number of items",
+        "limits[]: no lower bound",
+        "limits[]: no upper bound",
+        "shelves: any number of items",
+    ]
+
+
+def test_a_refusal_names_key_value_rule_and_reason(node_with: Callable[..., Node]) -> None:
+    class Grill(Oven):
+        heat: float = Field(ge=50.0, le=300.0, description="in C: the thermostat's range")
+
+    with pytest.raises(ValueError, match=r"heat = 301\.0: .*300 .*the thermostat's range"):
+        Grill.of(node_with(**(GOOD | {"heat": 301.0})))
+    with pytest.raises(ValueError, match=r"heat = '1:30': .* valid number"):
+        Grill.of(node_with(**(GOOD | {"heat": "1:30"})))
+
+
+@pytest.mark.requirement("S-18")
+def test_a_key_twice_in_the_parameter_file_of_a_process_stops_its_node(
+    node_with: Callable[..., Node], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "oven.yaml"
+    file.write_text("oven:\n  ros__parameters:\n    heat: 1.0\n    rings: 2\n    heat: 200.0\n")
+    monkeypatch.setattr("sys.argv", ["oven", "--ros-args", "--params-file", str(file)])
+    with pytest.raises(
+        ValueError, match=r"oven\.yaml: heat is given twice, in line 3 and in li.* 5"
+    ):
+        Oven.of(node_with(**GOOD))

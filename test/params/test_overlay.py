@@ -67,9 +67,11 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
     # and the learner rehearses with the limits that the controller has
     own, *over = (ROOT / file for file in learner.controller)
     limits = TorqueControllerParams.of_file(own, "torque_controller", *over)
-    of_the_lab = {name: getattr(arm, name) for name in ("hold_to_run", "allow_no_realtime")}
+    lab = ("simulation", "hold_to_run", "allow_no_realtime")
+    of_the_lab = {name: getattr(arm, name) for name in lab}
     assert limits.model_copy(update=of_the_lab) == arm
     assert learner.scene_reset == learner.reset_faults == simulated
+    assert arm.simulation == simulated
     assert arm.hold_to_run == (not arm.allow_no_realtime) == (not simulated)
     assert params["demonstration_recorder"].source == ("sim" if simulated else "hardware")
 

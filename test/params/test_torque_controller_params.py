@@ -5,8 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 import yaml
+from rclpy.parameter import Parameter
 
+from wam_power_ros.params import parameter_file
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -70,6 +73,20 @@ def test_every_limit_reaches_the_controller(tmp_path: Path) -> None:
         ("law", "jacobian_transpose"),
         ("plane", [0.0, 0.0, 1.0]),
         ("move_speed", 0.0),
+        ("move_speed", "1:30"),
+        ("move_speed", 90),
+        ("state_timeout", 1e9),
+        ("period", 1e-12),
+        ("period", 0.021),
+        ("tool_speed_max", 1e9),
+        ("elbow_speed_max", 3.1),
+        ("torque_rate_max", 1e6),
+        ("stiffness_max", 4900.0),
+        ("velocity_cutoff", 5.0),
+        ("workspace_max", [1.0, 1.0, 1e9]),
+        ("plane", [0.0, 0.0, 1.0, -100.0]),
+        ("settle_time", 1e4),
+        ("realtime_priority", 99),
     ],
 )
 def test_a_value_out_of_range_is_refused_with_its_name(
@@ -77,6 +94,46 @@ def test_a_value_out_of_range_is_refused_with_its_name(
 ) -> None:
     with pytest.raises(ValueError, match=name):
         params(tmp_path, **{name: value})
+
+
+@pytest.mark.requirement("S-18")
+@pytest.mark.parametrize(
+    ("name", "refused", "accepted"),
+    [
+        ("state_timeout", 0.0, 0.005),
+        ("state_timeout", 0.021, 0.02),
+        ("stiffness_max", 2801.0, 2800.0),
+        ("torque_rate_max", 1001.0, 1000.0),
+    ],
+)
+def test_a_real_arm_has_stricter_bounds_than_a_simulation(
+    tmp_path: Path, name: str, refused: float, accepted: float
+) -> None:
+    params(tmp_path, simulation=True, **{name: refused})
+    params(tmp_path, simulation=False, **{name: accepted})
+    with pytest.raises(ValueError, match=f"{name} = {refused} must be .* on a real arm"):
+        params(tmp_path, simulation=False, **{name: refused})
+
+
+@pytest.mark.requirement("S-18")
+def test_a_real_arm_does_not_go_by_simulated_time(domain_id: int) -> None:
+    values = parameter_file.read(FILE)["torque_controller"] | {"simulation": False}
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=domain_id)
+    try:
+        node = rclpy.create_node(
+            "torque_controller",
+            context=context,
+            parameter_overrides=[
+                Parameter(name, value=value)
+                for name, value in (values | {"use_sim_time": True}).items()
+            ],
+            automatically_declare_parameters_from_overrides=True,
+        )
+        with pytest.raises(ValueError, match="use_sim_time = True"):
+            TorqueControllerParams.of(node)
+    finally:
+        rclpy.shutdown(context=context)
 
 
 def test_guarded_points_may_have_any_name_and_be_none(tmp_path: Path) -> None:

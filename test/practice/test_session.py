@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session on disk outlives everything that can happen to the process that writes it."""
 
+import hashlib
 import json
 import logging
 import os
@@ -10,6 +11,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -17,9 +20,10 @@ import yaml
 from disk_flushes import record_flushes
 from toss_task import ANY_ARM, demonstrated_policy, practice_in, practice_of, toss
 
+from wam_power_ros import durable_files
 from wam_power_ros.learning.policy import Policy, from_json, to_json
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionError, SessionHeader, read
+from wam_power_ros.practice.session import ACKNOWLEDGED, Session, SessionError, SessionHeader, read
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import Assessment
 
@@ -45,6 +49,16 @@ def go_on(session: Session, practice: Practice, rollouts: int) -> None:
         session.append(
             practice.learn_assessed(trial, toss(trial, practice.task.settings), clock={"pid": 1})
         )
+
+
+def acknowledge(folder: Path, log: bytes) -> None:
+    """Put the folder into the state in which this log was the last that was acknowledged."""
+    noted = {
+        "rollouts": log.count(b"\n"),
+        "bytes": len(log),
+        "sha256": hashlib.sha256(log).hexdigest(),
+    }
+    (folder / ACKNOWLEDGED).write_text(json.dumps(noted))
 
 
 def next_trial(practice: Practice) -> str:
@@ -95,6 +109,7 @@ def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
         for length in (0, 1, rng.randrange(1, len(torn)), len(torn) - 1):
             caplog.clear()
             log.write_bytes(whole + torn[:length])
+            acknowledge(folder, b"".join(lines[: rng.choice((cut, max(0, cut - 1)))]))
             assert len(read(folder)[2]) == cut  # looking does not touch
             assert log.read_bytes() == whole + torn[:length]
             with Session.open(folder) as session:
@@ -177,7 +192,8 @@ def test_a_rollout_is_flushed_as_a_whole_before_it_is_acknowledged(
     with Session.open(folder) as session:
         flushed = record_flushes(monkeypatch, log.read_bytes)
         go_on(session, session.practice(ANY_ARM), 1)
-        assert flushed == [(log, log.read_bytes())]
+        assert flushed[0] == (log, log.read_bytes())
+        assert [path for path, _ in flushed[1:]] == [folder / f".{ACKNOWLEDGED}.part", folder]
     assert len(read(folder)[2]) == 3
 
 
@@ -299,7 +315,9 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
                 look(folder)
         assert log.read_bytes() == text
     changed = json.dumps({**record, "z": [1.0] * len(record["z"])}).encode() + b"\n"
-    log.write_bytes(b"".join([lines[0], changed, *lines[2:]]))
+    text = b"".join([lines[0], changed, *lines[2:]])
+    log.write_bytes(text)
+    acknowledge(folder, text)  # changed before it was written
     with Session.open(folder) as session, pytest.raises(SessionError, match="record 2: z is not"):
         session.practice(ANY_ARM)
 
@@ -316,7 +334,7 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
         ({"settings": {"task": "fly", "learner": "power"}}, "settings: .*task 'fly' is not one of"),
         (
             {"settings": {"task": "flip", "learner": "power", "task_settings": {"ret": "eq5"}}},
-            "settings.variant: Field required",
+            "settings: task_settings.variant: Field required",
         ),
     ],
 )
@@ -387,3 +405,112 @@ def test_an_aborted_rollout_is_logged_with_its_reason(tmp_path: Path) -> None:
         )
     (record,) = read(folder)[2]
     assert not record.learnt and record.ret is None and record.why == "the pancake was never seen"
+
+
+@pytest.mark.requirement("S-69")
+@pytest.mark.parametrize(
+    ("damage", "why"),
+    [
+        (lambda log: log.unlink(), "is missing"),
+        (lambda log: log.write_bytes(b""), "has 0 bytes"),
+        (lambda log: log.write_bytes(bytes(log.stat().st_size)), "has other contents"),
+        (lambda log: log.write_bytes(log.read_bytes()[:-20]), "has [0-9]+ bytes"),
+        (
+            lambda log: log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:-1])),
+            "has [0-9]+ bytes",
+        ),
+        (
+            lambda log: log.write_text(log.read_text().replace("[346.9", "[346.8")),
+            "has other contents",
+        ),
+    ],
+)
+def test_a_log_that_lost_what_was_acknowledged_is_an_error_and_never_begun_again(
+    tmp_path: Path, damage: Callable[[Path], object], why: str
+) -> None:
+    folder = begun(tmp_path / "s", 6)
+    log = folder / "rollouts.jsonl"
+    whole = log.read_bytes()
+    damage(log)
+    there = log.read_bytes() if log.exists() else None
+    assert there != whole
+    for look in (Session.open, read):
+        with pytest.raises(
+            SessionError,
+            match=rf"rollouts\.jsonl {why}.* 6 rollouts in .* Restore it from a backup",
+        ):
+            look(folder)
+    assert (log.read_bytes() if log.exists() else None) == there  # nothing was changed
+    log.write_bytes(whole)
+    with Session.open(folder) as session:
+        assert len(session.records) == 6
+
+
+@pytest.mark.requirement("S-69")
+@pytest.mark.parametrize("damage", [Path.unlink, lambda log: log.write_bytes(bytes(5000))])
+def test_a_session_of_before_the_acknowledgements_is_known_by_its_policy_to_have_lost_its_log(
+    tmp_path: Path, damage: Callable[[Path], object]
+) -> None:
+    folder = begun(tmp_path / "s", 6)
+    with Session.open(folder) as session:
+        session.save_policy(CANDIDATES[0])
+    (folder / ACKNOWLEDGED).unlink()
+    Session.open(folder).close()  # an old session: it goes on, and is acknowledged from now on
+    assert json.loads((folder / ACKNOWLEDGED).read_text())["rollouts"] == 6
+    (folder / ACKNOWLEDGED).unlink()
+    damage(folder / "rollouts.jsonl")
+    with pytest.raises(SessionError, match=r"rollouts\.jsonl has no rollout, but .*policy\.json"):
+        Session.open(folder)
+
+
+@pytest.mark.requirement("S-69")
+@pytest.mark.parametrize(
+    "name", ["rollouts.jsonl", "task.json", ACKNOWLEDGED, "candidates/flick-1.json"]
+)
+def test_a_fifo_in_place_of_a_file_of_a_session_is_refused_at_once(
+    tmp_path: Path, name: str
+) -> None:
+    folder = begun(tmp_path / "s", 2)
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    with pytest.raises(SessionError, match=f"{name} is a FIFO"):
+        Session.open(folder)
+
+
+@pytest.mark.requirement("S-69")
+def test_other_versions_are_a_warning_that_names_both_and_are_recorded_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = begun(tmp_path / "s", 2)
+    Session.open(folder).close()
+    assert not caplog.records  # the same versions
+    path = folder / "session.yaml"
+    header = yaml.safe_load(path.read_text())
+    header["versions"] |= {"numpy": "0.9.6", "abacus": "1"}
+    path.write_text(yaml.safe_dump(header))
+    now = version("numpy")
+    for _ in range(2):
+        caplog.clear()
+        with Session.open(folder) as session:
+            assert len(session.header.resumed) == 1
+            assert session.header.resumed[0]["numpy"] == now
+            assert session.header.versions["numpy"] == "0.9.6"
+        (warned,) = caplog.records
+        assert f"abacus 1, now none; numpy 0.9.6, now {now}" in warned.message
+    assert read(folder)[0].resumed == session.header.resumed
+
+
+def test_a_disk_that_refuses_the_acknowledgement_costs_no_rollout(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = begun(tmp_path / "s", 2)
+    with Session.open(folder) as session, monkeypatch.context() as patch:
+
+        def refuse(*_: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        patch.setattr(durable_files, "replace", refuse)
+        go_on(session, session.practice(ANY_ARM), 2)
+    assert "acknowledged.json could not be written" in caplog.text
+    with Session.open(folder) as session:
+        assert len(session.records) == 4

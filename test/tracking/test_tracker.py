@@ -280,6 +280,15 @@ def test_the_path_does_not_depend_on_absolute_time() -> None:
         np.testing.assert_array_equal(path.position, paths[0].position)
 
 
+def test_a_path_reaches_back_for_twenty_seconds_and_no_farther() -> None:
+    tracker = Tracker(dataclasses.replace(SETTINGS, rate=10.0))
+    rng = np.random.default_rng(0)
+    for index in range(301):
+        when = START + index * 100_000_000
+        tracker.add(when, PAN + rng.normal(0.0, 0.0005, 3), LEVEL)
+        assert len(tracker.path("a", 0, when).t) == min(index + 1, 201)
+
+
 def test_y_up_gives_the_same_state_as_z_up() -> None:
     z_up, y_up = Tracker(SETTINGS), Tracker(dataclasses.replace(SETTINGS, up_axis="y"))
     to_y_up = rotations.quat_of_vector(np.array([-np.pi / 2, 0.0, 0.0]))
@@ -339,6 +348,13 @@ def test_a_free_fall_shows_the_direction_of_gravity() -> None:
     assert np.linalg.norm(down[:2]) < 0.5
     swapped = falling(flight(np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])))
     assert swapped[1] < -9.0
+    for gravity, found in ((8.7, False), (8.9, True), (10.7, True), (10.9, False)):
+        t = np.arange(45) / 30.0
+        position = PAN + np.outer(4.0 * t - 0.5 * gravity * t**2, [0.0, 0.0, 1.0])
+        thrown = BodyPath("a", t, position, np.repeat(LEVEL[None], 45, axis=0))
+        assert (falling(thrown) is not None) == found
+        if found:
+            np.testing.assert_allclose(falling(thrown), [0.0, 0.0, -gravity], atol=1e-6)
     still = BodyPath(
         id="a",
         t=np.arange(45) / 30.0,
@@ -377,7 +393,8 @@ def test_the_offset_of_two_clocks_is_the_age_that_jitter_cannot_lower() -> None:
         ({"up_axis": "x"}, "up_axis"),
         ({"world_to_base": (0.0,) * 6}, "7 numbers"),
         ({"world_to_base": (0.0,) * 7}, "length 1"),
-        ({"latency_offset": 2.0}, "latency_offset"),
+        ({"latency_offset": 1.0}, "latency_offset"),
+        ({"latency_offset": -1.0}, "latency_offset"),
         ({"workspace_low": (3.0, 0.0, 0.0)}, "workspace"),
         ({"workspace_low": (0.0, 0.0, 3.0)}, "workspace"),  # as high as the upper corner
         ({"noise": float("nan")}, "noise"),

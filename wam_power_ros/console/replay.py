@@ -43,8 +43,10 @@ class ReplayParams(Params):
     """
 
     bag: str
-    speed: float = Field(gt=0.0)
-    joint_names: tuple[str, ...] = Field(min_length=1)
+    speed: float = Field(
+        ge=0.01, le=5.0, description="below, a replay lasts for ever; the joints allow no more"
+    )
+    joint_names: tuple[str, ...] = Field(min_length=1, max_length=16)
     person: bool
 
 

@@ -36,7 +36,7 @@ class TeachParams(Params):
         state_topic: Topic of the joint states, to which the recorder subscribes.
     """
 
-    demonstrations: int = Field(ge=1)
+    demonstrations: int = Field(ge=1, le=100, description="a person's patience")
     series: str
     person: bool
     body: str

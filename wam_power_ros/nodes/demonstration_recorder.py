@@ -12,7 +12,7 @@ import shutil
 import sys
 from datetime import datetime
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import Field
@@ -25,7 +25,7 @@ from wam_power_ros import __version__
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.background_writer import Recording
 from wam_power_ros.learning import policy
-from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
@@ -35,22 +35,27 @@ MEGABYTE = 1_000_000
 LOOK_PERIOD = 0.1  # [s] between checks of the writing and of the free space
 
 
+Megabytes = Annotated[
+    float, Field(ge=0.0, le=1e9, description="in MB: none is asked for, or a petabyte")
+]
+
+
 class DemonstrationRecorderParams(Params):
     """Parameters of the node; the values are in config/demonstration_recorder.yaml."""
 
     directory: str
-    realtime_priority: int = Field(ge=0, le=98)
+    realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
     stem: str = Field(min_length=1, pattern=r"^[A-Za-z0-9-]+$")
     body: str  # name of the tracked body; empty for none
     state_topic: str
-    driver_topics: tuple[str, ...]
-    mocap_topics: tuple[str, ...]
-    topics: tuple[str, ...]
-    latched_topics: tuple[str, ...]
-    joint_names: tuple[str, ...]
+    driver_topics: Names
+    mocap_topics: Names
+    topics: Names
+    latched_topics: Names
+    joint_names: Names
     source: Literal["sim", "hardware"]
-    free_to_start: float
-    free_to_continue: float
+    free_to_start: Megabytes
+    free_to_continue: Megabytes
 
 
 class DemonstrationRecorder(Node):

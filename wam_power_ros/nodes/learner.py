@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path as FilePath
+from typing import Annotated
 
 import numpy as np
 import rclpy
@@ -30,7 +31,7 @@ from wam_power_ros.learning.demonstration import Demonstration, from_joint_sampl
 from wam_power_ros.learning.policy import Policy, to_json, with_id
 from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
-from wam_power_ros.params.node_params import Params
+from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.practice import plugins
@@ -45,31 +46,39 @@ from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.node_runner import executor_for, number_by_process
 from wam_power_ros.tasks.task import Pose, Task
 
+Timeout = Annotated[
+    float, Field(ge=0.1, le=86_400.0, description="in s: a service's answer takes 0.1 s; a day")
+]
+
 
 class LearnerParams(Params):
     """Parameters of the node; the values are in config/learner.yaml."""
 
-    joint_names: tuple[str, ...]  # as the driver has them in the bags
-    model_joint_names: tuple[str, ...]  # the same in the URDF
+    joint_names: Names  # as the driver has them in the bags
+    model_joint_names: Names  # the same in the URDF
     urdf: str  # path, or a file of our share folder
     tool_frame: str
-    controller: tuple[str, ...] = Field(min_length=1)  # files of its parameters, to simulate with
+    controller: tuple[str, ...] = Field(
+        min_length=1, max_length=20
+    )  # files of its parameters, to simulate with
     session: str  # folder
-    demonstrations: tuple[str, ...]  # bags; not needed to resume
+    demonstrations: tuple[str, ...] = Field(max_length=1000)  # bags; not needed to resume
     task: str
     preset: str  # of the task; empty: its first
     learner: str  # empty: the preset's
-    trials: int = Field(ge=0)  # budget; 0: the preset's
+    trials: int = Field(ge=0, le=100_000, description="a year of practice")  # 0: the preset's
     changes: str  # of the preset, a JSON object of settings by name
-    seed: int = Field(ge=0)
+    seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
     scene_reset: bool  # a service of the stand-in puts the scene back; otherwise a person does
     reset_faults: bool  # stand-in only: in the lab a person resets the controller
     record_rollouts: bool
-    service_timeout: float = Field(gt=0.0)  # [s of wall time]
-    rollout_timeout: float = Field(gt=0.0)  # [s of wall time]
-    patience: float = Field(gt=0.0)  # for the arm at its start and the body [s of wall time]
+    service_timeout: Timeout  # [s of wall time]
+    rollout_timeout: Timeout  # [s of wall time]
+    patience: Timeout  # for the arm at its start and the body [s of wall time]
     rating: float = Field(gt=0.0, le=RATING_MAX)  # of a reward or a punishment [return]
-    unusable_max: int = Field(ge=1)  # rollouts in a row that could not be learnt from
+    unusable_max: int = Field(
+        ge=1, le=1000, description="rollouts in a row; a person looks after the arm before"
+    )
 
 
 class SessionFailed(RuntimeError):

@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from wam_power_ros.params import parameter_file
 from wam_power_ros.params.resources import share
 
 Setup = dict[str, dict[str, Any]]  # parameters by node
@@ -83,7 +84,11 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     follows["optitrack_sim"] = seen | follows.get("optitrack_sim", {})
     whole = {node: own[node] | follows.get(node, {}) | given[node] for node in NODES}
     if simulated or not names:  # the stand-in does what a person does in the lab
-        whole["torque_controller"] |= {"hold_to_run": False, "allow_no_realtime": True}
+        whole["torque_controller"] |= {
+            "simulation": True,
+            "hold_to_run": False,
+            "allow_no_realtime": True,
+        }
         whole["learner"] |= {"scene_reset": True, "reset_faults": True}
         whole["demonstration_recorder"]["source"] = "sim"
         if (
@@ -114,11 +119,7 @@ _Plain.add_representer(list, lambda to, items: to.represent_sequence(_SEQ, items
 
 def _read(file: Path) -> Setup:
     """Parameters by node of one file."""
-    try:
-        nodes = yaml.safe_load(file.read_text()) or {}
-        found = {node: dict(section["ros__parameters"]) for node, section in nodes.items()}
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"{file} is no file of ROS parameters: {error!r}") from None
+    found = parameter_file.read(file)
     for values in found.values():  # a URDF may be in the folder of the set-up file
         if values.get("urdf") and (file.parent / values["urdf"]).is_file():
             values["urdf"] = str((file.parent / values["urdf"]).resolve())
@@ -149,7 +150,11 @@ def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
 def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
     """Parameters of other nodes that follow from the driver and the motion capture."""
     return {
-        "torque_controller": {"hold_to_run": True, "allow_no_realtime": False},
+        "torque_controller": {
+            "simulation": False,
+            "hold_to_run": True,
+            "allow_no_realtime": False,
+        },
         "demonstration_recorder": {
             **{name: arm[name] for name in ("state_topic", "joint_names")},
             "driver_topics": [

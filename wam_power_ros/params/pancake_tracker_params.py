@@ -3,8 +3,17 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+from pydantic import Field
+
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.tracking.tracker import TrackerSettings
+
+Place = Annotated[float, Field(ge=-50.0, le=50.0)]
+Unit = Annotated[float, Field(ge=-1.0, le=1.0)]
+Corner = tuple[Place, Place, Place]
+WorldToBase = tuple[Place, Place, Place, Unit, Unit, Unit, Unit]
 
 
 class PancakeTrackerParams(Params):
@@ -13,16 +22,26 @@ class PancakeTrackerParams(Params):
     body: str  # name of the tracked body
     pose_topic: str
     markers_topic: str
-    rate: float
+    rate: float = Field(ge=10.0, le=1000.0, description="in Hz: slower misses a flight of 0.4 s")
     up_axis: str
-    world_to_base: tuple[float, ...]
-    latency_offset: float
-    workspace_low: tuple[float, ...]
-    workspace_high: tuple[float, ...]
-    speed_max: float
-    noise: float
-    silence: float
-    clock_offset_max: float
+    world_to_base: WorldToBase = Field(description="in m: a room of 50 m; unit quaternion")
+    latency_offset: float = Field(
+        ge=-1.0, le=1.0, description="in s: a second late is another clock, not a delay"
+    )
+    workspace_low: Corner = Field(description="in m: a room of 50 m")
+    workspace_high: Corner = Field(description="in m: a room of 50 m")
+    speed_max: float = Field(
+        ge=1.0, le=50.0, description="in m/s: a toss has 4; 50 is 0.5 m between frames at 100 Hz"
+    )
+    noise: float = Field(
+        ge=1e-6, le=0.05, description="in m: no camera resolves less; 5 cm is a pancake's radius"
+    )
+    silence: float = Field(
+        ge=0.05, le=30.0, description="in s: frames come at 30 Hz; nobody waits half a minute"
+    )
+    clock_offset_max: float = Field(
+        ge=0.001, le=1.0, description="in s: of jitter, and of a toss's duration"
+    )
 
     def settings(self) -> TrackerSettings:
         """Return the settings of the tracker.

@@ -4,10 +4,11 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
+from typing_extensions import Self
 
 from wam_power_ros.control.arm import Arm, guarded_points
 from wam_power_ros.control.controller import Controller
@@ -15,20 +16,38 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.params.node_params import Params
 
-Positive = Annotated[float, Field(gt=0.0)]
+if TYPE_CHECKING:
+    from rclpy.node import Node
+
+JOINTS_MAX = 16
+Joints = Annotated[
+    tuple[Annotated[str, Field(min_length=1)], ...],
+    Field(min_length=1, max_length=JOINTS_MAX, description="a policy has as many joints at most"),
+]
+Guarded = Annotated[tuple[str, ...], Field(min_length=1, max_length=8)]
+Length = Annotated[float, Field(ge=-5.0, le=5.0)]
+Unit = Annotated[float, Field(ge=-1.0, le=1.0)]
+Corner = tuple[Length, Length, Length]
+REACH = "in m: no arm that these set-ups are for reaches 5 m"
+Speed = Annotated[float, Field(ge=0.05, le=6.0)]
+# Where no stand-in is meant. A limit lies lower than in simulation, where nobody is hurt.
+STATE_TIMEOUT_MAX = 0.02  # [s] libfranka and Universal Robots stop after as long
+STIFFNESS_MAX = 2800.0  # [1/s^2] stable with 8 ms of delay and a damping of 32 1/s
+TORQUE_RATE_MAX = 1000.0  # [N m/s] libfranka's
 
 
 class TorqueControllerParams(Params):
     """Parameters of config/torque_controller.yaml, where a comment explains each."""
 
     autostart: bool
-    realtime_priority: int = Field(ge=0, le=98)
+    simulation: bool
+    realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
     hardware_id: str
-    joint_names: Annotated[tuple[str, ...], Field(min_length=1)]
-    model_joint_names: Annotated[tuple[str, ...], Field(min_length=1)]
-    state_topic: str
+    joint_names: Joints
+    model_joint_names: Joints
+    state_topic: str = Field(min_length=1)
     velocity_topic: str
-    command_topic: str
+    command_topic: str = Field(min_length=1)
     command_type: Literal["multiarray", "joint_state"]
     driver_compensates_gravity: bool
     hold_to_run: bool
@@ -37,40 +56,117 @@ class TorqueControllerParams(Params):
     urdf: str
     base_frame: str
     tool_frame: str
-    period: Positive
-    state_timeout: float = Field(ge=0.0)
-    torque_share: float = Field(gt=0.0, le=1.0)
-    torque_rate_max: Positive
-    guarded_names: Annotated[tuple[str, ...], Field(min_length=1)]
-    guarded_links: Annotated[tuple[str, ...], Field(min_length=1)]
-    guarded_points: Annotated[tuple[float, ...], Field(min_length=1)]
-    elbow_speed_max: Positive
-    tool_speed_max: Positive
-    teaching_tool_speed_max: Positive
-    workspace_min: tuple[float, float, float]
-    workspace_max: tuple[float, float, float]
-    plane: tuple[float, float, float, float]
-    obstacle: tuple[float, float, float, Annotated[float, Field(ge=0.0)]]
+    period: float = Field(
+        ge=0.0005, le=0.02, description="in s: a Python loop answers no faster, 50 Hz is unstable"
+    )
+    state_timeout: float = Field(
+        ge=0.0, le=60.0, description="in s: a minute without states is no lack of speed"
+    )
+    torque_share: float = Field(
+        ge=0.05, le=1.0, description="of the URDF's limits; less does not carry an arm"
+    )
+    torque_rate_max: float = Field(
+        ge=50.0,
+        le=5000.0,
+        description="in N m/s: below, gravity is not followed; above, a gear is struck",
+    )
+    guarded_names: Guarded
+    guarded_links: Guarded
+    guarded_points: Annotated[
+        tuple[Length, ...], Field(min_length=1, max_length=24, description=REACH)
+    ]
+    elbow_speed_max: float = Field(
+        ge=0.05, le=3.0, description="in m/s: below, nothing moves; the WAM's board ends at 2"
+    )
+    tool_speed_max: Speed = Field(
+        description="in m/s: below, nothing moves; a toss needs 2.7, and 6 is above any skill here"
+    )
+    teaching_tool_speed_max: Speed = Field(
+        description="in m/s: below, nothing can be taught; nobody leads an arm faster than 6"
+    )
+    workspace_min: Corner = Field(description=REACH)
+    workspace_max: Corner = Field(description=REACH)
+    plane: tuple[Unit, Unit, Unit, Length] = Field(
+        description="a unit normal, and a distance within 5 m"
+    )
+    obstacle: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]] = Field(
+        description="in m: a sphere within reach, of a radius up to 2"
+    )
     law: Literal["operational_space", "virtual_mass"]
-    move_speed: Positive
-    start_tolerance: Positive
-    settle_time: Positive
-    stiffness_max: Positive
-    damping_max: Positive
-    contact_share: float = Field(gt=0.0, le=1.0)
-    unexplained_share: float = Field(gt=0.0, le=1.0)
-    velocity_cutoff: Positive
+    move_speed: float = Field(
+        ge=0.01,
+        le=1.0,
+        description="in rad/s: below, a move takes minutes; at 1 an outstretched tool does 1 m/s",
+    )
+    start_tolerance: float = Field(
+        ge=0.001, le=0.2, description="in rad: encoder noise, and a posture that is another one"
+    )
+    settle_time: float = Field(
+        gt=0.0, le=10.0, description="in s: after as long the arm is at rest or never is"
+    )
+    stiffness_max: float = Field(
+        ge=10.0,
+        le=4800.0,
+        description="in 1/s^2: below, no policy fits; 4800 is stable with 4 ms of delay",
+    )
+    damping_max: float = Field(
+        ge=1.0, le=150.0, description="in 1/s: from 196 on a loop with 8 ms of delay runs away"
+    )
+    contact_share: float = Field(
+        ge=0.02, le=0.5, description="of a torque limit: encoder noise, and a push that does harm"
+    )
+    unexplained_share: float = Field(
+        ge=0.1, le=0.5, description="of a torque limit: what a model is wrong by, and a push"
+    )
+    velocity_cutoff: float = Field(
+        ge=10.0,
+        le=1500.0,
+        description="in rad/s: below, damping comes too late; above, it is half of 500 Hz",
+    )
+
+    @classmethod
+    def of(cls, node: Node) -> Self:
+        """Read the parameters of `node`, see `Params.of`.
+
+        Raises:
+            ValueError: As there; and when a real arm shall go by simulated time, which would
+                switch the watchdog for its states off.
+        """
+        params = super().of(node)
+        if not params.simulation and node.get_parameter("use_sim_time").value:
+            raise ValueError(
+                "use_sim_time = True: must be false on a real arm (simulation: false), or lost "
+                "states would not be noticed"
+            )
+        return params
+
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        """Check what several parameters say together, and what is stricter on a real arm."""
+        if len(self.model_joint_names) != len(self.joint_names):
+            raise ValueError(
+                f"model_joint_names {self.model_joint_names} must be as many as joint_names"
+            )
+        if not self.simulation:
+            for name, least, most in (
+                ("state_timeout", 0.0, STATE_TIMEOUT_MAX),
+                ("stiffness_max", 0.0, STIFFNESS_MAX),
+                ("torque_rate_max", 0.0, TORQUE_RATE_MAX),
+            ):
+                value = getattr(self, name)
+                if not least < value <= most:
+                    raise ValueError(
+                        f"{name} = {value} must be above {least:g} and at most {most:g} on a real "
+                        "arm (simulation: false)"
+                    )
+        return self
 
     def controller(self, urdf: str) -> Controller:
         """Make the controller for the arm of this URDF.
 
         Raises:
-            ValueError: The URDF has not the arm that these parameters name.
+            ValueError: The URDF has not the arm that these parameters name, or limits contradict.
         """
-        if len(self.model_joint_names) != len(self.joint_names):
-            raise ValueError(
-                f"model_joint_names {self.model_joint_names} must be as many as joint_names"
-            )
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         arm = Arm(urdf, self.model_joint_names, self.tool_frame, guarded=guarded)
         limits = limits_of(

@@ -6,6 +6,8 @@
     task.json        what the task must remember of the demonstrations, see `Task.context_of`
     rollouts.jsonl   one `Record`, `Rating` or `NewDemonstration` a line, append-only, on disk
                      before it is acknowledged
+    acknowledged.json  size and SHA-256 of the log when a line was last acknowledged: a log that is
+                     missing, shorter or other than that was damaged
     policy.json      the best policy so far, replaced atomically
     bags/            recordings
     .lock            held while a learner writes
@@ -16,6 +18,7 @@ Kill anything at any moment: `Session.open(folder).practice(arm)` goes on bit-id
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import logging
 import os
@@ -45,6 +48,8 @@ from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
 
 _PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
+ACKNOWLEDGED = "acknowledged.json"
+RESTORE = "Restore it from a backup; nothing was changed."
 _LINE_MAX = 1_000_000  # bytes of a record, far more than any has
 
 _log = logging.getLogger(__name__)
@@ -52,6 +57,22 @@ _log = logging.getLogger(__name__)
 
 class SessionError(ValueError):
     """A session folder that cannot be used, and why."""
+
+
+class _Acknowledged(BaseModel):
+    """Contents of acknowledged.json.
+
+    Attributes:
+        rollouts: Number of rollouts in the log.
+        bytes: Size of the log [byte].
+        sha256: Digest of the log, hexadecimal.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rollouts: int = Field(ge=0)
+    bytes: int = Field(ge=0)
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
 
 
 class SessionHeader(BaseModel):
@@ -64,6 +85,7 @@ class SessionHeader(BaseModel):
         candidates: Ids of the candidate policies, in their order.
         demonstrations: Bags they were fitted to, as given.
         versions: Versions of the software that began it, see `versions`.
+        resumed: Other versions that it was resumed with, one entry a change, oldest first.
         clock: Wall-clock figures, such as when it began.
     """
 
@@ -77,6 +99,7 @@ class SessionHeader(BaseModel):
     candidates: list[str] = Field(min_length=1)
     demonstrations: list[str]
     versions: dict[str, str]
+    resumed: list[dict[str, str]] = Field(default_factory=list)
     clock: dict[str, Any]
 
     @field_validator("candidates")
@@ -115,8 +138,12 @@ class Session:
         self.bags = folder / "bags"
         self._lock = lock
         self.header, self.candidates, self.context = _read_head(folder)
-        self._log, self._size = _read_log(folder / "rollouts.jsonl")
+        self._log, data = _read_log(folder)
+        self._size, self._digest = len(data), hashlib.sha256(data)
         self._file = self._open_log()
+        self._compare_versions()
+        if self._log and _acknowledged(folder) != self._to_acknowledge():
+            self._acknowledge()  # of a session that was killed before it could, or has none
 
     @staticmethod
     def exists(folder: Path | str) -> bool:
@@ -175,14 +202,13 @@ class Session:
                 versions=versions(),
                 clock=dict(clock or {}),
             )
-            text = yaml.safe_dump(header.model_dump(mode="json", by_alias=True), sort_keys=False)
             (folder / "candidates").mkdir(exist_ok=True)
             (folder / "bags").mkdir(exist_ok=True)
             for policy in candidates:
                 path = folder / "candidates" / f"{policy.id}.json"
                 durable_files.replace(path, policy_module.to_json(policy))
             durable_files.replace(folder / "task.json", json.dumps(dict(context or {})) + "\n")
-            durable_files.replace(folder / "session.yaml", text)
+            _write_header(folder, header)
             for each in new:
                 durable_files.sync(each.parent)
             return cls(folder, lock)
@@ -194,9 +220,11 @@ class Session:
     def open(cls, folder: Path | str) -> Session:
         """Go on with a session. A last line torn by a crash is cut off, with a warning.
 
+        Other versions of the software than those it was begun with are a warning, and are recorded.
+
         Raises:
-            SessionError: No session, one that another process holds, or a malformed file; names
-                the file and line.
+            SessionError: No session, one that another process holds, a malformed file, or a log
+                that is missing or not what was acknowledged; names the file and line.
         """
         folder = Path(folder)
         if not cls.exists(folder):
@@ -265,7 +293,9 @@ class Session:
             os.ftruncate(self._file, self._size)
             raise
         self._size += len(line)
+        self._digest.update(line)
         self._log.append(entry)
+        self._acknowledge()
 
     def save_policy(self, policy: Policy) -> None:
         """Replace policy.json, atomically: a reader sees the old or the new one, never a part."""
@@ -287,6 +317,38 @@ class Session:
     @property
     def _count(self) -> int:
         return sum(isinstance(line, Record) for line in self._log)
+
+    def _to_acknowledge(self) -> _Acknowledged:
+        digest = self._digest.hexdigest()
+        return _Acknowledged(rollouts=self._count, bytes=self._size, sha256=digest)
+
+    def _acknowledge(self) -> None:
+        """Note what the log holds, so that its loss is seen; the log itself is on disk already."""
+        path = self.folder / ACKNOWLEDGED
+        try:
+            durable_files.replace(path, self._to_acknowledge().model_dump_json() + "\n")
+        except OSError as error:
+            _log.warning("%s could not be written: %s", path, error)
+
+    def _compare_versions(self) -> None:
+        """Warn of other versions than those the session began with, and record them."""
+        begun, now = self.header.versions, versions()
+        changed = [
+            f"{name} {begun.get(name, 'none')}, now {now.get(name, 'none')}"
+            for name in sorted(begun.keys() | now.keys())
+            if begun.get(name) != now.get(name)
+        ]
+        if changed:
+            _log.warning(
+                "%s was begun with other versions: %s. Its next policies may differ from those it "
+                "would have had",
+                self.folder,
+                "; ".join(changed),
+            )
+        if now != [begun, *self.header.resumed][-1]:
+            resumed = [*self.header.resumed, now]
+            self.header = self.header.model_copy(update={"resumed": resumed})
+            _write_header(self.folder, self.header)
 
     def _open_log(self) -> int | None:
         path = self.folder / "rollouts.jsonl"
@@ -347,12 +409,14 @@ def _read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], list[L
     if not Session.exists(folder):
         raise SessionError(f"{folder} holds no session: there is no session.yaml")
     header, candidates, _ = _read_head(folder)
-    log, _ = _read_log(folder / "rollouts.jsonl")
+    log, _ = _read_log(folder)
     return header, candidates, log
 
 
 def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str, Any]]:
     path = folder / "session.yaml"
+    for needed in (path, folder / "task.json"):
+        _check_regular(needed)
     try:
         header = SessionHeader.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
     except (ValidationError, yaml.YAMLError, UnicodeDecodeError) as error:
@@ -360,6 +424,7 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[st
     candidates = []
     for id in header.candidates:
         path = folder / "candidates" / f"{id}.json"
+        _check_regular(path)
         try:
             candidate = policy_module.from_json(path.read_text(encoding="utf-8"))
         except (ValueError, OSError) as error:
@@ -375,12 +440,26 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[st
     return header, tuple(candidates), context
 
 
-def _read_log(path: Path) -> tuple[list[Line], int]:
-    """Complete lines of a log, and how many bytes these have."""
+def _write_header(folder: Path, header: SessionHeader) -> None:
+    text = yaml.safe_dump(header.model_dump(mode="json", by_alias=True), sort_keys=False)
+    durable_files.replace(folder / "session.yaml", text)
+
+
+def _check_regular(path: Path) -> None:
     try:
+        durable_files.check_regular(path)
+    except ValueError as error:
+        raise SessionError(str(error)) from None
+
+
+def _read_log(folder: Path) -> tuple[list[Line], bytes]:
+    """Complete lines of a log, and their bytes; they are at least what was acknowledged."""
+    path = folder / "rollouts.jsonl"
+    noted = _acknowledged(folder)  # first: a learner may be writing
+    data = b""
+    if path.is_symlink() or path.exists():
+        _check_regular(path)
         data = path.read_bytes()
-    except FileNotFoundError:
-        return [], 0
     # A line without its end was never acknowledged, whatever is in it.
     size = data.rfind(b"\n") + 1
     log: list[Line] = []
@@ -394,7 +473,35 @@ def _read_log(path: Path) -> tuple[list[Line], int]:
             raise SessionError(f"{path}, line {number}: {why}")
         count += isinstance(line, Record)
         log.append(line)
-    return log, size
+    if noted is not None and (
+        len(data) < noted.bytes or hashlib.sha256(data[: noted.bytes]).hexdigest() != noted.sha256
+    ):
+        there = f"has {len(data)} bytes" if len(data) < noted.bytes else "has other contents"
+        raise SessionError(
+            f"{path} {there if path.exists() else 'is missing'}: {noted.rollouts} rollouts in "
+            f"{noted.bytes} bytes were acknowledged, and some of them are lost. {RESTORE} To go on "
+            f"with what is left, delete {folder / ACKNOWLEDGED}"
+        )
+    if len(data) - size > _LINE_MAX:
+        raise SessionError(f"{path}: {len(data) - size} bytes after line {len(log)} are no rollout")
+    if not count and noted is None and (folder / "policy.json").exists():
+        raise SessionError(
+            f"{path} has no rollout, but {folder / 'policy.json'} is the best of some: they are "
+            f"lost. {RESTORE} To begin again with the same demonstrations, delete policy.json"
+        )
+    return log, data[:size]
+
+
+def _acknowledged(folder: Path) -> _Acknowledged | None:
+    """What was acknowledged last; None for a session without a rollout, or of earlier versions."""
+    path = folder / ACKNOWLEDGED
+    if not (path.is_symlink() or path.exists()):
+        return None
+    _check_regular(path)
+    try:
+        return _Acknowledged.model_validate_json(path.read_bytes())
+    except ValidationError as error:
+        raise SessionError(f"{path}: {_brief(error)}") from None
 
 
 def _out_of_place(line: Line, count: int) -> str:
@@ -415,7 +522,8 @@ def _brief(error: Exception) -> str:
         first, *others = error.errors()
         where = ".".join(str(part) for part in first["loc"]) or "file"
         more = f" (and {len(others)} more)" if others else ""
-        return f"{where}: {first['msg']}, got {str(first['input'])[:80]}{more}"
+        rule = first["msg"].removeprefix("Value error, ")
+        return f"{where}: {rule}, got {str(first['input'])[:80]}{more}"
     if isinstance(error, json.JSONDecodeError):
         return f"not JSON: {error}"
     return re.sub(r"\s+", " ", str(error))

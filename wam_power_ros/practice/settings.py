@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, model_validator
+from pydantic import BaseModel, ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
 
 from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.practice import plugins
 from wam_power_ros.tasks.task import Task
+
+SHOWN_MAX = 80  # characters of a refused value in its message
 
 
 class PracticeSettings(BaseModel):
@@ -30,12 +32,12 @@ class PracticeSettings(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    budget: int = Field(ge=1)
-    mean_every: int = Field(ge=0)
-    confirm: int = Field(ge=0)
-    retests: int = Field(ge=0)
-    attempts: int = Field(default=3, ge=1)
-    return_noise: float = Field(default=0.1, ge=0.0, allow_inf_nan=False)
+    budget: int = Field(ge=1, le=100_000)  # a year of practice
+    mean_every: int = Field(ge=0, le=100_000)
+    confirm: int = Field(ge=0, le=1000)
+    retests: int = Field(ge=0, le=100_000)
+    attempts: int = Field(default=3, ge=1, le=100)
+    return_noise: float = Field(default=0.1, ge=0.0, le=10.0, allow_inf_nan=False)
 
 
 class SessionSettings(BaseModel):
@@ -69,9 +71,12 @@ class SessionSettings(BaseModel):
             ("learner", plugins.learner_type(str(values["learner"])).Settings),
         ):
             own = found.get(f"{key}_settings", {})
-            found[f"{key}_settings"] = models.model_validate(
-                own.model_dump() if isinstance(own, BaseModel) else own
-            )
+            try:
+                found[f"{key}_settings"] = models.model_validate(
+                    own.model_dump() if isinstance(own, BaseModel) else own
+                )
+            except ValidationError as error:
+                raise ValueError(in_one_line(error, f"{key}_settings.")) from None
         return found
 
     def make_task(self, context: Mapping[str, Any]) -> Task:
@@ -139,12 +144,33 @@ def preset(
         values[key] = value
     course = {key: values.pop(key) for key in PracticeSettings.model_fields if key in values}
     learner_name = learning.pop("name")
-    return SessionSettings.model_validate(
-        {
-            "task": task,
-            "task_settings": values,
-            "learner": learner_name,
-            "learner_settings": learning,
-            "practice": course,
-        }
-    )
+    try:
+        return SessionSettings.model_validate(
+            {
+                "task": task,
+                "task_settings": values,
+                "learner": learner_name,
+                "learner_settings": learning,
+                "practice": course,
+            }
+        )
+    except ValidationError as error:
+        raise ValueError(f"settings of {task!r} refused: {in_one_line(error)}") from None
+
+
+def in_one_line(error: ValidationError, prefix: str = "") -> str:
+    """Key, value and rule of every fault, in one line.
+
+    Args:
+        error: What a model refused.
+        prefix: Put before every key.
+    """
+    lines = []
+    for fault in error.errors():
+        rule = fault["msg"].removeprefix("Value error, ")
+        key = ".".join(map(str, fault["loc"]))
+        shown = repr(fault["input"])
+        shown = shown if len(shown) <= SHOWN_MAX else f"{shown[:SHOWN_MAX]}..."
+        value = "" if isinstance(fault["input"], Mapping) else f" = {shown}"
+        lines.append(f"{prefix}{key}{value}: {rule}" if key else rule)
+    return "; ".join(lines)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameter files: numbers are what they look like, a key is there once, damage is named."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT
+
+from wam_power_ros.params import overlay, parameter_file
+
+
+def written(folder: Path, text: str) -> Path:
+    file = folder / "oven.yaml"
+    file.write_text("oven:\n  ros__parameters:\n" + text)
+    return file
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "config").glob("*.yaml")), ids=lambda f: f.stem)
+def test_the_files_that_are_shipped_read_as_plain_yaml_does(file: Path) -> None:
+    nodes = yaml.safe_load(file.read_text())
+    assert parameter_file.read(file) == {
+        node: section["ros__parameters"] for node, section in nodes.items()
+    }
+
+
+@pytest.mark.requirement("S-18")
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1:30", "1:30"),  # plain YAML: 90
+        ("1:30.5", "1:30.5"),
+        ("010", "010"),  # 8
+        ("1_000", "1_000"),  # 1000
+        ("0x10", "0x10"),
+        ("2026-01-01", "2026-01-01"),  # a date
+        (".inf", ".inf"),
+        ("0.3", 0.3),
+        ("-.5e-3", -0.0005),
+        ("1e3", 1000.0),  # as ROS reads it; plain YAML: text
+        ("-12", -12),
+        ("true", True),
+        ("", None),
+    ],
+)
+def test_a_number_is_decimal_and_all_else_is_text(tmp_path: Path, text: str, value: object) -> None:
+    found = parameter_file.read(written(tmp_path, f"    heat: {text}\n"))["oven"]["heat"]
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.requirement("S-18")
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("    heat: 1.0\n    rings: 2\n    heat: 3.0\n", "heat is given twice, in line 3 and.* 5"),
+        ("    a: {heat: 1, heat: 2}\n", "heat is given twice, in line 3 and in line 3"),
+        ("    heat: &warm 1.0\n    rings: *warm\n", r"line 4: references \(\*name\) are refused"),
+        ("    heat: [1.0\n", "no file of ROS parameters"),
+        ("    - heat\n", "oven.yaml"),
+    ],
+)
+def test_what_a_reader_would_have_to_guess_is_refused_with_its_line(
+    tmp_path: Path, text: str, why: str
+) -> None:
+    file = written(tmp_path, text)
+    with pytest.raises(ValueError, match=why) as refused:
+        parameter_file.read(file)
+    assert str(file) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_node_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    file = written(tmp_path, "    heat: 1.0\n" + "oven:\n  ros__parameters:\n    heat: 2.0\n")
+    with pytest.raises(ValueError, match="oven is given twice, in line 1 and in line 4"):
+        overlay.setup([str(file)])
+
+
+def test_a_fifo_and_a_large_file_are_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo.yaml")
+    with pytest.raises(ValueError, match="is a FIFO"):
+        parameter_file.read(tmp_path / "fifo.yaml")
+    with pytest.raises(ValueError, match=r"10000[0-9]+ bytes; at most 1000000"):
+        parameter_file.read(written(tmp_path, "    heat: " + "1" * 1_000_000))
+
+
+def test_files_of_parameters_are_found_among_the_arguments_of_a_process() -> None:
+    arguments = [
+        "node",
+        "--ros-args",
+        "--params-file",
+        "a.yaml",
+        "-r",
+        "a:=b",
+        "--params-file",
+        "b",
+    ]
+    assert parameter_file.given(arguments) == [Path("a.yaml"), Path("b")]
+    assert parameter_file.given(["node", "--params-file"]) == []

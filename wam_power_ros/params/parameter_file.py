@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML files of ROS parameters, read as ROS reads them, and refused where it would guess.
+
+Numbers are decimal: `1:30` is text, not 90, and `010` is text, not 8. A key that is given twice is
+refused with both lines, where ROS would take the last one without a word.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from wam_power_ros.durable_files import check_regular
+
+SIZE_MAX = 1_000_000  # [byte]
+_TAG = "tag:yaml.org,2002:"
+_INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
+_FLOAT = re.compile(
+    r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$|[-+]?[0-9]+[eE][-+]?[0-9]+$"
+)
+
+
+class Loader(yaml.SafeLoader):
+    """Plain data, decimal numbers, every key once, no references."""
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401
+        """Refuse a reference to another part of the file, as ROS does."""
+        if self.check_event(yaml.AliasEvent):
+            event = self.peek_event()
+            raise ValueError(f"line {event.start_mark.line + 1}: references (*name) are refused")
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Refuse a key that is there already."""
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            line = key.start_mark.line + 1
+            if key.value in lines:
+                first = lines[key.value]
+                raise ValueError(f"{key.value} is given twice, in line {first} and in line {line}")
+            if isinstance(key, yaml.ScalarNode):
+                lines[key.value] = line
+        return super().construct_mapping(node, deep)
+
+
+Loader.yaml_implicit_resolvers = {
+    first: [pair for pair in pairs if pair[0] in (_TAG + "bool", _TAG + "null")]
+    for first, pairs in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+Loader.add_implicit_resolver(_TAG + "int", _INT, list("-+0123456789"))
+Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
+
+
+def read(file: Path) -> dict[str, dict[str, Any]]:
+    """Parameters by node of one file.
+
+    Raises:
+        ValueError: It is no regular file, too large, no YAML, or has other contents than
+            parameters by node; names the file and, of a key that is there twice, both lines.
+    """
+    check_regular(file)
+    if (size := file.stat().st_size) > SIZE_MAX:
+        raise ValueError(f"{file} has {size} bytes; at most {SIZE_MAX} are allowed")
+    try:
+        nodes = yaml.load(file.read_text(encoding="utf-8"), Loader=Loader) or {}
+        return {node: dict(section["ros__parameters"]) for node, section in nodes.items()}
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from None
+    except (yaml.YAMLError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        text = re.sub(r"\s+", " ", str(error))
+        raise ValueError(f"{file} is no file of ROS parameters: {text}") from None
+
+
+def given(arguments: Sequence[str]) -> list[Path]:
+    """Files named by `--params-file` among the arguments of a process."""
+    pairs = itertools.pairwise(arguments)
+    return [Path(value) for option, value in pairs if option == "--params-file"]
