@@ -12,6 +12,7 @@ from wam_power_ros.learning.rollout import Fault, FaultKind
 IDLE_AFTER = 0.1  # [s] without a joint state: the driver is asked to idle
 MISSED_WARNING, MISSED_FAULT = 0.01, 0.05  # share of the periods of a second
 MISSED_IN_ROW = 3  # periods
+STAMP_WINDOW_NS = 200_000_000  # [ns] over which stamps are compared with real time
 _FAULT_NS, _IDLE_NS = round(STATES_LOST_AFTER * 1e9), round(IDLE_AFTER * 1e9)
 _CHECK_PERIOD = 0.01  # [s] at most between two checks while active
 
@@ -83,6 +84,29 @@ class Watchdog:
     def _due_ns(self) -> int:
         """When the next torque is due without a state."""
         return max(self.arrived_ns + self._timeout_ns, self.sent_ns + self._period_ns)
+
+
+class StampClock:
+    """Compares the stamps of the joint states with real time."""
+
+    def __init__(self) -> None:
+        self._began: tuple[int, int] | None = None
+
+    def check(self, stamp_ns: int, now_ns: int) -> Fault | None:
+        """Fault when the stamps have not advanced as real time has; for every new state.
+
+        Args:
+            stamp_ns: Stamp of the state [ns].
+            now_ns: When it came, of a steady clock [ns].
+        """
+        stamp0_ns, began_ns = self._began or (stamp_ns, now_ns)
+        real_ns = now_ns - began_ns
+        if self._began is None or real_ns >= STAMP_WINDOW_NS:
+            self._began = stamp_ns, now_ns
+        if real_ns < STAMP_WINDOW_NS or 0.5 < (stamp_ns - stamp0_ns) / real_ns < 1.5:
+            return None
+        advanced, real = (stamp_ns - stamp0_ns) * 1e-9, real_ns * 1e-9
+        return Fault(FaultKind.STAMPS, f"stamps advanced by {advanced:.3f} s in {real:.3f} s")
 
 
 def overload(share_missed: float, missed_in_row: int) -> tuple[str, Fault | None]:

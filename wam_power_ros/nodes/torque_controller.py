@@ -27,7 +27,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.watchdog import Watchdog, overload
+from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
@@ -50,6 +50,9 @@ from wam_power_ros.ros.loop_statistics import LoopStatistics
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 MOVING = (Mode.MOVE_TO_START, Mode.REPLAY)
 FRESH_NS = 1_000_000_000  # [ns] age of a joint state with which the arm may be activated
+VELOCITY_NS = 10_000_000  # [ns] age of a velocity of its own topic that is used
+REST_WITHIN = 0.5  # [s] in which the arm is brought to rest when this node ends
+LAST_CHANGE = 0.05  # [N m] of the last torque: then it carries the arm
 ENABLE_NS = 100_000_000  # [ns] after which the enabling switch counts as released
 
 
@@ -70,6 +73,9 @@ class TorqueController(LifecycleNode):
         self._movement: joint_messages.JointMovement | None = None  # to be replayed
         self._moved_for = ""  # policy to whose start the arm was sent last
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
+        self._qd_ns = 0  # when it came, steady clock
+        self._latched: Fault | None = None  # in a controller that was cleaned up
+        self._stamp_clock = StampClock()
         self._stamp_ns = 0  # of the last state
         self._enabled_ns = -ENABLE_NS  # steady clock
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may stay away
@@ -92,7 +98,9 @@ class TorqueController(LifecycleNode):
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = self.create_client(Trigger, idle, qos_profile=interface.IDLE_QOS)
         subscribe = self.create_subscription
-        subscribe(JointState, params.state_topic, self._on_state, interface.STATE_IN, raw=True)
+        self._states = subscribe(
+            JointState, params.state_topic, self._on_state, interface.STATE_IN, raw=True
+        )
         if params.hold_to_run:
             subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
         if params.velocity_topic:
@@ -122,7 +130,7 @@ class TorqueController(LifecycleNode):
         try:
             if not self._urdf:
                 raise ValueError(f"nothing has come on {interface.ROBOT_DESCRIPTION} yet")
-            self._controller = self._params.controller(self._urdf)
+            self._controller = self._params.controller(self._urdf, self._latched)
         except ValueError as error:
             self._refuse("configuration", error)
             return FAILURE
@@ -152,7 +160,8 @@ class TorqueController(LifecycleNode):
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the arm, the policy and any fault."""
+        """Forget the arm and the policy; a fault stays latched."""
+        self._latched = None if self._controller is None else self._controller.latched
         self._controller = None
         return SUCCESS
 
@@ -162,18 +171,42 @@ class TorqueController(LifecycleNode):
         return SUCCESS
 
     def close(self) -> None:
-        """Stop sending, with a last torque a driver may hold: g(q), or zero if it adds g(q)."""
+        """Bring the arm to rest, then end with a torque that a driver may hold.
+
+        That is g(q), or zero for a driver that adds g(q). It works without an executor, because
+        this is called from a callback, and when the executor has ended.
+        """
         self._autostart = False
         if not self._active:
             return
-        self._send(self._controller.stale_torque(), "inactive")
+        core = self._controller
+        core.stop()
+        end = time.monotonic() + REST_WITHIN
+        while not core.at_rest and time.monotonic() < end:
+            with self._states.handle:
+                taken = self._states.handle.take_message(JointState, True)
+            if taken is not None:
+                self._on_state(taken[0])
+            else:
+                self.watch()
+                time.sleep(0.1 * self._params.period)
+        last, tau = None, core.stale_torque()
+        while last is None or np.abs(tau - last).max() > LAST_CHANGE:
+            self._send(tau, core.label)
+            time.sleep(self._params.period)
+            last, tau = tau, core.stale_torque()
+        self._send(tau, "inactive")
         self._active = False
         self._controller.deactivate()
         self._answer_moves()
 
     def _unfit(self) -> str | None:
-        age_ns = time.monotonic_ns() - self._watchdog.arrived_ns
-        return None if age_ns < FRESH_NS else "no joint state within the last second"
+        now_ns = time.monotonic_ns()
+        if now_ns - self._watchdog.arrived_ns >= FRESH_NS:
+            return "no joint state within the last second"
+        if self._params.velocity_topic and now_ns - self._qd_ns >= FRESH_NS:
+            return f"no joint velocity on {self._params.velocity_topic} within the last second"
+        return None
 
     def _unscheduled(self) -> str | None:
         if self._params.allow_no_realtime or self._granted.complete:
@@ -206,13 +239,25 @@ class TorqueController(LifecycleNode):
         stamp_ns, q, qd = reading
         if self._params.hold_to_run:
             controller.enabled = arrived_ns - self._enabled_ns < ENABLE_NS
-        tau = controller.step(stamp_ns, q, self._qd if qd is None else qd)
-        if controller.stamp_ns != stamp_ns:
+        if qd is None and self._params.velocity_topic:
+            qd = self._qd
+            if self._watchdog.enabled and arrived_ns - self._qd_ns > VELOCITY_NS:
+                qd = None  # it is differenced from the positions
+                age = (arrived_ns - self._qd_ns) * 1e-6
+                controller.fault(Fault(FaultKind.VELOCITY, f"no joint velocity for {age:.0f} ms"))
+        tau = controller.step(stamp_ns, q, qd)
+        if controller.fresh:
+            self._watchdog.arrived(arrived_ns)
+            self._stamp_ns = stamp_ns
+            if self._watchdog.enabled and (fault := self._stamp_clock.check(stamp_ns, arrived_ns)):
+                controller.fault(fault)
+        elif controller.stamp_ns != stamp_ns:
             return None  # refused and counted; `watch` sends when no good one comes
-        self._watchdog.arrived(arrived_ns)
-        self._stamp_ns = stamp_ns
         if not self._active:
             return None
+        if self._guard.foreign:
+            text = "another publisher sends commands, silent until now"
+            controller.fault(Fault(FaultKind.SECOND_COMMANDER, text))
         self._send(tau, controller.label)
         self._statistics.add(arrived_ns, self._watchdog.sent_ns)
         path = controller.take_finished()
@@ -241,7 +286,8 @@ class TorqueController(LifecycleNode):
             qd = self._reader.velocity(message)
         except ValueError as error:
             return self._refuse("joint velocity", error)
-        self._qd = self._qd if qd is None else qd
+        if qd is not None:
+            self._qd, self._qd_ns = qd, time.monotonic_ns()
         return None
 
     def patience(self) -> float:
@@ -266,7 +312,7 @@ class TorqueController(LifecycleNode):
         self._send(core.stale_torque(), label)
 
     def _send(self, tau: np.ndarray, label: str) -> None:
-        self._commands.publish(self._write(self._stamp_ns, label, tau))
+        self._guard.publish(self._write(self._stamp_ns, label, tau))
         self._watchdog.sent_ns = time.monotonic_ns()
 
     # Policies and requests

@@ -14,6 +14,7 @@ from wam_power_ros.control.arm import Arm, guarded_points
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.safety import limits_of
+from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.params.node_params import Params
 
 if TYPE_CHECKING:
@@ -161,8 +162,8 @@ class TorqueControllerParams(Params):
                     )
         return self
 
-    def controller(self, urdf: str) -> Controller:
-        """Make the controller for the arm of this URDF.
+    def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
+        """Make the controller for the arm of this URDF, with a fault that is still latched.
 
         Raises:
             ValueError: The URDF has not the arm that these parameters name, or limits contradict.
@@ -182,4 +183,4 @@ class TorqueControllerParams(Params):
         )
         own = {field.name for field in dataclasses.fields(ControllerSettings)} - {"limits"}
         choices = {name: getattr(self, name) for name in own}
-        return Controller(arm, ControllerSettings(limits=limits, **choices))
+        return Controller(arm, ControllerSettings(limits=limits, **choices), latched)
