@@ -30,7 +30,9 @@ from std_srvs.srv import Trigger
 
 from benchmark.fuzz import bombard, spoilt, states
 from benchmark.lab import ARM, HOME, WATCHER, Lab, core
+from benchmark.lies import LIES, PHASES, Driver, acceptable, tell
 from benchmark.nodes import JOINTS, ROOT
+from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, scheduling
@@ -386,6 +388,57 @@ def disk(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     )
 
 
+def lied(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
+    """One lie, in every phase, to an arm that keeps the last torque."""
+
+    def row(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
+        driver = Driver(lab)
+        lab.controller()
+        peaks = {phase: tell(driver, lab, phase, lambda state: state).peak for phase in PHASES}
+        seen, passed = [], True
+        for _ in range(repeats):
+            for phase in PHASES:
+                found = tell(driver, lab, phase, LIES[name]())
+                passed &= acceptable(found, peaks[phase])
+                when = "none" if found.faulted is None else f"{2 * found.faulted} ms"
+                seen.append(f"{phase} {when} {found.peak:.2f} ({peaks[phase]:.2f}) m/s")
+        return Row(
+            "S-91",
+            f"{name}: tool at most 0.5 m/s faster than without, at rest 0.5 s after the fault",
+            "; ".join(seen),
+            repeats * len(PHASES),
+            passed,
+        )
+
+    return row
+
+
+def ended(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
+    """The controller is ended in a rollout; the arm keeps the last torque."""
+    driver = Driver(lab)
+    rests, wrong = [], []
+    for number in range(repeats):
+        controller = lab.controller()
+        driver.begin("early")
+        driver.play(rng.uniform(0.0, 0.8))
+        how = (signal.SIGTERM, signal.SIGINT)[number % 2]
+        controller.process.send_signal(how)
+        driver.play(0.6)
+        driver.speeds.clear()
+        driver.play(0.5)
+        rests.append(max(driver.speeds))
+        wrong.append(float(np.abs(lab.torques[-1][1].tau - driver.gravity()).max()))
+        driver.play(10.0, lambda c=controller: c.process.poll() is not None)
+        lab.end(controller)
+    return Row(
+        "S-05",
+        "SIGTERM or SIGINT in a rollout: at rest 0.6 s later, last torque within 0.5 N m of g(q)",
+        f"{max(rests):.3f} m/s, {max(wrong):.2f} N m",
+        repeats,
+        max(rests) < REST_SPEED and max(wrong) < 0.5,
+    )
+
+
 ROWS = {  # name -> function and number of repeats
     "stale": (stale, 200),
     "kill": (kill, 50),
@@ -398,6 +451,8 @@ ROWS = {  # name -> function and number of repeats
     "starved": (starved(True), 30),
     "starved_plain": (starved(False), 30),
     "network": (network, 5),
+    "ended": (ended, 50),
+    **{name: (lied(name), 1) for name in LIES},
     "learner": (learner, 50),
     "recorder": (recorder, 50),
     "disk": (disk, 3),

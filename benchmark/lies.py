@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A driver that lies, or is left alone: well-formed joint states that are false.
+
+The arm is the simulated world in real time, in this process, and keeps the last torque for ever, as
+ros2_control and libbarrett do: nothing but the controller stops it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from rclpy.client import Client
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from benchmark.lab import PERIOD_NS, TIMEOUT, Lab
+from benchmark.nodes import JOINTS
+from benchmark.soak import taught
+from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.scenes.flip import wrist_flick
+from hardware_sim.settings import WorldSettings
+from hardware_sim.world import World
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.safety import REST_SPEED
+from wam_power_ros.learning.policy import to_json
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.joint_messages import JointStateWriter
+
+FASTER = 0.5  # [m/s] than without a lie the tool may become
+REST_TICKS = 250  # [periods] from the fault to rest: 0.5 s
+WATCHED = 600  # [periods] after a lie began
+
+
+class Reading(NamedTuple):
+    """One joint state."""
+
+    stamp_ns: int
+    q: np.ndarray
+    qd: np.ndarray
+
+
+Lie = Callable[[Reading], Reading | None]  # None: nothing is published
+
+
+def frozen(*joints: int, still: bool = False) -> Lie:
+    """Positions and velocities (or zero) of these joints stay, of all when none is given."""
+    at, kept = list(joints) or list(range(7)), []
+
+    def lie(state: Reading) -> Reading:
+        kept.append(state)
+        q, qd = state.q.copy(), state.qd.copy()
+        q[at], qd[at] = kept[0].q[at], 0.0 if still else kept[0].qd[at]
+        return Reading(state.stamp_ns, q, qd)
+
+    return lie
+
+
+def velocities(change: Callable[[np.ndarray], np.ndarray]) -> Lie:
+    """Velocities are changed."""
+    return lambda state: state._replace(qd=change(state.qd))
+
+
+def two_drivers() -> Lie:
+    """Every other state is that of an arm 0.02 rad away."""
+    count = [0]
+
+    def lie(state: Reading) -> Reading:
+        count[0] += 1
+        return state._replace(q=state.q + 0.02 * (count[0] % 2))
+
+    return lie
+
+
+def stamps(rate: float) -> Lie:
+    """Stamps advance at another rate; 0 for the first state again and again."""
+    kept: list[Reading] = []
+
+    def lie(state: Reading) -> Reading:
+        kept.append(state)
+        first = kept[0]
+        late = round(rate * (state.stamp_ns - first.stamp_ns))
+        return state._replace(stamp_ns=first.stamp_ns + late) if rate else first
+
+    return lie
+
+
+LIES: dict[str, Callable[[], Lie]] = {
+    "silence": lambda: lambda state: None,
+    "the same state again and again": lambda: stamps(0.0),
+    "stamps at a tenth of the speed": lambda: stamps(0.1),
+    "frozen": frozen,
+    "frozen, velocities zero": lambda: frozen(still=True),
+    "joint 2 frozen": lambda: frozen(1),
+    "joint 4 frozen, its velocity zero": lambda: frozen(3, still=True),
+    "velocities zero": lambda: velocities(np.zeros_like),
+    "velocities negated": lambda: velocities(np.negative),
+    "velocities doubled": lambda: velocities(lambda qd: 2.0 * qd),
+    "velocities permuted": lambda: velocities(lambda qd: np.roll(qd, 1)),
+    "two drivers": two_drivers,
+}
+PHASES = ("early", "upwards", "late", "move", "hold", "teaching")
+MOMENTS = {"early": 0.10, "upwards": 0.25, "late": 0.40}  # shares of the rollout's movement
+
+
+class Driver:
+    """The simulated arm as a driver in the lab's domain.
+
+    Attributes:
+        lie: What becomes of the states.
+        speeds: Speed of the tool in every period [m/s].
+    """
+
+    def __init__(self, lab: Lab) -> None:
+        self._lab = lab
+        self._world = World(WorldSettings(watchdog=False), 0)
+        self._arm = Arm(self._world.urdf, JOINTS)
+        self._write = JointStateWriter(JOINTS)
+        self._clients: dict[str, Client] = {}
+        self.lie: Lie = lambda state: state
+        self.speeds: list[float] = []
+        self._stamp_ns = time.time_ns()
+        self.policy = taught()
+        self._policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
+        self._states = lab.node.create_publisher(
+            JointState, interface.JOINT_STATES, interface.STATE_OUT
+        )
+        self._world.reset("lies", self.policy.q_start)
+        self._world.release()
+
+    def gravity(self) -> np.ndarray:
+        """g(q) where the arm is [N m]. Shape (7,)."""
+        return self._arm.gravity(self._world.joint_state().q)
+
+    def play(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
+        """Let the arm move for a time [s] or until a condition holds; returns whether it does."""
+        lab, deadline = self._lab, time.monotonic_ns()
+        end = deadline + round(seconds * 1e9)
+        while not (done := until()) and deadline < end:
+            torques = lab.torques
+            self._world.step(torques[-1][1].tau if torques else None)
+            sample = self._world.joint_state()
+            self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
+            self._stamp_ns += PERIOD_NS
+            state = self.lie(Reading(self._stamp_ns, sample.q, sample.qd))
+            if state is not None:
+                still = np.zeros(7)
+                self._states.publish(self._write(state.stamp_ns, state.q, state.qd, still))
+            deadline += PERIOD_NS
+            late = time.monotonic_ns() - deadline
+            if late > 5 * PERIOD_NS:  # this process was held up
+                self._stamp_ns, deadline = self._stamp_ns + late, deadline + late
+            while (left := deadline - time.monotonic_ns()) > 0:
+                lab.spin(left * 1e-9)
+        return done
+
+    def ready(self) -> None:
+        """Hold at the start of the policy, after the reset of a fault."""
+        self.lie, lab = lambda state: state, self._lab
+        while True:
+            self.play(0.5)
+            if lab.label == "fault":
+                self.call(interface.RESET)
+            elif lab.label == "hold":
+                self._policies.publish(String(data=to_json(self.policy)))
+                if self.call(interface.MOVE_TO_START):
+                    return
+
+    def ask(self, name: str, request: object = None) -> Future:
+        """Call a service while the arm goes on; returns the future of its answer."""
+        request = request or Trigger.Request()
+        kind = SetBool if isinstance(request, SetBool.Request) else Trigger
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self._lab.node.create_client(kind, name)
+        self.play(TIMEOUT, client.service_is_ready)
+        return client.call_async(request)
+
+    def call(self, name: str, request: object = None) -> bool:
+        """Call a service while the arm goes on; returns whether it agreed."""
+        future = self.ask(name, request)
+        return self.play(TIMEOUT, future.done) and future.result().success
+
+    def begin(self, phase: str) -> None:
+        """Bring the arm into a phase, to the moment when the lie is to begin."""
+        self.ready()
+        lab, moment = self._lab, MOMENTS.get(phase)
+        if moment is not None:
+            self.call(interface.EXECUTE)
+            self.play(5.0, lambda: lab.label.startswith("rollout"))
+            self.play(moment * self.policy.basis.duration)
+        elif phase in ("move", "teaching"):
+            self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+            self._world.attach(self._hand())
+            self.play(0.4)
+        if phase == "move":
+            self._world.attach(None)
+            self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+            self.play(1.0)
+            self.ask(interface.MOVE_TO_START)
+            self.play(5.0, lambda: lab.label == "move_to_start")
+            self.play(0.2)
+
+    def _hand(self) -> Demonstrator:
+        return Demonstrator(wrist_flick(np.random.default_rng(0)), *self._world.pan_pose)
+
+
+class Outcome(NamedTuple):
+    """What became of one lie.
+
+    Attributes:
+        faulted: Periods from its beginning to the first torque of a fault, None without.
+        peak: Largest speed of the tool after it began [m/s].
+        rest: Largest speed from 0.5 s after the fault on [m/s].
+    """
+
+    faulted: int | None
+    peak: float
+    rest: float
+
+
+def tell(driver: Driver, lab: Lab, phase: str, lie: Lie) -> Outcome:
+    """Tell one lie in one phase and watch the arm."""
+    driver.begin(phase)
+    driver.speeds.clear()
+    driver.lie = lie
+    faulted: list[int] = []
+
+    def watch() -> bool:
+        if not faulted and lab.label == "fault":
+            faulted.append(len(driver.speeds))
+        return len(driver.speeds) >= WATCHED
+
+    driver.play(WATCHED * 0.002 * 2.0, watch)
+    calm = driver.speeds[(faulted[0] if faulted else 0) + REST_TICKS :]
+    return Outcome(faulted[0] if faulted else None, max(driver.speeds), max(calm, default=0.0))
+
+
+def acceptable(outcome: Outcome, peak: float) -> bool:
+    """Whether the tool stayed slow, and the arm at rest once there was a fault."""
+    rested = outcome.faulted is None or outcome.rest < REST_SPEED
+    return outcome.peak <= peak + FASTER and rested
