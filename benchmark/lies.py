@@ -226,6 +226,8 @@ class Outcome(NamedTuple):
 def tell(driver: Driver, lab: Lab, phase: str, lie: Lie) -> Outcome:
     """Tell one lie in one phase and watch the arm."""
     driver.begin(phase)
+    while lab.label == "fault":  # a busy machine has held one of us up
+        driver.begin(phase)
     driver.speeds.clear()
     driver.lie = lie
     faulted: list[int] = []
