@@ -243,6 +243,16 @@ def test_a_damaged_text_raises_value_error_or_is_a_valid_policy(data: st.DataObj
     assert np.isfinite(policy.stiffness).all()
 
 
+def test_an_id_too_long_to_show_is_shown_in_part() -> None:
+    for wrong, shown in (
+        ("x" * 70, "'" + "x" * 70 + "' must"),
+        ("x" * 9999, "'" + "x" * 99 + "... "),
+    ):
+        with pytest.raises(ValueError, match="must match") as refused:
+            with_id(make(), wrong)
+        assert shown in str(refused.value) and len(str(refused.value)) < 200
+
+
 def test_bytes_are_not_text() -> None:
     with pytest.raises(ValueError, match="bytes"):
         from_json(to_json(make()).encode())  # type: ignore[arg-type]
