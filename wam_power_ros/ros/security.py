@@ -42,10 +42,14 @@ FEEDBACK = "LEARNER_REWARD LEARNER_PUNISH LEARNER_DEMONSTRATION LEARNER_PAUSE"
 # the set-up. The controller subscribes to its own command topic to detect another commander.
 TABLE: dict[str, dict[str, str]] = {
     "torque_controller": {
-        "publishes": "command ROLLOUT_END_EFFECTOR DIAGNOSTICS",
-        "subscribes": "states description command POLICY REPLAY_TRAJECTORY ENABLE",
+        "publishes": "command",
+        "subscribes": "states description command ENABLE",
         "serves": CONTROLLER,
         "calls": "idle",
+    },
+    "torque_controller_preparation": {
+        "publishes": "ROLLOUT_END_EFFECTOR DIAGNOSTICS",
+        "subscribes": "POLICY REPLAY_TRAJECTORY",
     },
     "demonstration_recorder": {
         "publishes": "DIAGNOSTICS",
@@ -83,6 +87,7 @@ OF_BODY = {"pancake_tracker", "optitrack_sim"}  # nodes that only run for a task
 PROCESSES = {  # node -> process whose enclave it shares; every other node has one of its own
     **dict.fromkeys(("teaching", "replaying", "enabling_switch", "feedback"), "operator"),
     "optitrack_sim": "wam_sim",
+    "torque_controller_preparation": "torque_controller",  # its two processes
 }
 
 
