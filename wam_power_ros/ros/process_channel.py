@@ -87,8 +87,8 @@ class Channel:
             data, descriptors, _, _ = socket.recv_fds(self._socket, MESSAGE_MAX, 1)
         except BlockingIOError:
             return None
-        except OSError:  # reset: it ended with messages unread
-            data, descriptors = b"", []
+        except ConnectionResetError:  # told once, when it ended with messages of ours unread
+            return self.receive()
         if not data:
             raise EOFError("the other process has ended")
         values, layout, size = json.loads(data)
