@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import signal
@@ -18,9 +19,18 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import SIZE_MAX, to_json
 from wam_power_ros.nodes import preparation, preparation_worker
-from wam_power_ros.nodes.preparation import MOVEMENT, POLICY, Preparation
+from wam_power_ros.nodes.preparation import (
+    MOVEMENT,
+    POLICY,
+    Preparation,
+    settings_of,
+    settings_values,
+)
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code, read
 
@@ -180,6 +190,7 @@ def test_what_a_process_died_of_is_refused_and_not_read_again(
 ) -> None:
     monkeypatch.setattr(preparation, "MODULE", "dying_preparation")
     monkeypatch.setattr(preparation, "RESTART_PERIOD", 0.0)
+    monkeypatch.setattr(preparation, "READ_TIMEOUT", 60.0)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(ROOT / "test")]))
     refused: list[tuple[str, str]] = []
     reasons: list[str | None] = []
@@ -201,6 +212,15 @@ def test_what_a_process_died_of_is_refused_and_not_read_again(
     assert beside.starts == 2
     assert refused[1] == ("seen", "[['policy', 7]]")
     beside.close()
+
+
+def test_settings_arrive_as_they_were() -> None:
+    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES)
+    settings = ControllerSettings(limits=limits_of(arm), obstacle=(0.1, 0.2, 0.3, 0.05))
+    text = json.dumps(settings_values(settings))
+    values = json.loads(text)
+    assert json.dumps(settings_values(settings_of(values))) == text
+    assert settings_of(values).limits.q_max.tolist() == settings.limits.q_max.tolist()
 
 
 def _never(value: object) -> None:

@@ -486,7 +486,7 @@ import sys
 from wam_power_ros.nodes import torque_controller
 
 class Broken(torque_controller.TorqueController):
-    def _on_policy(self, message):
+    def _on_policy(self, policy):
         raise KeyError("a mistake in the code")
 
     def _on_stop(self, request, response):
@@ -580,7 +580,8 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
     arm.activate()
     if during == "policy":
-        probe.publisher(String, interface.POLICY, interface.LATCHED).publish(String())
+        policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
+        policies.publish(String(data=to_json(lift("good"))))
     else:
         probe.begin(Trigger, interface.STOP)
 

@@ -9,14 +9,14 @@ receiving the bytes here: taking a message of 17 MB from the middleware holds th
 
 from __future__ import annotations
 
-import base64
+import dataclasses
 import os
-import pickle
 import socket
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.policy_execution import PreparedPolicy
+from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.dmp import Tables
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.ros.process_channel import Channel, Message, pair
@@ -89,8 +90,12 @@ class Preparation:
             joint_names: Names of the joints in trajectories.
         """
         self._configuration += 1
-        pickled = base64.b64encode(pickle.dumps((settings, tuple(joint_names)))).decode()
-        self._settings = {"what": "configure", "number": self._configuration, "pickled": pickled}
+        self._settings = {
+            "what": "configure",
+            "number": self._configuration,
+            "settings": None if settings is None else settings_values(settings),
+            "joint_names": list(joint_names),
+        }
         if self._channel is not None:
             self._send({**self._settings, "seen": list(self._seen)})
 
@@ -258,6 +263,26 @@ class Preparation:
 
 
 TABLES = ("a", "b", "rotation_b")  # arrays of `dmp.Tables`
+
+
+def settings_values(settings: ControllerSettings) -> dict[str, Any]:
+    """Settings, with limits, as values that JSON has; floats survive it bit for bit."""
+
+    def plain(of: ControllerSettings | Limits) -> dict[str, Any]:
+        values = {each.name: getattr(of, each.name) for each in dataclasses.fields(of) if each.init}
+        return {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in values.items()
+        }
+
+    if settings.limits is None:
+        raise ValueError("settings without limits")
+    return {**plain(settings), "limits": plain(settings.limits)}
+
+
+def settings_of(values: Mapping[str, Any]) -> ControllerSettings:
+    """The settings of which these are the values."""
+    return ControllerSettings(**{**values, "limits": Limits(**values["limits"])})
 
 
 def channel_of_process() -> Channel:

@@ -7,13 +7,13 @@ controller. It hands over policies with their tables and movements on the contro
 
 from __future__ import annotations
 
-import base64
-import pickle
 import signal
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,14 @@ from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import EndEffectorPath
-from wam_power_ros.nodes.preparation import MOVEMENT, NAME, POLICY, TABLES, channel_of_process
+from wam_power_ros.nodes.preparation import (
+    MOVEMENT,
+    NAME,
+    POLICY,
+    TABLES,
+    channel_of_process,
+    settings_of,
+)
 from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.process_channel import Channel, Message
@@ -44,6 +51,7 @@ from wam_power_ros.ros.stamps import time_message
 SIZE_MAX = {POLICY: policies.SIZE_MAX + 64, MOVEMENT: 20_000_000}
 POINTS_MAX = 200_000
 TEXT_MAX = 2000  # characters of a reason
+SETTLE_TIME = 1.0  # [s] in which threads of the middleware come to rest, at most
 
 
 class PreparationWorker(Node):
@@ -101,14 +109,23 @@ class PreparationWorker(Node):
 
     def _do_configure(self, values: dict[str, Any], _: object) -> None:
         self._number = values["number"]
-        self._settings, self._joint_names = pickle.loads(base64.b64decode(values["pickled"]))
+        settings = values["settings"]
+        self._settings = None if settings is None else settings_of(settings)
+        self._joint_names = tuple(values["joint_names"])
         self._seen.update((kind, stamp) for kind, stamp in values["seen"])
         if not self._callbacks:
             self._subscribe(String, interface.POLICY, POLICY, self._policy)
             self._subscribe(JointTrajectory, interface.REPLAY_TRAJECTORY, MOVEMENT, self._movement)
 
     def _do_mark(self, values: dict[str, Any], _: object) -> None:
-        """Answer once all that had come by now has been read."""
+        """Answer once all that had come by now has been read.
+
+        The request came another way than the messages before it, and may have overtaken those that
+        a thread of the middleware has not taken from its socket yet. Such a thread does not wait.
+        """
+        late = time.monotonic() + SETTLE_TIME
+        while not others_wait() and time.monotonic() < late:
+            time.sleep(0.001)
         for each, callback in self._callbacks.items():
             while (taken := each.handle.take_message(each.msg_type, each.raw)) is not None:
                 callback(*taken)
@@ -204,6 +221,18 @@ class PreparationWorker(Node):
 
     def _send(self, values: dict[str, Any]) -> None:
         self._channel.send(values)
+
+
+def others_wait() -> bool:
+    """Whether all other threads of this process wait for something."""
+    tasks = FilePath("/proc/self/task")
+    mine = threading.get_native_id()
+    states = [
+        (task / "stat").read_text().rpartition(")")[2].split()[0]
+        for task in tasks.iterdir()
+        if task.name != str(mine)
+    ]
+    return all(state != "R" for state in states)
 
 
 def main() -> int:
