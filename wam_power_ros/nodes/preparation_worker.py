@@ -137,6 +137,8 @@ class PreparationWorker(Node):
         self._paths.publish(message)
 
     def _do_report(self, values: dict[str, Any], _: object) -> None:
+        if any(later is not None and later.values["what"] == "report" for later in self._inbox):
+            return  # those that waited while this process was started are out of date
         parts = (values[name] for name in ("hardware_id", "level", "text", "values"))
         stamp = time_message(values["stamp_ns"])
         self._diagnostics.publish(diagnostics_message(stamp, "torque_controller: loop", *parts))

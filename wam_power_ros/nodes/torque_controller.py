@@ -66,7 +66,7 @@ class TorqueController(LifecycleNode):
         self._controller: Controller | None = None
         self._active = False
         self._refused: Counter[str] = Counter()
-        self._last_refusal = ""  # for the diagnostics
+        self._last_refusal, self._refused_lately = "", False  # for the diagnostics
         self._movement: Sampled | ControllerError | None = None  # to be replayed, or why not
         self._moved_for = ""  # policy to whose start the arm was sent last
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
@@ -434,9 +434,9 @@ class TorqueController(LifecycleNode):
             level, text = "warn", overload
         elif self._params.realtime_priority and not self._granted.complete:
             level, text = "warn", f"{text}; no real-time scheduling"
-        elif self._last_refusal:
+        elif self._refused_lately:
             level, text = "warn", self._last_refusal
-        self._last_refusal = ""
+        self._refused_lately = False
         self._preparation.report(now, self._params.hardware_id, level, text, values)
 
     def _overload(self) -> str:
@@ -450,7 +450,7 @@ class TorqueController(LifecycleNode):
 
     def _refuse(self, what: str, reason: object) -> None:
         self._refused[what] += 1
-        self._last_refusal = f"{what} refused: {reason}"
+        self._last_refusal, self._refused_lately = f"{what} refused: {reason}", True
         self._preparation.log("warning", self._last_refusal)
 
 
