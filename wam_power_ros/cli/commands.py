@@ -107,11 +107,20 @@ def learn(options: argparse.Namespace) -> int:
 
 def replay(options: argparse.Namespace) -> int:
     """Repeat a recorded movement with the arm."""
+    from wam_power_ros import arm_identity
     from wam_power_ros.bags import reader
     from wam_power_ros.control import replay_trajectory
+    from wam_power_ros.control.arm import Arm
+    from wam_power_ros.params.resources import share
 
-    names = overlay.setup(options.config, options.simulate)["torque_controller"]["joint_names"]
-    replay_trajectory.movement(*reader.read_demonstration(options.bag, names), options.speed)
+    controller = overlay.setup(options.config, options.simulate)["torque_controller"]
+    names, identity = controller["joint_names"], None
+    if controller["urdf"]:
+        urdf = share(controller["urdf"]).read_text()
+        model = Arm(urdf, controller["model_joint_names"], controller["tool_frame"], guarded=())
+        identity = model.identity()
+    recorded = reader.read_demonstration(options.bag, names, arm=identity)
+    replay_trajectory.movement(*recorded, options.speed)
     folder = (options.folder or REPLAYS / now()).resolve()
     signal.signal(signal.SIGTERM, interrupt)
     changes = {"demonstration_recorder": {"stem": "replay"}}
@@ -121,6 +130,7 @@ def replay(options: argparse.Namespace) -> int:
             bag=str(options.bag.resolve()),
             speed=options.speed,
             joint_names=list(names),
+            arm=arm_identity.to_json(identity),
             person=not simulated(options),
         )
         while True:
