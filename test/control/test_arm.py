@@ -60,6 +60,10 @@ def test_the_jacobian_is_the_derivative_of_the_pose(arm: Arm) -> None:
         motion = arm.motion(q, qd)
         assert np.allclose(motion.twist, twist, atol=1e-12)
         assert motion.tool_speed == pytest.approx(np.linalg.norm(twist[:3]))
+        arm.tool_pose(HOME)  # nothing of another posture is left
+        motion, (position, rotation) = arm.motion(q, qd), arm.tool_pose(q)
+        assert np.array_equal(motion.position, position)
+        assert np.array_equal(motion.rotation, rotation)
 
 
 def test_the_drift_is_the_change_of_the_twist_without_joint_acceleration(arm: Arm) -> None:
