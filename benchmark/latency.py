@@ -143,7 +143,7 @@ def measure(
             )
             told = Path(folder) / "messages.json"
             if hardest:
-                publisher = processes.start(
+                processes.start(
                     "messages",
                     [*module, "benchmark.latency", "--role", f"messages {told}"],
                 )
@@ -152,7 +152,9 @@ def measure(
             time.sleep(10.0)  # for imports and discovery
             begun_ns, before = time.monotonic_ns(), _cpu([arm, controller, echo])
             if hardest:
-                publisher.process.wait()
+                while not told.exists():
+                    processes.check()
+                    time.sleep(0.5)
             else:
                 time.sleep(seconds)
             ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])

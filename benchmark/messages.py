@@ -7,6 +7,7 @@ Run by `benchmark.latency` in a process of its own; publishes each and writes do
 from __future__ import annotations
 
 import json
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -83,7 +84,7 @@ class Messages(Node):
         ]
 
     def run(self) -> int:
-        """Publish all, WINDOW seconds apart."""
+        """Publish all, WINDOW seconds apart, and wait for the signal that ends it."""
         time.sleep(8.0)  # for discovery, and the start of the controller
         times = []
         for name, publisher, make in self._messages:
@@ -92,7 +93,10 @@ class Messages(Node):
             if publisher is not None:
                 publisher.publish(message)
             time.sleep(WINDOW)
-        self._report.write_text(json.dumps(times))
+        partial = self._report.with_suffix(".part")
+        partial.write_text(json.dumps(times))
+        partial.rename(self._report)
+        signal.pause()
         return 0
 
 
