@@ -30,8 +30,9 @@ from std_msgs.msg import Float64MultiArray
 from benchmark import messages
 from benchmark.nodes import JOINTS, environment, ros_arguments
 from benchmark.stages import table as table_of_stages
-from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
+from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.stamps import nanoseconds
 
 ECHO = "/echo/commands"

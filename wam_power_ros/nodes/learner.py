@@ -45,7 +45,7 @@ from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.node_runner import executor_for, number_by_process
+from wam_power_ros.ros.node_runner import executor_for, init, number_by_process
 from wam_power_ros.tasks.task import Pose, Task
 
 Timeout = Annotated[
@@ -394,9 +394,9 @@ def _line(record: Record) -> str:
 
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros learner`."""
-    rclpy.init()
     node = None
     try:
+        init()
         with number_by_process():
             node = Learner()
         node.practise()
