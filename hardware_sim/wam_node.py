@@ -51,7 +51,7 @@ class WamSimParams(Params):
     velocity_topic: str
     command_topic: str
     command_type: Literal["multiarray", "joint_state"]
-    listeners: tuple[str, ...]
+    listeners: tuple[str, ...] = Field(max_length=100)
     watchdog: bool
     deactivates: bool
     state_latency: Delay
