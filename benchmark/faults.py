@@ -31,7 +31,7 @@ from std_srvs.srv import Trigger
 from benchmark.fuzz import bombard, spoilt, states
 from benchmark.lab import ARM, HOME, WATCHER, Lab, core
 from benchmark.lies import LIES, PHASES, Driver, acceptable, tell
-from benchmark.nodes import JOINTS, ROOT
+from benchmark.nodes import JOINTS, ROOT, environment
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
@@ -439,6 +439,40 @@ def ended(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     )
 
 
+def simulation(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
+    """A simulation is started in the robot's terminal while its driver listens."""
+    answers = []
+    for _ in range(repeats):
+        with tempfile.TemporaryDirectory() as folder:
+            given = environment(lab.domain) | {"MUJOCO_GL": "disable"}
+            command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", folder]
+            learning = subprocess.Popen(
+                command,
+                env=os.environ | given,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+            bags = Path(folder) / "bags"
+
+            def teaching(learning=learning, bags=bags) -> bool:  # noqa: ANN001
+                return any(bags.glob("*/*.mcap")) or learning.poll() is not None
+
+            lab.wait(teaching, "the simulation's arm to be led", play=True)
+            lab.play(rng.uniform(1.0, 2.0))
+            learning.send_signal(signal.SIGINT)
+            answers.append(learning.communicate()[0])
+    told = sum(f"not in the exported {lab.domain}" in answer for answer in answers)
+    return Row(
+        "S-55",
+        "simulation started in a robot's domain, its driver listening: no torque reaches it",
+        f"{len(lab.torques)} torques; told {told} times",
+        repeats,
+        not lab.torques and told == repeats,
+    )
+
+
 ROWS = {  # name -> function and number of repeats
     "stale": (stale, 200),
     "kill": (kill, 50),
@@ -453,13 +487,14 @@ ROWS = {  # name -> function and number of repeats
     "network": (network, 5),
     "ended": (ended, 50),
     **{name: (lied(name), 1) for name in LIES},
+    "simulation": (simulation, 3),
     "learner": (learner, 50),
     "recorder": (recorder, 50),
     "disk": (disk, 3),
 }
 
 
-PLAYED = (stale, intruder, clock, fuzz_over_dds)  # this process plays the arm
+PLAYED = (stale, intruder, clock, fuzz_over_dds, simulation)  # this process plays the arm
 WATCHED = (kill, stopped, restart, network)  # the stand-in is the arm
 
 

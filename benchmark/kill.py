@@ -25,7 +25,8 @@ import numpy as np
 from benchmark.nodes import environment, node_command
 from benchmark.sessions import differences, learn, lines, records, verdict
 from wam_power_ros.bags.layout import UNFINISHED
-from wam_power_ros.cli.processes import Processes, private_domain
+from wam_power_ros.cli.processes import Processes
+from wam_power_ros.ros.domain import private_domain
 
 ROLLOUT_TIMEOUT = 120.0  # [s]
 

@@ -23,10 +23,11 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from benchmark.nodes import JOINTS, environment, node_command
-from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros.domain import private_domain
 
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
@@ -45,6 +46,7 @@ class Lab:
     """A DDS domain of its own with a node that watches; the arm is played here or is the stand-in.
 
     Attributes:
+        domain: The domain, once it is open.
         torques: Time of reception [ns, steady clock] and reading of the last torques.
         readings: States of the stand-in, where it is the arm.
     """
@@ -60,6 +62,7 @@ class Lab:
     def open(self) -> Iterator[Lab]:
         """Enter the domain; leaving it ends all processes."""
         with private_domain() as domain:
+            self.domain = domain
             reach = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
             given = environment(domain) | {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach}
             self._context = rclpy.Context()
@@ -104,7 +107,7 @@ class Lab:
                 lambda message: self.readings.append(self._reader(message)),
                 interface.STATE_RECORD,
             )
-        given = {"pace": "real_time", "realtime_priority": priority}
+        given = {"pace": "real_time", "realtime_priority": priority, "listeners": ["faults"]}
         return self.processes.start("wam_sim", node_command("wam_sim", "optitrack_sim", **given))
 
     def end(self, running: Running, how: int = signal.SIGKILL) -> None:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Latency from state to torque in real time: the controller beside a bare echo node.
 
-    python -m benchmark.latency [--seconds 60] [--load 0] [--stages]
+    python -m benchmark.latency [--seconds 60] [--load 0] [--stages] [--messages]
 
 The stand-in publishes 500 states a second on the wall clock. The controller answers each with a
 torque, the echo, a bare rclpy node in a process of its own, with the same message holding zeros.
 Both are timed by the stand-in's process, in the same run and with the same scheduling, so machine
-and middleware cancel in the ratio. Each topic has one reader.
+and middleware cancel in the ratio. Each topic has one reader. With --messages, periods are counted
+that are missed when the hardest messages come that the controller may be sent (`messages`).
 """
 
 from __future__ import annotations
@@ -26,10 +27,12 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from benchmark import messages
 from benchmark.nodes import JOINTS, environment, ros_arguments
 from benchmark.stages import table as table_of_stages
-from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
+from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.stamps import nanoseconds
 
 ECHO = "/echo/commands"
@@ -100,11 +103,12 @@ def stand_in(report: Path) -> int:
 
 
 def measure(
-    seconds: float, fifo: bool, load: int, stages: bool = False
+    seconds: float, fifo: bool, load: int, stages: bool = False, hardest: bool = False
 ) -> dict[str, dict[str, float]]:
     """Latency figures of controller and echo in one run, and CPU of each process [%].
 
     With `stages`, the controller also times its stages, at a small cost, and they are printed.
+    With `hardest`, the messages of `benchmark.messages` are published, and the table is printed.
     """
     module = [sys.executable, "-m"]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
@@ -138,19 +142,33 @@ def measure(
             echo = processes.start(
                 "echo", [*module, "benchmark.latency", "--role", f"echo {priority['echo']}"]
             )
+            told = Path(folder) / "messages.json"
+            if hardest:
+                processes.start(
+                    "messages",
+                    [*module, "benchmark.latency", "--role", f"messages {told}"],
+                )
             for i in range(load):
                 processes.start(f"load {i}", [sys.executable, "-c", "while True: pass"])
             time.sleep(10.0)  # for imports and discovery
             begun_ns, before = time.monotonic_ns(), _cpu([arm, controller, echo])
-            time.sleep(seconds)
+            if hardest:
+                while not told.exists():
+                    processes.check()
+                    time.sleep(0.5)
+            else:
+                time.sleep(seconds)
             ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
             processes.check()
         rows = np.load(report)
+        if hardest:
+            print(messages.table(rows, json.loads(told.read_text()), PERIOD_NS))
         if stages:
             times = np.load(Path(folder) / "stages.npy")
             within = (times[:, 0] >= begun_ns) & (times[:, 0] < ended_ns)
             print(table_of_stages(times[within], rows))
     rows = rows[(rows[:, 0] >= begun_ns) & (rows[:, 0] < ended_ns)]
+    seconds = (ended_ns - begun_ns) * 1e-9
     cpu = {name: 100.0 * (after[name] - before[name]) / seconds for name in after}
     return {
         "controller": {**_figures(rows, 1), "cpu": cpu["controller"]},
@@ -211,11 +229,16 @@ def main() -> int:
     parser.add_argument(
         "--stages", action="store_true", help="also time the stages of the controller"
     )
+    parser.add_argument(
+        "--messages", action="store_true", help="also count periods missed at hard messages"
+    )
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options, _ = parser.parse_known_args()
     if options.role:
         role, _, priority = options.role.partition(" ")
+        if role == "messages":
+            return messages.publish(Path(priority))
         if role == "echo":
             return node_runner.run(lambda: Echo(int(priority)))
         return stand_in(Path(options.role))
@@ -226,6 +249,8 @@ def main() -> int:
             continue
         results[title] = measure(options.seconds, fifo, options.load)
         print(table(title, results[title]))
+        if options.messages:
+            measure(0.0, fifo, options.load, hardest=True)
         if options.stages:
             measure(options.seconds, fifo, options.load, stages=True)
     if options.json:

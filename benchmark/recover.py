@@ -43,8 +43,9 @@ from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import BagWriter
-from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.ros import answers, interface, joint_messages
+from wam_power_ros.ros.domain import private_domain
 
 START = 1_700_000_000_000_000_000  # [ns]
 FLUSH = 250  # [states] between two chunks, as the recorder at 500 Hz

@@ -33,7 +33,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from benchmark.nodes import JOINTS, environment
 from wam_power_ros.bags import reader
-from wam_power_ros.cli.processes import Processes, Running, private_domain
+from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
@@ -42,6 +42,7 @@ from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code, read
+from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")

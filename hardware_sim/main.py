@@ -9,6 +9,7 @@ delay, jitter and lose as real networks do.
 from __future__ import annotations
 
 import copy
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -17,6 +18,7 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
 
+from hardware_sim.driver_watch import DriverWatch
 from hardware_sim.network_link import Link
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.scenes import scene_type
@@ -25,7 +27,9 @@ from hardware_sim.wam import PERIOD_NS
 from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
 from wam_power_ros.ros import joint_messages, node_runner, scheduling
+from wam_power_ros.ros.domain import exported, hold
 from wam_power_ros.ros.loop_statistics import LoopStatistics
+from wam_power_ros.ros.node_runner import REFUSED
 
 REPEAT_NS = 50_000_000  # [ns] without the torque, after which a state is published again
 LATE_NS = 100_000_000  # [ns] behind by more, real time gives up on catching up
@@ -34,13 +38,21 @@ LATE_NS = 100_000_000  # [ns] behind by more, real time gives up on catching up
 class Simulation:
     """The two nodes on one world; only the WAM's when the scene has no tracked body.
 
+    Nothing is published in a domain in which a robot or another simulation is.
+
+    Attributes:
+        intruder: Who has appeared there since and ended the simulation; empty for nobody.
+
     Raises:
-        ValueError: A parameter that is not acceptable.
+        ValueError: A parameter that is not acceptable, or a domain that is not free.
     """
 
     def __init__(self) -> None:
+        self._domain = hold(exported(os.environ))  # for as long as the process lives
+        self.intruder = ""
         self.wam = WamSim()
         params = self.wam.params
+        self._watch = DriverWatch(self.wam, params.command_topic, params.listeners)
         make_scene = scene_type(params.scene)
         self.optitrack: OptitrackSim | None = None
         mocap, on_frame = MocapSettings(), _no_frame
@@ -53,25 +65,32 @@ class Simulation:
                     f"optitrack_sim is set to body {body!r}, but the tracked body of scene "
                     f"{params.scene!r} is {make_scene.body!r}"
                 )
-        self.wam.attach(World(params.world(mocap), params.seed, make_scene), on_frame)
+        world = World(params.world(mocap), params.seed, make_scene)
+        self._watch.check()  # while the world was built, others were discovered
+        self.wam.attach(world, on_frame)
         rngs = [np.random.default_rng((params.seed, link)) for link in range(2)]
         self._out = Link(params.state_latency, params.state_jitter, params.state_loss, rngs[0])
         self._in = Link(params.command_latency, params.command_jitter, params.command_loss, rngs[1])
         self._statistics = LoopStatistics(PERIOD_NS)
         self._published_ns = 0  # steady clock
-        self._granted = scheduling.request(params.realtime_priority)
+        self._granted = _schedule(params.realtime_priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.wam.create_timer(1.0, self._report, clock=steady)
 
     def spin(self, ended: Callable[[], bool]) -> None:
-        """Keep the pace until `ended()`."""
+        """Keep the pace until `ended()`, or until a robot appears."""
+
+        def over() -> bool:
+            self.intruder = self._watch.look()
+            return bool(self.intruder) or ended()
+
         executor = node_runner.executor_for(self.wam)
         if self.optitrack is not None:
             executor.add_node(self.optitrack)
         if self.wam.lockstep:
-            self._lockstep(executor, ended)
+            self._lockstep(executor, over)
         else:
-            self._real_time(executor, ended)
+            self._real_time(executor, over)
 
     def _lockstep(self, executor: Executor, ended: Callable[[], bool]) -> None:
         self.wam.on_torque = self._answer
@@ -109,10 +128,11 @@ class Simulation:
                 self.wam.publish(message)
             self._statistics.add(now, time.monotonic_ns())
             deadline_ns += PERIOD_NS  # absolute: being late once does not shift the rest
-            if now - deadline_ns > LATE_NS:
+            due_ns = deadline_ns
+            if now - due_ns > LATE_NS:
                 self.wam.counters["clock held"] += 1
-                self.wam.stamp_offset_ns += now - deadline_ns
-                deadline_ns = now
+                deadline_ns = time.monotonic_ns() + PERIOD_NS  # a rest: others need the core too
+                self.wam.stamp_offset_ns += deadline_ns - due_ns
 
     @property
     def _delays(self) -> bool:
@@ -123,13 +143,29 @@ class Simulation:
         self.wam.report({**self._statistics.report(), **granted})
 
 
+def _schedule(priority: int) -> scheduling.Granted:
+    """Real-time scheduling, except on a single core, where nothing else would run beside it."""
+    if priority and hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) == 1:
+        return scheduling.Granted("refused: on a single core a simulation would take it whole")
+    return scheduling.request(priority)
+
+
 def _no_frame(frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
     """Frames of a scene without a tracked body: there are none."""
 
 
 def main() -> int:
-    """Run both stand-ins until a signal."""
-    return node_runner.run(Simulation, spin=lambda simulation, ended: simulation.spin(ended))
+    """Run both stand-ins until a signal, or until a robot appears in their domain."""
+    intruders = []
+
+    def spin(simulation: Simulation, ended: Callable[[], bool]) -> None:
+        simulation.spin(ended)
+        if simulation.intruder:
+            intruders.append(simulation.intruder)
+            text = f"{simulation.intruder}: a simulation must not meet a robot, and ends"
+            simulation.wam.get_logger().fatal(text)
+
+    return node_runner.run(Simulation, spin=spin) or (REFUSED if intruders else 0)
 
 
 if __name__ == "__main__":

@@ -51,6 +51,7 @@ class WamSimParams(Params):
     velocity_topic: str
     command_topic: str
     command_type: Literal["multiarray", "joint_state"]
+    listeners: tuple[str, ...] = Field(max_length=100)
     watchdog: bool
     deactivates: bool
     state_latency: Delay
@@ -110,6 +111,31 @@ class WamSim(Node):
         self.counters: Counter[str] = Counter()
         self.lockstep = params.pace == "lockstep"
 
+    def attach(self, world: World, on_frame: Callable[[MocapFrame, int, int], None]) -> None:
+        """Take charge of a world, and become a driver: until then there are no topics.
+
+        Args:
+            world: World to step.
+            on_frame: Callback for its frames, with the stamp offset and the time [ns].
+        """
+        self.world, self._on_frame = world, on_frame
+        params, lockstep = self.params, self.lockstep
+        self._connect()
+        # in real time the stamps are those of the system clock, as a driver's are
+        self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
+        arm = Arm(world.urdf, params.model_joint_names, params.tool_frame, guarded=())
+        self._control = PositionControl(arm, params.driver_compensates_gravity, PERIOD)
+        is_wam = params.drives == "wam"
+        home = FOLDED if is_wam else np.array(params.home)
+        self._barrett = BarrettServices(self, world, self._control, home, lockstep)
+        self._scene = SceneServices(
+            self, world, params.seed, lockstep, is_wam, lambda: self._control.engaged, self.counters
+        )
+        self._description.publish(String(data=world.urdf))
+
+    def _connect(self) -> None:
+        """Make the topics of the driver."""
+        params = self.params
         qos = interface.STATE_OUT_DEEP
         self._states = self.create_publisher(JointState, params.state_topic, qos)
         self._velocities = None
@@ -129,27 +155,6 @@ class WamSim(Node):
         self.create_subscription(
             message_type, params.command_topic, self._on_torque, interface.COMMAND
         )
-
-    def attach(self, world: World, on_frame: Callable[[MocapFrame, int, int], None]) -> None:
-        """Take charge of a world.
-
-        Args:
-            world: World to step.
-            on_frame: Callback for its frames, with the stamp offset and the time [ns].
-        """
-        self.world, self._on_frame = world, on_frame
-        params, lockstep = self.params, self.lockstep
-        # in real time the stamps are those of the system clock, as a driver's are
-        self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
-        arm = Arm(world.urdf, params.model_joint_names, params.tool_frame, guarded=())
-        self._control = PositionControl(arm, params.driver_compensates_gravity, PERIOD)
-        is_wam = params.drives == "wam"
-        home = FOLDED if is_wam else np.array(params.home)
-        self._barrett = BarrettServices(self, world, self._control, home, lockstep)
-        self._scene = SceneServices(
-            self, world, params.seed, lockstep, is_wam, lambda: self._control.engaged, self.counters
-        )
-        self._description.publish(String(data=world.urdf))
 
     # The tick
 

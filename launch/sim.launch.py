@@ -6,9 +6,14 @@
     ros2 launch wam_power_ros sim.launch.py config:="geodude natnet_ros2"
 
 With `config` the stand-ins behave like those devices: hardware.launch.py in simulation.
+
+It runs in the domain of ROS_DOMAIN_ID, on this machine, and refuses to where a driver or another
+session is. (`wam-power learn` takes a domain of its own.)
 """
 
 import os
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -19,7 +24,9 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from wam_power_ros.cli.launcher import task_setup
 from wam_power_ros.params import overlay
+from wam_power_ros.ros.domain import exported, hold
 
+HELD = []  # the lock of the domain, until the launch ends
 SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
 
 
@@ -40,6 +47,7 @@ def nodes(context: LaunchContext) -> list[Node]:
     }
     file = Path(tempfile.mkdtemp(prefix="wam_power_ros_")) / "parameters.yaml"
     file.write_text(overlay.text(setup))
+    check_domain(file)
     executables = ["wam_sim", "torque_controller", "demonstration_recorder"]
     if setup["pancake_tracker"]["body"]:
         executables.append("pancake_tracker")
@@ -56,6 +64,18 @@ def nodes(context: LaunchContext) -> list[Node]:
         )
         for name in executables
     ]
+
+
+def check_domain(parameters: Path) -> None:
+    """Refuse a domain in which a controller would hold a robot instead of the simulation.
+
+    Raises:
+        RuntimeError: A driver, another stand-in or another session is there.
+    """
+    HELD.append(hold(exported(os.environ)))
+    command = [sys.executable, "-m", "hardware_sim.driver_watch", "--ros-args"]
+    if subprocess.run([*command, "--params-file", str(parameters)]).returncode:
+        raise RuntimeError("this domain is not free for a simulation, see above")
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import random
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -27,8 +24,10 @@ from rclpy.task import Future
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy
+from wam_power_ros.ros import network
+from wam_power_ros.ros.domain import private_domain
 
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+network.confine(os.environ)  # this process, too
 settings.register_profile("any machine", deadline=None)  # however busy it is
 settings.load_profile("any machine")
 T = TypeVar("T")
@@ -48,17 +47,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture
 def domain_id() -> Iterator[int]:
     """A DDS domain nobody else on this machine uses, for as long as the test runs."""
-    domains = list(range(1, 102))  # above these, ports may meet those of other programs
-    random.shuffle(domains)
-    for domain in domains:
-        with (Path(tempfile.gettempdir()) / f"ros_domain_{domain}.lock").open("a") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                continue
-            yield domain
-            return
-    pytest.fail("no free DDS domain")
+    with private_domain() as domain:
+        yield domain
 
 
 class Probe:
@@ -139,7 +129,6 @@ class Processes:
         self._folder = folder
         self.environment = os.environ | {
             "ROS_DOMAIN_ID": str(domain_id),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
             "PYTHONUNBUFFERED": "1",
         }

@@ -33,9 +33,10 @@ OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "
 ALLOWED: dict[str, set[str]] = {
     "durable_files": set(),  # a root module that every folder with files may import
     "rotations": set(),
-    "bags": {"durable_files"},
-    "learning": {"rotations"},
-    "control": {"rotations", "learning"},
+    "arm_identity": set(),
+    "bags": {"durable_files", "arm_identity"},
+    "learning": {"rotations", "arm_identity"},
+    "control": {"rotations", "arm_identity", "learning"},
     "tracking": {"rotations", "learning"},
     "tasks": {"rotations", "learning"},
     "practice": {"durable_files", "learning", "tasks"},
@@ -51,7 +52,7 @@ ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting
 ALLOWED["experiments"] = {*BELOW, "hardware_sim"} - {"ros"}
 ALLOWED["cli"] = {*BELOW, "nodes", "console", "experiments"}
 ALLOWED["benchmark"] = {*ALLOWED, "cli"}
-PURE = ("rotations", "learning", "control", "tracking", "tasks", "conformance")
+PURE = ("rotations", "arm_identity", "learning", "control", "tracking", "tasks", "conformance")
 SPEAK_ROS = {"params", "ros", "nodes", "console", "hardware_sim", "benchmark"}
 SIMULATE = {"hardware_sim", "experiments", "benchmark"}
 

@@ -14,9 +14,11 @@ from open_loop import reproduced
 from rosbags.rosbag2 import StoragePlugin, Writer
 from scipy.interpolate import CubicSpline
 
+from wam_power_ros import arm_identity
+from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.layout import TYPES
-from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.bags.reader import noted_arm, read_demonstration
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
@@ -241,3 +243,25 @@ def test_the_shipped_reaches_are_half_a_metre_in_an_arc_and_two_primitives_follo
     beside = np.linalg.norm(mean[None] - followed[:, None], axis=2).min(axis=1)
     assert np.sqrt(np.mean(beside**2)) < 0.015  # where it goes; when, two primitives cannot tell
     assert np.linalg.norm(followed[-1] - mean[-1]) < 0.04
+
+
+@pytest.mark.requirement("S-59")
+def test_a_bag_of_another_arm_is_refused_and_one_that_does_not_say_is_read(tmp_path: Path) -> None:
+    ours = ArmIdentity("wam7", NAMES, "1" * 64, "2" * 64)
+    theirs = ArmIdentity("cobot7", ("c1", "c2", "c3"), "a" * 64, "b" * 64)
+    for name, noted in (("ours", ours), ("theirs", theirs), ("unknown", None)):
+        writer = BagWriter(tmp_path / name)
+        writer.add("/joint_states", layout.JOINT_STATE, QOS)
+        for index, row in enumerate(random_q(5)):
+            stamp_ns = START + 2_000_000 * index
+            joints = NAMES if noted is None else noted.joint_names
+            writer.write("/joint_states", stamp_ns, joint_state(stamp_ns, joints, row))
+        notes = {} if noted is None else {"arm": arm_identity.to_json(noted)}
+        writer.close(notes | {"joint_names": json.dumps(joints)})
+        assert noted_arm(tmp_path / name) == noted
+    for name in ("ours", "unknown"):
+        _, q = read_demonstration(tmp_path / name, NAMES, arm=ours)
+        np.testing.assert_array_equal(q, random_q(5))
+    with pytest.raises(ValueError, match=r"theirs is of another arm: of cobot7 .*; .* is wam7"):
+        read_demonstration(tmp_path / "theirs", NAMES, arm=ours)
+    read_demonstration(tmp_path / "theirs", NAMES)  # who does not ask reads it by its order

@@ -7,7 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_samples import NAMES, QOS, START, joint_state
 
+from wam_power_ros import arm_identity
+from wam_power_ros.arm_identity import ArmIdentity
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.params import overlay
 
@@ -74,3 +79,18 @@ def test_the_obstacle_of_reaching_is_half_way_of_the_nominal_demonstration() -> 
     np.testing.assert_allclose(centre, target.position, atol=1e-3)
     assert radius == 0.09
     assert setup["wam_sim"]["obstacle"] == setup["torque_controller"]["obstacle"]
+
+
+@pytest.mark.requirement("S-59")
+def test_a_bag_of_another_arm_is_not_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    theirs = ArmIdentity("cobot7", NAMES, "a" * 64, "b" * 64)
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
+    writer.write("/joint_states", START, joint_state(START, NAMES, np.zeros(3)))
+    path = writer.close({"arm": arm_identity.to_json(theirs)})
+    folder = tmp_path / "replay"
+    assert main.main(["replay", str(path), "--simulate", "--folder", str(folder)]) == 2
+    assert "is of another arm: of cobot7" in capsys.readouterr().err
+    assert not folder.exists()  # no node was started

@@ -61,7 +61,7 @@ def test_nodes_and_scripts_get_their_parameters_whatever_characters_are_in_them(
             "teach", demonstrations=0, series=odd, person=False, body="", state_topic="/states"
         )
         assert node.process.wait(60.0) == script.process.wait(60.0) == 2
-    assert "stem: " in node.log.read_text()
+    assert "stem = " in node.log.read_text()
     assert "directory" not in node.log.read_text()
 
 

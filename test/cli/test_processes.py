@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from wam_power_ros.cli.processes import ProcessError, Processes, private_domain
+from wam_power_ros.cli.processes import ProcessError, Processes
 
 SLEEP = [sys.executable, "-c", "import time; time.sleep(60)"]
 STUBBORN = [
@@ -89,18 +89,3 @@ def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     parent.kill()
     parent.wait(10.0)
     assert soon(lambda: not alive(child))
-
-
-def test_two_sessions_on_one_machine_get_different_domains(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-    with private_domain() as one, private_domain() as other:
-        assert one != other
-        assert 1 <= one <= 101
-
-
-def test_a_domain_that_was_asked_for_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
-    with private_domain() as domain:
-        assert domain == 42

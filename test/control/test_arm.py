@@ -60,6 +60,10 @@ def test_the_jacobian_is_the_derivative_of_the_pose(arm: Arm) -> None:
         motion = arm.motion(q, qd)
         assert np.allclose(motion.twist, twist, atol=1e-12)
         assert motion.tool_speed == pytest.approx(np.linalg.norm(twist[:3]))
+        arm.tool_pose(HOME)  # nothing of another posture is left
+        motion, (position, rotation) = arm.motion(q, qd), arm.tool_pose(q)
+        assert np.array_equal(motion.position, position)
+        assert np.array_equal(motion.rotation, rotation)
 
 
 def test_the_drift_is_the_change_of_the_twist_without_joint_acceleration(arm: Arm) -> None:
@@ -225,3 +229,44 @@ def test_guarded_points_are_read_three_numbers_each() -> None:
             guarded_points(*wrong)
     with pytest.raises(ValueError, match=r"guarded point elbow .* must be 3 finite numbers"):
         Arm(URDF, NAMES, guarded=[Guarded("elbow", "wam_link4", (0.0, np.nan, 0.0))])
+
+
+def changed(pattern: str, replacement: str) -> str:
+    text, count = re.subn(pattern, replacement, URDF, count=1)
+    assert count == 1
+    return text
+
+
+@pytest.mark.requirement("S-59")
+def test_an_arm_is_known_again_and_another_one_is_not_taken_for_it(arm: Arm) -> None:
+    ours = arm.identity()
+    arm.motion(HOME, HOME)  # whatever its buffers hold
+    assert arm.identity() == ours == Arm(URDF, NAMES).identity()
+    assert (ours.name, ours.joint_names) == ("wam7", tuple(NAMES))
+    cobot = Arm(
+        share("urdf/cobot7.urdf").read_text(),
+        [f"cobot_joint{i}" for i in range(1, 8)],
+        "cobot_pan",
+        guarded=(),
+    )
+    assert cobot.n == arm.n
+    assert cobot.identity().kinematics != ours.kinematics
+    assert Arm(URDF, NAMES, "wam_link7").identity().kinematics != ours.kinematics  # no pan
+
+
+@pytest.mark.requirement("S-59")
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "differ"),
+    [
+        (r'xyz="0\.045 0 0\.55(" rpy="-1)', r'xyz="0.045 0 0.551\1', {"kinematics"}),
+        (r'(<mass value=")10\.76768767', r"\g<1>10.9", {"dynamics"}),
+        (r'(<limit [^>]*effort=")[0-9.]+', r"\g<1>1.0", set()),
+        (r'<robot name="[^"]*"', '<robot name="other"', {"name"}),
+    ],
+)
+def test_the_identity_has_geometry_and_masses_apart_and_no_limits(
+    arm: Arm, pattern: str, replacement: str, differ: set[str]
+) -> None:
+    ours = arm.identity()._asdict()
+    theirs = Arm(changed(pattern, replacement), NAMES).identity()._asdict()
+    assert {name for name in ours if ours[name] != theirs[name]} == differ

@@ -9,7 +9,7 @@ import pytest
 
 from wam_power_ros.control.arm import WAM_GUARDED, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.feasibility import simulate_policy
+from wam_power_ros.control.feasibility import Feasibility, simulate_policy
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.learning.rollout import FaultKind
@@ -69,12 +69,17 @@ def test_the_whole_movement_is_simulated_whether_or_not_an_obstacle_would_end_it
     assert ended.fault is None and ended.tool_peak == whole.tool_peak > 0.1
 
 
-def test_the_margin_decides_what_is_too_fast(arm: Arm) -> None:
+def test_the_margin_decides_what_is_too_fast(arm: Arm, free: Feasibility) -> None:
     policy = lift(arm, 0.25)
-    free = simulate_policy(arm, SETTINGS, policy, margin=1.0)
     share_used = float((free.qd_peak / arm.qd_max).max())
     assert free.fault is None and share_used > 0.1
     assert simulate_policy(arm, SETTINGS, policy, margin=0.8 * share_used).fault
+
+
+@pytest.fixture(scope="module")
+def free(arm: Arm) -> Feasibility:
+    """A lift of 25 cm that is not near any limit, without a margin."""
+    return simulate_policy(arm, SETTINGS, lift(arm, 0.25), margin=1.0)
 
 
 @pytest.mark.parametrize(
@@ -86,10 +91,9 @@ def test_the_margin_decides_what_is_too_fast(arm: Arm) -> None:
     ],
 )
 def test_a_tenth_of_each_speed_limit_is_kept_in_reserve(
-    arm: Arm, name: str, kind: FaultKind
+    arm: Arm, free: Feasibility, name: str, kind: FaultKind
 ) -> None:
     policy = lift(arm, 0.25)
-    free = simulate_policy(arm, SETTINGS, policy, margin=1.0)
     peaks = {
         "qd_max": free.qd_peak.max(),
         "elbow_speed": free.elbow_peak,
@@ -101,14 +105,12 @@ def test_a_tenth_of_each_speed_limit_is_kept_in_reserve(
     assert simulate_policy(arm, settings, policy).fault.kind is kind
 
 
-def test_the_fastest_of_the_guarded_points_is_reported() -> None:
-    urdf, policy = share("urdf/wam7.urdf").read_text(), None
+def test_the_fastest_of_the_guarded_points_is_reported(arm: Arm, free: Feasibility) -> None:
     peaks = []
-    for guarded in (WAM_GUARDED, WAM_GUARDED[:1], WAM_GUARDED[1:]):
-        arm = Arm(urdf, JOINTS, guarded=guarded)
-        policy = policy or lift(arm, 0.25)
-        peaks.append(simulate_policy(arm, SETTINGS, policy).elbow_peak)
-    assert peaks[0] == max(peaks[1:]) > min(peaks[1:]) > 0.1
+    for guarded in (WAM_GUARDED[:1], WAM_GUARDED[1:]):
+        with_one = Arm(share("urdf/wam7.urdf").read_text(), JOINTS, guarded=guarded)
+        peaks.append(simulate_policy(with_one, SETTINGS, lift(arm, 0.25)).elbow_peak)
+    assert free.elbow_peak == max(peaks) > min(peaks) > 0.1
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A rollout state by state: its end, its path, the obstacle, and what makes a policy unfit."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -172,3 +173,16 @@ def test_the_content_of_a_policy_is_the_same_under_any_name_and_only_kept_where_
     other = prepare(replace(POLICY, damping=31.0), ARM.n, LIMITS, held)
     assert first.content == second.content != other.content
     assert prepare(POLICY, ARM.n, LIMITS, SETTINGS).content == ""
+
+
+@pytest.mark.requirement("S-59")
+def test_a_policy_of_another_arm_is_refused_and_both_are_named() -> None:
+    ours = ARM.identity()
+    theirs = ours._replace(name="cobot7", kinematics="c" * 64)
+    settings = replace(SETTINGS, arm=ours)
+    why = f"policy trial-0001 is of another arm: of {theirs}; this one is {ours}"
+    with pytest.raises(ControllerError, match=re.escape(why)):
+        prepare(replace(POLICY, arm=theirs), ARM.n, LIMITS, settings)
+    for arm in (ours, None):
+        assert prepare(replace(POLICY, arm=arm), ARM.n, LIMITS, settings).id == POLICY.id
+    assert prepare(replace(POLICY, arm=theirs), ARM.n, LIMITS, SETTINGS).id == POLICY.id

@@ -60,13 +60,13 @@ def test_what_encoders_add_is_smoothed_away() -> None:
 
 
 def test_a_replay_gathers_speed_smoothly_and_ends_as_it_began() -> None:
-    stamps_ns = 10**9 + TICK * np.arange(501)
-    t, followed = movement(stamps_ns, np.outer(np.arange(501) * 0.002, np.ones(7)), 1.0)
-    assert len(t) == 131 and np.diff(t).max() <= 0.01 + 1e-9  # a posture every 10 ms of 1.3 s
+    stamps_ns = 10**9 + TICK * np.arange(500)
+    t, followed = movement(stamps_ns, np.outer(np.arange(500) * 0.002, np.ones(7)), 1.0)
+    assert len(t) == 131 and np.diff(t).max() < 0.01  # in 1.298 s
     speed = CubicSpline(t, followed[:, 0])
     for part, expected in ((0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (0.75, 0.84375), (1.0, 1.0)):
         assert speed(part * EASE, 1) == pytest.approx(expected, abs=2e-3)
-        assert speed(1.0 + EASE - part * EASE, 1) == pytest.approx(expected, abs=2e-3)
+        assert speed(0.998 + EASE - part * EASE, 1) == pytest.approx(expected, abs=2e-3)
 
 
 def test_a_recording_shorter_than_its_easing_goes_from_rest_to_rest_too() -> None:

@@ -337,3 +337,14 @@ def test_three_states_in_a_row_beyond_a_limit_of_the_mode_are_a_fault() -> None:
         tool_low = moving(position=np.array([0.0, 0.0, -0.6]))
         assert faults(mode, *[tool_low] * 3)[2] == (boxed or (FaultKind.PLANE if alone else None))
         assert faults(mode, *[Speeds([0.0, 0.0], 0.0)] * 3)[2] is None
+
+
+@pytest.mark.requirement("S-01")
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_torque_within_its_size_is_reached_at_the_limit_of_change(sign: float) -> None:
+    for joint in range(7):
+        wanted = sign * 0.9 * LIMITS.torque[joint] * np.eye(7)[joint]
+        for dt in (1e-6, 0.001):
+            sent = safety.limit_torque(wanted, np.zeros(7), dt, LIMITS)
+            expected = sign * min(0.9 * LIMITS.torque[joint], LIMITS.torque_rate[joint] * dt)
+            assert sent[joint] == pytest.approx(expected)

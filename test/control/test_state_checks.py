@@ -195,3 +195,17 @@ def test_gaps_and_jumps_are_measured_from_the_last_state_whatever_the_clock_says
     assert states.fault is None  # 0.09 rad in less than a period
     states.take(later + 24 * MS, Q - 0.2, ZERO, restart=False)
     assert states.fault.text == "no joint state for 21 ms"
+
+
+def test_the_very_first_state_may_be_refused() -> None:
+    states = StateChecks(7, 0.002, 180.0)
+    assert states.take(0, Q * math.nan, ZERO, restart=False) is Unanswered.REFUSED
+    assert (states.last, states.refused_in_row) == (None, 1)
+
+
+@pytest.mark.requirement("S-14")
+def test_positions_three_periods_apart_are_differentiated_and_later_ones_are_not() -> None:
+    for stamp, moved in ((6 * MS, True), (6 * MS + 1, False)):
+        states = checks()
+        states.take(stamp, Q + 0.01, None, restart=False)
+        assert states.last.qd.any() == moved

@@ -128,3 +128,17 @@ def test_a_process_stood_still_when_it_did_not_check_for_more_than_20_ms() -> No
         watchdog = fresh()
         watchdog.check(10 * MS)
         assert (watchdog.check(10 * MS + pause_ns) is None) == excused
+
+
+def test_a_fault_needs_more_than_20_ms_and_idling_more_than_100() -> None:
+    for age_ns, fault, idle in (
+        (20 * MS, False, False),
+        (20 * MS + 1, True, False),
+        (100 * MS, True, False),
+        (100 * MS + 1, True, True),
+    ):
+        watchdog = fresh()
+        for ms in range(age_ns // MS - 1):
+            watchdog.check(ms * MS)
+        silence = watchdog.check(age_ns)
+        assert ((silence.fault is not None), silence.idle) == (fault, idle)

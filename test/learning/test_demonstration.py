@@ -193,6 +193,9 @@ def test_positions_alone_make_a_demonstration() -> None:
     assert made.velocity == pytest.approx(np.stack([2.0 * t, t**0, 0.0 * t], axis=1), abs=1e-9)
     assert made.acceleration == pytest.approx(np.tile([2.0, 0.0, 0.0], (100, 1)), abs=1e-6)
     assert made.t == pytest.approx(t) and made.period == 0.01
+    for name in ("t", "q", "position", "velocity", "acceleration", "quat_xyzw", "rotation_vector"):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(made, name)[0] = 1.0
     assert not made.q.any() and made.q.shape == (100, 1) and not made.rotation_vector.any()
     assert made.quat_xyzw.tolist() == [[0.0, 0.0, 0.0, 1.0]] * 100
     assert from_positions(np.zeros((3, 3)), 0.01).duration == pytest.approx(0.02)

@@ -114,11 +114,11 @@ def test_exploration_starts_about_zero_with_unit_variance_and_never_repeats(
 ) -> None:
     plain = values | ({"candidates": 1} if "candidates" in values else {})
     learner = started(found, plain, 0)
-    samples = np.stack([learner.ask() for _ in range(1000)])
+    samples = np.stack([learner.ask() for _ in range(500)])
     assert not learner.mean.any()
-    np.testing.assert_allclose(samples.mean(axis=0), 0.0, atol=0.15)
-    np.testing.assert_allclose(samples.std(axis=0), 1.0, atol=0.1)
-    assert len(np.unique(samples[:, 0])) == 1000
+    np.testing.assert_allclose(samples.mean(axis=0), 0.0, atol=0.2)
+    np.testing.assert_allclose(samples.std(axis=0), 1.0, atol=0.15)
+    assert len(np.unique(samples[:, 0])) == 500
 
 
 def test_a_sample_is_the_mean_plus_the_noise() -> None:

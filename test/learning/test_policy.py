@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.learning.policy import SIZE_MAX, Basis, Policy, from_json, to_json, with_id
 
 
@@ -209,7 +210,7 @@ def changed(**keys: object) -> str:
         (to_json(make()).replace("32.0", "-Infinity"), "not a finite number"),
         (to_json(make()).replace("32.0", "1e999"), "damping"),
         (to_json(make()).replace("32.0", "1" + "0" * 400), "damping"),
-        (changed(schema="wam_power_ros/policy/2"), "schema"),
+        (changed(schema="wam_power_ros/policy/3"), "schema"),
         (changed(schema=...), "schema"),
         (changed(damping=...), "damping"),
         (changed(damping="32"), "damping"),
@@ -243,6 +244,39 @@ def test_a_damaged_text_raises_value_error_or_is_a_valid_policy(data: st.DataObj
     assert np.isfinite(policy.stiffness).all()
 
 
+def test_an_id_too_long_to_show_is_shown_in_part() -> None:
+    for wrong, shown in (
+        ("x" * 70, "'" + "x" * 70 + "' must"),
+        ("x" * 9999, "'" + "x" * 99 + "... "),
+    ):
+        with pytest.raises(ValueError, match="must match") as refused:
+            with_id(make(), wrong)
+        assert shown in str(refused.value) and len(str(refused.value)) < 200
+
+
 def test_bytes_are_not_text() -> None:
     with pytest.raises(ValueError, match="bytes"):
         from_json(to_json(make()).encode())  # type: ignore[arg-type]
+
+
+ARM = ArmIdentity("wam7", tuple(f"wam_j{i}" for i in range(1, 8)), "1" * 64, "2" * 64)
+
+
+@pytest.mark.requirement("S-59")
+def test_a_policy_keeps_the_arm_it_is_of_and_an_old_text_has_none() -> None:
+    policy = replace(make(), arm=ARM)
+    assert from_json(to_json(policy)).arm == ARM
+    assert with_id(policy, "again").arm == ARM
+    old = json.loads(to_json(make())) | {"schema": "wam_power_ros/policy/1"}
+    del old["arm"]
+    assert from_json(json.dumps(old)).arm is None
+    assert to_json(from_json(json.dumps(old))) == to_json(make())
+
+
+def test_an_arm_that_does_not_fit_the_policy_or_is_no_identity_is_refused() -> None:
+    with pytest.raises(ValueError, match="q_start has 7 joints; arm is wam7"):
+        replace(make(), arm=ARM._replace(joint_names=("wam_j1",)))
+    text = json.loads(to_json(replace(make(), arm=ARM)))
+    text["arm"]["kinematics"] = "x"
+    with pytest.raises(ValueError, match="'x' of an arm's identity"):
+        from_json(json.dumps(text))

@@ -10,10 +10,14 @@ from wam_power_ros.learning.shaped_power import ShapedPower
 
 def test_a_mirrored_pair_is_symmetric_about_the_mean_it_was_sampled_about() -> None:
     learner = climb(ShapedPower(SIZE, ShapedPower.Settings(warm_up=4), rng(2)), 20)
-    centre = learner.mean
-    first = learner.ask()
-    learner.tell(first, 1.0)
-    np.testing.assert_allclose(learner.ask(), 2.0 * centre - first, atol=1e-12)
+    for ret in (1.0, 1.1, 1.2, 1.3):
+        centre = learner.mean
+        first = learner.ask()
+        learner.tell(first, ret)
+        second = learner.ask()
+        np.testing.assert_allclose(second, 2.0 * centre - first, atol=1e-12)
+        assert not np.array_equal(learner.mean, centre)
+        learner.tell(second, ret)
 
 
 def test_the_mean_stays_during_the_warm_up() -> None:

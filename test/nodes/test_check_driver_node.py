@@ -16,8 +16,8 @@ from broken_standins import FAULTS
 from conftest import ROOT, Probe, Processes
 from std_msgs.msg import String
 
-from wam_power_ros.cli import processes
 from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros.domain import private_domain
 
 BROKEN = {  # fault -> the one row that fails, and what it says of it
     "wrong order": ("gravity", "wrong order of joints: wam_j2, wam_j6"),
@@ -39,7 +39,8 @@ class Bench:
         command = [sys.executable, str(ROOT / "test/broken_standins.py"), "--ros-args"]
         for name in ("wam_sim", "optitrack_sim"):
             command += ["--params-file", str(ROOT / f"config/{name}.yaml")]
-        command += ["-p", "wam_sim:pace:=real_time", "-p", "wam_sim:realtime_priority:=70"]
+        for value in ("pace:=real_time", "realtime_priority:=70", "listeners:=[probe]"):
+            command += ["-p", f"wam_sim:{value}"]
         self.process = self.processes.start(command)
         self._faults = self.probe.publisher(String, "/fault", interface.LATCHED)
 
@@ -74,7 +75,7 @@ class Bench:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    with processes.private_domain() as domain_id:
+    with private_domain() as domain_id:
         bench = Bench(domain_id, tmp_path_factory.mktemp("check"))
         yield bench
         bench.close()

@@ -23,7 +23,9 @@ from std_srvs.srv import SetBool
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.recovery import recover
+from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy, to_json
+from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.answers import Code, read
 
@@ -140,6 +142,7 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     info = information(path)
     custom = info["custom_data"]
     assert json.loads(custom["joint_names"]) == NAMES
+    assert reader.noted_arm(path) == Arm(share("urdf/wam7.urdf").read_text(), NAMES).identity()
     assert (custom["source"], custom["rate"]) == ("sim", "500.0")
     assert json.loads(custom["missing"])["/joint_states"] == 0
     topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}

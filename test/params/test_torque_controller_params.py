@@ -136,6 +136,12 @@ def test_a_real_arm_does_not_go_by_simulated_time(domain_id: int) -> None:
         rclpy.shutdown(context=context)
 
 
+@pytest.mark.requirement("S-59")
+def test_the_controller_takes_policies_of_its_own_arm_only(tmp_path: Path) -> None:
+    controller = params(tmp_path).controller(URDF)
+    assert controller.settings.arm == controller.arm.identity()
+
+
 def test_guarded_points_may_have_any_name_and_be_none(tmp_path: Path) -> None:
     wrist = {"guarded_names": ["wrist"], "guarded_links": ["wam_link6"]}
     named = params(tmp_path, **wrist, guarded_points=[0.0, 0.0, 0.1])

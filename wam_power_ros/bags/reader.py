@@ -13,12 +13,16 @@ import numpy as np
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import Reader
 
+from wam_power_ros.arm_identity import ArmIdentity, from_json, refusal
 from wam_power_ros.bags import integrity, plain_yaml
 from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES, unfinished
 
 
 def read_demonstration(
-    path: Path | str, joint_names: Sequence[str], topic: str | None = None
+    path: Path | str,
+    joint_names: Sequence[str],
+    topic: str | None = None,
+    arm: ArmIdentity | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles from a rosbag2 bag, MCAP or SQLite, whoever recorded it.
 
@@ -31,15 +35,18 @@ def read_demonstration(
         path: Folder of the bag.
         joint_names: Order of the columns of the result.
         topic: Topic of JointState; the one the bag notes, or /joint_states, if omitted.
+        arm: Arm that the bag must be of, as far as it says; any if omitted.
 
     Returns:
         Stamps (M,) int64 [ns], strictly increasing, and angles (M, nj) [rad].
 
     Raises:
-        ValueError: Naming what is wrong: no bag, no such topic, joints missing, a value that is not
-            finite, stamps that go back.
+        ValueError: Naming what is wrong: no bag, of another arm, no such topic, joints missing, a
+            value that is not finite, stamps that go back.
     """
     path = Path(path)
+    if why := refusal(noted_arm(path), arm):
+        raise ValueError(f"{path} {why}")
     noted, noted_topic, simulated = _noted(path)
     topic = topic or noted_topic
     states = [_joint_angles(path, topic, cdr) for cdr in _messages(path, topic, JOINT_STATE)]
@@ -74,6 +81,20 @@ def read_demonstration(
             f"{path}: no message on {topic} has the joints {list(ours)}; it has {sorted(seen)}"
         )
     return np.array(stamps, dtype=np.int64), np.array(rows)
+
+
+def noted_arm(path: Path) -> ArmIdentity | None:
+    """Arm that a bag is of; None if it does not say, as those of other recorders.
+
+    Raises:
+        ValueError: It is no bag, or what it says is no identity.
+    """
+    _check_metadata(path)
+    notes = custom_data(plain_yaml.read(path / "metadata.yaml"))
+    try:
+        return from_json(notes.get("arm", ""))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def _noted(path: Path) -> tuple[tuple[str, ...], str, bool]:

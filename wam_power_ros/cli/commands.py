@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 from wam_power_ros.cli.launcher import (
     DOMAIN,
+    STAND_INS,
     Launcher,
     UsageError,
     interrupt,
@@ -51,12 +52,8 @@ def teach(options: argparse.Namespace) -> None:
     with launch(options, folder, options.seed or 0, task) as launcher:
         bags = _record_demonstrations(launcher, folder, options)
     again = ["--task", task] if options.task else []
-    print(
-        "To learn from them:\n  wam-power learn --bags",
-        *map(short_path, bags),
-        *again,
-        *setup_options(options),
-    )
+    words = ["wam-power", "learn", "--bags", *map(str, map(short_path, bags)), *again]
+    print(f"To learn from them:\n  {shlex.join([*words, *setup_options(options)])}")
 
 
 def learn(options: argparse.Namespace) -> int:
@@ -75,9 +72,8 @@ def learn(options: argparse.Namespace) -> int:
         _check_names(task, options)
         print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
-    again = " ".join(
-        ["wam-power learn --session", str(short_path(folder)), *setup_options(options)]
-    )
+    words = ["wam-power", "learn", "--session", str(short_path(folder)), *setup_options(options)]
+    again = shlex.join(words)
     try:
         with launch(options, folder, seed, task) as launcher:
             if launcher.setup["pancake_tracker"]["body"]:
@@ -107,11 +103,20 @@ def learn(options: argparse.Namespace) -> int:
 
 def replay(options: argparse.Namespace) -> int:
     """Repeat a recorded movement with the arm."""
+    from wam_power_ros import arm_identity
     from wam_power_ros.bags import reader
     from wam_power_ros.control import replay_trajectory
+    from wam_power_ros.control.arm import Arm
+    from wam_power_ros.params.resources import share
 
-    names = overlay.setup(options.config, options.simulate)["torque_controller"]["joint_names"]
-    replay_trajectory.movement(*reader.read_demonstration(options.bag, names), options.speed)
+    controller = overlay.setup(options.config, options.simulate)["torque_controller"]
+    names, identity = controller["joint_names"], None
+    if controller["urdf"]:
+        urdf = share(controller["urdf"]).read_text()
+        model = Arm(urdf, controller["model_joint_names"], controller["tool_frame"], guarded=())
+        identity = model.identity()
+    recorded = reader.read_demonstration(options.bag, names, arm=identity)
+    replay_trajectory.movement(*recorded, options.speed)
     folder = (options.folder or REPLAYS / now()).resolve()
     signal.signal(signal.SIGTERM, interrupt)
     changes = {"demonstration_recorder": {"stem": "replay"}}
@@ -121,6 +126,7 @@ def replay(options: argparse.Namespace) -> int:
             bag=str(options.bag.resolve()),
             speed=options.speed,
             joint_names=list(names),
+            arm=arm_identity.to_json(identity),
             person=not simulated(options),
         )
         while True:
@@ -191,10 +197,7 @@ def feedback(options: argparse.Namespace) -> int:
         raise UsageError("a bag is needed for a demonstration, and only for that")
     domain = _existing_session(options.session) / "logs" / DOMAIN
     if domain.exists():
-        os.environ |= {
-            "ROS_DOMAIN_ID": domain.read_text().strip(),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        }
+        os.environ |= STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
     from wam_power_ros.console.feedback import give
 
     accepted, answer = give(options.kind, options.bag)
@@ -242,14 +245,24 @@ def _check_names(task: str, options: argparse.Namespace) -> None:
 
     Raises:
         ValueError: When task, learner or preset is not known; lists the known names.
-        UsageError: When a bag is a demonstration of another task, by its name.
+        UsageError: When a bag is a demonstration of another task, by its name, or the budget leaves
+            nothing to practise.
     """
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.settings import preset
 
     if options.learner:
         plugins.learner_type(options.learner)
-    preset(task, options.preset or "", {"name": options.learner} if options.learner else None)
+    learner = {"name": options.learner} if options.learner else None
+    changes = {} if options.trials is None else {"budget": options.trials}
+    budget = preset(task, options.preset or "", learner, **changes).practice.budget
+    count = len(options.bags) if options.bags else options.demonstrations
+    reproductions = 1 if plugins.task_type(task).together else count
+    if budget <= reproductions:
+        raise UsageError(
+            f"a budget of {budget} rollouts leaves none to practise after "
+            f"{reproductions} reproductions of demonstrations; raise --trials"
+        )
     tasks: dict[str, set[str]] = {}
     for name in plugins.names(plugins.TASKS):
         recorder = overlay.setup(task=task_setup(name))["demonstration_recorder"]

@@ -4,21 +4,30 @@
 from __future__ import annotations
 
 import argparse
+import fcntl
 import json
 import os
+import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
 
-from wam_power_ros.cli.processes import Processes, Running, private_domain
-from wam_power_ros.console.prompt import ask
+from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params import overlay
+from wam_power_ros.ros.domain import exported, hold, private_domain
 
 DOMAIN = "ros_domain_id"  # file in a session's logs/ that holds the domain of its simulated nodes
+MEGABYTE = 1e6
+STAND_INS = {  # variables of simulated nodes, whatever this terminal exports for a robot
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "ROS_STATIC_PEERS": "",
+    "ROS_DISCOVERY_SERVER": "",
+}
 
 
 class UsageError(Exception):
@@ -72,29 +81,89 @@ def launch(
         seed: Seed of the stand-in.
         task: Name of the task whose set-up lies under the others; empty for none.
         changes: Parameters by node that override the set-up.
+
+    Raises:
+        UsageError: Another launcher is at work in the folder, or its disk is nearly full.
+        DomainError: Another session holds the robot's domain, or ROS_DOMAIN_ID is none.
     """
     setup = overlay.setup(options.config, options.simulate, task_setup(task) if task else "")
     for node, values in (changes or {}).items():
         setup[node] |= values
-    file = folder / "logs" / "parameters.yaml"
-    file.parent.mkdir(parents=True, exist_ok=True)
-    file.write_text(overlay.text(setup))
-    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **os.environ}
-    domain = folder / "logs" / DOMAIN
+    check_space(folder, setup["demonstration_recorder"]["free_to_start"])
+    logs = folder / "logs"
     with ExitStack() as stack:
         if simulated(options):
-            environment["ROS_DOMAIN_ID"] = str(stack.enter_context(private_domain()))
-            domain.write_text(environment["ROS_DOMAIN_ID"] + "\n")
+            domain = stack.enter_context(private_domain())
+            environment = STAND_INS | {"ROS_DOMAIN_ID": str(domain)}
+            stack.enter_context(held(folder))
+            (logs / DOMAIN).write_text(f"{domain}\n")
+            _tell_domain(domain)
         else:
-            domain.unlink(missing_ok=True)
+            domain = exported(os.environ)
+            if lock := hold(domain):
+                stack.enter_context(lock)
+            environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach(os.environ)}
+            stack.enter_context(held(folder))
+            (logs / DOMAIN).unlink(missing_ok=True)
             _confirm_activation()
-        processes = stack.enter_context(Processes(folder / "logs", environment))
+        file = logs / "parameters.yaml"
+        file.write_text(overlay.text(setup), encoding="utf-8")
+        processes = stack.enter_context(Processes(logs, environment))
         launcher = Launcher(processes, setup, file)
         if simulated(options):
             launcher.node("wam_sim", seed=seed)
         launcher.node("torque_controller")
         launcher.node("demonstration_recorder", directory=str(folder / "bags"))
         yield launcher
+
+
+@contextmanager
+def held(folder: Path) -> Iterator[None]:
+    """Keep other launchers out of a folder, before anything is written there.
+
+    Raises:
+        UsageError: Another one, or a learner, is at work there.
+    """
+    (folder / "logs").mkdir(parents=True, exist_ok=True)
+    with ExitStack() as stack:
+        for path in (folder / "logs" / ".lock", folder / ".lock"):  # a launcher's, a learner's
+            file = stack.enter_context(path.open("a"))
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UsageError(f"another wam-power or learner is at work in {folder}") from None
+        file.close()  # the learner's own again
+        yield
+
+
+def check_space(folder: Path, needed: float) -> None:
+    """Check that a disk has room for the first recording, before a person teaches.
+
+    Args:
+        folder: Folder for the bags; it need not be there yet.
+        needed: Free space below which the recorder begins no recording [MB].
+
+    Raises:
+        UsageError: There is less.
+    """
+    place = next(path for path in (folder, *folder.resolve().parents) if path.exists())
+    free = shutil.disk_usage(place).free / MEGABYTE
+    if free < needed:
+        raise UsageError(f"{free:.0f} MB free on the disk of {folder}, {needed:.0f} MB needed")
+
+
+def reach(environment: Mapping[str, str]) -> str:
+    """Discovery range of nodes that are started: this machine, unless the environment names one."""
+    return environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "LOCALHOST"
+
+
+def _tell_domain(domain: int) -> None:
+    exported = os.environ.get("ROS_DOMAIN_ID")
+    unused = f", not in the exported {exported}," if exported else ""
+    show(
+        f"Simulation: in a DDS domain of its own{unused} that no robot shares. To look on: "
+        f"export ROS_DOMAIN_ID={domain}"
+    )
 
 
 def task_setup(task: str) -> str:

@@ -8,6 +8,7 @@ process opens no socket and imports no rclpy before a command needs it.
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -29,6 +30,7 @@ NODES = {  # executable -> entry point, as setup.py declares them
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `wam-power`; returns the exit status."""
+    _write_what_can_be_written()
     options = _parser().parse_args(arguments)
     try:
         return int(options.command(options) or 0)
@@ -37,6 +39,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     except KeyboardInterrupt:
         return 130
+
+
+def _write_what_can_be_written() -> None:
+    """Replace letters that the terminal does not know, here and in the processes started here."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    encoding = os.environ.get("PYTHONIOENCODING", "").partition(":")[0]
+    os.environ["PYTHONIOENCODING"] = f"{encoding}:replace"
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -8,16 +8,12 @@ them in order. Should the parent be killed, the kernel sends them SIGINT.
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import os
-import random
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -138,29 +134,3 @@ class Processes:
 
 def _end_with_parent() -> None:
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
-
-
-@contextmanager
-def private_domain() -> Iterator[int]:
-    """The DDS domain to work in: ROS_DOMAIN_ID if set, else one that is free on this machine.
-
-    A domain is taken by a lock on a file, which the kernel drops with the process.
-
-    Raises:
-        ProcessError: All are taken.
-    """
-    if os.environ.get("ROS_DOMAIN_ID"):
-        yield int(os.environ["ROS_DOMAIN_ID"])
-        return
-    domains = list(range(1, 102))  # above, its ports meet those the kernel hands out
-    random.SystemRandom().shuffle(domains)
-    for domain in domains:
-        with ExitStack() as held:
-            try:
-                path = Path(tempfile.gettempdir()) / f"ros_domain_{domain}.lock"
-                fcntl.flock(held.enter_context(path.open("a")), fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:  # taken, or made by another user
-                continue
-            yield domain
-            return
-    raise ProcessError("every DDS domain from 1 to 101 is taken; set ROS_DOMAIN_ID yourself")

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import os
 import re
 import time
 from collections.abc import Mapping, Sequence
@@ -96,7 +95,6 @@ def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float 
     topics, left_out = select_topics(path, wanted)
     for name, why in left_out.items():
         show(f"not played: {name}, because {why}")
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with participant(lambda: Node("player"), SignalHandlerOptions.NO) as node:
         _Player(node, topics).play(path, rate, wait)
 

@@ -18,6 +18,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from wam_power_ros.arm_identity import from_json
 from wam_power_ros.bags import reader
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.control import replay_trajectory
@@ -39,6 +40,7 @@ class ReplayParams(Params):
         bag: Path of the bag.
         speed: Speed relative to the recording; 1 is as recorded.
         joint_names: Joint names of the driver.
+        arm: Identity of the arm as JSON text; empty if unknown.
         person: Whether a person beside a real arm is asked before it moves.
     """
 
@@ -47,6 +49,7 @@ class ReplayParams(Params):
         ge=0.01, le=5.0, description="below, a replay lasts for ever; the joints allow no more"
     )
     joint_names: tuple[str, ...] = Field(min_length=1, max_length=16)
+    arm: str
     person: bool
 
 
@@ -58,7 +61,7 @@ class Replay(Node):
         self._params = params = ReplayParams.of(self)
         names = params.joint_names
         t, q = replay_trajectory.movement(
-            *reader.read_demonstration(params.bag, names), params.speed
+            *reader.read_demonstration(params.bag, names, arm=from_json(params.arm)), params.speed
         )
         self._duration = float(t[-1])
         self._message = joint_messages.movement_message(names, joint_messages.JointMovement(t, q))

@@ -8,6 +8,7 @@ again and again would cost more than computing it.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
 from typing import NamedTuple, NoReturn
@@ -15,6 +16,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
+
+from wam_power_ros.arm_identity import ArmIdentity
 
 FRICTION_SPEED = 0.02  # [rad/s] at which Coulomb friction is nearly whole
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tool's origin, along the base's axes
@@ -117,6 +120,7 @@ class Arm:
 
     Attributes:
         n: Number of joints.
+        name: Name of the robot in the URDF.
         joint_names: Names of the joints, in the order of all joint vectors.
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
@@ -150,6 +154,7 @@ class Arm:
             tree = ElementTree.fromstring(urdf)
         except (ValueError, RuntimeError, ElementTree.ParseError) as error:
             raise ValueError(f"the robot description is no URDF: {error}") from None
+        self.name = tree.get("name", "")
         self.joint_names = tuple(joint_names)
         self.model = _chain(full, self.joint_names)
         self.n = self.model.nv
@@ -196,6 +201,20 @@ class Arm:
         """A point given in a frame [m]. Shape (3,)."""
         parent = self.model.frames[frame]
         return _Point(self._data, int(parent.parentJoint), parent.placement.act(offset).tolist())
+
+    def identity(self) -> ArmIdentity:
+        """What tells this arm from another; its buffers are used."""
+        zero = self._zero
+        axes = pin.computeJointJacobians(self.model, self._data, zero)  # along the base's axes
+        geometry = np.concatenate([axes.ravel(), *(part.ravel() for part in self.tool_pose(zero))])
+        masses = [link.toDynamicParameters() for link in list(self.model.inertias)[1:]]
+        numbers = np.concatenate([*masses, self.armature])
+        return ArmIdentity(
+            name=self.name[:255],
+            joint_names=self.joint_names,
+            kinematics=_digest([f"{number:.4f}" for number in geometry.round(4) + 0.0]),
+            dynamics=_digest([f"{number:.3e}" for number in numbers.round(9) + 0.0]),
+        )
 
     def motion(self, q: np.ndarray, qd: np.ndarray) -> Motion:
         """Kinematics of one state: positions [rad] and speeds [rad/s], shapes (n,)."""
@@ -324,6 +343,10 @@ def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:
     if array.shape != (count,) or not np.isfinite(array).all():
         raise ValueError(f"{name} {array.tolist()} must be {count} finite numbers")
     return array
+
+
+def _digest(numbers: list[str]) -> str:
+    return hashlib.sha256(" ".join(numbers).encode()).hexdigest()
 
 
 def _length(twist: np.ndarray) -> float:

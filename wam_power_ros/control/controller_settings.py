@@ -4,6 +4,7 @@
 import math
 from dataclasses import dataclass
 
+from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.control.torque_law import LAWS
 
@@ -32,6 +33,7 @@ class ControllerSettings:
         contact_share: Torque that nothing explains, as a share of each joint's limit, beside its
             friction twice: more is a contact, and a fault, in hold, move and replay.
         unexplained_share: The same in rollouts, where the arm is faster and touches things.
+        arm: Arm that a policy must be of, as far as it says; None for any.
 
     Raises:
         ValueError: A value is out of range.
@@ -51,6 +53,7 @@ class ControllerSettings:
     damping_max: float = 100.0
     contact_share: float = 0.1
     unexplained_share: float = 0.25
+    arm: ArmIdentity | None = None
 
     def __post_init__(self) -> None:
         if self.law not in LAWS:

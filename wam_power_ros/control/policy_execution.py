@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wam_power_ros import rotations
+from wam_power_ros.arm_identity import refusal
 from wam_power_ros.control import torque_law
 from wam_power_ros.control.arm import Arm, Dynamics, Motion
 from wam_power_ros.control.controller_settings import ControllerSettings
@@ -72,6 +73,8 @@ def prepare(policy: Policy, n: int, limits: Limits, settings: ControllerSettings
         text = f"stiffness {stiffest:.0f} of {name} is above the limit {most:.0f} 1/s^2"
     elif (damping := max(policy.damping, policy.rotation_damping)) > settings.damping_max:
         text = f"damping {damping:.0f} of {name} is above the limit {settings.damping_max:.0f} 1/s"
+    elif why := refusal(policy.arm, settings.arm):
+        text = f"{name} {why}"
     if text:
         raise ControllerError(Refusal.REFUSED, text)
     content = ""

@@ -15,7 +15,9 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-SCHEMA = "wam_power_ros/policy/1"
+from wam_power_ros.arm_identity import ArmIdentity, identity_of
+
+SCHEMA = "wam_power_ros/policy/2"  # 1, which is read as well, does not say of which arm
 PERIOD = 0.002  # control period [s]
 SIZE_MAX = 1_000_000  # size of the JSON text [byte]
 COUNT_MAX = 200  # number of spring-dampers
@@ -136,6 +138,7 @@ class Policy:
         rotation_stiffness: Stiffness of the orientation [1/s^2].
         rotation_damping: Damping of the orientation [1/s].
         q_start: Joint angles at the start of the demonstration [rad]. Shape (nj,).
+        arm: Arm that it was learnt on; None if unknown.
 
     Raises:
         ValueError: If a value is out of range; names the value and the rule.
@@ -151,6 +154,7 @@ class Policy:
     rotation_stiffness: float
     rotation_damping: float
     q_start: np.ndarray
+    arm: ArmIdentity | None = None
 
     def __post_init__(self) -> None:
         check_id(self.id)
@@ -173,6 +177,8 @@ class Policy:
             object.__setattr__(self, name, _check_number(name, getattr(self, name), limit))
         if not 1 <= len(self.q_start) <= JOINTS_MAX:
             raise ValueError(f"q_start has {len(self.q_start)} joints; 1..{JOINTS_MAX} allowed")
+        if self.arm is not None and len(self.arm.joint_names) != len(self.q_start):
+            raise ValueError(f"q_start has {len(self.q_start)} joints; arm is {self.arm}")
         norm = float(np.linalg.norm(self.orientation_reference))
         if abs(norm - 1.0) > 1e-6:
             raise ValueError(f"orientation_reference has length {norm}; it must be 1")
@@ -209,7 +215,9 @@ class _Text(BaseModel):
 
     model_config = ConfigDict(strict=True, extra="forbid")
 
-    schema_version: Literal["wam_power_ros/policy/1"] = Field(alias="schema")
+    schema_version: Literal["wam_power_ros/policy/1", "wam_power_ros/policy/2"] = Field(
+        alias="schema"
+    )
     id: str
     count: int
     duration: _Number
@@ -222,6 +230,7 @@ class _Text(BaseModel):
     rotation_stiffness: _Number
     rotation_damping: _Number
     q_start: Annotated[list[_Number], Field(min_length=1, max_length=JOINTS_MAX)]
+    arm: dict[str, Any] | None = None
 
 
 def to_json(policy: Policy) -> str:
@@ -241,6 +250,7 @@ def to_json(policy: Policy) -> str:
             "rotation_stiffness": policy.rotation_stiffness,
             "rotation_damping": policy.rotation_damping,
             "q_start": policy.q_start.tolist(),
+            "arm": None if policy.arm is None else policy.arm._asdict(),
         },
         allow_nan=False,
     )
@@ -281,6 +291,7 @@ def from_json(text: str) -> Policy:
         rotation_stiffness=parsed.rotation_stiffness,
         rotation_damping=parsed.rotation_damping,
         q_start=np.array(parsed.q_start),
+        arm=None if parsed.arm is None else identity_of(parsed.arm),
     )
 
 

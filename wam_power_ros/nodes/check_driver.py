@@ -44,7 +44,7 @@ from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages, scheduling
-from wam_power_ros.ros.node_runner import number_by_process
+from wam_power_ros.ros.node_runner import init, number_by_process
 from wam_power_ros.ros.stamps import nanoseconds
 
 RECEIVE_ALL = QoSProfile(
@@ -407,8 +407,8 @@ def main() -> int:
     options = _parser().parse_args(remove_ros_args(sys.argv)[1:])
     console, errors = Console(), Console(stderr=True)
     node = None
-    rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
     try:
+        init(sys.argv, SignalHandlerOptions.NO)
         setup = overlay.setup(options.config)
         arm = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
         mocap = PancakeTrackerParams.of_values("pancake_tracker", setup["pancake_tracker"])

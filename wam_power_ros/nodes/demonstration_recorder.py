@@ -21,11 +21,13 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 
-from wam_power_ros import __version__
+from wam_power_ros import __version__, arm_identity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.background_writer import Recording
+from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning import policy
 from wam_power_ros.params.node_params import Names, Params
+from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
@@ -53,6 +55,9 @@ class DemonstrationRecorderParams(Params):
     topics: Names
     latched_topics: Names
     joint_names: Names
+    model_joint_names: Names  # the same in the URDF
+    urdf: str  # path, or a file of our share folder; empty: the bag does not say of which arm it is
+    tool_frame: str
     source: Literal["sim", "hardware"]
     free_to_start: Megabytes
     free_to_continue: Megabytes
@@ -65,6 +70,11 @@ class DemonstrationRecorder(Node):
         name = "demonstration_recorder"
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self._params = params = DemonstrationRecorderParams.of(self)
+        self._arm = ""  # its identity, as text
+        if params.urdf:
+            urdf = share(params.urdf).read_text()
+            arm = Arm(urdf, params.model_joint_names, params.tool_frame, guarded=())
+            self._arm = arm_identity.to_json(arm.identity())
         self._directory = Path(params.directory).expanduser().absolute()
         self._recording: Recording | None = None
         self._last: dict[str, bytes] = {}  # message of the latched topics
@@ -173,6 +183,7 @@ class DemonstrationRecorder(Node):
         """Notes for the metadata that are known beforehand."""
         return {
             "joint_names": json.dumps(self._params.joint_names),
+            **({"arm": self._arm} if self._arm else {}),
             "state_topic": self._params.state_topic,
             "source": self._params.source,
             "version": f"wam_power_ros {__version__}",

@@ -13,6 +13,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path as FilePath
 from typing import Annotated
 
@@ -24,7 +25,8 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.arm_identity import refusal, remark
+from wam_power_ros.bags.reader import noted_arm, read_demonstration
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
@@ -37,13 +39,13 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.feedback import RATING_MAX
 from wam_power_ros.practice.practice import Practice, reproduction_of
-from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Event, Record
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.node_runner import executor_for, number_by_process
+from wam_power_ros.ros.node_runner import executor_for, init, number_by_process
 from wam_power_ros.tasks.task import Pose, Task
 
 Timeout = Annotated[
@@ -102,6 +104,7 @@ class SimulatedArm:
             )
         urdf = share(params.urdf).read_text()
         self.kinematics = Arm(urdf, params.model_joint_names, params.tool_frame)
+        self.identity = self.kinematics.identity()
         own, *over = (share(file) for file in params.controller)
         controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
         self._controller = controller_params.controller(urdf)
@@ -254,6 +257,7 @@ class Learner(Node):
         folder = FilePath(params.session)
         if Session.exists(folder):
             session = Session.open(folder)
+            self._check_arm(session)
         else:
             settings = self._settings()
             bags, demonstrations, candidates = self._fit_all(settings)
@@ -271,6 +275,16 @@ class Learner(Node):
         practice = session.practice(self._arm)
         self.get_logger().info(f"session {folder}: {len(session.records)} rollouts on record")
         return session, practice
+
+    def _check_arm(self, session: Session) -> None:
+        """Refuse a session of another arm, also one whose demonstrations were added later."""
+        _, candidates, _ = read(session.folder)
+        for policy in candidates:
+            if why := refusal(policy.arm, self._arm.identity):
+                session.close()
+                raise SessionFailed(f"{session.folder}: policy {policy.id} {why}")
+            if said := remark(policy.arm, self._arm.identity):
+                self.get_logger().info(f"{session.folder}: policy {policy.id} {said}")
 
     def _fit_all(
         self, settings: SessionSettings
@@ -335,14 +349,18 @@ class Learner(Node):
     def _demonstration(self, bag: str) -> Demonstration:
         """Movement in a bag; ValueError names the bag and the reason why there is none."""
         try:
-            stamps_ns, q = read_demonstration(FilePath(bag), self.params.joint_names)
+            ours = self._arm.identity
+            stamps_ns, q = read_demonstration(FilePath(bag), self.params.joint_names, arm=ours)
+            if said := remark(noted_arm(FilePath(bag)), ours):
+                self.get_logger().info(f"{bag} {said}")
             return from_joint_samples(self._arm.kinematics, stamps_ns, q)
         except (ValueError, OSError) as error:
             raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
 
     def _fit(self, demonstrations: list[Demonstration], bag: str, policy_id: str) -> Policy:
         try:
-            return self._task_type().policy_of(demonstrations, policy_id)
+            policy = self._task_type().policy_of(demonstrations, policy_id)
+            return replace(policy, arm=self._arm.identity)
         except ValueError as error:
             raise ValueError(f"{bag}: {error}") from error
 
@@ -376,9 +394,9 @@ def _line(record: Record) -> str:
 
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros learner`."""
-    rclpy.init()
     node = None
     try:
+        init()
         with number_by_process():
             node = Learner()
         node.practise()

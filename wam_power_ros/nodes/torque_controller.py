@@ -2,11 +2,14 @@
 """Torque controller: joint states in, one torque each out; policies in, finished rollouts out.
 
 A managed (lifecycle) node, thin over `control.controller.Controller`. The arm sets the pace: there
-is no clock beside its states, but a watchdog on the steady clock for when they stay away.
+is no clock beside its states, but a watchdog on the steady clock for when they stay away. Nothing
+that takes long happens here: policies and movements come finished from the process beside it (see
+`preparation`), which also publishes paths and diagnostics and logs.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import sys
 import time
@@ -16,20 +19,19 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.control.joint_references import Sampled
+from wam_power_ros.control.modes import MOVING, ControllerError, Mode
+from wam_power_ros.control.policy_execution import PreparedPolicy
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
-from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import (
@@ -37,18 +39,16 @@ from wam_power_ros.ros import (
     interface,
     joint_messages,
     node_runner,
-    pose_messages,
     scheduling,
     security,
 )
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.command_guard import SoleCommander
 from wam_power_ros.ros.deferred_service import LateTrigger
-from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-MOVING = (Mode.MOVE_TO_START, Mode.REPLAY)
+NOT_ACTIVE = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
 FRESH_NS = 1_000_000_000  # [ns] age of a joint state with which the arm may be activated
 VELOCITY_NS = 10_000_000  # [ns] age of a velocity of its own topic that is used
 REST_WITHIN = 0.5  # [s] in which the arm is brought to rest when this node ends
@@ -69,8 +69,8 @@ class TorqueController(LifecycleNode):
         self._controller: Controller | None = None
         self._active = False
         self._refused: Counter[str] = Counter()
-        self._last_refusal = ""  # for the diagnostics
-        self._movement: joint_messages.JointMovement | None = None  # to be replayed
+        self._last_refusal, self._refused_lately = "", False  # for the diagnostics
+        self._movement: Sampled | ControllerError | None = None  # to be replayed, or why not
         self._moved_for = ""  # policy to whose start the arm was sent last
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
@@ -90,9 +90,8 @@ class TorqueController(LifecycleNode):
         self._commands = self.create_publisher(
             writer.message_type, params.command_topic, interface.COMMAND
         )
-        self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-        self._diagnostics = self.create_publisher(
-            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        self._preparation = Preparation(
+            self.context.get_domain_id(), self._on_policy, self._on_movement, self._refuse
         )
         self._guard = SoleCommander(self, self._commands)
         idle = params.idle_service or interface.WAM_IDLE
@@ -105,20 +104,17 @@ class TorqueController(LifecycleNode):
             subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
         if params.velocity_topic:
             subscribe(JointState, params.velocity_topic, self._on_velocity, interface.STATE_IN)
-        subscribe(String, interface.POLICY, self._on_policy, interface.LATCHED)
-        subscribe(
-            JointTrajectory, interface.REPLAY_TRAJECTORY, self._on_movement, interface.LATCHED
-        )
         if not params.urdf:
             subscribe(String, interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED)
         serve = self.create_service
-        serve(Trigger, interface.EXECUTE, self._answering(lambda core, _: core.execute()))
         serve(Trigger, interface.STOP, self._on_stop)
         serve(Trigger, interface.RESET, self._answering(lambda core, _: core.reset()))
         switch = self._answering(lambda core, asked: core.set_gravity_compensation(asked.data))
         serve(SetBool, interface.GRAVITY_COMPENSATION, switch)
-        self._move = LateTrigger(self, interface.MOVE_TO_START, self._begin_move)
-        self._replay = LateTrigger(self, interface.REPLAY, self._begin_replay)
+        self._under_way: list[LateTrigger] = []  # those whose movement has begun
+        self._execute = self._serve_in_order(interface.EXECUTE, self._begin_rollout)
+        self._move = self._serve_in_order(interface.MOVE_TO_START, self._begin_move)
+        self._replay = self._serve_in_order(interface.REPLAY, self._begin_replay)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._look_after, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
@@ -134,6 +130,8 @@ class TorqueController(LifecycleNode):
         except ValueError as error:
             self._refuse("configuration", error)
             return FAILURE
+        settings = dataclasses.replace(self._controller.settings, limits=self._controller.limits)
+        self._preparation.configure(settings, self._params.joint_names)
         self._granted = scheduling.request(self._params.realtime_priority)
         return SUCCESS
 
@@ -163,6 +161,8 @@ class TorqueController(LifecycleNode):
         """Forget the arm and the policy; a fault stays latched."""
         self._latched = None if self._controller is None else self._controller.latched
         self._controller = None
+        self._movement = None
+        self._preparation.configure(None, ())
         return SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -199,6 +199,14 @@ class TorqueController(LifecycleNode):
         self._active = False
         self._controller.deactivate()
         self._answer_moves()
+        self._preparation.forget_requests()
+        for service in (self._execute, self._move, self._replay):
+            service.finish(False, str(NOT_ACTIVE))
+
+    def destroy_node(self) -> None:
+        """End the process beside this one, too."""
+        self._preparation.close()
+        super().destroy_node()
 
     def _unfit(self) -> str | None:
         now_ns = time.monotonic_ns()
@@ -263,8 +271,8 @@ class TorqueController(LifecycleNode):
         path = controller.take_finished()
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
-            self._paths.publish(pose_messages.path_message(path, start_ns, self._params.base_frame))
-        if self._move.pending or self._replay.pending:
+            self._preparation.publish_path(path, start_ns, self._params.base_frame)
+        if self._under_way:
             self._answer_moves()
         return None
 
@@ -273,13 +281,14 @@ class TorqueController(LifecycleNode):
 
     def failed(self, error: Exception) -> None:
         """Latch a fault: a callback has failed and cannot be trusted; the arm is carried."""
-        trace = "".join(traceback.format_exception(error))
-        self.get_logger().error(trace, throttle_duration_sec=1.0)
-        self._refused["callback"] += 1
-        self._last_refusal = f"callback failed: {error!r}"
         if self._active:
             self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
             self._send(self._controller.stale_torque(), Mode.FAULT.value)
+        where = " < ".join(  # innermost first; to read the lines of the source would take long
+            f"{frame.f_code.co_filename}:{line} {frame.f_code.co_name}"
+            for frame, line in reversed([*traceback.walk_tb(error.__traceback__)])
+        )
+        self._refuse("callback", f"{error!r} at {where}")
 
     def _on_velocity(self, message: JointState) -> None:
         try:
@@ -293,7 +302,7 @@ class TorqueController(LifecycleNode):
     def patience(self) -> float:
         """Time for which `watch` need not be called if no state comes [s]."""
         if not self._active or not self._watchdog.enabled:
-            return 0.1
+            return 0.01 if self._preparation.waiting else 0.1
         return self._watchdog.patience(time.monotonic_ns())
 
     def watch(self) -> None:
@@ -317,27 +326,32 @@ class TorqueController(LifecycleNode):
 
     # Policies and requests
 
-    def _on_policy(self, message: String) -> None:
+    def attend(self) -> None:
+        """Between callbacks: take what has been prepared, and `watch`."""
+        self._preparation.poll()
+        self.watch()
+
+    def _on_policy(self, policy: PreparedPolicy) -> None:
         try:
-            if self._controller is None:
-                raise ValueError("the controller is not configured")
-            self._controller.load(policies.from_json(message.data))
-        except (ValueError, ControllerError) as error:
+            if self._controller is not None:
+                self._controller.load_prepared(policy)
+        except ControllerError as error:
             self._refuse("policy", error)
 
-    def _on_movement(self, message: JointTrajectory) -> None:
-        try:
-            self._movement = joint_messages.movement(message, self._params.joint_names)
-        except ValueError as error:
-            self._refuse("replay trajectory", error)
+    def _on_movement(self, movement: Sampled | ControllerError) -> None:
+        self._movement = movement
 
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._move.finish(False, str(Answer(Code.STOPPED, "stopped")))
-        text = f"stopped\n{self._replay_summary()}".rstrip()
-        self._replay.finish(False, str(Answer(Code.STOPPED, text)))
+        self._preparation.forget_requests()
+        replayed = self._replay in self._under_way
+        for service in (self._execute, self._move, self._replay):
+            summary = self._replay_summary() if replayed and service is self._replay else ""
+            text = f"stopped\n{summary}".rstrip()
+            service.finish(False, str(Answer(Code.STOPPED, text)))
+        self._under_way.clear()
         return _fill(response, self._try(Controller.stop))
 
     def _answering(
@@ -349,41 +363,78 @@ class TorqueController(LifecycleNode):
     def _try(self, request: Callable[[Controller], None]) -> Answer:
         """Answer to a request: the id of the loaded policy, or why it was refused."""
         if not self._active:
-            return Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
+            return NOT_ACTIVE
         try:
             request(self._controller)
         except ControllerError as error:
             return Answer(Code(error.refusal.value), str(error), error.values)
         return _done(self._controller.policy_id)
 
-    def _begin_move(self) -> str | None:
+    def _serve_in_order(self, name: str, begin: Callable[[], Answer | None]) -> LateTrigger:
+        """Service whose request is made once the policies and movements before it have been read.
+
+        Args:
+            name: Name of the service.
+            begin: Makes the request; returns the answer, or None when `_answer_moves` will answer.
+        """
+
+        def called() -> str | None:
+            if not self._active:
+                return str(NOT_ACTIVE)
+            if service.pending:
+                return str(Answer(Code.BUSY, "refused: the request before it is under way"))
+            self._preparation.when_read(ready)
+            return None
+
+        def ready(unread: str | None) -> None:
+            answer = begin() if unread is None else Answer(Code.BUSY, f"refused: {unread}")
+            if answer is None:
+                self._under_way.append(service)
+            else:
+                service.finish(answer.success, str(answer))
+
+        service = LateTrigger(self, name, called)
+        return service
+
+    def _begin_rollout(self) -> Answer:
+        return self._try(Controller.execute)
+
+    def _begin_move(self) -> Answer | None:
         answer = self._try(Controller.move_to_start)
         self._moved_for = answer.values.get("policy", "")
-        return None if answer.success else str(answer)
+        return None if answer.success else answer
 
-    def _begin_replay(self) -> str | None:
-        if self._movement is None:
-            text = f"refused: nothing valid has come on {interface.REPLAY_TRAJECTORY}"
-            return str(Answer(Code.NOTHING, text))
+    def _begin_replay(self) -> Answer | None:
         movement = self._movement
-        answer = self._try(lambda core: core.start_replay(movement))
-        return None if answer.success else str(answer)
+        if movement is None:
+            text = f"refused: nothing valid has come on {interface.REPLAY_TRAJECTORY}"
+            return Answer(Code.NOTHING, text)
+
+        def start(core: Controller) -> None:
+            if isinstance(movement, ControllerError):
+                raise movement
+            core.start_sampled(movement)
+
+        answer = self._try(start)
+        return None if answer.success else answer
 
     def _answer_moves(self) -> None:
         """Answer the requests for a movement, once the arm rests or the movement was aborted."""
         core, mode = self._controller, self._controller.mode
-        if mode in MOVING or (mode is Mode.HOLD and not core.at_rest):
+        if mode in (Mode.MOVE_TO_START, Mode.REPLAY) or (mode is Mode.HOLD and not core.at_rest):
             return
         if core.latched is not None:
             failed = Answer(Code.FAULT, f"failed: {core.latched.text}")
         else:
             failed = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
         # Another policy may have come since; its start is near, but nobody has moved there.
-        answer = _done(self._moved_for) if core.ready else failed
-        self._move.finish(answer.success, str(answer))
-        if self._replay.pending:
+        if self._move in self._under_way:
+            answer = _done(self._moved_for) if core.ready else failed
+            self._move.finish(answer.success, str(answer))
+        if self._replay in self._under_way:
             answer = Answer(Code.DONE, self._replay_summary()) if mode is Mode.HOLD else failed
             self._replay.finish(answer.success, str(answer))
+        self._under_way.clear()
 
     def _replay_summary(self) -> str:
         """Tracking error of the last replay, as text."""
@@ -399,11 +450,13 @@ class TorqueController(LifecycleNode):
             self._autostart = self.trigger_activate() is not SUCCESS
         if self._active and (intruder := self._guard.intruder()):
             self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
-        if self._move.pending or self._replay.pending:
+        if self._under_way:
             self._answer_moves()
+        if self._controller is None or self._controller.mode not in MOVING:
+            self._preparation.tend()
 
     def _report(self) -> None:
-        core, now = self._controller, self.get_clock().now().to_msg()
+        core, now = self._controller, self.get_clock().now().nanoseconds
         figures = self._statistics.report()
         overload = self._overload()
         values = {
@@ -416,6 +469,7 @@ class TorqueController(LifecycleNode):
             "real-time scheduling": self._granted.scheduling,
             "locked memory": self._granted.memory,
             "last refusal": self._last_refusal,
+            "preparation processes": self._preparation.starts,
         }
         level, text = "ok", values["mode"]
         if core is not None and core.mode is Mode.FAULT:
@@ -426,13 +480,10 @@ class TorqueController(LifecycleNode):
             level, text = "warn", overload
         elif self._params.realtime_priority and not self._granted.complete:
             level, text = "warn", f"{text}; no real-time scheduling"
-        elif self._last_refusal:
+        elif self._refused_lately:
             level, text = "warn", self._last_refusal
-        self._last_refusal = ""
-        name = "torque_controller: loop"
-        self._diagnostics.publish(
-            diagnostics_message(now, name, self._params.hardware_id, level, text, values)
-        )
+        self._refused_lately = False
+        self._preparation.report(now, self._params.hardware_id, level, text, values)
 
     def _overload(self) -> str:
         """Warning about the last second's missed periods; too many are a fault."""
@@ -445,8 +496,8 @@ class TorqueController(LifecycleNode):
 
     def _refuse(self, what: str, reason: object) -> None:
         self._refused[what] += 1
-        self._last_refusal = f"{what} refused: {reason}"
-        self.get_logger().warning(self._last_refusal, throttle_duration_sec=1.0)
+        self._last_refusal, self._refused_lately = f"{what} refused: {reason}", True
+        self._preparation.log("warning", self._last_refusal)
 
 
 def _done(policy_id: str | None) -> Answer:
@@ -463,7 +514,7 @@ def main() -> int:
     return node_runner.run(
         TorqueController,
         spin=lambda node, ended: node_runner.spin(
-            node, ended, node.watch, node.patience, node.failed
+            node, ended, node.attend, node.patience, node.failed
         ),
     )
 

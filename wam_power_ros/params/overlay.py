@@ -157,6 +157,7 @@ def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
         },
         "demonstration_recorder": {
             **{name: arm[name] for name in ("state_topic", "joint_names")},
+            **{name: arm[name] for name in ("model_joint_names", "urdf", "tool_frame")},
             "driver_topics": [
                 name for name in (arm["command_topic"], arm["velocity_topic"]) if name
             ],

@@ -181,6 +181,6 @@ class TorqueControllerParams(Params):
             workspace_max=self.workspace_max,
             plane=self.plane,
         )
-        own = {field.name for field in dataclasses.fields(ControllerSettings)} - {"limits"}
-        choices = {name: getattr(self, name) for name in own}
+        own = {field.name for field in dataclasses.fields(ControllerSettings)} - {"limits", "arm"}
+        choices = {name: getattr(self, name) for name in own} | {"arm": arm.identity()}
         return Controller(arm, ControllerSettings(limits=limits, **choices), latched)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bodies of every `main` that has a node: `run` for nodes, `run_script` for console scripts.
 
-Both number the process among the DDS participants: Fast DDS gives a process the lowest participant
-number that is free, and with it its ports: after a kill (-9) those of the killed one. The others
-still send there for 20 s, through shared memory, and now and then one of them takes that port for
-dead and deletes it under the new listener, which then receives no message and no answer for as long
-as it lives (Fast DDS, pull requests 4728 and 4737; open in the 2.14 of Jazzy; seen in one to ten of
-a hundred restarts). Under ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST shared memory cannot be switched
-off.
+Both keep the process to the loopback interface, unless the network is asked for (`network`), remove
+shared memory of dead processes, and number the process among the DDS participants.
+
+Fast DDS gives a process the lowest participant number that is free, and with it its ports: after a
+kill (-9) those of the killed one. The others still send there for 20 s, through shared memory, and
+now and then one of them takes that port for dead and deletes it under the new listener, which then
+receives no message and no answer for as long as it lives (Fast DDS, pull requests 4728 and 4737;
+open in the 2.14 of Jazzy; seen in one to ten of a hundred restarts).
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ import os
 import signal
 import socket
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 from typing import TypeVar
 
 import rclpy
@@ -27,12 +30,33 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from wam_power_ros.ros import network, shared_memory
+from wam_power_ros.ros.domain import FIRST, PER_DOMAIN, PER_PARTICIPANT, exported
 from wam_power_ros.ros.service_client import ServiceError
 
 N = TypeVar("N", bound=Node)
-FIRST, PER_DOMAIN, PER_PARTICIPANT = 7410, 250, 2  # ports of discovery (RTPS 2.2, 9.6.1.1)
 SPREAD = 16  # of the 32 numbers that are looked for within LOCALHOST, the rest for who comes later
 REFUSED, INTERRUPTED = 2, 130  # exit statuses
+
+
+def init(
+    args: Sequence[str] | None = None, signals: SignalHandlerOptions = SignalHandlerOptions.ALL
+) -> None:
+    """Initialise rclpy for a process that reaches no further than it is asked to.
+
+    Args:
+        args: Command line; that of the process if None.
+        signals: Signals that rclpy handles.
+
+    Raises:
+        DomainError: ROS_DOMAIN_ID is no domain.
+    """
+    exported(os.environ)
+    network.confine(os.environ)
+    if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # rclpy insists on one
+        os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / f"ros_log_{os.getuid()}")
+    shared_memory.remove_dead_segments()
+    rclpy.init(args=args, signal_handler_options=signals)
 
 
 @contextmanager
@@ -40,15 +64,22 @@ def number_by_process() -> Iterator[None]:
     """Let the participant number begin at the process id modulo SPREAD; for the first node made.
 
     Lower numbers that are free are bound meanwhile, as if they were those of living processes.
+
+    Raises:
+        ValueError: The sockets of that node reach further than they were to.
     """
-    domain = os.environ.get("ROS_DOMAIN_ID", "")
-    first = FIRST + PER_DOMAIN * (int(domain) if domain.isdigit() else 0)
+    first = FIRST + PER_DOMAIN * exported(os.environ)
+    others = network.bound()
     with ExitStack() as held:
         for number in range(os.getpid() % SPREAD):
             place = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             with suppress(OSError):  # in use
                 place.bind(("", first + PER_PARTICIPANT * number))
         yield
+    if network.asked(os.environ) is None:  # a profile that is not applied leaves the network open
+        beyond = [each for each in network.bound() if not each.startswith("127.")]
+        if beyond := [each for each in beyond if each not in others]:
+            raise ValueError(f"sockets at {', '.join(beyond)} are open to the network")
 
 
 def executor_for(node: Node, patience: float = 1.0) -> Executor:
@@ -131,11 +162,12 @@ def run(
     signals: list[int] = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda received, _: signals.append(received))
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node = None
     try:
+        init(args, SignalHandlerOptions.NO)
         with number_by_process():
-            node = make_node()
+            made = make_node()
+        node = made
         spin(node, lambda: bool(signals))
     except ValueError as error:
         if node is not None:
@@ -161,7 +193,7 @@ def participant(
         make_node: Makes the node.
         signals: Signals that rclpy handles, each of which shuts ROS down.
     """
-    rclpy.init(signal_handler_options=signals)
+    init(signals=signals)
     try:
         with number_by_process():
             node = make_node()

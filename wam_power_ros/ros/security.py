@@ -13,7 +13,7 @@ from itertools import chain
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, network
 
 if TYPE_CHECKING:
     from wam_power_ros.params.overlay import Setup
@@ -42,10 +42,14 @@ FEEDBACK = "LEARNER_REWARD LEARNER_PUNISH LEARNER_DEMONSTRATION LEARNER_PAUSE"
 # the set-up. The controller subscribes to its own command topic to detect another commander.
 TABLE: dict[str, dict[str, str]] = {
     "torque_controller": {
-        "publishes": "command ROLLOUT_END_EFFECTOR DIAGNOSTICS",
-        "subscribes": "states description command POLICY REPLAY_TRAJECTORY ENABLE",
+        "publishes": "command",
+        "subscribes": "states description command ENABLE",
         "serves": CONTROLLER,
         "calls": "idle",
+    },
+    "torque_controller_preparation": {
+        "publishes": "ROLLOUT_END_EFFECTOR DIAGNOSTICS",
+        "subscribes": "POLICY REPLAY_TRAJECTORY",
     },
     "demonstration_recorder": {
         "publishes": "DIAGNOSTICS",
@@ -83,6 +87,7 @@ OF_BODY = {"pancake_tracker", "optitrack_sim"}  # nodes that only run for a task
 PROCESSES = {  # node -> process whose enclave it shares; every other node has one of its own
     **dict.fromkeys(("teaching", "replaying", "enabling_switch", "feedback"), "operator"),
     "optitrack_sim": "wam_sim",
+    "torque_controller_preparation": "torque_controller",  # its two processes
 }
 
 
@@ -162,13 +167,13 @@ def policy(rights: Mapping[str, Access]) -> str:
 
 def exposed(environment: Mapping[str, str]) -> str | None:
     """Why others on the network could command this arm by these variables; None if not."""
-    reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "SUBNET")
-    secure = environment.get("ROS_SECURITY_ENABLE") == "true"
-    if reach in ("LOCALHOST", "OFF") or (
-        secure and environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
-    ):
+    enforced = environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
+    if environment.get("ROS_SECURITY_ENABLE") == "true" and enforced:
+        return None
+    if environment.get(network.RANGE) == "OFF" or (reason := network.asked(environment)) is None:
         return None
     return (
-        f"anybody on the network can command this arm: discovery range {reach}, security not "
-        "enforced; set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, or see SECURITY.md"
+        f"anybody on the network can command this arm: {reason}, security not enforced; without "
+        f"it, and with {network.RANGE}=LOCALHOST, sockets are bound to this machine's loopback "
+        "interface. See SECURITY.md"
     )

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages that hold a careless loop up: the hardest legal one of each kind, and what is refused.
+
+Run by `benchmark.latency` in a process of its own; publishes each and writes down when.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from benchmark.nodes import JOINTS
+from wam_power_ros.learning.policy import COUNT_MAX, DURATION_MAX, Basis, Policy, to_json
+from wam_power_ros.ros import interface, joint_messages, node_runner
+from wam_power_ros.ros.stamps import time_message
+
+HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+POINTS = 200_000
+WINDOW = 6.0  # after each message, in which periods are counted [s]
+
+
+def largest_policy() -> str:
+    """Text of a policy of 200 spring-dampers over 60 s, every number with all its digits."""
+    rng = np.random.default_rng(1)
+    spread = rng.uniform(-1.0, 1.0, (COUNT_MAX, 3, 3))
+    policy = Policy(
+        id="largest",
+        basis=Basis(COUNT_MAX, DURATION_MAX, 0.1),
+        stiffness=300.0 * np.eye(3) + spread + spread.transpose(0, 2, 1),
+        attractors=rng.uniform(0.3, 0.6, (COUNT_MAX, 3)),
+        damping=32.0,
+        orientation_reference=np.array([0.0, 0.0, 0.0, 1.0]),
+        rotation_attractors=rng.uniform(-0.1, 0.1, (COUNT_MAX, 3)),
+        rotation_stiffness=400.0,
+        rotation_damping=36.0,
+        q_start=HOME,
+    )
+    return to_json(policy)
+
+
+def longest_movement() -> JointTrajectory:
+    """Movement of 200 000 points in 600 s."""
+    t = np.linspace(0.0, 600.0, POINTS)
+    q = HOME + 0.1 * np.sin(0.1 * t)[:, None]
+    return joint_messages.movement_message(JOINTS, joint_messages.JointMovement(t, q))
+
+
+def bad_state() -> JointState:
+    """Joint state that is not a number."""
+    message = JointState(name=JOINTS, position=[float("nan")] * len(JOINTS))
+    message.header.stamp = time_message(time.time_ns())
+    return message
+
+
+class Messages(Node):
+    """Publishes each message and notes when."""
+
+    def __init__(self, report: Path) -> None:
+        super().__init__("messages")
+        self._report = report
+        make = self.create_publisher
+        policies = make(String, interface.POLICY, interface.LATCHED)
+        movements = make(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
+        states = make(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+        policy, movement = String(data=largest_policy()), longest_movement()
+        self._messages: list[tuple[str, Publisher | None, Callable[[], object]]] = [
+            ("nothing", None, lambda: None),
+            ("first refusal: a state that is NaN", states, bad_state),
+            ("second refusal: `{` as a policy", policies, lambda: String(data="{")),
+            ("1 MB of junk as a policy", policies, lambda: String(data="{" * 1_000_000)),
+            (f"policy of {COUNT_MAX} primitives, 60 s", policies, lambda: policy),
+            (f"movement of {POINTS} points", movements, lambda: movement),
+            ("17 MB of junk as a policy", policies, lambda: String(data="{" * 17_000_000)),
+        ]
+
+    def run(self) -> int:
+        """Publish all, WINDOW seconds apart, and wait for the signal that ends it."""
+        time.sleep(8.0)  # for discovery, and the start of the controller
+        times = []
+        for name, publisher, make in self._messages:
+            message = make()
+            times.append((name, time.monotonic_ns()))
+            if publisher is not None:
+                publisher.publish(message)
+            time.sleep(WINDOW)
+        partial = self._report.with_suffix(".part")
+        partial.write_text(json.dumps(times))
+        partial.rename(self._report)
+        signal.pause()
+        return 0
+
+
+def publish(report: Path) -> int:
+    """Body of the process."""
+    return node_runner.run_script(lambda: Messages(report), Messages.run)
+
+
+def table(rows: np.ndarray, times: list[tuple[str, int]], period_ns: int) -> str:
+    """Periods missed after each message, by the controller and by the echo.
+
+    Args:
+        rows: When each state was sent, and answered by either (0 if never) [ns]. Shape (M, 3).
+        times: Each message, and when it was published [ns].
+        period_ns: Sampling period of the states [ns].
+    """
+    lines = [
+        f"periods missed within {WINDOW:.0f} s (longest time to a torque [ms])",
+        f"  {'message':40s}{'controller':>18s}{'echo':>18s}",
+    ]
+    for name, at in times:
+        # What was sent just before may be answered after: one period earlier.
+        within = rows[(rows[:, 0] >= at - period_ns) & (rows[:, 0] < at + WINDOW * 1e9 - period_ns)]
+        cells = ""
+        for column in (1, 2):
+            answered = within[within[:, column] > 0]
+            took = answered[:, column] - answered[:, 0]
+            missed = np.count_nonzero(took > period_ns) + len(within) - len(answered)
+            longest = took.max(initial=0) * 1e-6
+            cells += f"{missed:8d} ({longest:7.1f})"
+        lines.append(f"  {name:40s}{cells}")
+    return "\n".join(lines)

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Watch for a robot in the domain of a stand-in: a driver, or another stand-in.
+
+A driver publishes joint states or receives commands. With a stand-in beside it, the torques for the
+simulation would move the robot.
+
+    python -m hardware_sim.driver_watch --ros-args --params-file FILE
+
+looks once, before a launch file starts anything, and ends with status 2 where a robot is.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from wam_power_ros.ros import interface, network, node_runner, security
+from wam_power_ros.ros.domain import FIRST, PER_PARTICIPANT, exported, ports
+
+STATES = "sensor_msgs/msg/JointState"
+OURS = {*security.TABLE, "check_driver"}  # nodes that may listen to commands
+TOOLS = (
+    "_ros2cli",
+    "rosbag2",
+    "rqt",
+    "plotjuggler",
+    "foxglove",
+)  # so may these, by their beginning
+UNNAMED = "_NODE_NAME_UNKNOWN_"  # until the name of an endpoint's node has come, or not a ROS node
+DISCOVERY = 4.0  # [s] in which those who are there are found: they announce themselves every 3 s
+SETTLED = 1.0  # [s] from a node's name to its topics
+LISTENERS = "listeners"  # the parameter that names others
+# A global id of Fast DDS begins with vendor and host, process (two bytes of its id, two at random)
+HOST, PROCESS = 4, 8
+HEARS = "receives"
+EVERY = 0.25  # [s] between two looks
+
+
+class DriverWatch:
+    """Looks at who publishes joint states and who listens to commands.
+
+    Args:
+        node: Node of the stand-in.
+        command_topic: Topic of the torques.
+        listeners: Names of other nodes that may listen to commands, or beginnings of them.
+    """
+
+    def __init__(self, node: Node, command_topic: str, listeners: Sequence[str]) -> None:
+        self._node = node
+        self._mine = self._own_process()
+        self._commands = {node.resolve_topic_name(command_topic), interface.EFFORT_COMMANDS}
+        self._listeners = (*TOOLS, *filter(None, listeners))
+        self._begun = self._looked = time.monotonic()
+        self._unnamed = 0.0  # when a listener without a name was first seen [s], 0 for none
+
+    def check(self) -> None:
+        """Wait until those who are there have been discovered.
+
+        Raises:
+            ValueError: A robot, or another stand-in, is in this domain.
+        """
+        domain = exported(os.environ)
+        here_only = network.asked(os.environ) is None
+        known = math.inf  # since when everybody is
+        while True:
+            now, others = time.monotonic(), _participants(domain)
+            name, what = self._robot()
+            end = self._begun + DISCOVERY if others or not here_only else 0.0
+            if name and (name != UNNAMED or now > end):
+                raise ValueError(
+                    f"{_named(name)} {what} in DDS domain {domain}: a simulation must not meet a "
+                    "robot; start it in another domain: export ROS_DOMAIN_ID=N"
+                )
+            everybody = here_only and len(self._node.get_node_names()) > others
+            known = min(known, now) if everybody else math.inf
+            if not name and now > min(end, known + SETTLED):
+                return
+            time.sleep(0.05)
+
+    def look(self) -> str:
+        """Who has appeared, in words; not looked for more often than every `EVERY` [s]."""
+        now = time.monotonic()
+        if now < self._looked + EVERY:
+            return ""
+        self._looked = now
+        name, what = self._robot()
+        if name == UNNAMED and what.startswith(HEARS) and now < (self._unnamed or now) + DISCOVERY:
+            self._unnamed = self._unnamed or now  # its name may be on its way
+            return ""
+        self._unnamed = 0.0
+        return f"{_named(name)} {what}" if name else ""
+
+    def _robot(self) -> tuple[str, str]:
+        """Name of a node that a simulation must not meet, and what it does; empty for none."""
+        node = self._node
+        for topic, types in node.get_topic_names_and_types():
+            if STATES in types and topic not in self._commands:
+                for other in self._others(node.get_publishers_info_by_topic(topic)):
+                    return other, f"publishes {topic}"
+        for topic in self._commands:
+            for other in self._others(node.get_subscriptions_info_by_topic(topic)):
+                if other not in OURS and not other.startswith(self._listeners):
+                    return other, f"{HEARS} {topic}"
+        return "", ""
+
+    def _others(self, endpoints: Sequence[TopicEndpointInfo]) -> list[str]:
+        """Names of the nodes of endpoints in other processes that are alive.
+
+        A killed process of this machine stays announced for 20 s.
+        """
+        gids = [(bytes(each.endpoint_gid), each.node_name) for each in endpoints]
+        if not self._mine:  # another middleware
+            return [name for _, name in gids if name != self._node.get_name()]
+        others = [(gid, name) for gid, name in gids if gid[:PROCESS] != self._mine]
+        if not others:
+            return []
+        ids = (path.name for path in Path("/proc").glob("[0-9]*"))
+        running = {_low_bytes(int(id)) for id in ids}
+        here = self._mine[:HOST]
+        return [name for gid, name in others if gid[:HOST] != here or gid[HOST:][:2] in running]
+
+    def _own_process(self) -> bytes:
+        """How the global ids of this process begin; empty where they are not those of Fast DDS."""
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end:  # every node publishes the events of its parameters
+            for each in self._node.get_publishers_info_by_topic("/parameter_events"):
+                gid = bytes(each.endpoint_gid)
+                if gid[HOST:][:2] == _low_bytes(os.getpid()):
+                    return gid[:PROCESS]
+            time.sleep(0.01)
+        return b""
+
+
+def _low_bytes(process: int) -> bytes:
+    return (process & 0xFFFF).to_bytes(2, "little")
+
+
+def _participants(domain: int) -> int:
+    """Number of other DDS participants of a domain on this machine, by their ports of discovery."""
+    own = {int(address.rpartition(":")[2]) for address in network.bound()}
+    others = network.ports_in_use() & set(ports(domain)) - own
+    return sum((port - FIRST) % PER_PARTICIPANT == 0 for port in others)
+
+
+def _named(name: str) -> str:
+    return "a program without a name" if name == UNNAMED else f"node {name!r}"
+
+
+class _Look(Node):
+    """A node with the parameters of the stand-in and nothing else of it."""
+
+    def __init__(self) -> None:
+        super().__init__("wam_sim", automatically_declare_parameters_from_overrides=True)
+
+    def look(self) -> None:
+        topic, listeners = (self.get_parameter(name).value for name in ("command_topic", LISTENERS))
+        DriverWatch(self, topic, listeners).check()
+
+
+def main() -> int:
+    """Look once; returns REFUSED where a robot is."""
+    return node_runner.run_script(_Look, _Look.look)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

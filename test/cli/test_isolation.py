@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`wam-power` in a terminal that is set up for a robot, or for nothing at all."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import namedtuple
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, Probe
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from wam_power_ros.cli import main
+from wam_power_ros.cli.launcher import DOMAIN
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.domain import private_domain
+
+LEARN = [sys.executable, "-m", "wam_power_ros.cli", "learn"]
+HOLDING = """
+import sys
+from wam_power_ros.ros.domain import hold
+lock = hold(int(sys.argv[1]))
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+def terminal(words: list[str], folder: Path, **environment: str) -> subprocess.Popen[bytes]:
+    """A command in a terminal of its own, with its output in `terminal.log`."""
+    with (folder / "terminal.log").open("wb") as output:
+        return subprocess.Popen(
+            words,
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "disable"} | environment,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        )
+
+
+def said(folder: Path) -> str:
+    return (folder / "terminal.log").read_text(errors="replace")
+
+
+def moved(folder: Path) -> bool:
+    """Whether the stand-in's arm has begun its demonstration: a bag is being recorded."""
+    return any(folder.glob("s/bags/*/*.mcap"))
+
+
+@pytest.mark.requirement("S-55")
+def test_no_torque_of_a_simulation_reaches_a_driver_in_the_exported_domain(
+    probe: Probe, domain_id: int, tmp_path: Path
+) -> None:
+    torques = probe.listen(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    others = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
+    states = probe.node.create_publisher(JointState, "/joint_states", interface.STATE_OUT)
+    names = [f"right_j{number}" for number in range(1, 8)]
+    learning = terminal([*LEARN, "--session", "s"], tmp_path, ROS_DOMAIN_ID=str(domain_id))
+    try:
+
+        def standing() -> bool:  # a driver of an arm that stands still
+            message = JointState(name=names, position=[0.0] * 7, velocity=[0.0] * 7)
+            message.header.stamp = probe.node.get_clock().now().to_msg()
+            states.publish(message)
+            return moved(tmp_path) or learning.poll() is not None
+
+        probe.until(standing, "the simulation at work", 120.0)
+        assert learning.poll() is None, said(tmp_path)
+        taken = int((tmp_path / "s" / "logs" / DOMAIN).read_text())
+        learning.send_signal(signal.SIGINT)
+        probe.until(lambda: learning.poll() is not None, "its end", 60.0)
+    finally:
+        learning.kill()
+    assert torques == []
+    assert {tuple(message.name) for message in others} == {tuple(names)}
+    assert taken != domain_id
+    assert f"not in the exported {domain_id}" in said(tmp_path)
+    assert f"export ROS_DOMAIN_ID={taken}" in said(tmp_path)
+
+
+@pytest.fixture
+def somebody(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """An exported domain in which another process works."""
+    with private_domain() as free:
+        pass
+    command = [sys.executable, "-c", HOLDING, str(free)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holding:
+        assert holding.stdout is not None and holding.stdout.readline() == b"held\n"
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(free))
+        yield free
+
+
+@pytest.mark.requirement("S-55")
+def test_a_session_on_an_arm_is_refused_in_the_domain_of_another(
+    somebody: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "s"
+    assert main.main(["learn", "--session", str(folder), "--config", "geodude"]) == 2
+    assert f"DDS domain {somebody} is in use on this machine" in capsys.readouterr().err
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("lock", [".lock", "logs/.lock"], ids=["a learner", "a launcher"])
+def test_a_second_learn_is_refused_before_it_writes_anything(
+    lock: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "s"
+    (folder / "logs").mkdir(parents=True)
+    (folder / "logs" / DOMAIN).write_text("42\n")
+    (folder / "logs" / "parameters.yaml").write_text("# of the first\n")
+    with (folder / lock).open("a") as first:
+        fcntl.flock(first, fcntl.LOCK_EX)
+        assert main.main(["learn", "--session", str(folder)]) == 2
+    assert "another wam-power or learner is at work in" in capsys.readouterr().err
+    assert (folder / "logs" / DOMAIN).read_text() == "42\n"
+    assert (folder / "logs" / "parameters.yaml").read_text() == "# of the first\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "budget"),
+    [
+        (["--trials", "3"], 3),
+        (["--trials", "1", "--demonstrations", "1"], 1),
+        (["--trials", "2", "--bags", "a", "b"], 2),
+    ],
+)
+def test_too_few_trials_are_refused_before_anybody_teaches(
+    words: list[str],
+    budget: int,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main.main(["learn", *words]) == 2
+    assert f"a budget of {budget} rollouts leaves none to practise" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_no_trials_at_all_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main.main(["learn", "--trials", "0"]) == 2
+    assert "budget" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["learn", "teach"])
+def test_too_little_disk_is_told_before_anybody_teaches(
+    command: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    usage = namedtuple("usage", "total used free")(10**9, 8 * 10**8, 2 * 10**8)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    monkeypatch.chdir(tmp_path)
+    assert main.main([command]) == 2
+    assert "200 MB free on the disk of" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("domain", "node"), [("300", "torque_controller"), ("robot", "learner"), ("-1", "check_driver")]
+)
+def test_a_node_names_a_domain_that_is_none(domain: str, node: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "wam_power_ros.cli", "run", node]
+    assert terminal(command, tmp_path, ROS_DOMAIN_ID=domain).wait(60.0) == 2
+    text = " ".join(said(tmp_path).split())
+    assert f"ROS_DOMAIN_ID='{domain}' is not a whole number from 0 to 232" in text
+    assert "Traceback" not in text
+
+
+def test_a_session_on_an_arm_names_a_domain_that_is_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "300")
+    monkeypatch.chdir(tmp_path)
+    assert main.main(["teach", "--config", "geodude"]) == 2
+    assert "ROS_DOMAIN_ID='300' is not a whole number" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_odd_names_no_home_and_a_terminal_of_ascii_are_no_hindrance(tmp_path: Path) -> None:
+    bag = str(min((ROOT / "bags").glob("reach_*")))
+    words = ["--task", "reach", "--preset", "full", "--session", 'it\'s "a" té$t', "--bags", bag]
+    log = tmp_path / 'it\'s "a" té$t' / "rollouts.jsonl"
+    with pytest.MonkeyPatch.context() as without:
+        without.delenv("HOME", raising=False)
+        without.delenv("ROS_LOG_DIR", raising=False)
+        learning = terminal(
+            [*LEARN, *words], tmp_path, LC_ALL="C", PYTHONIOENCODING="ascii", ROS_DOMAIN_ID="300"
+        )
+    try:
+        end = time.monotonic() + 120.0
+        while not log.exists() and learning.poll() is None:
+            assert time.monotonic() < end
+            time.sleep(0.1)
+        learning.send_signal(signal.SIGINT)
+        assert learning.wait(60.0) == 130, said(tmp_path)
+    finally:
+        learning.kill()
+    assert "Traceback" not in said(tmp_path)
+    assert "Error" not in said(tmp_path)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulation and a robot never share a domain: who comes second gives way."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import ROOT, Probe, Processes
+from sensor_msgs.msg import JointState
+from stand_ins import CONFIGS, NAMES
+from std_msgs.msg import Float64MultiArray, String
+
+from hardware_sim.wam import FOLDED
+from wam_power_ros.ros import interface, joint_messages
+
+SIM = "hardware_sim.main"
+LOOK = "hardware_sim.driver_watch"
+DRIVER = """
+import sys, time
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from wam_power_ros.ros import interface
+rclpy.init()
+node = Node("effort_controller")
+node.create_subscription(
+    Float64MultiArray, interface.EFFORT_COMMANDS, lambda _: None, interface.COMMAND
+)
+if "states" in sys.argv:
+    states = node.create_publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+print("driver", flush=True)
+rclpy.spin(node)
+"""
+
+
+def driver(processes: Processes, *kinds: str) -> None:
+    """A process like that of ros2_control; without states it only listens."""
+    process = processes.start([sys.executable, "-c", DRIVER, *kinds])
+    while "driver" not in processes.output(process):
+        time.sleep(0.02)
+
+
+@pytest.mark.requirement("S-55")
+@pytest.mark.parametrize("kinds", [("states",), ()], ids=["states", "only commands"])
+def test_beside_a_driver_a_simulation_refuses_to_run_and_publishes_nothing(
+    kinds: tuple[str, ...], probe: Probe, processes: Processes
+) -> None:
+    states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
+    models = probe.listen(String, interface.ROBOT_DESCRIPTION, interface.LATCHED)
+    driver(processes, *kinds)
+    looking = processes.node(LOOK, *CONFIGS)  # as sim.launch.py does before it starts anything
+    refused = processes.node(SIM, *CONFIGS)
+    for process in (looking, refused):
+        probe.until(lambda process=process: process.poll() is not None, "a refusal")
+        assert process.returncode == 2
+        assert "node 'effort_controller'" in processes.output(process)
+        assert "a simulation must not meet a robot" in processes.output(process)
+        assert "Traceback" not in processes.output(process)
+    assert states == models == []
+
+
+@pytest.mark.requirement("S-55")
+def test_a_simulation_ends_when_a_driver_appears(probe: Probe, processes: Processes) -> None:
+    states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
+    simulation = processes.node(SIM, *CONFIGS)
+    probe.until(lambda: states, "a state")
+    driver(processes, "states")
+    probe.until(lambda: simulation.poll() is not None, "its end", 20.0)
+    assert simulation.returncode == 2
+    assert "node 'effort_controller'" in processes.output(simulation)
+
+
+@pytest.mark.requirement("S-55")
+def test_a_second_simulation_is_refused_and_the_first_goes_on(
+    probe: Probe, processes: Processes
+) -> None:
+    states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
+    first = processes.node(SIM, *CONFIGS)
+    probe.until(lambda: states, "a state")
+    second = processes.node(SIM, *CONFIGS)
+    assert second.wait(60.0) == 2
+    assert "node 'wam_sim' publishes /joint_states" in processes.output(second)
+    states.clear()
+    probe.until(lambda: len(states) > 2, "more states of the first")
+    assert first.poll() is None
+
+
+@pytest.mark.requirement("S-55")
+def test_a_domain_that_another_session_holds_is_refused_at_once(
+    processes: Processes, domain_id: int, tmp_path: Path
+) -> None:
+    hold = "import sys; from wam_power_ros.ros.domain import hold; lock = hold(int(sys.argv[1])); "
+    free = next(number for number in range(102, 232) if number != domain_id)
+    hold += "print('held', flush=True); sys.stdin.read()"
+    session = processes.start(["sh", "-c", f'sleep 60 | {sys.executable} -c "{hold}" {free}'])
+    while "held" not in processes.output(session):
+        time.sleep(0.02)
+    command = [sys.executable, "-m", SIM, "--ros-args"]
+    command += [word for name in CONFIGS for word in ("--params-file", str(ROOT / "config" / name))]
+    refused = processes.start(command, ROS_DOMAIN_ID=str(free))
+    assert refused.wait(60.0) == 2
+    assert f"DDS domain {free} is in use on this machine by process" in processes.output(refused)
+
+
+@pytest.mark.requirement("S-55")
+def test_a_killed_simulation_does_not_keep_its_successor_from_running(
+    probe: Probe, processes: Processes
+) -> None:
+    states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
+    killed = processes.node(SIM, *CONFIGS)
+    probe.until(lambda: states, "a state")
+    processes.end(killed, signal.SIGKILL)
+    states.clear()
+    processes.node(SIM, *CONFIGS)
+    probe.until(lambda: states, "a state of its successor")
+
+
+@pytest.mark.requirement("S-55")
+def test_a_plot_may_listen_when_it_is_named(probe: Probe, processes: Processes) -> None:
+    torques = probe.listen(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    states = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
+    processes.node(SIM, *CONFIGS, **{"wam_sim:listeners": "[pro]"})
+    probe.until(lambda: len(states) > 2, "states")
+    publisher = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    write = joint_messages.TorqueWriter(NAMES, "multiarray")
+    publisher.publish(write(0, "hold", FOLDED))
+    probe.until(lambda: torques, "a torque at the plot")

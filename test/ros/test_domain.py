@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DDS domains: one holder each on this machine, never a robot's for a simulation."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from wam_power_ros.ros import domain
+from wam_power_ros.ros.domain import DomainError, exported, hold, ports, private_domain
+
+ROOT = Path(__file__).resolve().parents[2]
+HOLD = """
+import sys
+from wam_power_ros.ros.domain import hold
+held = hold(int(sys.argv[1]))
+print(held is None, flush=True)
+sys.stdin.readline()
+"""
+
+
+def holder(number: int, *before: str) -> subprocess.Popen[str]:
+    """A process that holds a domain until its input ends."""
+    return subprocess.Popen(
+        [*before, sys.executable, "-c", HOLD, str(number)],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.fixture
+def two(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
+    """The two domains that there are for this test."""
+    with private_domain() as one, private_domain() as other:
+        pass
+    monkeypatch.setattr(domain, "PRIVATE", (one, other))
+    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+    yield one, other
+
+
+@pytest.mark.requirement("S-55")
+def test_two_simulations_on_one_machine_get_different_domains(two: tuple[int, int]) -> None:
+    with private_domain() as one, private_domain() as other:
+        assert {one, other} == set(two)
+        with pytest.raises(DomainError, match="is taken on this machine"), private_domain():
+            pass
+
+
+@pytest.mark.requirement("S-55")
+def test_a_simulation_never_gets_the_domain_that_is_exported(
+    two: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(two[0]))
+    for _ in range(8):
+        with private_domain() as taken:
+            assert taken == two[1]
+
+
+@pytest.mark.requirement("S-55")
+def test_a_domain_in_which_somebody_is_is_not_taken(two: tuple[int, int]) -> None:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as somebody:
+        somebody.bind(("127.0.0.1", ports(two[0])[12]))
+        for _ in range(8):
+            with private_domain() as taken:
+                assert taken == two[1]
+
+
+@pytest.mark.requirement("S-55")
+def test_a_domain_has_one_holder_and_belongs_to_the_processes_below_it(
+    two: tuple[int, int],
+) -> None:
+    with private_domain() as taken:
+        assert hold(taken) is None
+        below = holder(taken)
+        assert below.communicate("")[0] == "True\n"
+    other = holder(two[0])
+    assert other.stdout is not None and other.stdout.readline() == "False\n"
+    with pytest.raises(DomainError, match=f"domain {two[0]} is in use .* process {other.pid} .*-c"):
+        hold(two[0])
+    other.communicate("")
+    free = hold(two[0])  # the kernel drops the lock with its process
+    assert free is not None
+    free.close()
+
+
+@pytest.mark.parametrize("text", ["300", "233", "-1", "robot", "1.0", "٣"])
+def test_what_is_no_domain_is_refused_by_its_name(text: str) -> None:
+    with pytest.raises(
+        DomainError, match=r"ROS_DOMAIN_ID='.*' is not a whole number from 0 to 232"
+    ):
+        exported({"ROS_DOMAIN_ID": text})
+
+
+def test_the_exported_domain_is_read_as_ros_does() -> None:
+    named = [exported({"ROS_DOMAIN_ID": text}) for text in ("", " 7 ", "232")]
+    assert [exported({}), *named] == [0, 0, 7, 232]

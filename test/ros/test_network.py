@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nobody reaches a process of ours from another network unless the network is asked for."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import Processes
+
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros import network
+from wam_power_ros.ros.network import PROFILE, RANGE, asked, bound, confine
+
+OURS = str(share(network.LOOPBACK))
+SERVE = """
+from rclpy.node import Node
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+from wam_power_ros.ros import interface, node_runner
+def make():
+    node = Node("server")
+    node.create_subscription(String, "/commands", print, interface.COMMAND)
+    node.create_service(Trigger, "/reset", lambda _, response: response)
+    print("serving", flush=True)
+    return node
+raise SystemExit(node_runner.run(make))
+"""
+REACH = """
+import time
+import rclpy
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+rclpy.init()
+node = rclpy.create_node("stranger")
+publisher = node.create_publisher(String, "/commands", 1)
+client = node.create_client(Trigger, "/reset")
+end = time.monotonic() + 3.0
+found = (0, False)
+while time.monotonic() < end and found != (1, True):
+    time.sleep(0.05)
+    found = (publisher.get_subscription_count(), client.service_is_ready())
+print("matched", *found)
+rclpy.shutdown()
+"""
+
+
+@pytest.mark.requirement("S-56")
+@pytest.mark.parametrize(
+    "given",
+    [{}, {RANGE: ""}, {RANGE: "LOCALHOST"}, {"ROS_STATIC_PEERS": "127.0.0.1;localhost"}],
+)
+def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict[str, str]) -> None:
+    environment = dict(given)
+    assert confine(environment)
+    assert (environment[RANGE], environment[PROFILE]) == ("SYSTEM_DEFAULT", OURS)
+    chosen = dict(environment)
+    assert confine(environment)  # a process that this one starts
+    assert environment == chosen
+
+
+@pytest.mark.requirement("S-56")
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({RANGE: "SUBNET"}, "SUBNET"),
+        ({RANGE: "SYSTEM_DEFAULT"}, "SYSTEM_DEFAULT"),
+        ({RANGE: "LOCALHOST", "ROS_STATIC_PEERS": "10.0.0.7"}, "ROS_STATIC_PEERS=10.0.0.7"),
+        ({"ROS_DISCOVERY_SERVER": "10.0.0.7:11811"}, "ROS_DISCOVERY_SERVER"),
+        ({PROFILE: "/etc/mine.xml"}, "/etc/mine.xml"),
+        ({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, "rmw_zenoh_cpp"),
+    ],
+)
+def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], said: str) -> None:
+    above = {RANGE: "SYSTEM_DEFAULT", PROFILE: OURS}  # as a process above this one chose
+    changed = {RANGE: "SYSTEM_DEFAULT"}.items() <= given.items() or PROFILE in given
+    for inherited in ({},) if changed else ({}, above):
+        environment = inherited | given
+        assert not confine(environment)
+        assert environment == {RANGE: "LOCALHOST", **given}
+        assert said in (asked(environment) or "")
+
+
+@pytest.mark.requirement("S-56")
+def test_a_profile_in_the_working_directory_wins_and_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / network.PROFILE_HERE).write_text("<dds/>")
+    environment: dict[str, str] = {}
+    assert not confine(environment)
+    assert network.PROFILE_HERE in (asked(environment) or "")
+
+
+def served(processes: Processes, *before: str, **environment: str) -> subprocess.Popen[bytes]:
+    """A node of ours that has started, or ended."""
+    process = processes.start([*before, sys.executable, "-c", SERVE], **environment)
+    while "serving" not in processes.output(process) and process.poll() is None:
+        pass
+    return process
+
+
+@pytest.mark.requirement("S-56")
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_every_socket_of_a_node_is_bound_to_the_loopback_interface(processes: Processes) -> None:
+    process = served(processes, **{RANGE: "LOCALHOST"})
+    addresses = bound(str(process.pid))
+    assert len(addresses) >= 2
+    assert [each for each in addresses if not each.startswith("127.")] == []
+    asked_for = served(processes, **{RANGE: "SUBNET"})
+    assert any(each.startswith("0.0.0.0") for each in bound(str(asked_for.pid)))
+
+
+@pytest.mark.requirement("S-56")
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc")
+def test_a_node_whose_profile_is_not_applied_refuses_to_run(
+    processes: Processes, tmp_path: Path
+) -> None:
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<dds/>")
+    code = f"from wam_power_ros.ros import network; network.LOOPBACK = {str(broken)!r}\n" + SERVE
+    nothing_chosen = {RANGE: "", PROFILE: ""}
+    process = processes.start([sys.executable, "-c", code], **nothing_chosen)
+    assert process.wait(60.0) == 2
+    assert "open to the network" in processes.output(process)
+
+
+@pytest.fixture
+def networks() -> Iterator[tuple[str, str]]:
+    """Two network namespaces with a cable between them; the first has 10.213.7.1."""
+    names = [f"wampower{os.getpid()}{end}" for end in "ab"]
+    links = [f"wp{os.getpid() % 10**7}{end}" for end in "ab"]
+
+    def ip(*words: str) -> None:
+        subprocess.run(["ip", *words], check=True, capture_output=True)
+
+    try:
+        for name in names:
+            ip("netns", "add", name)
+        ip(
+            "link",
+            "add",
+            links[0],
+            "netns",
+            names[0],
+            "type",
+            "veth",
+            "peer",
+            "name",
+            links[1],
+            "netns",
+            names[1],
+        )
+        for number, (name, link) in enumerate(zip(names, links, strict=True), start=1):
+            ip("-n", name, "addr", "add", f"10.213.7.{number}/24", "dev", link)
+            ip("-n", name, "link", "set", link, "up")
+            ip("-n", name, "link", "set", "lo", "up")
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"no network namespaces here: {error}")
+    else:
+        yield names[0], names[1]
+    finally:
+        for name in names if shutil.which("ip") else ():
+            subprocess.run(["ip", "netns", "delete", name], capture_output=True)
+
+
+@pytest.mark.requirement("S-56")
+def test_from_another_network_nothing_matches_and_no_service_answers(
+    networks: tuple[str, str], processes: Processes
+) -> None:
+    here, there = (["ip", "netns", "exec", name] for name in networks)
+
+    def matched() -> str:
+        reaching = processes.start(
+            [*there, sys.executable, "-c", REACH],
+            **{RANGE: "SUBNET", PROFILE: "", "ROS_STATIC_PEERS": "10.213.7.1"},
+        )
+        assert reaching.wait(60.0) == 0
+        return processes.output(reaching).splitlines()[-1]
+
+    confined = served(processes, *here, **{RANGE: "LOCALHOST"})
+    assert matched() == "matched 0 False"
+    processes.end(confined)
+    served(processes, *here, **{RANGE: "SUBNET"})  # the cable is there
+    assert matched() == "matched 1 True"

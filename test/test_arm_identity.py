@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An arm is told from another by its kinematics, whatever its joints are called."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from wam_power_ros import arm_identity
+from wam_power_ros.arm_identity import ArmIdentity, identity_of, refusal, remark
+
+OURS = ArmIdentity("wam7", ("wam_j1", "wam_j2"), "1" * 64, "2" * 64)
+THEIRS = ArmIdentity("cobot7", ("cobot_joint1", "cobot_joint2"), "a" * 64, "b" * 64)
+
+
+def test_text_and_back_is_the_same() -> None:
+    assert arm_identity.from_json(arm_identity.to_json(OURS)) == OURS
+    assert arm_identity.from_json(arm_identity.to_json(None)) is None
+
+
+@pytest.mark.requirement("S-59")
+def test_the_refusal_of_another_arm_names_both() -> None:
+    assert refusal(THEIRS, OURS) == (
+        "is of another arm: of cobot7 (cobot_joint1 to cobot_joint2, kinematics aaaaaaaa); "
+        "this one is wam7 (wam_j1 to wam_j2, kinematics 11111111)"
+    )
+
+
+@pytest.mark.requirement("S-59")
+def test_the_same_arm_and_an_unknown_one_are_not_refused_but_remarked() -> None:
+    renamed = OURS._replace(name="left", joint_names=("left_j1", "left_j2"))
+    heavier = OURS._replace(dynamics="3" * 64)
+    for theirs, said in (
+        (OURS, ""),
+        (renamed, ""),
+        (heavier, "other masses"),
+        (None, "does not say which arm it is of; it is taken to be wam7"),
+    ):
+        assert refusal(theirs, OURS) == ""
+        assert said in remark(theirs, OURS) and bool(said) == bool(remark(theirs, OURS))
+    assert refusal(OURS, None) == ""
+    assert refusal(OURS._replace(joint_names=("wam_j1",)), OURS)  # a part of the arm
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"kinematics": "1" * 63}, "must be"),
+        ({"dynamics": "G" * 64}, "must be"),
+        ({"dynamics": 1}, "must be"),
+        ({"name": "two\nlines"}, "must be"),
+        ({"name": None}, "must be"),
+        ({"joint_names": []}, "1 to 16 names"),
+        ({"joint_names": ["a"] * 17}, "1 to 16 names"),
+        ({"joint_names": "ab"}, "1 to 16 names"),
+        ({"joint_names": [1]}, "must be"),
+        ({"size": 3}, "identified by"),
+    ],
+)
+def test_what_is_no_identity_is_refused(change: dict, why: str) -> None:
+    with pytest.raises(ValueError, match=why):
+        identity_of(OURS._asdict() | change)
+    with pytest.raises(ValueError, match=why):
+        arm_identity.from_json(json.dumps(OURS._asdict() | change))
+    with pytest.raises(ValueError, match="identified by"):
+        arm_identity.from_json("[]")

@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Process beside the torque controller: reads and prepares, publishes and logs, in its own time.
+
+Started by `preparation.Preparation`, with plain scheduling and a node of its own; ends with the
+controller. It hands over policies with their tables and movements on the control grid, complete.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
+
+from wam_power_ros.control import policy_execution, replay_trajectory
+from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.modes import ControllerError
+from wam_power_ros.control.safety import Limits
+from wam_power_ros.learning import policy as policies
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.nodes.preparation import (
+    MOVEMENT,
+    NAME,
+    POLICY,
+    TABLES,
+    channel_of_process,
+    settings_of,
+)
+from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages
+from wam_power_ros.ros.diagnostics import diagnostics_message
+from wam_power_ros.ros.process_channel import Channel, Message
+from wam_power_ros.ros.stamps import time_message
+
+# Larger messages are refused unread. A policy is as long as its text; 20 MB are 200 000 points of
+# seven joints with positions alone, where the 600 s that may be replayed have 60 000 points.
+SIZE_MAX = {POLICY: policies.SIZE_MAX + 64, MOVEMENT: 20_000_000}
+POINTS_MAX = 200_000
+TEXT_MAX = 2000  # characters of a reason
+SETTLE_TIME = 1.0  # [s] in which threads of the middleware come to rest, at most
+
+
+class PreparationWorker(Node):
+    """The node of the process.
+
+    Attributes:
+        ended: Whether the torque controller has ended.
+
+    Args:
+        channel: Connection to the torque controller.
+    """
+
+    def __init__(self, channel: Channel) -> None:
+        super().__init__(NAME)
+        self.ended = False
+        self._channel = channel
+        self._inbox: deque[Message | None] = deque()
+        self._number = 0  # of the configuration
+        self._settings: ControllerSettings | None = None
+        self._joint_names: tuple[str, ...] = ()
+        self._seen: set[tuple[str, int]] = set()
+        # The last two of each kind: when the loop lets one go, its memory is given back here.
+        self._shared: dict[str, deque[object]] = {what: deque(maxlen=2) for what in SIZE_MAX}
+        self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self._callbacks: dict[Subscription, Callable[[bytes, dict[str, int]], None]] = {}
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    # From the torque controller
+
+    def _listen(self) -> None:
+        """Receive into `_inbox`, for the executor can wait only for the middleware."""
+        try:
+            while True:
+                self._inbox.append(self._channel.receive())
+                self._wake()
+        except EOFError:
+            self._inbox.append(None)
+            self._wake()
+
+    def _wake(self) -> None:
+        if self.executor is not None:
+            self.executor.wake()
+
+    def attend(self) -> None:
+        """Do what the torque controller has asked for."""
+        while self._inbox:
+            message = self._inbox.popleft()
+            if message is None:
+                self.ended = True
+                return
+            getattr(self, f"_do_{message.values['what']}")(*message)
+
+    def _do_configure(self, values: dict[str, Any], _: object) -> None:
+        self._number = values["number"]
+        settings = values["settings"]
+        self._settings = None if settings is None else settings_of(settings)
+        self._joint_names = tuple(values["joint_names"])
+        self._seen.update((kind, stamp) for kind, stamp in values["seen"])
+        if not self._callbacks:
+            self._subscribe(String, interface.POLICY, POLICY, self._policy)
+            self._subscribe(JointTrajectory, interface.REPLAY_TRAJECTORY, MOVEMENT, self._movement)
+
+    def _do_mark(self, values: dict[str, Any], _: object) -> None:
+        """Answer once all that had come by now has been read.
+
+        The request came another way than the messages before it, and may have overtaken those that
+        a thread of the middleware has not taken from its socket yet. Such a thread does not wait.
+        """
+        late = time.monotonic() + SETTLE_TIME
+        while not others_wait() and time.monotonic() < late:
+            time.sleep(0.001)
+        for each, callback in self._callbacks.items():
+            while (taken := each.handle.take_message(each.msg_type, each.raw)) is not None:
+                callback(*taken)
+        self._send(values)
+
+    def _do_path(self, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+        path = EndEffectorPath(values["id"], **arrays)
+        message = pose_messages.path_message(path, values["start_ns"], values["frame"])
+        self._paths.publish(message)
+
+    def _do_report(self, values: dict[str, Any], _: object) -> None:
+        if any(later is not None and later.values["what"] == "report" for later in self._inbox):
+            return  # those that waited while this process was started are out of date
+        parts = (values[name] for name in ("hardware_id", "level", "text", "values"))
+        stamp = time_message(values["stamp_ns"])
+        self._diagnostics.publish(diagnostics_message(stamp, "torque_controller: loop", *parts))
+
+    def _do_log(self, values: dict[str, Any], _: object) -> None:
+        if values["severity"] == "error":
+            self.get_logger().error(values["text"])
+        else:
+            self.get_logger().warning(values["text"])
+
+    # From the network
+
+    def _subscribe(
+        self, kind: type, topic: str, what: str, prepare: Callable[[bytes], None]
+    ) -> None:
+        def callback(data: bytes, info: dict[str, int]) -> None:
+            self._read(what, data, info["source_timestamp"], prepare)
+
+        subscription = self.create_subscription(kind, topic, callback, interface.LATCHED, raw=True)
+        self._callbacks[subscription] = callback
+
+    def _read(self, what: str, data: bytes, stamp: int, prepare: Callable[[bytes], None]) -> None:
+        """Prepare a message, or say why it is refused.
+
+        A message that comes again, because this process was started again, is left out: what came
+        before the one in force must not replace it.
+        """
+        if (what, stamp) in self._seen:
+            return
+        self._seen.add((what, stamp))
+        self._send({"what": "reading", "kind": what, "stamp": stamp})
+        try:
+            if (size := len(data)) > SIZE_MAX[what]:
+                raise ValueError(f"{size} bytes; at most {SIZE_MAX[what]} allowed")
+            if self._settings is None:
+                raise ValueError("the controller is not configured")
+            prepare(data)
+        except Exception as error:  # whatever is wrong with it; the loop has the last one still
+            text = str(error) if isinstance(error, (ValueError, ControllerError)) else repr(error)
+            self._send({"what": "refused", "kind": what, "text": text[:TEXT_MAX]})
+
+    def _policy(self, data: bytes) -> None:
+        settings, limits = self._arm()
+        policy = policies.from_json(deserialize_message(data, String).data)
+        prepared = policy_execution.prepare(policy, len(limits.q_min), limits, settings)
+        tables = vars(prepared.tables)
+        values = {
+            "policy": {"id": policy.id, "duration": prepared.duration, "content": prepared.content},
+            "tables": {name: value for name, value in tables.items() if name not in TABLES},
+        }
+        arrays = {name: tables[name] for name in TABLES} | {
+            "q_start": prepared.q_start,
+            "orientation_reference": prepared.orientation_reference,
+        }
+        self._hand_over(POLICY, {"what": "policy", **values}, arrays)
+
+    def _movement(self, data: bytes) -> None:
+        settings, limits = self._arm()
+        message = deserialize_message(data, JointTrajectory)
+        if (points := len(message.points)) > POINTS_MAX:
+            raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
+        movement = joint_messages.movement(message, self._joint_names)
+        try:
+            sampled = replay_trajectory.sampled(movement, 1.0, settings.period, limits)
+        except ControllerError as error:  # told when its replay is asked for
+            values = {"refusal": error.refusal.value, "text": str(error), "values": error.values}
+            self._hand_over(MOVEMENT, {"what": "no movement", **values}, {})
+            return
+        values = {"duration": sampled.duration, "period": sampled.period}
+        arrays = {"q": sampled.q, "qd": sampled.qd, "qdd": sampled.qdd}
+        self._hand_over(MOVEMENT, {"what": "movement", "movement": values}, arrays)
+
+    def _arm(self) -> tuple[ControllerSettings, Limits]:
+        settings = self._settings
+        if settings is None or settings.limits is None:
+            raise ValueError("the controller is not configured")
+        return settings, settings.limits
+
+    def _hand_over(self, what: str, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
+        shared = self._channel.send({**values, "configuration": self._number}, arrays)
+        self._shared[what].append(shared)
+
+    def _send(self, values: dict[str, Any]) -> None:
+        self._channel.send(values)
+
+
+def others_wait() -> bool:
+    """Whether all other threads of this process wait for something."""
+    tasks = FilePath("/proc/self/task")
+    mine = threading.get_native_id()
+    states = [
+        (task / "stat").read_text().rpartition(")")[2].split()[0]
+        for task in tasks.iterdir()
+        if task.name != str(mine)
+    ]
+    return all(state != "R" for state in states)
+
+
+def main() -> int:
+    """Run until the torque controller has ended; signals to its process group are its own."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    channel = channel_of_process()
+    make = lambda: PreparationWorker(channel)  # noqa: E731
+    with node_runner.participant(make, SignalHandlerOptions.NO) as node:
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        node.attend()
+        while not node.ended:
+            executor.spin_once(timeout_sec=1.0)
+            node.attend()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages between two processes of one machine: a few values as JSON, and arrays of any size.
+
+The arrays lie in shared memory whose descriptor travels with the message: who receives maps them,
+which takes the same short time for any size and copies nothing.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import mmap
+import os
+import socket
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+MESSAGE_MAX = 65536  # size of a message without its arrays [byte]
+_ALIGNMENT = 64  # of an array in the shared memory [byte]
+
+
+class Message(NamedTuple):
+    """A message.
+
+    Attributes:
+        values: Values by name, as JSON has them.
+        arrays: Arrays by name, float64 and read-only.
+    """
+
+    values: dict[str, Any]
+    arrays: dict[str, np.ndarray]
+
+
+class Channel:
+    """One end of a connection between two processes; the ends are made by `pair`.
+
+    Args:
+        end: Its socket. Where it does not block, neither `send` nor `receive` does.
+    """
+
+    def __init__(self, end: socket.socket) -> None:
+        self._socket = end
+
+    def send(
+        self, values: Mapping[str, object], arrays: Mapping[str, np.ndarray] | None = None
+    ) -> io.FileIO | None:
+        """Send a message.
+
+        Returns:
+            The shared memory of its arrays, if it has any. Who keeps it until the other process
+            has let the arrays go has their memory given back here, not there.
+
+        Raises:
+            BlockingIOError: The other process has not read what was sent before.
+            OSError: The other process has ended; or there is no memory for the arrays.
+            ValueError: The values are too long.
+        """
+        layout: dict[str, tuple[int, tuple[int, ...]]] = {}
+        shared, size = None, 0
+        if arrays:
+            shared = io.FileIO(os.memfd_create("arrays"), "r+")
+            for name, array in arrays.items():
+                layout[name] = (size, array.shape)
+                plain = np.ascontiguousarray(array, dtype=np.float64)
+                os.pwrite(shared.fileno(), plain.tobytes() or b"\0", size)
+                size += -(-max(plain.nbytes, 1) // _ALIGNMENT) * _ALIGNMENT
+        data = json.dumps([values, layout, size]).encode()
+        if len(data) > MESSAGE_MAX:
+            raise ValueError(f"message of {len(data)} bytes; at most {MESSAGE_MAX} allowed")
+        if shared is None:
+            self._socket.send(data)
+        else:
+            os.truncate(shared.fileno(), size)
+            socket.send_fds(self._socket, [data], [shared.fileno()])
+        return shared
+
+    def receive(self) -> Message | None:
+        """The next message; None when there is none yet and the socket does not block.
+
+        Raises:
+            EOFError: The other process has ended, and all it sent has been received.
+            MemoryError: The arrays cannot be mapped; the message is lost.
+        """
+        try:
+            data, descriptors, _, _ = socket.recv_fds(self._socket, MESSAGE_MAX, 1)
+        except BlockingIOError:
+            return None
+        except ConnectionResetError:  # told once, when it ended with messages of ours unread
+            return self.receive()
+        if not data:
+            raise EOFError("the other process has ended")
+        values, layout, size = json.loads(data)
+        if not descriptors:
+            return Message(values, {})
+        try:
+            memory = mmap.mmap(descriptors[0], size, prot=mmap.PROT_READ)
+        except OSError as error:
+            raise MemoryError(f"{size} bytes cannot be mapped: {error}") from None
+        finally:
+            os.close(descriptors[0])
+        arrays = {
+            name: np.frombuffer(memory, float, int(np.prod(shape)), start).reshape(shape)
+            for name, (start, shape) in layout.items()
+        }
+        return Message(values, arrays)
+
+    def fileno(self) -> int:
+        """File descriptor of the socket."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """End the connection; the other process still receives what was sent."""
+        self._socket.close()
+
+
+def pair() -> tuple[Channel, Channel]:
+    """The two ends of a connection: the first does not block, the second does."""
+    one, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    one.setblocking(False)
+    return Channel(one), Channel(other)
