@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Refusal
@@ -282,7 +283,11 @@ def settings_values(settings: ControllerSettings) -> dict[str, Any]:
 
 def settings_of(values: Mapping[str, Any]) -> ControllerSettings:
     """The settings of which these are the values."""
-    return ControllerSettings(**{**values, "limits": Limits(**values["limits"])})
+    arm = values["arm"]
+    if arm is not None:  # JSON makes lists of it
+        name, joint_names, *digests = arm
+        arm = ArmIdentity(name, tuple(joint_names), *digests)
+    return ControllerSettings(**{**values, "limits": Limits(**values["limits"]), "arm": arm})
 
 
 def channel_of_process() -> Channel:
