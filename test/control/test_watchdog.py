@@ -3,7 +3,7 @@
 
 import pytest
 
-from wam_power_ros.control.watchdog import Watchdog, overload
+from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.learning.rollout import FaultKind
 
 MS = 1_000_000
@@ -142,3 +142,13 @@ def test_a_fault_needs_more_than_20_ms_and_idling_more_than_100() -> None:
             watchdog.check(ms * MS)
         silence = watchdog.check(age_ns)
         assert ((silence.fault is not None), silence.idle) == (fault, idle)
+
+
+@pytest.mark.requirement("S-51")
+@pytest.mark.parametrize(("rate", "fault"), [(0.1, True), (0.8, False), (1.2, False), (3.0, True)])
+def test_stamps_at_another_speed_than_real_time_are_a_fault(rate: float, fault: bool) -> None:
+    clock = StampClock()
+    found = [clock.check(round(rate * ms * MS), ms * MS) for ms in range(0, 1000, 2)]
+    kinds = {each.kind for each in found if each is not None}
+    assert kinds == ({FaultKind.STAMPS} if fault else set())
+    assert found[:100] == [None] * 100  # what is shorter may be a late message

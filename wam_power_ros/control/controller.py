@@ -191,6 +191,11 @@ class Controller:
         if self._mode not in PASSIVE:
             self.hold()
 
+    def release(self) -> None:
+        """Carry an arm that holds without holding its posture, as the last torque is to do."""
+        if self._mode is Mode.HOLD:
+            self._enter(Mode.GRAVITY_COMPENSATION)
+
     def set_gravity_compensation(self, on: bool) -> None:
         """Let a person move the arm, or hold it where it is.
 

@@ -52,7 +52,7 @@ NOT_ACTIVE = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
 FRESH_NS = 1_000_000_000  # [ns] age of a joint state with which the arm may be activated
 VELOCITY_NS = 10_000_000  # [ns] age of a velocity of its own topic that is used
 REST_WITHIN = 0.5  # [s] in which the arm is brought to rest when this node ends
-LAST_CHANGE = 0.05  # [N m] of the last torque: then it carries the arm
+RELEASE_WITHIN = 0.05  # [s] after it, in which the torque becomes the one that carries the arm
 ENABLE_NS = 100_000_000  # [ns] after which the enabling switch counts as released
 
 
@@ -181,27 +181,30 @@ class TorqueController(LifecycleNode):
             return
         core = self._controller
         core.stop()
-        end = time.monotonic() + REST_WITHIN
-        while not core.at_rest and time.monotonic() < end:
-            with self._states.handle:
-                taken = self._states.handle.take_message(JointState, True)
-            if taken is not None:
-                self._on_state(taken[0])
-            else:
-                self.watch()
-                time.sleep(0.1 * self._params.period)
-        last, tau = None, core.stale_torque()
-        while last is None or np.abs(tau - last).max() > LAST_CHANGE:
-            self._send(tau, core.label)
-            time.sleep(self._params.period)
-            last, tau = tau, core.stale_torque()
-        self._send(tau, "inactive")
+        begun = time.monotonic()
+        while not core.at_rest and time.monotonic() - begun < REST_WITHIN:
+            self._answer_next()
+        core.release()
+        begun = time.monotonic()
+        while time.monotonic() - begun < RELEASE_WITHIN:
+            self._answer_next()
+        self._send(core.stale_torque(), "inactive")
         self._active = False
         self._controller.deactivate()
         self._answer_moves()
         self._preparation.forget_requests()
         for service in (self._execute, self._move, self._replay):
             service.finish(False, str(NOT_ACTIVE))
+
+    def _answer_next(self) -> None:
+        """Answer the next state without an executor, or do without one."""
+        with self._states.handle:
+            taken = self._states.handle.take_message(JointState, True)
+        if taken is not None:
+            self._on_state(taken[0])
+        else:
+            self.watch()
+            time.sleep(0.1 * self._params.period)
 
     def destroy_node(self) -> None:
         """End the process beside this one, too."""

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""False states, ends in mid-motion and foreign commands, over DDS to the node in a process."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Probe, Processes
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from played_arm import HOME, NAMES, PlayedArm
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from benchmark.lab import Lab
+from benchmark.lies import LIES, Driver, tell
+from wam_power_ros.control.safety import REST_SPEED
+from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.ros import interface
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Iterator[Lab]:
+    with Lab(tmp_path).open() as lab:
+        yield lab
+
+
+@pytest.mark.requirement("S-91")
+def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_velocities_turn_false(
+    lab: Lab,
+) -> None:
+    driver = Driver(lab)
+    lab.controller(priority=0)
+    outcome = tell(driver, lab, "upwards", LIES["velocities negated"]())
+    assert outcome.faulted is not None
+    assert outcome.rest < REST_SPEED
+
+
+@pytest.mark.requirement("S-05")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_controller_that_is_ended_in_a_rollout_stops_the_arm_first(lab: Lab, number: int) -> None:
+    driver = Driver(lab)
+    controller = lab.controller(priority=0)
+    driver.begin("upwards")
+    assert driver.speeds[-1] > REST_SPEED
+    controller.process.send_signal(number)
+    assert driver.play(20.0, lambda: controller.process.poll() is not None)
+    driver.speeds.clear()
+    driver.play(0.5)
+    assert lab.label == "inactive"
+    assert max(driver.speeds) < REST_SPEED
+    assert np.abs(lab.torques[-1][1].tau - driver.gravity()).max() < 0.5
+    lab.end(controller)
+
+
+@pytest.mark.requirement("S-45")
+def test_a_commander_that_was_silent_at_activation_is_a_fault_when_it_sends(
+    probe: Probe, processes: Processes
+) -> None:
+    other = probe.publisher(
+        Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND, readers=0
+    )
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    for _ in range(50):
+        arm.send()
+        arm.answer()
+    assert arm.read()[-1].label == "hold"
+    other.publish(Float64MultiArray(data=[0.0] * 7))
+    report = arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "the fault")
+    assert report["fault kind"] == FaultKind.SECOND_COMMANDER.value
+
+
+@pytest.mark.requirement("S-26")
+def test_a_fault_outlives_the_life_cycle(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+
+    def change(transition: int) -> bool:
+        arm.send()
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return probe.call(ChangeState, "/torque_controller/change_state", request).success
+
+    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "a fault")
+    probe.node.destroy_publisher(other)
+    for transition in (
+        Transition.TRANSITION_DEACTIVATE,
+        Transition.TRANSITION_CLEANUP,
+        Transition.TRANSITION_CONFIGURE,
+        Transition.TRANSITION_ACTIVATE,
+    ):
+        probe.until(lambda: change(transition), f"transition {transition}")  # noqa: B023
+    arm.send()
+    assert arm.answer().label == "fault"
+    arm.reset()
+    arm.send()
+    assert arm.answer().label == "hold"
+
+
+@pytest.mark.requirement("S-94")
+def test_a_velocity_topic_that_falls_silent_is_a_fault(probe: Probe, processes: Processes) -> None:
+    arm = PlayedArm(probe, processes, velocity_topic="/velocities", state_timeout=0.02)
+    velocities = probe.publisher(JointState, "/velocities", interface.STATE_OUT)
+
+    def played(speeds: bool) -> str:
+        for _ in range(10):
+            if speeds:
+                velocities.publish(JointState(name=NAMES, velocity=[0.0] * 7))
+            arm.send(q=HOME, qd=np.empty(0))
+            probe.spin(0.001)
+        torques = arm.read()
+        return torques[-1].label if torques else ""
+
+    def held() -> bool:
+        label = played(True)
+        if label == "fault":  # a busy machine has held one of us up
+            probe.call(Trigger, interface.RESET)
+        return label == "hold"
+
+    probe.until(held, "the arm is held")
+    probe.until(lambda: played(False) == "fault", "the fault")
+    kinds = {FaultKind.VELOCITY.value, FaultKind.STATES_LOST.value}  # or a busy machine was first
+    assert arm.diagnosis(lambda d: d["mode"] == "fault", "it")["fault kind"] in kinds
