@@ -192,9 +192,9 @@ class Controller:
             self.hold()
 
     def release(self) -> None:
-        """Carry an arm that holds without holding its posture, as the last torque is to do."""
+        """Carry an arm that holds, without a spring, until the mode changes: before the last torque."""
         if self._mode is Mode.HOLD:
-            self._enter(Mode.GRAVITY_COMPENSATION)
+            self._law = self._rest_torque
 
     def set_gravity_compensation(self, on: bool) -> None:
         """Let a person move the arm, or hold it where it is.
