@@ -108,6 +108,7 @@ class Controller:
             Mode.REPLAY: self._joint_torque,
             Mode.FAULT: self._rest_torque,
         }
+        self._law: Law = self._rest_torque
         self._set(Mode.INACTIVE if latched is None else Mode.FAULT)
         self._label = self._mode_label
 
@@ -192,7 +193,7 @@ class Controller:
             self.hold()
 
     def release(self) -> None:
-        """Carry an arm that holds, without a spring, until the mode changes: before the last torque."""
+        """Carry an arm that holds, without a spring, until the mode changes."""
         if self._mode is Mode.HOLD:
             self._law = self._rest_torque
 
