@@ -47,7 +47,8 @@ class PlayedArm:
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self.stamp_ns = TICK
-        self._sent_ns, self._real_time = 0, bool(parameters.get("state_timeout"))
+        simulated = parameters.get("use_sim_time", False)
+        self._sent_ns, self._real_time = 0, bool(parameters.get("state_timeout")) and not simulated
         self._publisher = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
 
     def send(

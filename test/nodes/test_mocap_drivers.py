@@ -95,7 +95,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     more = tmp_path / "over.yaml"
     more.write_text(over or "{}")
     setup = of(name, more)
-    setup["pancake_tracker"] |= {"clock_offset_max": 100.0, "silence": 1000.0}  # take your time
+    setup["pancake_tracker"] |= {"clock_offset_max": 10.0, "silence": 60.0}  # take your time
     file = tmp_path / "parameters.yaml"
     file.write_text(overlay.text(setup))
     processes.node("wam_power_ros.nodes.pancake_tracker", file)

@@ -78,7 +78,7 @@ class Bench:
 def test_a_path_holds_every_valid_frame_of_the_rollout_however_they_come(
     probe: Probe, processes: Processes
 ) -> None:
-    bench = Bench(probe, processes, clock_offset_max=100.0, silence=1000.0)
+    bench = Bench(probe, processes, clock_offset_max=10.0, silence=60.0)
     frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
     paths = []
     poses = toss(np.random.default_rng(1))

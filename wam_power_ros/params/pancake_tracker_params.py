@@ -37,10 +37,10 @@ class PancakeTrackerParams(Params):
         ge=1e-6, le=0.05, description="in m: no camera resolves less; 5 cm is a pancake's radius"
     )
     silence: float = Field(
-        ge=0.05, le=30.0, description="in s: frames come at 30 Hz; nobody waits half a minute"
+        ge=0.05, le=60.0, description="in s: frames come at 30 Hz; nobody waits for a minute"
     )
     clock_offset_max: float = Field(
-        ge=0.001, le=1.0, description="in s: of jitter, and of a toss's duration"
+        ge=0.001, le=10.0, description="in s: of jitter, and of a clock that was never set"
     )
 
     def settings(self) -> TrackerSettings:
