@@ -54,9 +54,9 @@ learn: $(READY)
 reproduce: $(READY)
 	$(BIN)/wam-power reproduce $(ARGS)
 
-# Three at a time on two cores, for they mostly wait for processes; in the order of test/conftest.py.
+# In the order of test/conftest.py: the slow folders first.
 test: $(READY)
-	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 
+import pytest
 from conftest import ROOT, Probe, Processes, diagnosis
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
@@ -120,7 +121,10 @@ class Hardware:
             self.probe.spin(0.0 if answers[-1].success else 0.05)
             return answers[-1].success
 
-        self.probe.until(agreed, name)
+        try:
+            self.probe.until(agreed, name)
+        except pytest.fail.Exception:
+            pytest.fail(f"{name} was refused to the end: {answers[-1:]}, {self.label()}")
         return answers[-1].values.get("policy", answers[-1].text)
 
     def rollout(

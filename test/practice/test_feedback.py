@@ -293,6 +293,7 @@ def test_a_session_killed_after_any_line_and_resumed_is_the_same_session(tmp_pat
     cut = next(place for place, line in enumerate(log) if isinstance(line, NewDemonstration)) + 1
     for kept in (cut - 1, cut, cut + 1):
         (folder / "rollouts.jsonl").write_bytes(b"".join(lines[:kept]) + lines[kept][:30])
+        (folder / "acknowledged.json").unlink()  # of the lines that are not yet there
         with Session.open(folder) as resumed:
             practice = resumed.practice(ANY_ARM)
             for line in log[kept:]:

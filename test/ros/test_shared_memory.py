@@ -6,6 +6,7 @@ from __future__ import annotations
 import fcntl
 import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -64,8 +65,11 @@ def test_a_killed_node_s_segment_is_gone_when_another_node_starts(
     words = probe.listen(String, "/words", interface.LATCHED)
     killed = processes.start([sys.executable, "-c", TALK])
     probe.until(lambda: words, "the first talker")
-    open_files = (file.readlink() for file in Path(f"/proc/{killed.pid}/fd").iterdir())
-    locks = [path for path in open_files if shared_memory.SEGMENT_LOCK.fullmatch(path.name)]
+    locks = []
+    for file in Path(f"/proc/{killed.pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed by now
+            if shared_memory.SEGMENT_LOCK.fullmatch(file.readlink().name):
+                locks.append(file.readlink())
     assert locks
     processes.end(killed, signal.SIGKILL)
     words.clear()
