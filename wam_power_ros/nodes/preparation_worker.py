@@ -52,6 +52,8 @@ SIZE_MAX = {POLICY: policies.SIZE_MAX + 64, MOVEMENT: 20_000_000}
 POINTS_MAX = 200_000
 TEXT_MAX = 2000  # characters of a reason
 SETTLE_TIME = 1.0  # [s] in which threads of the middleware come to rest, at most
+# What the controller sends does not always wake the executor: requests took up to a second longer.
+ATTEND_PERIOD = 0.01  # [s] between two looks at what the controller has sent, at most
 
 
 class PreparationWorker(Node):
@@ -248,7 +250,7 @@ def main() -> int:
         executor.add_node(node)
         node.attend()
         while not node.ended:
-            executor.spin_once(timeout_sec=1.0)
+            executor.spin_once(timeout_sec=ATTEND_PERIOD)
             node.attend()
     return 0
 
