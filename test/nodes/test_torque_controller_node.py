@@ -539,7 +539,10 @@ def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
     def late() -> bool:  # every state 6 to 10 ms after the last: two of three periods are missed
         arm.send()
         probe.spin(0.006)
-        return "of the periods of a second missed" in told().get("message", "")
+        text = told().get("message", "")
+        if told().get("mode") == "fault" and "periods" not in text:  # a busy machine held us up
+            probe.call(Trigger, interface.RESET)
+        return "of the periods of a second missed" in text
 
     probe.until(late, "the overload is told")
     assert told()["mode"] == ("hold" if allowed else "fault")
