@@ -52,15 +52,13 @@ SIZE_MAX = {POLICY: policies.SIZE_MAX + 64, MOVEMENT: 20_000_000}
 POINTS_MAX = 200_000
 TEXT_MAX = 2000  # characters of a reason
 SETTLE_TIME = 1.0  # [s] in which threads of the middleware come to rest, at most
-# What the controller sends does not always wake the executor: requests took up to a second longer.
-ATTEND_PERIOD = 0.01  # [s] between two looks at what the controller has sent, at most
 
 
 class PreparationWorker(Node):
     """The node of the process.
 
     Attributes:
-        ended: Whether the torque controller has ended.
+        ended: Whether the controller's end of the channel has been closed.
 
     Args:
         channel: Connection to the torque controller.
@@ -82,6 +80,8 @@ class PreparationWorker(Node):
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self._callbacks: dict[Subscription, Callable[[bytes, dict[str, int]], None]] = {}
+        # Not Executor.wake(): that only makes it wait anew.
+        self._arrived = self.create_guard_condition(self._attend)
         threading.Thread(target=self._listen, daemon=True).start()
 
     # From the torque controller
@@ -91,16 +91,12 @@ class PreparationWorker(Node):
         try:
             while True:
                 self._inbox.append(self._channel.receive())
-                self._wake()
+                self._arrived.trigger()
         except EOFError:
             self._inbox.append(None)
-            self._wake()
+            self._arrived.trigger()
 
-    def _wake(self) -> None:
-        if self.executor is not None:
-            self.executor.wake()
-
-    def attend(self) -> None:
+    def _attend(self) -> None:
         """Do what the torque controller has asked for."""
         while self._inbox:
             message = self._inbox.popleft()
@@ -248,10 +244,8 @@ def main() -> int:
     with node_runner.participant(make, SignalHandlerOptions.NO) as node:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        node.attend()
         while not node.ended:
-            executor.spin_once(timeout_sec=ATTEND_PERIOD)
-            node.attend()
+            executor.spin_once(timeout_sec=1.0)
     return 0
 
 
