@@ -111,7 +111,7 @@ class Driver:
     """The simulated arm as a driver in the lab's domain.
 
     Attributes:
-        lie: What becomes of the states.
+        lie: Function that falsifies a state before it is published.
         speeds: Speed of the tool in every period [m/s].
     """
 

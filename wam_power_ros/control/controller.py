@@ -49,7 +49,7 @@ class Controller:
             of torques `limited` and `stale`; of `faults`.
         latched: Fault that is latched, None without.
         rollout_stamp_ns: Stamp of the first state of the last rollout that ended, or None [ns].
-        fresh: Whether the last state was accepted as a new one.
+        fresh: True when the last state was accepted as a new one.
         enabled: Whether a person holds the enabling switch, where `hold_to_run` asks for one; set
             from outside, before every state.
 

@@ -97,7 +97,7 @@ class StampClock:
 
         Args:
             stamp_ns: Stamp of the state [ns].
-            now_ns: When it came, of a steady clock [ns].
+            now_ns: Time at which it came, on a steady clock [ns].
         """
         stamp0_ns, began_ns = self._began or (stamp_ns, now_ns)
         real_ns = now_ns - began_ns

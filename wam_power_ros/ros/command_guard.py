@@ -23,7 +23,7 @@ class SoleCommander:
     from starting, but is listened to until it is gone. One that appears later is a fault.
 
     Attributes:
-        foreign: Whether somebody else has sent a command since we began to send.
+        foreign: True once another publisher has sent a command since we began to send.
 
     Args:
         node: Node that sends.
