@@ -15,11 +15,11 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # A sourced ROS 2 Jazzy brings its own rclpy, NumPy 1 and Pinocchio; a plain machine gets everything from PyPI.
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_FLAGS := --system-site-packages
-EXTRAS := sim,cluster,dev
+EXTRAS := sim,cluster,test,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
 else
 VENV_FLAGS :=
-EXTRAS := plain,sim,cluster,dev
+EXTRAS := plain,sim,cluster,test,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 endif
 
@@ -67,10 +67,11 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# By the Python of .venv, whoever installed colcon: the executables start with it.
 build: $(READY)
-	@[ -x $(BIN)/colcon ] || $(BIN)/python -m pip install --quiet --use-pep517 \
+	@$(BIN)/python -c 'import colcon, colcon_ros' 2>/dev/null || $(BIN)/python -m pip install --quiet --use-pep517 \
 	    -c $(VENV)/constraints.txt -e '.[build]'
-	$(BIN)/colcon build --packages-select wam_power_ros
+	$(BIN)/python -m colcon build --packages-select wam_power_ros
 
 clean:
 	rm -rf $(VENV) build install log

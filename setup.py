@@ -6,12 +6,13 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "wam_power_ros"
+HERE = Path(__file__).resolve().parent  # colcon build --symlink-install runs a link to this file
 
 
 def requirements() -> dict[str, list[str]]:
     """Sections of requirements.txt: `# [name]: ...` and the lines below it."""
     sections: dict[str, list[str]] = {}
-    for line in Path(__file__).with_name("requirements.txt").read_text().splitlines():
+    for line in (HERE / "requirements.txt").read_text().splitlines():
         if line.startswith("# ["):
             current = sections.setdefault(line[3 : line.index("]")], [])
         elif line and not line.startswith("#"):
@@ -21,11 +22,12 @@ def requirements() -> dict[str, list[str]]:
 
 def shared(*folders: str) -> list[tuple[str, list[str]]]:
     """Files of these folders, installed to the same places under share/wam_power_ros."""
-    files = [path for folder in folders for path in sorted(Path(folder).rglob("*"))]
+    files = [path for folder in folders for path in sorted((HERE / folder).rglob("*"))]
     places: dict[str, list[str]] = {}
     for path in files:
         if path.is_file() and "__pycache__" not in path.parts:
-            places.setdefault(f"share/{NAME}/{path.parent}", []).append(str(path))
+            place = path.relative_to(HERE)
+            places.setdefault(f"share/{NAME}/{place.parent}", []).append(str(place))
     return list(places.items())
 
 
@@ -35,7 +37,7 @@ setup(
     name=NAME,
     version="0.1.0",
     description="Teach a torque-controlled arm a skill by hand; it learns by trial and error",
-    long_description=Path(__file__).with_name("README.md").read_text(),
+    long_description=(HERE / "README.md").read_text(),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
     maintainer="wam_power_ros maintainers",

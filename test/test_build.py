@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The package as colcon builds and tests it, and `make` beside a sourced ROS."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+LINKED = ("setup.py", "setup.cfg", "wam_power_ros", "hardware_sim")  # by --symlink-install
+needs_colcon = pytest.mark.skipif(
+    importlib.util.find_spec("colcon_ros") is None, reason="colcon is not installed"
+)
+
+
+def run(*command: str | Path, folder: Path, **environment: str) -> str:
+    """Output of a command that must succeed."""
+    inherited = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}
+    done = subprocess.run(
+        [str(word) for word in command],
+        cwd=folder,
+        env={**inherited, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout
+    return done.stdout
+
+
+def test_setup_runs_through_a_link_to_it_and_its_extra_test_names_pytest(tmp_path: Path) -> None:
+    for name in LINKED:
+        (tmp_path / name).symlink_to(ROOT / name)
+    run(sys.executable, "setup.py", "-q", "egg_info", folder=tmp_path)
+    extras = (tmp_path / "wam_power_ros.egg-info/requires.txt").read_text().split("\n\n")
+    (extra,) = (each for each in extras if each.startswith("[test]"))  # colcon test looks there
+    assert "\npytest>" in extra
+
+
+def test_plugins_of_ros_that_this_pytest_cannot_load_are_left_out(tmp_path: Path) -> None:
+    info = tmp_path / "launch_testing-3.4.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: launch-testing\nVersion: 3.4\n")
+    plugins = ("launch_testing", "launch_ros", "launch_pytest")
+    lines = [f"{plugin} = a_plugin_for_another_pytest" for plugin in plugins]
+    (info / "entry_points.txt").write_text("\n".join(["[pytest11]", *lines]))
+    (tmp_path / "a_plugin_for_another_pytest.py").write_text("raise RuntimeError('was loaded')")
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    command = (sys.executable, "-m", "pytest", "--collect-only", "-q", "test/test_rotations.py")
+    assert "tests collected" in run(*command, folder=ROOT, PYTHONPATH=path)
+
+
+def test_make_runs_colcon_by_the_python_that_the_executables_start_with() -> None:
+    assert "\n.venv/bin/python -m colcon build" in run("make", "-n", "build", folder=ROOT)
+
+
+@needs_colcon
+def test_colcon_builds_links_and_tests_this_package(tmp_path: Path) -> None:
+    colcon = (sys.executable, "-m", "colcon", "--log-base", tmp_path / "log")
+    where = ("--base-paths", ROOT, "--build-base", tmp_path / "build")
+    install = tmp_path / "install"
+    run(*colcon, "build", *where, "--install-base", install, "--symlink-install", folder=tmp_path)
+    config = install / "wam_power_ros/share/wam_power_ros/config/learner.yaml"
+    assert config.resolve() == ROOT / "config/learner.yaml"
+    assert (install / "wam_power_ros/lib/wam_power_ros/learner").is_file()
+    chosen = ("--pytest-args", "test/test_rotations.py")
+    run(*colcon, "test", *where, "--install-base", install, *chosen, folder=tmp_path)
+    results = ("test-result", "--test-result-base", tmp_path / "build")
+    summary = run(*colcon, *results, folder=tmp_path).split()
+    tests, failures = summary[summary.index("tests,") - 1], summary[summary.index("failures,") - 1]
+    assert int(tests) > 0
+    assert failures == "0"
