@@ -99,6 +99,9 @@ def test_a_request_uses_the_policy_that_was_published_before_it(
     probe: Probe, arm: PlayedArm, worker: Worker
 ) -> None:
     policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
+    policies.publish(String(data=to_json(lift("before"))))
+    # What is published before publisher and reader have found each other has no order.
+    arm.diagnosis(lambda d: d["policy"] == "before", "the publisher has been found")
     for name in ("first", "second", "third"):
         worker.signal(signal.SIGSTOP)
         policies.publish(String(data=to_json(lift(name))))
@@ -179,6 +182,8 @@ def test_a_long_movement_is_replayed_and_one_too_fast_refused_when_it_is_asked_f
         return read(replay.result().success, replay.result().message)
 
     refusal = asked(0.01)
+    while refusal.code is Code.NOTHING:  # publisher and reader have not found each other yet
+        refusal = asked(0.01)
     assert refusal.code is Code.TOO_FAST and 0.0 < float(refusal.values["speed"]) < 1.0
     assert asked(1.0) is None  # it is under way
     assert probe.call(Trigger, interface.STOP).success
