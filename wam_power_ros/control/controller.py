@@ -34,6 +34,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
+INERTIAL_SHARE = 0.3  # of the torque that accelerates the arm; more than a lag of 8 ms makes it
 STANDING_SHARE = 0.05  # of a torque limit that may be unexplained at a standing joint in a rollout
 REST_NS = 200_000_000  # [ns] of rest after which a fault may be reset
 
@@ -89,7 +90,7 @@ class Controller:
         self._plausibility = Plausibility(arm)
         self._estimate: Estimate | None = None  # of the arm, in a fault and while no state comes
         self._rest_ns: int | None = None  # stamp since which the arm rests in a fault
-        contact = Bound(*2 * [settings.contact_share * arm.tau_max])
+        contact = Bound(*2 * [settings.contact_share * arm.tau_max], INERTIAL_SHARE)
         in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
         self._unexplained: dict[Mode, Bound | None] = {
             Mode.GRAVITY_COMPENSATION: None,

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -46,10 +47,13 @@ class Bound(NamedTuple):
         moving: At a joint that moves: what the model may be wrong by.
         standing: At a joint that has reported the same position for some time, bit for bit. It may
             be frozen, and the arm move away under a torque that seems to have no effect.
+        inertial: What may be unexplained beside that, as a share of the torque that accelerates the
+            arm: sensors and motors lag.
     """
 
     moving: np.ndarray
     standing: np.ndarray
+    inertial: float = 0.0
 
 
 class VelocityCheck:
@@ -65,31 +69,36 @@ class VelocityCheck:
 
     def begin(self) -> None:
         """Begin anew: the next state has no predecessor."""
-        self._sums = [np.zeros((2, self._n)) for _ in SLIP_WINDOWS]
-        self._same = np.zeros(self._n)  # states for which a position has stayed the same
+        self._excess = [[0.0] * self._n for _ in SLIP_WINDOWS]
         self._in_row = 0
 
-    def fault(self, last: JointState, state: JointState) -> Fault | None:
+    def fault(self, last: JointState, state: JointState, same: Sequence[int]) -> Fault | None:
         """Fault when positions and velocities have contradicted each other for some states.
 
         Args:
             last: State before.
             state: Present state.
+            same: States for which a position has stayed the same, a joint each.
         """
+        # Plain floats: half the time of arrays of seven numbers.
         dt = (state.stamp_ns - last.stamp_ns) * 1e-9
-        moved, said = state.q - last.q, 0.5 * dt * (last.qd + state.qd)
-        slip = np.minimum(np.abs(moved - said), _SLIP_AT_ONCE)
-        seen = np.stack((slip, np.minimum(np.abs(moved), np.abs(said))))
-        self._same = np.where(moved == 0.0, self._same + 1, 0)
-        frozen = (self._same >= FROZEN) & (np.abs(state.qd) > STANDSTILL)
-        joint = int(frozen.argmax()) if frozen.any() else -1
-        at = float(slip[joint])
+        half = 0.5 * dt
+        joint, at = -1, 0.0
+        gained = []
+        channels = (last.q, state.q, last.qd, state.qd)
+        rows = zip(*(channel.tolist() for channel in channels), same, strict=True)
+        for i, (before, now, qd_before, qd, still) in enumerate(rows):
+            moved, said = now - before, half * (qd_before + qd)
+            slip, seen = abs(moved - said), min(abs(moved), abs(said))
+            gained.append(min(slip, _SLIP_AT_ONCE) - SLIP_SHARE * seen)
+            if still >= FROZEN and abs(qd) > STANDSTILL:
+                joint, at = i, slip
         for k, (window, bound) in enumerate(SLIP_WINDOWS):
-            sums = self._sums[k] = math.exp(-dt / window) * self._sums[k] + seen
-            excess = sums[0] - SLIP_SHARE * sums[1]
-            worst = int(excess.argmax())
-            if excess[worst] > bound:
-                joint, at = worst, float(sums[0, worst])
+            keep = math.exp(-dt / window)
+            excess = [keep * x + gain for x, gain in zip(self._excess[k], gained, strict=True)]
+            self._excess[k] = excess
+            if (worst := max(excess)) > bound:
+                joint, at = excess.index(worst), worst
         self._in_row = self._in_row + 1 if joint >= 0 else 0
         if self._in_row < SUSPECTS:
             return None
@@ -112,29 +121,38 @@ class TorqueCheck:
     def begin(self) -> None:
         """Begin anew: nothing is unexplained."""
         self.residual = np.zeros(self._arm.n)
-        self._same = np.zeros(self._arm.n)  # states for which a position has stayed the same
+        self._inertial = np.zeros(self._arm.n)  # torque that the motion takes, low-passed [N m]
         self._in_row = 0
 
     def fault(
-        self, last: JointState, state: JointState, tau: np.ndarray, bound: Bound
+        self,
+        last: JointState,
+        state: JointState,
+        same: Sequence[int],
+        tau: np.ndarray,
+        bound: Bound,
     ) -> Fault | None:
         """Fault when the unexplained torque has exceeded its bound for some states.
 
         Args:
             last: State before.
             state: Present state.
+            same: States for which a position has stayed the same, a joint each.
             tau: Torque at the joints between the two [N m]. Shape (n,).
             bound: Largest unexplained torque beside friction.
         """
         arm = self._arm
         dt = (state.stamp_ns - last.stamp_ns) * 1e-9
         keep = math.exp(-dt / WINDOW)
-        gained = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
-        needed = gained + arm.bias(state.q, state.qd) + arm.resistance(state.qd)
-        self.residual = keep * self.residual + (1.0 - keep) * (needed - tau)
-        self._same = np.where(state.q == last.q, self._same + 1, 0)
-        most = np.where(self._same >= STANDING, bound.standing, bound.moving)
-        excess = np.abs(self.residual) - self._allowance - most
+        inertial = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
+        unexplained = inertial + arm.bias(state.q, state.qd) + arm.resistance(state.qd) - tau
+        self.residual = keep * self.residual + (1.0 - keep) * unexplained
+        self._inertial = keep * self._inertial + (1.0 - keep) * np.abs(inertial)
+        excess = np.abs(self.residual) - bound.inertial * self._inertial
+        excess = excess - self._allowance - bound.moving
+        if max(same) >= STANDING:
+            standing = np.array(same) >= STANDING
+            excess = np.where(standing, excess + bound.moving - bound.standing, excess)
         joint = int(excess.argmax())
         self._in_row = self._in_row + 1 if excess[joint] > 0.0 else 0
         if self._in_row < SUSPECTS:
@@ -158,10 +176,12 @@ class Plausibility:
         self._velocity, self._torque = VelocityCheck(arm.n), TorqueCheck(arm)
         self._past: deque[_Past] = deque(maxlen=REMEMBERED)
         self.doubted_ns: int | None = None
+        self.begin()
 
     def begin(self) -> None:
         """Begin anew: the next state has no predecessor."""
         self._past.clear()
+        self._same = [0] * self._arm.n  # states for which a position has stayed the same
         self._velocity.begin()
         self._torque.begin()
 
@@ -179,11 +199,13 @@ class Plausibility:
         if last is None:
             self.begin()
             return None
-        fault = self._velocity.fault(last, state)
+        positions = zip(self._same, last.q.tolist(), state.q.tolist(), strict=True)
+        same = self._same = [count + 1 if now == before else 0 for count, before, now in positions]
+        fault = self._velocity.fault(last, state, same)
         if bound is None:
             self._torque.begin()
         else:
-            fault = fault or self._torque.fault(last, state, tau, bound)
+            fault = fault or self._torque.fault(last, state, same, tau, bound)
         if fault is not None:
             self.doubted_ns = state.stamp_ns
         dt = (state.stamp_ns - last.stamp_ns) * 1e-9

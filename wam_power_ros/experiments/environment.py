@@ -93,7 +93,7 @@ class Environment:
             Stamps (M,) [ns] and joint positions (M, 7) [rad] as the driver reported them.
         """
         world = self.world
-        self._place(name, world.scene.home)
+        self.place(name, world.scene.home)
         controller = self.controller
         controller.set_gravity_compensation(True)
         for _ in range(_STILL_TICKS):
@@ -112,7 +112,7 @@ class Environment:
     def run(self, policy: Policy) -> tuple[Rollout, Truth]:
         """Execute a policy; returns its rollout and the simulator's ground truth."""
         world = self.world
-        self._place(policy.id, policy.q_start)
+        self.place(policy.id, policy.q_start)
         controller = self.controller
         controller.load(policy)
         controller.move_to_start()
@@ -138,7 +138,7 @@ class Environment:
             body = self.tracker.path(policy.id, start_ns, end_ns)
         return Rollout(tool, body, controller.latched), truth
 
-    def _place(self, rollout_id: str, q_start: np.ndarray) -> None:
+    def place(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Put the arm to a posture and hold it there; only a simulation can do that."""
         self.world.reset(rollout_id, q_start)
         self.controller = Controller(self.arm, self.controller.settings)

@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""False alarms and contacts: what must not stop the arm, and what must.
+
+    python -m benchmark.contact [--rollouts 72] [--replays 100]
+
+World, controller and tracker are connected by calls, in one process. Rollouts of exploration are
+executed under conditions that the controller does not know of, and demonstrations are replayed: no
+fault may come of it. Then the tool is pushed in a replay, and runs into a wall: the replay must
+stop, and the force stay small.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from itertools import cycle, islice
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hardware_sim.scenes.flip import wrist_flick
+from hardware_sim.sensors import MocapSettings
+from hardware_sim.world import PERIOD_NS
+from wam_power_ros.control import replay_trajectory
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.experiments.studies.flip_sessions import practise, stand_in, teach
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros.joint_messages import JointMovement
+
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "pan believed 20 % lighter": {"believed_pan": 0.8},
+    "pan believed 20 % heavier": {"believed_pan": 1.2},
+    "joint friction doubled": {"friction_share": 2.0},
+    "2 ms more delay": {"command_delay_ticks": 3},
+    "torque constants, sd 5 %": {"torque_scale_sd": 0.05},
+    "30 Hz motion capture": {"mocap": MocapSettings(rate=30.0)},
+    "120 Hz motion capture": {"mocap": MocapSettings(rate=120.0)},
+}
+SEED = 1000
+A_SESSION = 24  # rollouts, of one demonstration each
+PUSH = 30.0  # [N]
+WALLS = (1e3, 2e3, 5e3, 10e3, 75e3)  # stiffness [N/m]; the last is that of a hand in ISO/TS 15066
+SPEED = 0.5  # of the replays that are disturbed
+
+
+def rollouts(condition: dict[str, Any], count: int) -> tuple[int, list[str]]:
+    """Practise in sessions under a condition; returns the number of rollouts and all faults."""
+    done, faults, seed = 0, [], SEED
+
+    def seen(record: Record) -> None:
+        nonlocal done
+        done += 1
+        if record.fault:
+            faults.append(record.fault)
+
+    while done < count:
+        environment = stand_in(seed, **condition)
+        budget = min(A_SESSION, count - done)
+        settings = preset("flip", "paper", budget=budget, retests=0)
+        practise(environment, teach(environment, seed, 1), settings, seed, seen)
+        seed += 1
+    return done, faults
+
+
+class Replay:
+    """Replays of a demonstration in one environment.
+
+    Attributes:
+        environment: The environment.
+        periods: Duration of the movement under way [periods].
+    """
+
+    def __init__(self, seed: int, condition: dict[str, Any]) -> None:
+        self.environment = stand_in(seed, **condition)
+        script = wrist_flick(np.random.default_rng([seed, 0]))
+        stamps_ns, q = self.environment.demonstrate(script, "demonstration")
+        self._stamps_ns, self._q = stamps_ns, q
+        self._count = self.periods = 0
+
+    def begin(self, speed: float) -> None:
+        """Hold at the start of the movement, and begin."""
+        environment = self.environment
+        movement = JointMovement(*replay_trajectory.movement(self._stamps_ns, self._q, speed))
+        self.periods = round(movement.t[-1] * 1e9 / PERIOD_NS)
+        self._count += 1
+        environment.place(f"replay-{self._count}", movement.q[0])
+        for _ in range(100):
+            environment.tick()
+        environment.controller.start_replay(movement)
+        environment.world.release()
+        while environment.controller.mode is not Mode.REPLAY:
+            environment.tick()
+
+    def ticks(self) -> Iterator[int]:
+        """Go on to the end, or to rest after a fault; yields the number of periods so far."""
+        controller, k = self.environment.controller, 0
+        while controller.mode is Mode.REPLAY or (controller.mode is Mode.FAULT and k < 5000):
+            if controller.mode is Mode.FAULT and controller.at_rest:
+                return
+            yield k
+            self.environment.tick()
+            k += 1
+
+
+def replays(count: int) -> tuple[int, list[str]]:
+    """Replay demonstrations under all conditions; returns the number and all faults."""
+    faults: list[str] = []
+    arms = [Replay(SEED + k, each) for k, each in enumerate(CONDITIONS.values())]
+    speeds = cycle((0.5, 1.0))
+    for arm, speed in zip(islice(cycle(arms), count), speeds, strict=False):
+        arm.begin(speed)
+        for _ in arm.ticks():
+            pass
+        if (latched := arm.environment.controller.latched) is not None:
+            faults.append(latched.text)
+    return count, faults
+
+
+# Contacts
+
+
+class Push:
+    """A force that sets in within 10 ms and stays."""
+
+    def __init__(self, force: np.ndarray) -> None:
+        self.force = force
+
+    def wrench(
+        self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
+    ) -> np.ndarray:
+        """Wrench at the pan's centre; see `hardware_sim.demonstrator.Demonstrator`."""
+        return np.concatenate([min(t / 0.01, 1.0) * self.force, np.zeros(3)])
+
+
+class Wall:
+    """An elastic half space that begins where the tool is, across its way.
+
+    Attributes:
+        peak: Largest force so far [N].
+        speed: Speed of the tool when it came to the wall [m/s].
+    """
+
+    def __init__(self, stiffness: float) -> None:
+        self._stiffness = stiffness
+        self._at: np.ndarray | None = None
+        self.peak = self.speed = 0.0
+
+    def wrench(
+        self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
+    ) -> np.ndarray:
+        """Wrench at the pan's centre; see `hardware_sim.demonstrator.Demonstrator`."""
+        if self._at is None:
+            self.speed = float(np.linalg.norm(twist[:3]))
+            self._at, self._normal = position.copy(), twist[:3] / self.speed
+        depth = float((position - self._at) @ self._normal)
+        force = self._stiffness * max(depth, 0.0)
+        self.peak = max(self.peak, force)
+        return np.concatenate([-force * self._normal, np.zeros(3)])
+
+
+class Stop(NamedTuple):
+    """What became of one contact.
+
+    Attributes:
+        faulted: Time from the first force to the fault, None without [s].
+        peak: Largest force [N].
+        speed: Speed of the tool when it began [m/s].
+    """
+
+    faulted: float | None
+    peak: float
+    speed: float
+
+
+def touched(replay: Replay, moment: float, contact: Push | Wall) -> Stop:
+    """Touch the tool in a replay.
+
+    Args:
+        replay: Replay, begun by this.
+        moment: Share of the movement after which it is touched.
+        contact: What touches it.
+    """
+    replay.begin(SPEED)
+    controller, world = replay.environment.controller, replay.environment.world
+    at, faulted, speed = round(moment * replay.periods), None, 0.0
+    for k in replay.ticks():
+        if k == at:
+            sample = world.joint_state()
+            speed = replay.environment.arm.speeds(sample.q, sample.qd).tool_speed
+            world.attach(contact)
+        if faulted is None and controller.mode is Mode.FAULT:
+            faulted = (k - at) * PERIOD_NS * 1e-9
+    peak = contact.peak if isinstance(contact, Wall) else float(np.linalg.norm(contact.force))
+    return Stop(faulted, peak, speed)
+
+
+def pushes(count: int, rng: np.random.Generator) -> list[Stop]:
+    """Push the tool in random directions at random moments."""
+    replay, stops = Replay(SEED, {}), []
+    for _ in range(count):
+        direction = rng.normal(size=3)
+        push = Push(PUSH * direction / np.linalg.norm(direction))
+        stops.append(touched(replay, rng.uniform(0.1, 0.9), push))
+    return stops
+
+
+def walls(stiffness: float, count: int, rng: np.random.Generator) -> list[Stop]:
+    """Let the tool run into a wall at random moments at which it moves."""
+    replay, stops = Replay(SEED, {}), []
+    while len(stops) < count:
+        stop = touched(replay, rng.uniform(0.1, 0.9), Wall(stiffness))
+        if stop.speed > 0.05:
+            stops.append(stop)
+    return stops
+
+
+def summary(stops: Sequence[Stop]) -> str:
+    """One line about contacts."""
+    times = [stop.faulted for stop in stops if stop.faulted is not None]
+    latest = f"{max(times) * 1e3:.0f} ms" if times else "-"
+    peaks = sorted(stop.peak for stop in stops)
+    speeds = [stop.speed for stop in stops]
+    return (
+        f"{len(times)} of {len(stops)} found, after {latest} at most; force at most "
+        f"{peaks[-1]:.0f} N, median {peaks[len(peaks) // 2]:.0f}; speed of the tool "
+        f"{min(speeds):.2f} to {max(speeds):.2f} m/s"
+    )
+
+
+def main() -> int:
+    """Print every part; returns 1 when there was a false alarm."""
+    parser = argparse.ArgumentParser(prog="python -m benchmark.contact", description=__doc__)
+    parser.add_argument("--rollouts", type=int, default=72, help="under each condition")
+    parser.add_argument("--replays", type=int, default=100)
+    parser.add_argument("--contacts", type=int, default=50, help="of each kind")
+    options = parser.parse_args()
+    alarms, done = 0, 0
+    for name, condition in CONDITIONS.items() if options.rollouts else ():
+        count, faults = rollouts(condition, options.rollouts)
+        alarms, done = alarms + len(faults), done + count
+        print(f"{count} rollouts, {name}: {len(faults)} faults {faults[:3]}", flush=True)
+    print(f"{done} rollouts: {alarms} faults")
+    count, faults = replays(options.replays)
+    print(
+        f"{count} replays at half and full speed, under all conditions: {len(faults)} {faults[:3]}"
+    )
+    rng = np.random.default_rng(SEED)
+    print(f"pushed with {PUSH:.0f} N at half speed: {summary(pushes(options.contacts, rng))}")
+    for stiffness in WALLS:
+        stops = walls(stiffness, options.contacts, rng)
+        print(f"wall of {stiffness * 1e-3:.0f} N/mm: {summary(stops)}", flush=True)
+    return int(bool(alarms or faults))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
