@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rollout state by state: its end, its path, the obstacle, and what makes a policy unfit."""
+"""A rollout state by state: its end, its path, the obstacle."""
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +10,10 @@ from wam_power_ros import rotations
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.modes import ControllerError, Refusal
-from wam_power_ros.control.policy_execution import Execution, prepare
+from wam_power_ros.control.policy_execution import Execution
+from wam_power_ros.control.prepared_policy import prepare
 from wam_power_ros.control.tracking_error import TrackingLost
-from wam_power_ros.learning.policy import Basis, Policy, with_id
+from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
 
 ARM = Arm(share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
@@ -118,71 +117,8 @@ def test_a_tool_that_is_turned_too_far_is_lost() -> None:
         answer(rollout, 1, turned)
 
 
-def test_a_policy_that_does_not_fit_is_refused_with_value_and_limit() -> None:
-    for wrong, text in (
-        ({"q_start": HOME[:6]}, "is for 6 joints, the arm has 7"),
-        ({"q_start": HOME + 3.0}, "outside the limits"),
-        ({"stiffness": 9.0 * POLICY.stiffness}, "stiffness 2700 .* above the limit 2500"),
-        ({"rotation_stiffness": 3000.0}, "stiffness 3000"),
-    ):
-        with pytest.raises(ControllerError, match=text) as refused:
-            prepare(replace(POLICY, **wrong), ARM.n, LIMITS, SETTINGS)
-        assert refused.value.refusal is Refusal.REFUSED
-
-
-def test_a_policy_at_the_limits_fits() -> None:
-    flat = np.deg2rad(30.0)
-    turn = np.array([[np.cos(flat), -np.sin(flat)], [np.sin(flat), np.cos(flat)]])
-    stiff = 300.0 * np.eye(3)
-    stiff[:2, :2] = turn @ np.diag([2499.0, 200.0]) @ turn.T  # stiff along a line across the axes
-    for change in (
-        {"q_start": LIMITS.q_min},
-        {"q_start": LIMITS.q_max},
-        {"rotation_stiffness": SETTINGS.stiffness_max},
-        {"stiffness": np.tile(stiff, (4, 1, 1))},
-    ):
-        policy = replace(POLICY, **change)
-        assert prepare(policy, ARM.n, LIMITS, SETTINGS).id == policy.id
-
-
-@pytest.mark.parametrize("joint", range(7))
-def test_one_joint_beyond_a_limit_or_one_stiff_matrix_is_enough_to_be_refused(joint: int) -> None:
-    for limit, sign in ((LIMITS.q_min, -1.0), (LIMITS.q_max, 1.0)):
-        start = HOME.copy()
-        start[joint] = limit[joint] + 1e-6 * sign
-        with pytest.raises(ControllerError, match="outside the limits"):
-            prepare(replace(POLICY, q_start=start), ARM.n, LIMITS, SETTINGS)
-    stiffness = POLICY.stiffness.copy()
-    stiffness[joint % 4] *= 9.0
-    with pytest.raises(ControllerError, match="stiffness 2700"):
-        prepare(replace(POLICY, stiffness=stiffness), ARM.n, LIMITS, SETTINGS)
-
-
 def test_a_loop_slower_than_the_path_samples_every_tick() -> None:
     rollout = execution(settings=replace(SETTINGS, period=0.02))
     for tick in range(0, 250, 10):
         answer(rollout, tick)
     np.testing.assert_allclose(rollout.path(HOME, STILL).t, np.arange(25) * 0.02)
-
-
-def test_the_content_of_a_policy_is_the_same_under_any_name_and_only_kept_where_needed() -> None:
-    held = replace(SETTINGS, hold_to_run=True)
-    first, second = (
-        prepare(policy, ARM.n, LIMITS, held) for policy in (POLICY, with_id(POLICY, "again"))
-    )
-    other = prepare(replace(POLICY, damping=31.0), ARM.n, LIMITS, held)
-    assert first.content == second.content != other.content
-    assert prepare(POLICY, ARM.n, LIMITS, SETTINGS).content == ""
-
-
-@pytest.mark.requirement("S-59")
-def test_a_policy_of_another_arm_is_refused_and_both_are_named() -> None:
-    ours = ARM.identity()
-    theirs = ours._replace(name="cobot7", kinematics="c" * 64)
-    settings = replace(SETTINGS, arm=ours)
-    why = f"policy trial-0001 is of another arm: of {theirs}; this one is {ours}"
-    with pytest.raises(ControllerError, match=re.escape(why)):
-        prepare(replace(POLICY, arm=theirs), ARM.n, LIMITS, settings)
-    for arm in (ours, None):
-        assert prepare(replace(POLICY, arm=arm), ARM.n, LIMITS, settings).id == POLICY.id
-    assert prepare(replace(POLICY, arm=theirs), ARM.n, LIMITS, SETTINGS).id == POLICY.id

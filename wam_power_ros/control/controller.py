@@ -27,7 +27,8 @@ from wam_power_ros.control.modes import (
     check_transition,
 )
 from wam_power_ros.control.plausibility import Bound, Estimate, Plausibility
-from wam_power_ros.control.policy_execution import Execution, PreparedPolicy, prepare
+from wam_power_ros.control.policy_execution import Execution
+from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
 from wam_power_ros.control.state_checks import JointState, StateChecks
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.learning.policy import Policy
@@ -90,7 +91,8 @@ class Controller:
         self._plausibility = Plausibility(arm)
         self._estimate: Estimate | None = None  # of the arm, in a fault and while no state comes
         self._rest_ns: int | None = None  # stamp since which the arm rests in a fault
-        contact = Bound(*2 * [settings.contact_share * arm.tau_max], INERTIAL_SHARE)
+        touched = settings.contact_share * arm.tau_max
+        contact = Bound(touched, touched, INERTIAL_SHARE)
         in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
         self._unexplained: dict[Mode, Bound | None] = {
             Mode.GRAVITY_COMPENSATION: None,

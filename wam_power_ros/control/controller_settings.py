@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.safety import Limits
-from wam_power_ros.control.torque_law import LAWS
+
+LAWS = ("operational_space", "virtual_mass")  # functions of `torque_law`
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class ControllerSettings:
         period: Sampling period of the joint states [s].
         driver_compensates_gravity: The driver adds g(q) itself; it is left out of what is sent.
         hold_to_run: Teaching, replay and the first run of a policy need `Controller.enabled`.
-        law: Name of the torque law, one of `torque_law.LAWS`.
+        law: Name of the torque law, one of LAWS.
         limits: Limits of the arm, None for those of its URDF with the defaults of `safety.Limits`.
         obstacle: Centre in the base frame and radius [m] of a sphere; a rollout ends when the
             tool's centre enters it. Radius 0 for none.

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
+import scipy
 
 
 class JointTrajectory(Protocol):
@@ -137,7 +137,7 @@ def interpolated(t: npt.ArrayLike, q: npt.ArrayLike, speed: float, period: float
     duration = float(times[-1] - times[0]) / speed
     if duration > 600.0:
         raise ValueError(f"the movement takes {duration:.0f} s; at most 600 allowed")
-    spline = CubicSpline((times - times[0]) / speed, joints)
+    spline = scipy.interpolate.CubicSpline((times - times[0]) / speed, joints)
     grid = np.minimum(np.arange(round(duration / period) + 1) * period, duration)
     rows, speeds, accelerations = (spline(grid, order) for order in range(3))
     return Sampled(rows, speeds, accelerations, duration, period)

@@ -1,23 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A policy on the arm: what makes it fit, the rollout under way, and the path so far."""
+"""A policy on the arm: the rollout under way, and the path so far."""
 
-import hashlib
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from wam_power_ros import rotations
-from wam_power_ros.arm_identity import refusal
 from wam_power_ros.control import torque_law
 from wam_power_ros.control.arm import Arm, Dynamics, Motion
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.modes import ControllerError, Refusal
-from wam_power_ros.control.safety import Limits
+from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.tracking_error import TrackingLost
 from wam_power_ros.learning import dmp
-from wam_power_ros.learning.policy import Policy, to_json, with_id
 from wam_power_ros.learning.rollout import EndEffectorPath
 
 Law = Callable[[Motion, Dynamics, np.ndarray], np.ndarray]
@@ -25,69 +20,6 @@ PATH_PERIOD = 0.01  # [s] between two samples of the end-effector path
 # A rotation vector's spring pulls about the wrong axis the more, the longer the vector: at 2.4 rad
 # the orientation becomes unstable.
 TURN_MAX = 2.0  # [rad]
-
-
-@dataclass(frozen=True, eq=False)
-class PreparedPolicy:
-    """A policy that fits the arm, with all tables computed: all that a rollout needs of it.
-
-    Attributes:
-        id: Id of the policy.
-        duration: Duration of the movement [s].
-        q_start: Joint angles at its start [rad]. Shape (n,).
-        orientation_reference: R_ref as a unit quaternion xyzw. Shape (4,).
-        tables: Tables of Eq. 1 on the grid of the control loop.
-        content: Digest of the policy, the same whatever its id; empty without `hold_to_run`.
-    """
-
-    id: str
-    duration: float
-    q_start: np.ndarray
-    orientation_reference: np.ndarray
-    tables: dmp.Tables
-    content: str
-
-
-def prepare(policy: Policy, n: int, limits: Limits, settings: ControllerSettings) -> PreparedPolicy:
-    """Check a policy and compute its tables.
-
-    Args:
-        policy: Policy to execute.
-        n: Number of joints of the arm.
-        limits: Limits of the arm.
-        settings: Settings of the controller.
-
-    Raises:
-        ControllerError: The policy does not fit the arm.
-    """
-    start, name = policy.q_start, f"policy {policy.id}"
-    stiffest = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
-    stiffest, most = max(stiffest, policy.rotation_stiffness), settings.stiffness_max
-    text = ""
-    if start.shape != (n,):
-        text = f"{name} is for {start.size} joints, the arm has {n}"
-    elif np.any(start < limits.q_min) or np.any(start > limits.q_max):
-        allowed = f"{limits.q_min.tolist()} to {limits.q_max.tolist()}"
-        text = f"q_start {start.round(3).tolist()} of {name} is outside the limits {allowed}"
-    elif stiffest > most:
-        text = f"stiffness {stiffest:.0f} of {name} is above the limit {most:.0f} 1/s^2"
-    elif (damping := max(policy.damping, policy.rotation_damping)) > settings.damping_max:
-        text = f"damping {damping:.0f} of {name} is above the limit {settings.damping_max:.0f} 1/s"
-    elif why := refusal(policy.arm, settings.arm):
-        text = f"{name} {why}"
-    if text:
-        raise ControllerError(Refusal.REFUSED, text)
-    content = ""
-    if settings.hold_to_run:
-        content = hashlib.sha256(to_json(with_id(policy, "content")).encode()).hexdigest()
-    return PreparedPolicy(
-        id=policy.id,
-        duration=policy.basis.duration,
-        q_start=start,
-        orientation_reference=policy.orientation_reference,
-        tables=dmp.tabulate(policy, settings.period),
-        content=content,
-    )
 
 
 class Execution:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 from wam_power_ros.control.joint_references import JointTrajectory, Sampled, interpolated
 from wam_power_ros.control.modes import ControllerError, Refusal
@@ -49,7 +49,7 @@ def movement(
 
     half = 0.5 * (whole + ease)
     done = np.where(times < half, eased(times), whole - eased(whole + ease - times))
-    return times, CubicSpline(t, smooth)(np.clip(done * speed, 0.0, t[-1]))
+    return times, scipy.interpolate.CubicSpline(t, smooth)(np.clip(done * speed, 0.0, t[-1]))
 
 
 def sampled(trajectory: JointTrajectory, speed: float, period: float, limits: Limits) -> Sampled:

@@ -47,6 +47,3 @@ def operational_space(motion: Motion, dynamics: Dynamics, acceleration: np.ndarr
 def virtual_mass(_: Motion, dynamics: Dynamics, acceleration: np.ndarray) -> np.ndarray:
     """Joint torques by a virtual mass, arguments as `operational_space` [N m]. Shape (n,)."""
     return dynamics.bias + (VIRTUAL_INERTIA * acceleration).dot(dynamics.jacobian)
-
-
-LAWS = (operational_space.__name__, virtual_mass.__name__)

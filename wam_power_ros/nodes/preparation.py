@@ -24,7 +24,7 @@ from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Refusal
-from wam_power_ros.control.policy_execution import PreparedPolicy
+from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.dmp import Tables
 from wam_power_ros.learning.rollout import EndEffectorPath

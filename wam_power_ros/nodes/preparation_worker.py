@@ -27,7 +27,7 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from wam_power_ros.control import policy_execution, replay_trajectory
+from wam_power_ros.control import prepared_policy, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
@@ -181,7 +181,7 @@ class PreparationWorker(Node):
     def _policy(self, data: bytes) -> None:
         settings, limits = self._arm()
         policy = policies.from_json(deserialize_message(data, String).data)
-        prepared = policy_execution.prepare(policy, len(limits.q_min), limits, settings)
+        prepared = prepared_policy.prepare(policy, len(limits.q_min), limits, settings)
         tables = vars(prepared.tables)
         values = {
             "policy": {"id": policy.id, "duration": prepared.duration, "content": prepared.content},

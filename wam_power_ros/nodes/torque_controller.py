@@ -28,7 +28,7 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import MOVING, ControllerError, Mode
-from wam_power_ros.control.policy_execution import PreparedPolicy
+from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.nodes.preparation import Preparation

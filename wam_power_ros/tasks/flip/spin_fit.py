@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import EndEffectorPath
@@ -129,7 +129,7 @@ def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:
     for omega in _spin_guesses(np.append(release, t), np.vstack([release_normal, normals])):
         turn = _turn_guess(problem.normal0, omega, t, origin, normals)
         fits.append(
-            least_squares(
+            scipy.optimize.least_squares(
                 problem.residuals,
                 np.concatenate([turn, omega, [_DECAY]]),
                 problem.jacobian,

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What makes a policy fit an arm, and what does not."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigid_arm import HOME, LIMITS, MODEL, make_policy
+
+from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.modes import ControllerError, Refusal
+from wam_power_ros.control.prepared_policy import prepare
+from wam_power_ros.learning.policy import with_id
+
+SETTINGS = ControllerSettings()
+POLICY = replace(make_policy(), stiffness=np.tile(300.0 * np.eye(3), (8, 1, 1)))
+
+
+def test_a_policy_that_does_not_fit_is_refused_with_value_and_limit() -> None:
+    for wrong, text in (
+        ({"q_start": HOME[:6]}, "is for 6 joints, the arm has 7"),
+        ({"q_start": HOME + 3.0}, "outside the limits"),
+        ({"stiffness": 9.0 * POLICY.stiffness}, "stiffness 2700 .* above the limit 2500"),
+        ({"rotation_stiffness": 3000.0}, "stiffness 3000"),
+    ):
+        with pytest.raises(ControllerError, match=text) as refused:
+            prepare(replace(POLICY, **wrong), MODEL.n, LIMITS, SETTINGS)
+        assert refused.value.refusal is Refusal.REFUSED
+
+
+def test_a_policy_at_the_limits_fits() -> None:
+    flat = np.deg2rad(30.0)
+    turn = np.array([[np.cos(flat), -np.sin(flat)], [np.sin(flat), np.cos(flat)]])
+    stiff = 300.0 * np.eye(3)
+    stiff[:2, :2] = turn @ np.diag([2499.0, 200.0]) @ turn.T  # stiff along a line across the axes
+    for change in (
+        {"q_start": LIMITS.q_min},
+        {"q_start": LIMITS.q_max},
+        {"rotation_stiffness": SETTINGS.stiffness_max},
+        {"stiffness": np.tile(stiff, (8, 1, 1))},
+    ):
+        policy = replace(POLICY, **change)
+        assert prepare(policy, MODEL.n, LIMITS, SETTINGS).id == policy.id
+
+
+@pytest.mark.parametrize("joint", range(7))
+def test_one_joint_beyond_a_limit_or_one_stiff_matrix_is_enough_to_be_refused(joint: int) -> None:
+    for limit, sign in ((LIMITS.q_min, -1.0), (LIMITS.q_max, 1.0)):
+        start = HOME.copy()
+        start[joint] = limit[joint] + 1e-6 * sign
+        with pytest.raises(ControllerError, match="outside the limits"):
+            prepare(replace(POLICY, q_start=start), MODEL.n, LIMITS, SETTINGS)
+    stiffness = POLICY.stiffness.copy()
+    stiffness[joint] *= 9.0
+    with pytest.raises(ControllerError, match="stiffness 2700"):
+        prepare(replace(POLICY, stiffness=stiffness), MODEL.n, LIMITS, SETTINGS)
+
+
+def test_the_content_of_a_policy_is_the_same_under_any_name_and_only_kept_where_needed() -> None:
+    held = replace(SETTINGS, hold_to_run=True)
+    first, second = (
+        prepare(policy, MODEL.n, LIMITS, held) for policy in (POLICY, with_id(POLICY, "again"))
+    )
+    other = prepare(replace(POLICY, damping=31.0), MODEL.n, LIMITS, held)
+    assert first.content == second.content != other.content
+    assert prepare(POLICY, MODEL.n, LIMITS, SETTINGS).content == ""
+
+
+@pytest.mark.requirement("S-59")
+def test_a_policy_of_another_arm_is_refused_and_both_are_named() -> None:
+    ours = MODEL.identity()
+    theirs = ours._replace(name="cobot7", kinematics="c" * 64)
+    settings = replace(SETTINGS, arm=ours)
+    why = f"policy trial-0001 is of another arm: of {theirs}; this one is {ours}"
+    with pytest.raises(ControllerError, match=re.escape(why)):
+        prepare(replace(POLICY, arm=theirs), MODEL.n, LIMITS, settings)
+    for arm in (ours, None):
+        assert prepare(replace(POLICY, arm=arm), MODEL.n, LIMITS, settings).id == POLICY.id
+    assert prepare(replace(POLICY, arm=theirs), MODEL.n, LIMITS, SETTINGS).id == POLICY.id
