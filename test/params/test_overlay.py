@@ -80,6 +80,7 @@ def test_without_a_set_up_every_node_gets_its_own_file() -> None:
     setup = overlay.setup()
     for node in overlay.NODES:
         own = yaml.safe_load((ROOT / f"config/{node}.yaml").read_text())[node]["ros__parameters"]
+        own |= {"move_speed": overlay.MOVE_SPEED} if node == "torque_controller" else {}
         assert {name: setup[node][name] for name in own} == own
         assert setup[node].get("use_sim_time", False) == (node not in overlay.STAND_INS)
 
@@ -289,3 +290,16 @@ def test_a_launch_keeps_ros_on_this_machine_unless_asked_otherwise(
     _, actions = launched(file, config="geodude")
     given = [a.args for a in actions if type(a).__name__ == "SetEnvironmentVariable"]
     assert [args for args in given if args[0] == name] == [(name, asked or "LOCALHOST")]
+
+
+def test_a_simulated_arm_in_lockstep_moves_faster_unless_told_otherwise(tmp_path: Path) -> None:
+    slow = tmp_path / "slow.yaml"
+    slow.write_text(
+        "torque_controller: {ros__parameters: {move_speed: 0.2}}\n"
+        "wam_sim: {ros__parameters: {pace: lockstep}}"
+    )
+    own = overlay.setup(["geodude"])["torque_controller"]["move_speed"]
+    assert own < overlay.MOVE_SPEED
+    for names, speed in ([], overlay.MOVE_SPEED), ([str(slow)], 0.2), (["geodude"], own):
+        setup = overlay.setup(names, simulated=bool(names))
+        assert setup["torque_controller"]["move_speed"] == speed

@@ -28,6 +28,7 @@ NODES = (
     "optitrack_sim",
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
+MOVE_SPEED = 1.0  # [rad/s] of a simulated arm in lockstep, on its way to a start
 _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 
 
@@ -91,11 +92,11 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         }
         whole["learner"] |= {"scene_reset": True, "reset_faults": True}
         whole["demonstration_recorder"]["source"] = "sim"
-        if (
-            whole["wam_sim"]["pace"] == "lockstep"
-        ):  # it publishes the time, and waits for every node
+        if whole["wam_sim"]["pace"] == "lockstep":  # publishes the time, and waits for every node
             for node in set(NODES) - set(STAND_INS):
                 whole[node]["use_sim_time"] = True
+            # Nobody stands beside it: two thirds of a session would pass on the way to a start.
+            whole["torque_controller"] |= {"move_speed": MOVE_SPEED} | given["torque_controller"]
     return whole
 
 
