@@ -61,7 +61,6 @@ setup(
             f"learner = {NAME}.nodes.learner:main",
             f"check_driver = {NAME}.nodes.check_driver:main",
             "wam_sim = hardware_sim.main:main",
-            "optitrack_sim = hardware_sim.optitrack_node:main",
             f"wam-power = {NAME}.cli.main:main",
         ],
         f"{NAME}.scenes": [

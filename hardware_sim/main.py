@@ -84,6 +84,9 @@ class Simulation:
             self.intruder = self._watch.look()
             return bool(self.intruder) or ended()
 
+        commands = self.wam.resolve_topic_name(self.wam.params.command_topic)
+        for_what = "each step waits" if self.wam.lockstep else "the arm waits, held by itself,"
+        self.wam.get_logger().info(f"{for_what} for torques on {commands}")
         executor = node_runner.executor_for(self.wam)
         if self.optitrack is not None:
             executor.add_node(self.optitrack)

@@ -7,7 +7,6 @@ parameters are what drivers of motion capture differ in, and get wrong.
 
 from __future__ import annotations
 
-import sys
 from typing import Any, Literal
 
 import numpy as np
@@ -29,6 +28,8 @@ STRAY = np.array([[0.4, -0.3, 0.05], [0.45, -0.2, 0.05], [-0.1, 0.6, 0.3]])  # [
 
 class OptitrackSimParams(Params):
     """Parameters of config/optitrack_sim.yaml; ranges are those of `MocapSettings`."""
+
+    file = "optitrack_sim.yaml"
 
     frame: str
     body: str
@@ -111,16 +112,3 @@ class OptitrackSim(Node):
             seen = np.vstack([frame.markers, STRAY[: self.params.stray]])
             points = self._rng.permutation(seen - self._origin) @ self._turn.T
             self._markers.publish(pose_messages.markers_message(stamp_ns, name, points))
-
-
-def main() -> int:
-    """Entry point `optitrack_sim`: explains how to start the stand-in."""
-    sys.stderr.write(
-        "optitrack_sim observes the world of wam_sim and runs in its process: start wam_sim\n"
-        "with config/wam_sim.yaml and config/optitrack_sim.yaml; an empty topic is not published.\n"
-    )
-    return 2
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -41,6 +41,8 @@ Spread = Annotated[float, Field(ge=0.0, le=10.0, description="ten times the thin
 class WamSimParams(Params):
     """Parameters of config/wam_sim.yaml; ranges are those of the world's settings."""
 
+    file = "wam_sim.yaml"
+
     pace: Literal["lockstep", "real_time"]
     seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
     realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
@@ -84,7 +86,9 @@ class WamSimParams(Params):
         tool = self.tool_frame
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         guarded = guarded or (Guarded("tool", tool, (0.0, 0.0, 0.0)),)
-        own = {field.name for field in dataclasses.fields(WorldSettings)} & set(self.model_fields)
+        own = {field.name for field in dataclasses.fields(WorldSettings)} & set(
+            type(self).model_fields
+        )
         settings = {name: getattr(self, name) for name in own} | {
             "scene": SceneSettings(self.friction, self.body_offset_sd, self.obstacle),
             "mocap": mocap,

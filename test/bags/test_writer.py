@@ -14,17 +14,22 @@ from bag_samples import (
     joint_state,
     random_q,
 )
+from mcap.reader import make_reader
 
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.layout import TYPES, unfinished
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.bags.writer import BagWriter, has_header, header_stamp
 
+# of `ros2 topic info -v /joint_states` on Jazzy
+JOINT_STATE_HASH = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+
 
 def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "demo", random_q(5))
     info = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert (info["version"], info["storage_identifier"]) == (9, "mcap")
+    assert info["ros_distro"] == "jazzy"
     assert info["relative_file_paths"] == ["demo.mcap"]
     assert json.loads(info["custom_data"]["joint_names"]) == list(NAMES)
     topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
@@ -35,6 +40,18 @@ def test_the_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
     assert latched["offered_qos_profiles"][0]["lifespan"] == {"sec": 9223372036, "nsec": 854775807}
     for item in topics.values():
         assert item["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
+
+
+def test_the_channels_are_described_as_rosbag2_does(tmp_path: Path) -> None:
+    path = demonstration(tmp_path / "demo", random_q(5))
+    with (path / "demo.mcap").open("rb") as file:
+        reader = make_reader(file)
+        channels = list(reader.get_summary().channels.values())
+        (metadata,) = reader.iter_metadata()
+    hashes = {each.topic: each.metadata["topic_type_hash"] for each in channels}
+    assert hashes["/joint_states"] == JOINT_STATE_HASH
+    assert all(each.metadata["offered_qos_profiles"] for each in channels)
+    assert "ros_distro: jazzy" in metadata.metadata["serialized_metadata"]
 
 
 def test_a_bag_under_way_is_recognisable_and_appears_whole(tmp_path: Path) -> None:

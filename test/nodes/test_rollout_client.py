@@ -10,11 +10,12 @@ import pytest
 from conftest import Probe, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
-from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros import interface, pose_messages, service_client
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
 
@@ -72,12 +73,15 @@ class Cell:
         level, text, kind = "ok", "hold", ""
         if self.fault is not None:
             level, text, kind = "error", self.fault.text, self.fault.kind.value
-        values = {"mode": "hold", "fault kind": kind}
         for _ in range(3):
-            now = self.node.get_clock().now().to_msg()
-            self._diagnostics.publish(
-                diagnostics_message(now, "torque_controller: loop", "arm", level, text, values)
-            )
+            self.diagnose("hold", level, text, kind)
+
+    def diagnose(self, mode: str, level: str, text: str, kind: str = "") -> None:
+        """Diagnostics as a controller publishes them."""
+        now, values = self.node.get_clock().now().to_msg(), {"mode": mode, "fault kind": kind}
+        self._diagnostics.publish(
+            diagnostics_message(now, "torque_controller: loop", "arm", level, text, values)
+        )
 
 
 @pytest.fixture
@@ -128,6 +132,41 @@ def test_a_fault_before_the_rollout_is_reset_and_it_begins_again(
     client.execute(POLICY, WHOLE, lambda state: "")
     move, execute, reset = interface.MOVE_TO_START, interface.EXECUTE, interface.RESET
     assert cell.requests == [move, reset, move, execute, move, execute]
+
+
+@pytest.mark.parametrize("service", [interface.MOVE_TO_START, interface.EXECUTE])
+def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_and_again(
+    service: str,
+    client: RolloutClient,
+    cell: Cell,
+    probe: Probe,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(service_client, "LOG_AFTER", 0.1)
+    monkeypatch.setattr(PARAMS, "patience", 0.1)
+    sent = probe.listen(String, interface.POLICY, interface.LATCHED)
+    inactive = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
+    move, execute = interface.MOVE_TO_START, interface.EXECUTE
+    begun = [move, execute] if service == execute else []  # deactivated in between
+    done = Answer(Code.DONE, values={"policy": POLICY.id})
+    cell.answers |= {
+        move: [done, inactive] if begun else [inactive],
+        execute: [inactive][: len(begun)],
+    }
+    refused: list[str] = []  # modes since the refusal: a person takes half a second
+
+    def tell() -> None:
+        waits = not cell.answers[move] and not cell.answers[execute]
+        refused.extend(["inactive" if len(refused) < 5 else "hold"] * waits)
+        cell.diagnose(refused[-1] if refused else "inactive", "warn", "not active")
+
+    probe.node.create_timer(0.1, tell)
+    client.execute(POLICY, WHOLE, lambda state: "")
+    assert cell.requests == [*begun, move, move, execute]
+    assert "waiting: torque_controller is active" in capfd.readouterr().err
+    probe.until(lambda: len(sent) >= 2, "the policies")
+    assert len(sent) == cell.requests.count(move)
 
 
 def test_an_answer_for_another_policy_is_asked_again(client: RolloutClient, cell: Cell) -> None:

@@ -166,6 +166,9 @@ def test_the_life_cycle_decides_whether_torques_are_sent(
         return probe.call(ChangeState, "/torque_controller/change_state", request).success
 
     assert not probe.call(Trigger, interface.EXECUTE).success
+    logged = lambda: processes.output(arm.process)  # noqa: E731
+    waiting = "waiting for ros2 lifecycle set /torque_controller"
+    probe.until(lambda: f"{waiting} configure" in logged(), "what it waits for")
     assert change(Transition.TRANSITION_CONFIGURE)
     probe.spin(1.2)
     assert not arm.read()
@@ -182,6 +185,9 @@ def test_the_life_cycle_decides_whether_torques_are_sent(
         arm.send()
     probe.spin(0.2)
     assert len(arm.read()) == count
+    probe.until(lambda: f"{waiting} activate" in logged(), "what it waits for after that")
+    modes = [line.rpartition("mode ")[2] for line in logged().splitlines() if ": mode " in line]
+    assert modes == ["unconfigured", "inactive", "hold", "inactive"]
     assert change(Transition.TRANSITION_CLEANUP)
 
 
@@ -226,7 +232,12 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     np.testing.assert_allclose(stale.tau, gravity, atol=0.01)  # braked, and carried
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
     assert (report["level"], report["fault kind"]) == ("2", FaultKind.STATES_LOST.value)
+    logged = lambda: processes.output(arm.process)  # noqa: E731
+    probe.until(lambda: f"fault ({FaultKind.STATES_LOST.value}): " in logged(), "its log")
+    assert "[ERROR]" in next(line for line in logged().splitlines() if "fault (" in line)
+    resets = logged().count("the fault was reset")
     probe.until(held, "a person resets, and the arm is held again")
+    probe.until(lambda: logged().count("the fault was reset") > resets, "the log of the reset")
     idled.clear()
     probe.until(lambda: idled, "the driver is asked to idle once more")
 

@@ -23,6 +23,7 @@ from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderPara
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.parameter_file import comments
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 
@@ -104,7 +105,25 @@ def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., No
     assert "heat" in result.reason
     assert node.get_parameter("heat").value == GOOD["heat"]
     (result,) = node.set_parameters([Parameter("use_sim_time", value=True)])
-    assert result.successful
+    assert not result.successful  # watchdogs were chosen by it
+    assert not node.get_parameter("use_sim_time").value
+
+
+def test_every_parameter_says_what_it_is_its_range_and_that_it_is_read_at_start(
+    node_with: Callable[..., Node],
+) -> None:
+    values = yaml.safe_load((ROOT / "config/learner.yaml").read_text())["learner"]
+    node = node_with(**values["ros__parameters"])
+    LearnerParams.of(node)
+    described = {name: node.describe_parameter(name) for name in LearnerParams.model_fields}
+    assert all(each.read_only for each in described.values())
+    assert described["trials"].description.startswith("budget of rollouts; 0: the preset's. Range:")
+    (limits,) = described["trials"].integer_range
+    assert (limits.from_value, limits.to_value) == (0, 100_000)
+    (limits,) = described["patience"].floating_point_range
+    assert (limits.from_value, limits.to_value) == (0.1, 86_400.0)
+    assert "at its start" in described["patience"].description
+    assert not described["task"].integer_range
 
 
 @pytest.mark.parametrize(
@@ -129,6 +148,9 @@ def test_a_yaml_holds_exactly_what_its_node_reads(
     assert set(values) == set(params.model_fields)
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     params(**(values | lists))
+    said = comments(ROOT / "config" / params.file)
+    silent = {name for name, each in params.model_fields.items() if not each.description}
+    assert silent - set(said) == set()  # nothing would describe them
 
 
 PARAMS = (

@@ -142,6 +142,25 @@ def test_a_node_can_still_send_when_a_signal_ends_it(
     assert "Traceback" not in processes.output(process)
 
 
+LAST = """
+import os, sys
+class Last:  # its end comes after the handlers of the interpreter have gone
+    def __del__(self, kill=os.kill, me=os.getpid(), number=int(sys.argv[1])):
+        kill(me, number)
+sys.last = Last()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_second_signal_while_the_interpreter_ends_does_not_change_the_exit_status(
+    probe: Probe, processes: Processes, number: int
+) -> None:
+    words = probe.listen(String, "/words", interface.LATCHED)
+    process = processes.start([sys.executable, "-c", f"{LAST}{NODE}", str(int(number))])
+    probe.until(lambda: words, "the first message")
+    assert processes.end(process) == 0
+
+
 def test_a_refused_configuration_ends_the_process_with_its_reason(processes: Processes) -> None:
     process = processes.start([sys.executable, "-c", NODE, "bad"])
     assert process.wait(60.0) == 2

@@ -155,6 +155,29 @@ def test_an_arm_that_anybody_can_command_is_told(environment: dict[str, str], op
     assert (security.exposed(environment) is not None) == open_
 
 
+@pytest.mark.parametrize(
+    ("environment", "says"),
+    [
+        ({}, "ROS_SECURITY_KEYSTORE is not set"),
+        ({"ROS_SECURITY_KEYSTORE": "/nowhere"}, "no enclave /learner .* /nowhere/enclaves/learner"),
+        ({"ROS_SECURITY_ENCLAVE_OVERRIDE": "/cook"}, "ROS_SECURITY_KEYSTORE is not set"),
+    ],
+)
+def test_a_missing_keystore_is_one_clear_error(environment: dict[str, str], says: str) -> None:
+    enforced = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    arguments = ["learner", "--ros-args", "--enclave", "/learner"]
+    with pytest.raises(ValueError, match=says):
+        security.check_keystore(enforced | environment, arguments)
+    security.check_keystore(environment, arguments)  # security is not enforced
+
+
+def test_an_enclave_that_is_there_is_accepted(tmp_path: Path) -> None:
+    (tmp_path / "enclaves/cook").mkdir(parents=True)
+    enforced = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    enforced |= {"ROS_SECURITY_KEYSTORE": str(tmp_path), "ROS_SECURITY_ENCLAVE_OVERRIDE": "/cook"}
+    security.check_keystore(enforced, ["--enclave", "/learner"])
+
+
 def test_the_controller_says_so_and_with_security_enforced_never_starts_in_the_open(
     processes: Processes, tmp_path: Path
 ) -> None:
@@ -167,8 +190,9 @@ def test_the_controller_says_so_and_with_security_enforced_never_starts_in_the_o
         ROS_SECURITY_STRATEGY="Enforce",
         ROS_SECURITY_KEYSTORE=str(tmp_path),
     )
-    assert refused.wait(120) != 0
+    assert refused.wait(120) == 2
     assert re.search("security", processes.output(refused), re.IGNORECASE)
+    assert "Traceback" not in processes.output(refused)
     telling = processes.start(command, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
     end = time.monotonic() + 60.0
     while "anybody on the network" not in processes.output(telling) and time.monotonic() < end:

@@ -13,17 +13,21 @@ import os
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
+from io import BytesIO
+from itertools import chain
 from pathlib import Path
 from typing import ClassVar
 
 from rosbags.interfaces import Connection, Qos
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import McapWriter
+from rosbags.rosbag2.storage_mcap import Channel, McapWriter, write_channel, write_string
 
 from wam_power_ros import durable_files
 from wam_power_ros.bags import integrity
 from wam_power_ros.bags.gaps import GapCounter
 from wam_power_ros.bags.layout import EVENT, STRING, TYPES, qos, unfinished
+
+DISTRIBUTION = "ros_distro: rosbags", "ros_distro: jazzy"  # what rosbags writes, and what it is
 
 
 def has_header(msgtype: str) -> bool:
@@ -45,7 +49,22 @@ def header_stamp(cdr: bytes) -> int:
 
 
 class _Storage(McapWriter):
-    """MCAP with the checksums that rosbags leaves out."""
+    """MCAP with what rosbags leaves out: checksums, hashes of the types, the distribution."""
+
+    def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
+        """Add a channel as rosbag2 describes it."""
+        notes = {
+            "offered_qos_profiles": offered_qos_profiles,
+            "topic_type_hash": connection.digest,
+        }
+        metadata = BytesIO()
+        for text in chain(*notes.items()):
+            write_string(metadata, text)
+        self.channels.append(
+            Channel(connection.id, connection.msgtype, connection.topic, "cdr", metadata.getvalue())
+        )
+        self.channel_stats[connection.id] = 0
+        write_channel(self.chunk.bio, self.channels[-1], self.schemas)
 
     def close_chunk(self) -> None:
         """Write the chunk, then its checksum."""
@@ -59,12 +78,17 @@ class _Storage(McapWriter):
 
     def close(self, version: int, metadata: str) -> None:
         """Close the file, then write the checksums of the whole of it."""
-        super().close(version, metadata)
+        super().close(version, metadata.replace(*DISTRIBUTION))
         integrity.seal(self.path)
 
 
 class _Writer(Writer):
     STORAGE_PLUGINS: ClassVar = {StoragePlugin.MCAP: _Storage}
+
+    def close(self) -> None:
+        """Close the bag, then name the distribution in its metadata."""
+        super().close()
+        self.metapath.write_text(self.metapath.read_text("utf8").replace(*DISTRIBUTION), "utf8")
 
 
 class BagWriter:

@@ -45,6 +45,8 @@ Megabytes = Annotated[
 class DemonstrationRecorderParams(Params):
     """Parameters of the node; the values are in config/demonstration_recorder.yaml."""
 
+    file = "demonstration_recorder.yaml"
+
     directory: str
     realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
     stem: str = Field(min_length=1, pattern=r"^[A-Za-z0-9-]+$")
@@ -102,6 +104,11 @@ class DemonstrationRecorder(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(LOOK_PERIOD, self._look_at_disk, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
+        wanted = ", ".join(self._topics.names)
+        self.get_logger().info(
+            f"waiting for {self.resolve_service_name(interface.RECORD)}; bags go to "
+            f"{self._directory}; topics: {wanted}"
+        )
         # A driver keeps ten states for a reader that is late, no more; in lockstep all are kept.
         lockstep = self.get_parameter("use_sim_time").value
         self._granted = scheduling.request(0 if lockstep else params.realtime_priority)

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path as FilePath
+from types import FrameType
 from typing import Annotated
 
 import numpy as np
@@ -22,6 +24,7 @@ import rclpy
 from pydantic import Field
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
@@ -45,7 +48,7 @@ from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.node_runner import executor_for, init, number_by_process
+from wam_power_ros.ros.node_runner import end, executor_for, init, number_by_process
 from wam_power_ros.tasks.task import Pose, Task
 
 Timeout = Annotated[
@@ -55,6 +58,8 @@ Timeout = Annotated[
 
 class LearnerParams(Params):
     """Parameters of the node; the values are in config/learner.yaml."""
+
+    file = "learner.yaml"
 
     joint_names: Names  # as the driver has them in the bags
     model_joint_names: Names  # the same in the URDF
@@ -395,8 +400,10 @@ def _line(record: Record) -> str:
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros learner`."""
     node = None
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
-        init()
+        init(signals=SignalHandlerOptions.NO)
         with number_by_process():
             node = Learner()
         node.practise()
@@ -406,8 +413,15 @@ def main() -> int:
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
-        rclpy.try_shutdown()
+        end()
     return 0
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Signal handler that acts as Ctrl-C does, once."""
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, signal.SIG_IGN)
+    raise KeyboardInterrupt
 
 
 if __name__ == "__main__":

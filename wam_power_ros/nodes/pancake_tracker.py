@@ -79,6 +79,8 @@ class PancakeTracker(Node):
             subscribe(PoseStamped, params.pose_topic, self._on_frame, interface.MOCAP_IN)
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
         self.create_timer(0.5 / params.rate, self._look, clock=steady)
+        source = self.resolve_topic_name(params.markers_topic or params.pose_topic)
+        self.get_logger().info(f"waiting for frames of the {params.body} on {source}")
         self.create_timer(1.0, self._report, clock=steady)
 
     def _on_frame(self, message: PoseStamped | PointCloud2) -> None:
@@ -88,6 +90,7 @@ class PancakeTracker(Node):
             self._refuse(error)
             return
         self._heard_ns = self._watch.now().nanoseconds
+        self.get_logger().info("the first frame has come", once=True)
         if not self._sim_time:
             self._offset.add(stamp_ns, self.get_clock().now().nanoseconds)
         state = self._add(stamp_ns, *seen)

@@ -133,7 +133,7 @@ class Preparation:
             self._send({"what": "report", "stamp_ns": stamp_ns, **diagnosis})
 
     def log(self, severity: str, text: str) -> None:
-        """Log a text as "warning", at most once a second, or as "error"."""
+        """Log a text as "info" or "error", or as "warning" at most once a second."""
         now = time.monotonic_ns()
         if severity == "warning":
             if now - self._warned_ns < LOG_PERIOD_NS:

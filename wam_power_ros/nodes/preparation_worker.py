@@ -142,10 +142,13 @@ class PreparationWorker(Node):
         self._diagnostics.publish(diagnostics_message(stamp, "torque_controller: loop", *parts))
 
     def _do_log(self, values: dict[str, Any], _: object) -> None:
+        log = self.get_logger()  # rclpy wants one line of the source for each severity
         if values["severity"] == "error":
-            self.get_logger().error(values["text"])
+            log.error(values["text"])
+        elif values["severity"] == "warning":
+            log.warning(values["text"])
         else:
-            self.get_logger().warning(values["text"])
+            log.info(values["text"])
 
     # From the network
 

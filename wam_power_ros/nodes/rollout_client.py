@@ -10,6 +10,7 @@ is begun again from its start.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -39,6 +40,7 @@ CLOCKS_APART = 0.2  # clocks of arm and motion capture at most; the tracker allo
 FAULT_TIMEOUT = 2.5  # for the diagnostics that name a fault, published once a second [s]
 READY_STATES = 3  # states of the body in a row that must be ready
 CONTROLLER = "torque_controller"  # node whose diagnostics report faults
+NOT_ACTIVE = ("", "unconfigured", Mode.INACTIVE.value)  # modes, the first before any is known
 Ready = Callable[[StateReading | None], str]  # what is missing before a rollout; empty for nothing
 
 
@@ -267,13 +269,21 @@ class RolloutClient:
         return ready_ns
 
     def _reach_start(self, policy: Policy) -> None:
-        """Bring the arm to the start of the policy, out of a fault if need be."""
+        """Bring the arm to the start of the policy, out of a fault if need be.
+
+        A person may activate the controller at any time: this is waited for without a limit.
+        """
         end = time.monotonic() + self._params.patience
         while True:  # the policy each time: during a rollout, a killed learner's, it is refused
+            self._services.wait_for(Trigger, interface.MOVE_TO_START)
             self._policies.publish(String(data=policies.to_json(policy)))
             answer = self._call(interface.MOVE_TO_START)
             if answer is not None and answer.success and _is_about(answer, policy.id):
                 return
+            if answer is not None and answer.code is Code.NOT_ACTIVE:
+                self._await_activation()
+                end = time.monotonic() + self._params.patience
+                continue
             if time.monotonic() > end:
                 raise RolloutError(f"{interface.MOVE_TO_START} refused: {answer or 'no answer'}")
             if answer is not None and answer.code is Code.FAULT and self._params.reset_faults:
@@ -283,6 +293,12 @@ class RolloutClient:
                     f"the arm is not at its start: {answer or 'no answer'}", once=True
                 )
             self._services.until(lambda: False, timeout=0.1)
+
+    def _await_activation(self) -> None:
+        """Wait until the diagnostics say that the controller is active."""
+        self._mode = ""  # the last one may be from before
+        active = lambda: self._mode not in NOT_ACTIVE  # noqa: E731
+        self.until(active, f"{CONTROLLER} is active (ros2 lifecycle)", math.inf)
 
     def _insist(self, name: str, policy_id: str) -> None:
         """Call a service until it has done it for this policy.
@@ -300,6 +316,8 @@ class RolloutClient:
             if answer.code is Code.FAULT:
                 reason = "no reason reported yet" if self._fault is None else self._fault.text
                 raise NotBegunError(f"{answer.text} ({reason})")
+            if answer.code is Code.NOT_ACTIVE:
+                raise NotBegunError(f"{name}: {answer.text}")
             if answer.code is Code.NOT_AT_START and _is_about(answer, policy_id):
                 raise NotBegunError(f"{name}: {answer.text}")  # a call that seemed lost moved it
             if time.monotonic() > end:

@@ -75,6 +75,7 @@ class TorqueController(LifecycleNode):
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
         self._latched: Fault | None = None  # in a controller that was cleaned up
+        self._logged: dict[str, object] = {}  # what was logged last of mode, fault and waiting
         self._stamp_clock = StampClock()
         self._stamp_ns = 0  # of the last state
         self._enabled_ns = -ENABLE_NS  # steady clock
@@ -149,12 +150,14 @@ class TorqueController(LifecycleNode):
             return FAILURE
         self._active = True
         self._watchdog.activated()
+        self._log_changes()
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send the torque that carries the arm a last time, then nothing."""
         self.close()
         self._guard.listen()
+        self._log_changes()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -446,6 +449,38 @@ class TorqueController(LifecycleNode):
 
     # Ten times and once a second
 
+    def _log_changes(self) -> None:
+        """Log once each: modes, faults, their reset, and what the node waits for."""
+        core = self._controller
+        changes = {
+            "mode": "unconfigured" if core is None else core.mode.value,
+            "fault": self._latched if core is None else core.latched,
+            "waiting": self._awaited(),
+        }
+        changed = {key: now for key, now in changes.items() if now != self._logged.get(key)}
+        self._logged = changes
+        if isinstance(fault := changed.get("fault"), Fault):
+            self._preparation.log("error", f"fault ({fault.kind.value}): {fault.text}")
+        elif "fault" in changed:
+            self._preparation.log("info", "the fault was reset")
+        if "mode" in changed:
+            self._preparation.log("info", f"mode {changed['mode']}")
+        if changed.get("waiting"):
+            self._preparation.log("info", f"waiting for {changed['waiting']}")
+
+    def _awaited(self) -> str:
+        """What the node waits for before it is active, in words; empty when it is."""
+        if self._active:
+            return ""
+        node = self.get_fully_qualified_name()
+        if not self._urdf:
+            return f"the robot description on {interface.ROBOT_DESCRIPTION}"
+        if self._controller is None:
+            return "" if self._autostart else f"ros2 lifecycle set {node} configure"
+        if self._unfit():
+            return f"joint states on {self._params.state_topic}"
+        return "" if self._autostart else f"ros2 lifecycle set {node} activate"
+
     def _look_after(self) -> None:
         if self._autostart and self._controller is None and self._urdf:
             self._autostart = self.trigger_configure() is SUCCESS
@@ -455,6 +490,7 @@ class TorqueController(LifecycleNode):
             self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
         if self._under_way:
             self._answer_moves()
+        self._log_changes()
         if self._controller is None or self._controller.mode not in MOVING:
             self._preparation.tend()
 

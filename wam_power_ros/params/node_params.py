@@ -9,19 +9,18 @@ number has a lower and an upper bound; the field's description says what they co
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from wam_power_ros.params import parameter_file
+from wam_power_ros.params.resources import share
 
 if TYPE_CHECKING:  # the same parameters are read without ROS by what runs in one process
     from pydantic_core import ErrorDetails
-    from rcl_interfaces.msg import SetParametersResult
     from rclpy.node import Node
-    from rclpy.parameter import Parameter
 
 P = TypeVar("P", bound="Params")
 Names = Annotated[tuple[str, ...], Field(max_length=64, description="a list of names, for people")]
@@ -31,6 +30,8 @@ OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 
 class Params(BaseModel):
     """Parameters of a node: strictly typed, finite, frozen; lists come as tuples."""
+
+    file: ClassVar[str] = ""  # in config/, whose comments describe the parameters
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, str_max_length=10_000
@@ -55,8 +56,32 @@ class Params(BaseModel):
             if not name.startswith(OF_ROS)
         }
         params = cls._checked(node.get_name(), values)
-        node.add_on_set_parameters_callback(_refuse)
+        cls._describe(node)
         return params
+
+    @classmethod
+    def _describe(cls, node: Node) -> None:
+        """Give every parameter its description and range, and refuse changes from now on."""
+        from rcl_interfaces.msg import ParameterDescriptor
+
+        comments = parameter_file.comments(share(f"config/{cls.file}")) if cls.file else {}
+        for name, field in cls.model_fields.items():
+            sentences = (comments.get(name), field.description and f"Range: {field.description}")
+            given = node.get_parameter(name)
+            descriptor = ParameterDescriptor(
+                type=given.type_.value,
+                description=". ".join(filter(None, sentences)),
+                additional_constraints="read at start: change the YAML and start the node again",
+                read_only=True,
+                **_range(field.metadata, given.value),
+            )
+            node.set_descriptor(name, descriptor)
+        clock = ParameterDescriptor(
+            type=node.get_parameter("use_sim_time").type_.value,
+            description="Lockstep: time comes from /clock, and the watchdogs of states are off",
+            read_only=True,
+        )
+        node.set_descriptor("use_sim_time", clock)
 
     @classmethod
     def of_file(cls: type[P], path: Path, node: str, *over: Path) -> P:
@@ -119,9 +144,20 @@ class Params(BaseModel):
         return f"{key} = {shown}: {rule}{reason}"
 
 
-def _refuse(parameters: list[Parameter]) -> SetParametersResult:
-    from rcl_interfaces.msg import SetParametersResult
+def _range(rules: Sequence[object], value: object) -> dict[str, list[Any]]:
+    """Range of a number by its rules, as a descriptor has it; nothing for other values."""
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
-    fixed = [parameter.name for parameter in parameters if not parameter.name.startswith(OF_ROS)]
-    reason = f"{fixed} are read at start: change the YAML and start the node again"
-    return SetParametersResult(successful=not fixed, reason=reason if fixed else "")
+    bounds = {
+        name: bound
+        for rule in rules
+        for name in ("gt", "ge", "lt", "le")
+        if (bound := getattr(rule, name, None)) is not None
+    }
+    low, high = bounds.get("gt", bounds.get("ge")), bounds.get("lt", bounds.get("le"))
+    if low is None or high is None or type(value) not in (int, float):
+        return {}
+    if type(value) is int:
+        return {"integer_range": [IntegerRange(from_value=int(low), to_value=int(high))]}
+    limits = FloatingPointRange(from_value=float(low), to_value=float(high))
+    return {"floating_point_range": [limits]}

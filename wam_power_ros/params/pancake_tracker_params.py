@@ -19,6 +19,8 @@ WorldToBase = tuple[Place, Place, Place, Unit, Unit, Unit, Unit]
 class PancakeTrackerParams(Params):
     """Parameters of the node; the values are in config/pancake_tracker.yaml."""
 
+    file = "pancake_tracker.yaml"
+
     body: str  # name of the tracked body
     pose_topic: str
     markers_topic: str

@@ -20,6 +20,8 @@ from wam_power_ros.durable_files import check_regular
 SIZE_MAX = 1_000_000  # [byte]
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
+_COMMENTED = re.compile(r"    (\w+):(?:[^#]*)(?:# ?(.*))?$")  # a parameter, with its comment
+_BELOW = re.compile(r"     +# ?(.*)$")  # a comment that goes on
 _FLOAT = re.compile(
     r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$|[-+]?[0-9]+[eE][-+]?[0-9]+$"
 )
@@ -74,6 +76,20 @@ def read(file: Path) -> dict[str, dict[str, Any]]:
     except (yaml.YAMLError, KeyError, TypeError, AttributeError, RecursionError) as error:
         text = re.sub(r"\s+", " ", str(error))
         raise ValueError(f"{file} is no file of ROS parameters: {text}") from None
+
+
+def comments(file: Path) -> dict[str, str]:
+    """Comments of the parameters in a file of ours: beside a value, and in the lines below it."""
+    found: dict[str, str] = {}
+    name = ""
+    for line in file.read_text(encoding="utf-8").splitlines():
+        if match := _COMMENTED.match(line):
+            name, found[match[1]] = match[1], match[2] or ""
+        elif name and (below := _BELOW.match(line)):
+            found[name] = f"{found[name]} {below[1]}".strip()
+        else:
+            name = ""
+    return {name: text for name, text in found.items() if text}
 
 
 def given(arguments: Sequence[str]) -> list[Path]:

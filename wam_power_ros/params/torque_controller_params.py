@@ -40,6 +40,8 @@ TORQUE_RATE_MAX = 1000.0  # [N m/s] libfranka's
 class TorqueControllerParams(Params):
     """Parameters of config/torque_controller.yaml, where a comment explains each."""
 
+    file = "torque_controller.yaml"
+
     autostart: bool
     simulation: bool
     realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")

@@ -26,15 +26,17 @@ from typing import TypeVar
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from wam_power_ros.ros import network, shared_memory
+from wam_power_ros.ros import network, security, shared_memory
 from wam_power_ros.ros.domain import FIRST, PER_DOMAIN, PER_PARTICIPANT, exported
 from wam_power_ros.ros.service_client import ServiceError
 
 N = TypeVar("N", bound=Node)
+RCLError = rclpy_implementation.RCLError  # of the middleware, such as invalid keys
 SPREAD = 16  # of the 32 numbers that are looked for within LOCALHOST, the rest for who comes later
 REFUSED, INTERRUPTED = 2, 130  # exit statuses
 
@@ -49,9 +51,10 @@ def init(
         signals: Signals that rclpy handles.
 
     Raises:
-        DomainError: ROS_DOMAIN_ID is no domain.
+        ValueError: ROS_DOMAIN_ID is no domain, or security has no keystore.
     """
     exported(os.environ)
+    security.check_keystore(os.environ, sys.argv if args is None else args)
     network.confine(os.environ)
     if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # rclpy insists on one
         os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / f"ros_log_{os.getuid()}")
@@ -169,7 +172,7 @@ def run(
             made = make_node()
         node = made
         spin(node, lambda: bool(signals))
-    except ValueError as error:
+    except (ValueError, RCLError) as error:
         if node is not None:
             raise
         get_logger("wam_power_ros").fatal(str(error))
@@ -179,8 +182,19 @@ def run(
     finally:
         if hasattr(node, "close"):
             node.close()
-        rclpy.try_shutdown()
+        end()
     return 0
+
+
+def end() -> None:
+    """Shut ROS down at the end of a process, which further signals do not end another way.
+
+    `ros2 launch` sends a SIGINT after that of the terminal. The interpreter gives up its handlers
+    when it ends, and a signal would then be the exit status.
+    """
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    rclpy.try_shutdown()
 
 
 @contextmanager

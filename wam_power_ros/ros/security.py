@@ -7,9 +7,10 @@ nothing else. Only the controller publishes torques.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
 
@@ -163,6 +164,32 @@ def policy(rights: Mapping[str, Access]) -> str:
                     ElementTree.SubElement(group, kind).text = name.replace("~", f"/{node}")
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
+
+
+def check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
+    """Check that security, where it is enforced, has the keys of a process.
+
+    Args:
+        environment: Environment of the process.
+        arguments: Its command line, which names its enclave.
+
+    Raises:
+        ValueError: There are none; says where they were looked for.
+    """
+    enforced = environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
+    if environment.get("ROS_SECURITY_ENABLE") != "true" or not enforced:
+        return
+    keystore = environment.get("ROS_SECURITY_KEYSTORE", "")
+    named = dict(pairwise(arguments)).get("--enclave", "/")
+    enclave = environment.get("ROS_SECURITY_ENCLAVE_OVERRIDE") or named
+    folder = Path(keystore) / "enclaves" / enclave.lstrip("/")
+    if not keystore:
+        missing = "ROS_SECURITY_KEYSTORE is not set"
+    elif not folder.is_dir():
+        missing = f"there is no enclave {enclave} in the keystore, no folder {folder}"
+    else:
+        return
+    raise ValueError(f"security is enforced, but {missing}: see SECURITY.md")
 
 
 def exposed(environment: Mapping[str, str]) -> str | None:

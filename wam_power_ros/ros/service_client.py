@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -18,7 +19,8 @@ TIMEOUT = 60.0  # [s of wall time] for a service to appear, to answer and to agr
 # A client knows that it sees the service, not that the service sees it: the middleware drops an
 # answer to a client that it has not discovered within 0.1 s.
 DISCOVERY = 0.3  # [s of wall time]
-LOG_AFTER = 5.0  # [s of wall time] of waiting, after which it is logged
+LOG_AFTER = 5.0  # [s of wall time] of waiting, after which it is logged, and again ...
+LOG_PERIOD = 60.0  # ... as often
 RETRY_PERIOD = 0.2  # [s of wall time] between a refusal and the next request
 
 
@@ -69,18 +71,27 @@ class ServiceClient:
         Raises:
             ExternalShutdownException: When the process is being ended.
         """
-        begun, logged = time.monotonic(), not what
+        begun, log_at = time.monotonic(), LOG_AFTER if what else math.inf
         while not condition():
             if not self._node.context.ok():
                 raise ExternalShutdownException
             waited = time.monotonic() - begun
             if waited > timeout:
                 return False
-            if waited > LOG_AFTER and not logged:
+            if waited > log_at:
                 self._node.get_logger().info(f"waiting: {what}")
-                logged = True
+                log_at = waited + LOG_PERIOD
             self._executor.spin_once(timeout_sec=min(0.05, timeout - waited))
         return True
+
+    def wait_for(self, kind: type, name: str) -> None:
+        """Wait for a service, however long it takes to appear.
+
+        Raises:
+            ExternalShutdownException: When the process is being ended.
+        """
+        self.prepare(kind, name)
+        self.until(self._clients[name].service_is_ready, f"service {name}", math.inf)
 
     def begin(self, kind: type, name: str, request: object = None) -> Future:
         """Send a request; see `answer` for what to do with the future.
