@@ -210,14 +210,19 @@ class RolloutClient:
             RolloutError: The service is not offered in time.
         """
         late = time.monotonic() + ANSWER_TIMEOUT
-        moving = Mode.MOVE_TO_START.value  # it answers when the arm has arrived
+        moving = Mode.MOVE_TO_START.value
+
+        def lost() -> bool:  # a move is answered when the arm has arrived
+            under_way = name == interface.MOVE_TO_START and self._mode == moving
+            return time.monotonic() > late and not under_way
+
         try:
             answer = self._services.call(
                 Trigger if request is None else SetBool,
                 name,
                 request,
                 self._params.patience,
-                abandon=lambda: time.monotonic() > late and self._mode != moving,
+                abandon=lost,
             )
         except ServiceError as error:
             raise RolloutError(str(error)) from error
