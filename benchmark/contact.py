@@ -57,7 +57,7 @@ def rollouts(condition: dict[str, Any], count: int) -> tuple[int, list[str]]:
 
     while done < count:
         environment = stand_in(seed, **condition)
-        budget = min(A_SESSION, count - done)
+        budget = max(6, min(A_SESSION, count - done))  # a session needs some
         settings = preset("flip", "paper", budget=budget, retests=0)
         practise(environment, teach(environment, seed, 1), settings, seed, seen)
         seed += 1

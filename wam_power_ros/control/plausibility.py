@@ -25,8 +25,9 @@ from wam_power_ros.control.state_checks import Q_JUMP, JointState
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
 WINDOW = 0.02  # [s] time constant of the residual
-SLIP_WINDOWS = ((0.02, 0.006), (0.1, 0.01))  # [s], [rad] that position and velocity may differ by
-SLIP_SHARE = 0.3  # of the motion within the window that may be added: filters lag
+SLIP_WINDOWS = ((0.02, 0.003), (0.1, 0.008))  # [s], [rad] that position and velocity may differ by
+SLIP_SHARE = 0.1  # of the motion within the window that may be added
+LAG = 0.008  # [s] by which a velocity may be late: between none and this, it is no slip
 _SLIP_AT_ONCE = 0.003  # [rad] what one state may add: one state alone is no fault
 SUSPECTS = 3  # states in a row beyond a bound that make a fault
 REMEMBERED, STRIDE = 100, 4  # states, for the estimate that a fault begins with, and its step
@@ -70,6 +71,7 @@ class VelocityCheck:
     def begin(self) -> None:
         """Begin anew: the next state has no predecessor."""
         self._excess = [[0.0] * self._n for _ in SLIP_WINDOWS]
+        self._lagged = [0.0] * self._n  # change of position in a period, low-passed [rad]
         self._in_row = 0
 
     def fault(self, last: JointState, state: JointState, same: Sequence[int]) -> Fault | None:
@@ -84,15 +86,20 @@ class VelocityCheck:
         dt = (state.stamp_ns - last.stamp_ns) * 1e-9
         half = 0.5 * dt
         joint, at = -1, 0.0
-        gained = []
+        gained, lagged = [], []
+        keep = math.exp(-dt / LAG)
         channels = (last.q, state.q, last.qd, state.qd)
-        rows = zip(*(channel.tolist() for channel in channels), same, strict=True)
-        for i, (before, now, qd_before, qd, still) in enumerate(rows):
+        rows = zip(*(channel.tolist() for channel in channels), same, self._lagged, strict=True)
+        for i, (before, now, qd_before, qd, still, late) in enumerate(rows):
             moved, said = now - before, half * (qd_before + qd)
-            slip, seen = abs(moved - said), min(abs(moved), abs(said))
+            late = keep * late + (1.0 - keep) * moved
+            lagged.append(late)
+            slip = max(min(moved, late) - said, said - max(moved, late), 0.0)
+            seen = min(abs(moved), abs(said))
             gained.append(min(slip, _SLIP_AT_ONCE) - SLIP_SHARE * seen)
             if still >= FROZEN and abs(qd) > STANDSTILL:
                 joint, at = i, slip
+        self._lagged = lagged
         for k, (window, bound) in enumerate(SLIP_WINDOWS):
             keep = math.exp(-dt / window)
             excess = [keep * x + gain for x, gain in zip(self._excess[k], gained, strict=True)]
