@@ -14,56 +14,15 @@ session is. (`wam-power learn` takes a domain of its own.)
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable, Shutdown
-from launch.substitutions import LaunchConfiguration
-from launch_ros.actions import Node
+from launch.actions import DeclareLaunchArgument
 
-from launch import LaunchContext, LaunchDescription
-from wam_power_ros.cli.launcher import task_setup
-from wam_power_ros.params import overlay
+from launch import LaunchDescription
+from wam_power_ros.cli import ros_launch
 from wam_power_ros.ros.domain import exported, hold
 
 HELD = []  # the lock of the domain, until the launch ends
-SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
-
-
-def nodes(context: LaunchContext) -> list[Node]:
-    """Nodes to start, with one file that holds the parameters of all."""
-
-    def given(name: str) -> str:
-        return LaunchConfiguration(name).perform(context)
-
-    names = given("config").split()
-    simulated = bool(names) or given("pace") == "real_time"
-    setup = overlay.setup(names, simulated, task_setup(given("task")))
-    setup["wam_sim"]["seed"] = int(given("seed"))
-    setup["learner"] |= {
-        "session": given("session"),
-        "task": given("task"),
-        "demonstrations": given("demonstrations").split() or [""],
-    }
-    file = Path(tempfile.mkdtemp(prefix="wam_power_ros_")) / "parameters.yaml"
-    file.write_text(overlay.text(setup))
-    check_domain(file)
-    executables = ["wam_sim", "torque_controller", "demonstration_recorder"]
-    if setup["pancake_tracker"]["body"]:
-        executables.append("pancake_tracker")
-    if given("session"):
-        executables.append("learner")
-    return [
-        Node(
-            package="wam_power_ros",
-            executable=name,
-            parameters=[str(file)],
-            output="screen",
-            ros_arguments=["--enclave", f"/{name}"] if given("secure") == "true" else [],
-            **({"on_exit": Shutdown()} if name in ("wam_sim", "torque_controller") else {}),
-        )
-        for name in executables
-    ]
 
 
 def check_domain(parameters: Path) -> None:
@@ -80,29 +39,10 @@ def check_domain(parameters: Path) -> None:
 
 def generate_launch_description() -> LaunchDescription:
     """Arguments and nodes, see the module."""
-    reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    return LaunchDescription(
-        [
-            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", reach),
-            DeclareLaunchArgument(
-                "secure", default_value="false", choices=["true", "false"], description=SECURE
-            ),
-            SetEnvironmentVariable("ROS_SECURITY_ENABLE", LaunchConfiguration("secure")),
-            SetEnvironmentVariable("ROS_SECURITY_STRATEGY", "Enforce"),
-            DeclareLaunchArgument(
-                "config", default_value="", description="set-ups to simulate, by name or path"
-            ),
-            DeclareLaunchArgument(
-                "pace", default_value="lockstep", choices=["lockstep", "real_time"]
-            ),
-            DeclareLaunchArgument("seed", default_value="0"),
-            DeclareLaunchArgument("task", default_value="flip", description="skill to be learnt"),
-            DeclareLaunchArgument(
-                "session", default_value="", description="folder; '': no learner"
-            ),
-            DeclareLaunchArgument(
-                "demonstrations", default_value="", description="bags a new session begins from"
-            ),
-            OpaqueFunction(function=nodes),
-        ]
-    )
+    arguments = [
+        DeclareLaunchArgument(
+            "config", default_value="", description="set-ups to simulate, by name or path"
+        ),
+        DeclareLaunchArgument("pace", default_value="lockstep", choices=["lockstep", "real_time"]),
+    ]
+    return ros_launch.description(arguments, stand_ins=True, check=check_domain)

@@ -61,7 +61,7 @@ def learn(options: argparse.Namespace) -> int:
     from wam_power_ros.practice import session
     from wam_power_ros.reporting import terminal
 
-    folder = _session_folder(options)
+    folder = session_folder(options)
     resumed = session.Session.exists(folder)
     if resumed:
         header, _, records = session.read(folder)
@@ -69,7 +69,7 @@ def learn(options: argparse.Namespace) -> int:
         print(f"Resuming {folder} with {len(records)} recorded rollouts.")
     else:
         seed, task = options.seed or 0, options.task or TASK
-        _check_names(task, options)
+        check_names(task, options)
         print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
     words = ["wam-power", "learn", "--session", str(short_path(folder)), *setup_options(options)]
@@ -220,7 +220,7 @@ def report(options: argparse.Namespace) -> int:
     return 0
 
 
-def _session_folder(options: argparse.Namespace) -> Path:
+def session_folder(options: argparse.Namespace) -> Path:
     """Folder to begin or resume; refuses options that differ from what the session began with."""
     from wam_power_ros.practice.session import Session, read
 
@@ -240,7 +240,7 @@ def _session_folder(options: argparse.Namespace) -> Path:
     return folder
 
 
-def _check_names(task: str, options: argparse.Namespace) -> None:
+def check_names(task: str, options: argparse.Namespace) -> None:
     """Refuse what is unknown or belongs to another task before anything starts.
 
     Raises:

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What launch arguments become; the launch files themselves are run in test/system."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT
+
+from wam_power_ros.cli import ros_launch
+from wam_power_ros.cli.launcher import UsageError
+from wam_power_ros.params import overlay
+
+BAGS = sorted((ROOT / "bags").glob("demo_*"))
+DEFAULTS = {name: default for name, (default, _) in ros_launch.SHARED.items()}
+SIM = {**DEFAULTS, "config": "", "pace": "lockstep"}
+
+
+def sim(**given: object) -> ros_launch.Launched:
+    return ros_launch.prepare(SIM | {name: str(value) for name, value in given.items()}, True)
+
+
+def hardware(**given: object) -> ros_launch.Launched:
+    values = DEFAULTS | {name: str(value) for name, value in given.items()}
+    return ros_launch.prepare(values, stand_ins=False)
+
+
+def test_hardware_starts_no_stand_in_and_no_torque_by_itself(tmp_path: Path) -> None:
+    launched = hardware(config="geodude full_speed")
+    assert set(launched.executables) == {
+        "torque_controller",
+        "pancake_tracker",
+        "demonstration_recorder",
+    }
+    assert not launched.setup["torque_controller"]["autostart"]
+    assert launched.setup["torque_controller"]["joint_names"][0] == "right_j1"
+    launched = hardware(config="geodude", session=tmp_path / "s", demonstrations=BAGS[0])
+    assert launched.executables[-1] == "learner"
+    assert not launched.setup["learner"]["reset_faults"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "pace"),
+    [
+        ({}, "lockstep"),
+        ({"pace": "real_time"}, "real_time"),
+        ({"config": "libbarrett"}, "real_time"),
+    ],
+)
+def test_stand_ins_keep_the_pace_that_was_asked_for(asked: dict[str, str], pace: str) -> None:
+    launched = sim(**asked)
+    assert set(launched.executables) == set(overlay.NODES) - {"optitrack_sim", "learner"}
+    assert launched.setup["wam_sim"]["pace"] == pace
+    assert launched.setup["learner"].get("use_sim_time", False) == (pace == "lockstep")
+
+
+def test_a_session_has_its_bags_in_its_folder_and_what_was_asked_for_it(tmp_path: Path) -> None:
+    folder = tmp_path / "s"
+    given = {"seed": 7, "trials": 20, "learner": "cma_es", "preset": "paper"}
+    launched = sim(session=folder, demonstrations=f"{BAGS[0]} {BAGS[1]}", **given)
+    learner = launched.setup["learner"]
+    assert {name: learner[name] for name in given} == given
+    assert learner["demonstrations"] == [str(bag) for bag in BAGS[:2]]
+    assert (learner["session"], launched.session) == (str(folder), folder)
+    assert launched.setup["demonstration_recorder"]["directory"] == str(folder / "bags")
+    assert launched.setup["wam_sim"]["seed"] == 7
+    file = ros_launch.parameter_file(launched)
+    assert file.is_relative_to(folder)
+    assert yaml.safe_load(file.read_text())["learner"]["ros__parameters"] == learner
+
+
+def test_a_task_without_a_body_has_no_tracker(tmp_path: Path) -> None:
+    for launched in (
+        sim(task="reach", config="geodude", session=tmp_path),
+        hardware(task="reach", config="geodude", session=tmp_path),
+    ):
+        assert "pancake_tracker" not in launched.executables
+        assert launched.setup["learner"]["task"] == "reach"
+        assert launched.setup["torque_controller"]["obstacle"][3] > 0.0
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"task": "flop"}, "'flop' is not one of"),
+        ({"learner": "luck"}, "'luck'"),
+        ({"trials": "few"}, "few"),
+        ({"trials": 5, "demonstrations": BAGS[0], "task": "reach"}, "demonstration of flip"),
+    ],
+)
+def test_a_wrong_argument_is_refused_before_anything_is_started(
+    given: dict[str, object], says: str, tmp_path: Path
+) -> None:
+    with pytest.raises((UsageError, ValueError), match=says):
+        sim(session=tmp_path / "s", **given)
+    assert not (tmp_path / "s").exists()
+
+
+def test_without_a_session_the_parameter_file_ends_with_the_launch(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ends = []
+    monkeypatch.setattr(
+        ros_launch.atexit, "register", lambda *call, **also: ends.append((call, also))
+    )
+    file = ros_launch.parameter_file(sim())
+    assert file.is_file()
+    for (remove, *arguments), also in ends:
+        remove(*arguments, **also)
+    assert not file.parent.exists()

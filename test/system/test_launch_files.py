@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The launch files, run by `ros2 launch` from where colcon has installed the package."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT, Processes
+
+NEEDED = ("launch_ros", "ros2launch", "colcon_ros")
+missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+pytestmark = pytest.mark.skipif(bool(missing), reason=f"{', '.join(missing)} not installed")
+PATIENCE = 300.0  # [s of wall time]
+BAGS = [str(bag) for bag in sorted((ROOT / "bags").glob("reach_*"))]
+CLI = "import sys; from ros2cli.cli import main; sys.exit(main())"
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where colcon has installed this checkout."""
+    folder = tmp_path_factory.mktemp("workspace")
+    command = [sys.executable, "-m", "colcon", "build", "--symlink-install", "--base-paths", ROOT]
+    built = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert built.returncode == 0, built.stderr
+    return folder
+
+
+class Launch:
+    """`ros2 launch` in a process group of its own, as a terminal starts it."""
+
+    def __init__(self, installed: Path, processes: Processes, folder: Path) -> None:
+        self._installed, self._processes, self._folder = installed, processes, folder
+
+    def start(self, file: str, **arguments: str) -> None:
+        """Begin; `output` then tells what it has printed."""
+        given = [f"{name}:={value}" for name, value in arguments.items()]
+        words = [sys.executable, "-c", CLI, "launch", "wam_power_ros", file, *given]
+        script = f". {self._installed}/install/local_setup.sh && exec setsid {shlex.join(words)}"
+        temporary = self._folder / "temporary"
+        temporary.mkdir(exist_ok=True)
+        self.process = self._processes.start(
+            ["sh", "-c", script], TMPDIR=str(temporary), ROS_LOG_DIR=str(self._folder / "log")
+        )
+        self.temporary = temporary
+
+    @property
+    def output(self) -> str:
+        """What has been printed."""
+        return self._processes.output(self.process)
+
+    def until(self, condition: Callable[[], object], what: str) -> None:
+        """Wait for a condition while the launch goes on."""
+        end = time.monotonic() + PATIENCE
+        while not condition():
+            assert self.process.poll() is None, f"ended before {what}"
+            assert time.monotonic() < end, what
+            time.sleep(0.1)
+
+    def interrupt(self) -> None:
+        """Ctrl-C: the terminal signals the whole group, and launch its processes once more."""
+        os.killpg(self.process.pid, signal.SIGINT)
+
+    def _others(self) -> bool:
+        try:
+            os.killpg(self.process.pid, 0)
+        except ProcessLookupError:
+            return False
+        return True
+
+    def has_ended_well(self) -> None:
+        """Exit status 0 of all, no process left, no file of parameters."""
+        assert self.process.wait(PATIENCE) == 0
+        assert "process has died" not in self.output
+        assert "Traceback" not in self.output
+        end = time.monotonic() + PATIENCE
+        while self._others():  # the controller's second process writes its last lines
+            assert time.monotonic() < end, "a process is left"
+            time.sleep(0.1)
+        left = [path.name for path in self.temporary.iterdir()]
+        assert [name for name in left if not name.endswith(".lock")] == []
+
+
+@pytest.fixture
+def launch(installed: Path, processes: Processes, tmp_path: Path) -> Launch:
+    return Launch(installed, processes, tmp_path)
+
+
+def test_a_launched_session_has_its_bags_and_its_report_and_then_ends(
+    launch: Launch, tmp_path: Path
+) -> None:
+    session = tmp_path / "session"
+    asked = {"task": "reach", "trials": "2", "seed": "5"}
+    launch.start("sim.launch.py", session=str(session), demonstrations=" ".join(BAGS), **asked)
+    launch.has_ended_well()
+    assert (session / "report.html").is_file()
+    header = yaml.safe_load((session / "session.yaml").read_text())
+    assert (header["seed"], header["settings"]["task"]) == (5, "reach")
+    bags = sorted(path.name for path in (session / "bags").iterdir())
+    assert bags[:2] == ["rollout_trial-0001", "rollout_trial-0002"]
+
+
+def test_ctrl_c_ends_a_launched_session_cleanly_and_a_second_launch_resumes_it(
+    launch: Launch, tmp_path: Path
+) -> None:
+    session = tmp_path / "session"
+    log = session / "rollouts.jsonl"
+    launch.start("sim.launch.py", session=str(session), demonstrations=" ".join(BAGS), task="reach")
+    launch.until(lambda: log.exists() and log.read_text().count("\n") >= 1, "the first rollout")
+    launch.interrupt()
+    launch.has_ended_well()
+    done = log.read_text()
+    launch.start("sim.launch.py", session=str(session))
+    launch.until(lambda: len(log.read_text()) > len(done), "the next rollout")
+    launch.interrupt()
+    launch.has_ended_well()
+    assert log.read_text().startswith(done)
+
+
+def test_hardware_waits_for_its_driver_and_the_learner_for_the_controller(
+    launch: Launch, tmp_path: Path
+) -> None:
+    launch.start(
+        "hardware.launch.py",
+        config="geodude natnet_ros2",
+        session=str(tmp_path / "session"),
+        demonstrations=str(sorted((ROOT / "bags").glob("demo_*"))[0]),
+    )
+    for waits in (
+        "waiting for ros2 lifecycle set /torque_controller configure",
+        "waiting for frames of the pancake on /pancake/pose",
+        "waiting for /recorder/record",
+    ):
+        launch.until(lambda waits=waits: waits in launch.output, waits)
+    launch.interrupt()
+    launch.has_ended_well()

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the launch files of launch/ share: arguments, parameters, nodes, the end of a session.
+
+A launch ends when its learner has ended, after the report of the session, or when a node ends
+without which nothing can go on (`NEEDED`). `launch` is imported where it is used: a machine
+without ROS has none.
+"""
+
+from __future__ import annotations
+
+import argparse
+import atexit
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from wam_power_ros.cli.commands import TASK, check_names, session_folder
+from wam_power_ros.cli.launcher import reach, task_setup
+from wam_power_ros.params import overlay
+
+if TYPE_CHECKING:
+    from launch.actions import DeclareLaunchArgument
+    from launch.events.process import ProcessExited
+    from launch.launch_description_entity import LaunchDescriptionEntity
+
+    from launch import LaunchContext, LaunchDescription
+
+PATIENCE = "30.0"  # [s] for a node to end: a bag is closed, an arm brought to rest
+NEEDED = ("wam_sim", "torque_controller")
+SHARED = {  # launch argument -> default and description
+    "task": ("", "skill to be learnt; '': that of the session, or flip"),
+    "session": ("", "folder of a session, begun or resumed; '': no learner"),
+    "demonstrations": ("", "bags a new session begins from"),
+    "learner": ("", "learning algorithm; '': the preset's"),
+    "preset": ("", "settings of the task; '': its first"),
+    "trials": ("", "budget of rollouts; '': the preset's"),
+    "seed": ("", "seed of a new session and of the simulation; '': the session's, or 0"),
+}
+SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
+
+
+class Launched(NamedTuple):
+    """What a launch file starts.
+
+    Attributes:
+        setup: Parameters by node.
+        executables: Nodes to start.
+        session: Folder of the session; None without a learner.
+    """
+
+    setup: overlay.Setup
+    executables: tuple[str, ...]
+    session: Path | None
+
+
+def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
+    """What launch arguments ask for.
+
+    Args:
+        given: Values of the launch arguments, by name.
+        stand_ins: Whether stand-ins take the place of the devices.
+
+    Raises:
+        UsageError, ValueError: An argument is not acceptable, or does not fit the session.
+    """
+    from wam_power_ros.practice import session as sessions
+
+    bags = [Path(bag).expanduser().resolve() for bag in given["demonstrations"].split()]
+    session, task, seed = None, given["task"] or TASK, int(given["seed"] or 0)
+    learner: dict[str, object] = {"session": ""}
+    if given["session"]:
+        options = argparse.Namespace(
+            session=Path(given["session"]).expanduser(),
+            resume=False,
+            seed=int(given["seed"]) if given["seed"] else None,
+            task=given["task"] or None,
+            learner=given["learner"],
+            preset=given["preset"],
+            trials=int(given["trials"]) if given["trials"] else None,
+            bags=bags,
+            demonstrations=0,
+        )
+        session = session_folder(options)
+        if sessions.Session.exists(session):
+            header, _, _ = sessions.read(session)
+            seed, task = header.seed, header.settings.task
+        else:
+            check_names(task, options)
+        learner = {
+            "session": str(session),
+            "seed": seed,
+            "demonstrations": [str(bag) for bag in bags] or [""],
+            "learner": given["learner"],
+            "preset": given["preset"],
+            "trials": options.trials or 0,
+        }
+    names = given["config"].split()
+    simulated = stand_ins and (bool(names) or given["pace"] == "real_time")
+    setup = overlay.setup(names, simulated, task_setup(task))
+    setup["learner"] |= {**learner, "task": task}
+    if session is not None:
+        setup["demonstration_recorder"]["directory"] = str(session / "bags")
+    executables = ["torque_controller", "demonstration_recorder"]
+    if stand_ins:
+        setup["wam_sim"]["seed"] = seed
+        executables.insert(0, "wam_sim")
+    else:
+        setup["torque_controller"]["autostart"] = False
+    if setup["pancake_tracker"]["body"]:
+        executables.append("pancake_tracker")
+    if session is not None:
+        executables.append("learner")
+    return Launched(setup, tuple(executables), session)
+
+
+def parameter_file(launched: Launched) -> Path:
+    """File with the parameters of all nodes: in the session, else one that ends with the launch."""
+    if launched.session is not None:
+        folder = launched.session / "logs"
+        folder.mkdir(parents=True, exist_ok=True)
+    else:
+        folder = Path(tempfile.mkdtemp(prefix="wam_power_ros_"))
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    file = folder / "parameters.yaml"
+    file.write_text(overlay.text(launched.setup), encoding="utf-8")
+    return file
+
+
+def description(
+    arguments: list[DeclareLaunchArgument],
+    stand_ins: bool,
+    check: Callable[[Path], None] = lambda file: None,
+) -> LaunchDescription:
+    """Description of a launch file.
+
+    Args:
+        arguments: Arguments of this launch file; those of `SHARED` come with them.
+        stand_ins: Whether stand-ins take the place of the devices.
+        check: Function that is called with the parameter file before anything is started.
+    """
+    from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+    from launch.substitutions import LaunchConfiguration
+
+    from launch import LaunchDescription
+
+    arguments = [
+        *arguments,
+        *(
+            DeclareLaunchArgument(name, default_value=default, description=text)
+            for name, (default, text) in SHARED.items()
+        ),
+        DeclareLaunchArgument(
+            "secure", default_value="false", choices=["true", "false"], description=SECURE
+        ),
+    ]
+
+    def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+        values = {each.name: LaunchConfiguration(each.name).perform(context) for each in arguments}
+        launched = prepare(values, stand_ins)
+        file = parameter_file(launched)
+        check(file)
+        return _nodes(launched, file, values["secure"] == "true")
+
+    return LaunchDescription(
+        [
+            SetEnvironmentVariable("ROS_AUTOMATIC_DISCOVERY_RANGE", reach(os.environ)),
+            *arguments,
+            SetEnvironmentVariable("ROS_SECURITY_ENABLE", LaunchConfiguration("secure")),
+            SetEnvironmentVariable("ROS_SECURITY_STRATEGY", "Enforce"),
+            OpaqueFunction(function=start),
+        ]
+    )
+
+
+def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescriptionEntity]:
+    from launch.actions import ExecuteProcess, Shutdown
+    from launch_ros.actions import Node
+
+    def after_learner(
+        event: ProcessExited, context: LaunchContext
+    ) -> list[LaunchDescriptionEntity] | None:
+        if context.is_shutdown:
+            return None
+        if event.returncode:
+            return [Shutdown(reason=f"the learner ended with status {event.returncode}")]
+        command = [sys.executable, "-m", "wam_power_ros.cli", "report", str(launched.session)]
+        ended = Shutdown(reason="the session has ended")
+        return [ExecuteProcess(cmd=command, name="report", output="screen", on_exit=[ended])]
+
+    ends = {name: [Shutdown(reason=f"{name} has ended")] for name in NEEDED}
+    return [
+        Node(
+            package="wam_power_ros",
+            executable=name,
+            parameters=[str(file)],
+            output="screen",
+            ros_arguments=["--enclave", f"/{name}"] if secure else [],
+            sigterm_timeout=PATIENCE,
+            sigkill_timeout=PATIENCE,
+            on_exit={**ends, "learner": after_learner}.get(name),
+        )
+        for name in launched.executables
+    ]
