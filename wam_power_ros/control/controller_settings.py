@@ -52,7 +52,7 @@ class ControllerSettings:
     velocity_cutoff: float = 180.0
     stiffness_max: float = 2500.0
     damping_max: float = 100.0
-    contact_share: float = 0.1
+    contact_share: float = 0.05
     unexplained_share: float = 0.25
     arm: ArmIdentity | None = None
 

@@ -24,7 +24,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.state_checks import Q_JUMP, JointState
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
-WINDOW = 0.02  # [s] time constant of the residual
+WINDOW = 0.015  # [s] time constant of the residual
 SLIP_WINDOWS = ((0.02, 0.003), (0.1, 0.008))  # [s], [rad] that position and velocity may differ by
 SLIP_SHARE = 0.1  # of the motion within the window that may be added
 LAG = 0.008  # [s] by which a velocity may be late: between none and this, it is no slip
