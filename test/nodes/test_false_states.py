@@ -52,7 +52,7 @@ def test_a_controller_that_is_ended_in_a_rollout_stops_the_arm_first(lab: Lab, n
         while driver.speeds[-1] < REST_SPEED:  # a busy machine has made a fault
             driver.begin("upwards")
         controller.process.send_signal(number)
-        assert driver.play(20.0, lambda: controller.process.poll() is not None)
+        assert driver.play(20.0, lambda: controller.process.poll() is not None)  # noqa: B023
         driver.speeds.clear()
         driver.play(0.5)
         assert lab.label == "inactive"

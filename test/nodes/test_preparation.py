@@ -148,6 +148,21 @@ def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
 
 
 @pytest.mark.requirement("S-54")
+def test_a_robot_description_is_read_before_the_loop_runs_and_not_in_it(
+    probe: Probe, processes: Processes
+) -> None:
+    descriptions = probe.publisher(
+        String, interface.ROBOT_DESCRIPTION, interface.LATCHED, readers=0
+    )
+    arm = PlayedArm(probe, processes, urdf='""')
+    probe.until(descriptions.get_subscription_count, "a reader")
+    descriptions.publish(String(data=(ROOT / "urdf/wam7.urdf").read_text()))
+    arm.activate()
+    probe.until(lambda: not descriptions.get_subscription_count(), "no reader any more")
+    answered(arm)
+
+
+@pytest.mark.requirement("S-54")
 def test_a_message_above_its_size_is_refused_unread(probe: Probe, arm: PlayedArm) -> None:
     policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
     policies.publish(String(data="{" * (SIZE_MAX + 100)))

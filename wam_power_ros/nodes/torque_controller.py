@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
@@ -105,8 +106,8 @@ class TorqueController(LifecycleNode):
             subscribe(Bool, interface.ENABLE, self._on_enable, interface.ENABLE_IN)
         if params.velocity_topic:
             subscribe(JointState, params.velocity_topic, self._on_velocity, interface.STATE_IN)
-        if not params.urdf:
-            subscribe(String, interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED)
+        self._descriptions: Subscription | None = None
+        self._await_description()
         serve = self.create_service
         serve(Trigger, interface.STOP, self._on_stop)
         serve(Trigger, interface.RESET, self._answering(lambda core, _: core.reset()))
@@ -131,6 +132,9 @@ class TorqueController(LifecycleNode):
         except ValueError as error:
             self._refuse("configuration", error)
             return FAILURE
+        if self._descriptions is not None:  # taking a large one would hold the loop up
+            self.destroy_subscription(self._descriptions)
+            self._descriptions = None
         settings = dataclasses.replace(self._controller.settings, limits=self._controller.limits)
         self._preparation.configure(settings, self._params.joint_names)
         self._granted = scheduling.request(self._params.realtime_priority)
@@ -166,6 +170,7 @@ class TorqueController(LifecycleNode):
         self._controller = None
         self._movement = None
         self._preparation.configure(None, ())
+        self._await_description()
         return SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -346,6 +351,12 @@ class TorqueController(LifecycleNode):
 
     def _on_movement(self, movement: Sampled | ControllerError) -> None:
         self._movement = movement
+
+    def _await_description(self) -> None:
+        if not self._params.urdf:
+            self._descriptions = self.create_subscription(
+                String, interface.ROBOT_DESCRIPTION, self._on_description, interface.LATCHED
+            )
 
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
