@@ -17,17 +17,20 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import Reader
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.recovery import recover
+from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy, to_json
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.answers import Code, read
+from wam_power_ros.ros.stamps import time_message
 
 NODE = "wam_power_ros.nodes.demonstration_recorder"
 CONFIG = "demonstration_recorder.yaml"
@@ -87,6 +90,31 @@ class Bench:
         return self.probe.until(
             lambda: next((msg for msg in self.diagnostics if text in str(msg)), None), text
         )
+
+
+@pytest.mark.parametrize("slower", [3.0, 0.5])
+def test_a_bag_of_a_simulation_is_stamped_by_its_time_whatever_its_pace(
+    slower: float, probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path / "bags", use_sim_time=True)
+    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS, readers=2)  # one records
+    torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    bench.send(100)  # before the recording
+    bench.start()
+    for _ in range(300):
+        begun = time.monotonic()
+        bench.send(1)
+        clock.publish(Clock(clock=time_message(START + 2_000_000 * bench.sent)))
+        torques.publish(Float64MultiArray(data=[0.5] * 7))
+        probe.spin(max(0.0, 0.002 * slower - (time.monotonic() - begun)))
+    path = bench.stop()
+    states = list(reader.messages(path, [interface.JOINT_STATES]))
+    header_span = header_stamp(states[-1][2]) - header_stamp(states[0][2])
+    assert header_span >= 2_000_000 * 299
+    for topic in (interface.JOINT_STATES, interface.CLOCK, interface.EFFORT_COMMANDS):
+        stamps = [stamp for _, stamp, _ in reader.messages(path, [topic])]
+        assert (stamps[-1] - stamps[0]) / header_span == pytest.approx(1.0, abs=0.01)
+    assert information(path)["duration"]["nanoseconds"] == pytest.approx(header_span, rel=0.01)
 
 
 def latched(probe: Probe, topic: str, text: str) -> Publisher:

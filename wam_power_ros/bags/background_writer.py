@@ -30,8 +30,20 @@ class Recording:
         error: Error that has ended the writing; None while it goes on.
     """
 
-    def __init__(self, path: Path, kind: str, notes: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        kind: str,
+        notes: Mapping[str, str],
+        now: Callable[[], int] = time.time_ns,
+    ) -> None:
         """Begin the bag `path` with a "start" event, its kind as the reason.
+
+        Args:
+            path: Folder of the finished bag.
+            kind: Kind of the recording.
+            notes: Notes for the metadata, see `BagWriter.event`.
+            now: Clock by which messages are stamped when they are received [ns].
 
         Raises:
             FileExistsError: When it exists, finished or not.
@@ -39,11 +51,12 @@ class Recording:
         """
         self.path = path
         self.error: OSError | None = None
+        self._now = now
         self._writer = BagWriter(path)
         self._topics: set[str] = set()
         self._queue: deque[tuple[Callable[..., None], tuple[object, ...]]] = deque()
         self._over = threading.Event()
-        self._enqueue(self._writer.event, "start", kind, time.time_ns(), notes)
+        self._enqueue(self._writer.event, "start", kind, now(), notes)
         self._thread = threading.Thread(target=self._run, name="writing", daemon=True)
         self._thread.start()
 
@@ -68,7 +81,7 @@ class Recording:
 
     def write(self, topic: str, cdr: bytes) -> None:
         """Queue a serialized message, received now."""
-        self._enqueue(self._writer.write, topic, time.time_ns(), cdr)
+        self._enqueue(self._writer.write, topic, self._now(), cdr)
 
     def close(self, reason: str, notes: Mapping[str, str], state_topic: str) -> Gaps | None:
         """Write the queue and finish the bag, with notes for its metadata.
@@ -79,7 +92,7 @@ class Recording:
         Raises:
             OSError: When the writing has failed; the bag stays unfinished.
         """
-        self._enqueue(self._writer.event, "stop", reason, time.time_ns())
+        self._enqueue(self._writer.event, "stop", reason, self._now())
         self._over.set()
         self._thread.join()
         if self.error is not None:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import time
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
@@ -24,6 +26,7 @@ from std_srvs.srv import SetBool
 from wam_power_ros import __version__, arm_identity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.background_writer import Recording
+from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning import policy
 from wam_power_ros.params.node_params import Names, Params
@@ -95,6 +98,10 @@ class DemonstrationRecorder(Node):
             )
         topics = dict.fromkeys((*devices, *params.topics, *of_body, *params.latched_topics))
         topics.pop("", None)  # how ROS writes an empty list
+        self._sim_time = self.get_parameter("use_sim_time").value
+        self._sim_ns = 0  # stamp of the newest state, in lockstep
+        if self._sim_time:
+            topics[interface.CLOCK] = None
         self._topics = RawTopics(self, topics, self._on_message)
         self.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
         self._diagnostics = self.create_publisher(
@@ -110,15 +117,27 @@ class DemonstrationRecorder(Node):
             f"{self._directory}; topics: {wanted}"
         )
         # A driver keeps ten states for a reader that is late, no more; in lockstep all are kept.
-        lockstep = self.get_parameter("use_sim_time").value
-        self._granted = scheduling.request(0 if lockstep else params.realtime_priority)
+        self._granted = scheduling.request(0 if self._sim_time else params.realtime_priority)
         for left in sorted(self._directory.glob(f"*{layout.UNFINISHED}")):
             name = left.name.removesuffix(layout.UNFINISHED)
             self.get_logger().warning(
                 f"{left} was never closed; to recover it: wam-power recover {left.with_name(name)}"
             )
 
+    def _now(self) -> int:
+        """Time of reception [ns]: the system's, or in lockstep that of the newest state.
+
+        The simulation runs ahead of a recorder that is late, and /clock with it; states come in
+        order. A bag of a simulation is thus played at the speed of the arm.
+        """
+        if not self._sim_time:
+            return time.time_ns()
+        return self._sim_ns or self.get_clock().now().nanoseconds
+
     def _on_message(self, topic: str, cdr: bytes) -> None:
+        if self._sim_time and topic == self._state_topic:
+            with suppress(ValueError):
+                self._sim_ns = header_stamp(cdr)
         if topic in self._latched:
             self._last[topic] = cdr
         if self._recording is not None:
@@ -153,7 +172,7 @@ class DemonstrationRecorder(Node):
         kind = "rollout" if self._policy_id else self._params.stem
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
         path = layout.free_path(self._directory, f"{kind}_{stem}")
-        self._recording = Recording(path, kind, self._notes)
+        self._recording = Recording(path, kind, self._notes, self._now)
         self._policy_id = self._trouble = self._note = ""
         self._topics.lost.clear()
         for topic, cdr in self._last.items():
