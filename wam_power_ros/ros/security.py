@@ -71,9 +71,9 @@ TABLE: dict[str, dict[str, str]] = {
     "replaying": {"publishes": "REPLAY_TRAJECTORY", "calls": "REPLAY STOP RECORD"},
     "enabling_switch": {"publishes": "ENABLE"},
     "feedback": {"publishes": "LEARNER_BAG", "calls": FEEDBACK},
-    "operator": {  # a person with `ros2 service call`, `ros2 lifecycle set`
+    "operator": {  # a person with `ros2 service call`, `ros2 lifecycle set`, `ros2 topic hz`
         "publishes": "REPLAY_TRAJECTORY LEARNER_BAG",
-        "subscribes": "DIAGNOSTICS",
+        "subscribes": "DIAGNOSTICS states state",
         "calls": f"{CONTROLLER} RECORD {FEEDBACK} lifecycle",
     },
     "wam_sim": {
@@ -83,6 +83,7 @@ TABLE: dict[str, dict[str, str]] = {
     },
     "optitrack_sim": {"publishes": "mocap pose MARKERS"},
 }
+NODE_NAMES = {"operator": "_ros2cli*"}  # of its nodes, where that is another: each command has one
 MANAGED = {"torque_controller"}  # nodes with a life cycle
 OF_BODY = {"pancake_tracker", "optitrack_sim"}  # nodes that only run for a task with a tracked body
 PROCESSES = {  # node -> process whose enclave it shares; every other node has one of its own
@@ -161,7 +162,8 @@ def policy(rights: Mapping[str, Access]) -> str:
             if names:
                 group = ElementTree.SubElement(profile, f"{kind}s", {right: "ALLOW"})
                 for name in sorted(names):
-                    ElementTree.SubElement(group, kind).text = name.replace("~", f"/{node}")
+                    named = NODE_NAMES.get(node, node)
+                    ElementTree.SubElement(group, kind).text = name.replace("~", f"/{named}")
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
 
