@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -57,6 +58,27 @@ def test_plugins_of_ros_that_this_pytest_cannot_load_are_left_out(tmp_path: Path
 
 def test_make_runs_colcon_by_the_python_that_the_executables_start_with() -> None:
     assert "\n.venv/bin/python -m colcon build" in run("make", "-n", "build", folder=ROOT)
+
+
+def test_what_is_needed_is_named_for_rosdep_or_for_pip_and_the_document_agrees() -> None:
+    sections = (ROOT / "requirements.txt").read_text().split("# [")
+    needed = {
+        re.split(r"[>=<;]", line)[0]
+        for section in sections
+        if section.startswith(("core]", "sim]"))
+        for line in section.splitlines()[1:]
+        if line and not line.startswith("#")
+    }
+    manifest = (ROOT / "package.xml").read_text()
+    apt = set(re.findall(r"<exec_depend>python3-(\w+)</exec_depend>", manifest))
+    apt = {{"yaml": "PyYAML", "pil": "pillow"}.get(name, name) for name in apt}
+    (comment,) = re.findall(r"By pip.*?:(.*?)\. -->", manifest, re.DOTALL)
+    pip = {name.strip() for name in comment.split(",")}
+    assert needed == apt | pip
+    assert not apt & pip
+    page = (ROOT / "docs/ros2.md").read_text()
+    named = page.partition("rosdep does not bring")[2].partition("pip")[0]
+    assert set(re.findall(r"`([a-z0-9.]+)`", named)) == pip
 
 
 @needs_colcon
