@@ -85,6 +85,7 @@ class Replay:
         movement = JointMovement(*replay_trajectory.movement(self._stamps_ns, self._q, speed))
         self.periods = round(movement.t[-1] * 1e9 / PERIOD_NS)
         self._count += 1
+        environment.world.attach(None)
         environment.place(f"replay-{self._count}", movement.q[0])
         for _ in range(100):
             environment.tick()

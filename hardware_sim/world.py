@@ -195,9 +195,10 @@ class World:
         self._mocap.restart(self.time_ns, self._mocap_rng)
         self._restart_log()
 
-    def attach(self, puller: Demonstrator) -> None:
-        """Let somebody lead the pan from now on."""
+    def attach(self, puller: Demonstrator | None) -> None:
+        """Let somebody lead the pan from now on, or nobody any more."""
         self._puller, self._puller_start_ns = puller, self.time_ns
+        self.data.xfrc_applied[self._pan] = 0.0
 
     def drop(self) -> None:
         """Let the tracked body fall from `DROP_HEIGHT` over the pan, z level: least drag on a disc.

@@ -98,6 +98,19 @@ def test_what_pulls_at_the_pan_pulls_at_its_centre(calm: World, arm: Arm) -> Non
     assert not calm.data.xfrc_applied.any()
 
 
+def test_who_is_sent_away_pulls_no_more(calm: World) -> None:
+    class Weight:
+        def wrench(self, t: float, *_: np.ndarray) -> np.ndarray:
+            return np.array([20.0, 5.0, 40.0, 0.0, 2.0, 1.0])
+
+    gravity = begin(calm)
+    calm.attach(Weight())
+    run(calm, gravity, 2)
+    assert calm.pulled and calm.data.xfrc_applied.any()
+    calm.attach(None)
+    assert not calm.pulled and not calm.data.xfrc_applied.any()
+
+
 def test_an_idle_arm_sinks_slowly_whatever_is_commanded(calm: World) -> None:
     gravity = begin(calm)
     calm.idle = True
