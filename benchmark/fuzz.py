@@ -25,6 +25,7 @@ from wam_power_ros.ros import cdr, joint_messages
 from wam_power_ros.ros.stamps import time_message
 
 PERIOD_NS = 2_000_000
+CALM = 150  # valid states in a row
 ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e9, -25.0, 25.0, 0.0)
 STEPS = (0, -PERIOD_NS, -(10**9), 3, 4 * PERIOD_NS, 10 * PERIOD_NS, 3_600 * 10**9)
 CALLS = (
@@ -40,16 +41,26 @@ CALLS = (
 
 
 def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iterator[JointState]:
-    """Endless joint states, about one in eight of them invalid."""
+    """Endless joint states, about one in eight of them invalid, in storms between calms.
+
+    A reset needs rest in states that fit each other: without calms all would stay in one fault.
+    """
     n, stamp_ns = len(names), 10**12
     q, qd = home.copy(), np.zeros(n)
+    calm, storm = CALM, 0  # states that are left of each
     while True:
+        if not calm and not storm:
+            calm, storm = CALM, int(rng.integers(1, 2 * CALM))
         qd = 0.98 * qd + 0.002 * rng.standard_normal(n)  # mostly at rest, so that a reset succeeds
         q = home + 0.999 * (q - home) + 0.002 * qd
         stamp_ns += PERIOD_NS
         values = [q.tolist(), qd.tolist(), [0.0] * n]
         named, stamp = list(names), stamp_ns
         wrong = int(rng.integers(64))
+        if calm:
+            calm, wrong = calm - 1, 64
+        else:
+            storm -= 1
         if wrong < 3:
             field = values[int(rng.integers(2))]
             field[int(rng.integers(n))] = ODD[int(rng.integers(len(ODD)))]
@@ -74,8 +85,8 @@ def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iter
 
 
 def garbled(data: bytes, rng: np.random.Generator) -> bytes:
-    """Bytes of a message; in one of 64 some are corrupted or missing."""
-    if rng.random() > 1.0 / 64.0:
+    """Bytes of a message; in one of 256 some are corrupted or missing."""
+    if rng.random() > 1.0 / 256.0:
         return data
     spoilt, at = bytearray(data), int(rng.integers(len(data)))
     if rng.random() < 0.2:

@@ -113,7 +113,8 @@ def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
     table = bench.check(typed="no\n")
     bench.probe.spin(0.5)
     assert (table["rows"]["watchdog"]["verdict"], torques) == ("not checked", [])
-    assert table["rows"]["command path"]["found"] == "heard by probe, wam_sim"
+    heard = {"heard by probe, wam_sim", "heard by wam_sim"}  # a busy machine discovers late
+    assert table["rows"]["command path"]["found"] in heard
 
 
 def test_without_messages_nothing_can_be_checked(processes: Processes) -> None:
