@@ -34,7 +34,7 @@ TOOLS = (
     "foxglove",
 )  # so may these, by their beginning
 UNNAMED = "_NODE_NAME_UNKNOWN_"  # until the name of an endpoint's node has come, or not a ROS node
-DISCOVERY = 4.0  # [s] in which those who are there are found: they announce themselves every 3 s
+DISCOVERY = 10.0  # [s] in which who is there is found: they announce themselves every 3 s
 SETTLED = 1.0  # [s] from a node's name to its topics
 LISTENERS = "listeners"  # the parameter that names others
 # A global id of Fast DDS begins with vendor and host, process (two bytes of its id, two at random)
