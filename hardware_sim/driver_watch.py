@@ -38,7 +38,8 @@ DISCOVERY = 10.0  # [s] in which who is there is found: they announce themselves
 SETTLED = 1.0  # [s] from a node's name to its topics
 LISTENERS = "listeners"  # the parameter that names others
 # A global id of Fast DDS begins with vendor and host, process (two bytes of its id, two at random)
-HOST, PROCESS = 4, 8
+HOST, PROCESS, PARTICIPANT = 4, 8, 12
+EVENTS = "/parameter_events"  # which every node publishes
 HEARS = "receives"
 EVERY = 0.25  # [s] between two looks
 
@@ -78,7 +79,7 @@ class DriverWatch:
                     f"{_named(name)} {what} in DDS domain {domain}: a simulation must not meet a "
                     "robot; start it in another domain: export ROS_DOMAIN_ID=N"
                 )
-            everybody = here_only and len(self._node.get_node_names()) > others
+            everybody = here_only and self._known() >= others
             known = min(known, now) if everybody else math.inf
             if not name and now > min(end, known + SETTLED):
                 return
@@ -110,27 +111,36 @@ class DriverWatch:
                     return other, f"{HEARS} {topic}"
         return "", ""
 
+    def _known(self) -> int:
+        """Number of participants of other processes that have been discovered."""
+        events = self._node.get_publishers_info_by_topic(EVENTS)
+        return len({gid[:PARTICIPANT] for gid, _ in self._alive(events)})
+
     def _others(self, endpoints: Sequence[TopicEndpointInfo]) -> list[str]:
-        """Names of the nodes of endpoints in other processes that are alive.
+        """Names of the nodes of endpoints in other processes that are alive."""
+        return [name for _, name in self._alive(endpoints)]
+
+    def _alive(self, endpoints: Sequence[TopicEndpointInfo]) -> list[tuple[bytes, str]]:
+        """Global ids and names of nodes of endpoints in other processes that are alive.
 
         A killed process of this machine stays announced for 20 s.
         """
         gids = [(bytes(each.endpoint_gid), each.node_name) for each in endpoints]
         if not self._mine:  # another middleware
-            return [name for _, name in gids if name != self._node.get_name()]
+            return [(gid, name) for gid, name in gids if name != self._node.get_name()]
         others = [(gid, name) for gid, name in gids if gid[:PROCESS] != self._mine]
         if not others:
             return []
         ids = (path.name for path in Path("/proc").glob("[0-9]*"))
         running = {_low_bytes(int(id)) for id in ids}
         here = self._mine[:HOST]
-        return [name for gid, name in others if gid[:HOST] != here or gid[HOST:][:2] in running]
+        return [each for each in others if each[0][:HOST] != here or each[0][HOST:][:2] in running]
 
     def _own_process(self) -> bytes:
         """How the global ids of this process begin; empty where they are not those of Fast DDS."""
         end = time.monotonic() + 1.0
-        while time.monotonic() < end:  # every node publishes the events of its parameters
-            for each in self._node.get_publishers_info_by_topic("/parameter_events"):
+        while time.monotonic() < end:
+            for each in self._node.get_publishers_info_by_topic(EVENTS):
                 gid = bytes(each.endpoint_gid)
                 if gid[HOST:][:2] == _low_bytes(os.getpid()):
                     return gid[:PROCESS]

@@ -73,11 +73,16 @@ class Hardware:
             "wam_power_ros.nodes.torque_controller",
             "torque_controller.yaml",
             state_timeout=0.0 if lockstep else 0.006,
+            idle_service='""',  # an idled arm hangs until somebody lifts it
             realtime_priority=0 if lockstep else 60,
         )
         self.policies = self.probe.node.create_publisher(
             String, interface.POLICY, interface.LATCHED
         )
+        self.holds()
+
+    def holds(self) -> None:
+        """Wait until the controller holds."""
         self.probe.until(self._holds, "the controller holds")
 
     def _holds(self) -> bool:
