@@ -35,9 +35,10 @@ TOOLS = (
 )  # so may these, by their beginning
 UNNAMED = "_NODE_NAME_UNKNOWN_"  # until the name of an endpoint's node has come, or not a ROS node
 DISCOVERY = 10.0  # [s] in which who is there is found: they announce themselves every 3 s
-SETTLED = 1.0  # [s] from a node's name to its topics
+SETTLED = 1.0  # [s] from the discovery of a participant to that of its topics
 LISTENERS = "listeners"  # the parameter that names others
-# A global id of Fast DDS begins with vendor and host, process (two bytes of its id, two at random)
+# A global id of Fast DDS begins with vendor and host, process (two bytes of its id, two at random),
+# and number of the participant.
 HOST, PROCESS, PARTICIPANT = 4, 8, 12
 EVENTS = "/parameter_events"  # which every node publishes
 HEARS = "receives"

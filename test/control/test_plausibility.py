@@ -10,6 +10,8 @@ from rigid_arm import HOME, MODEL, PERIOD_NS, POLICY, Plant, begin, check, make,
 from wam_power_ros.control import safety
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.control.plausibility import VelocityCheck
+from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import FaultKind
 
 State = tuple[int, np.ndarray, np.ndarray]
@@ -191,6 +193,39 @@ def test_what_the_model_has_wrong_is_no_fault(friction: float, delay: int) -> No
     controller.execute()
     run(controller, plant, 2.5)
     assert controller.mode is Mode.HOLD, controller.latched
+
+
+@pytest.mark.requirement("S-93")
+def test_a_fast_replay_that_sensors_and_motors_follow_late_is_no_contact() -> None:
+    t = np.linspace(0.0, 1.0, 101)
+    x = np.clip((t - 0.3) / 0.25, 0.0, 1.0)
+    flick = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)  # from rest to rest
+    turned = HOME + flick[:, None] * np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.3, 0.0])
+    recording = type("Recording", (), {"t": t, "q": turned})
+    controller, plant = begin(friction=1.0, delay=4, sensing=True)
+    controller.start_replay(recording)
+    run(controller, plant, 2.0)
+    assert controller.mode is Mode.HOLD, controller.latched
+
+
+@pytest.mark.requirement("S-93")
+def test_a_velocity_that_a_filter_delays_is_no_lie_and_one_that_is_too_small_is() -> None:
+    def first_fault(lag: float, scale: float) -> int | None:
+        check, dt, filtered, last = VelocityCheck(7), 0.002, 0.0, None
+        for k in range(40):  # 200 rad/s^2 from rest for 40 ms, then at that speed
+            time = k * dt
+            speed = 200.0 * min(time, 0.04)
+            q = 100.0 * min(time, 0.04) ** 2 + 8.0 * max(time - 0.04, 0.0)
+            filtered += (1.0 - np.exp(-dt / lag)) * (speed - filtered)
+            qd = scale * filtered
+            state = JointState(k * PERIOD_NS, np.full(7, q), np.full(7, qd), dt)
+            if last is not None and check.fault(last, state, [0] * 7) is not None:
+                return k
+            last = state
+        return None
+
+    assert first_fault(1.0 / 180.0, 1.0) is None
+    assert first_fault(1.0 / 180.0, 0.5) is not None
 
 
 @pytest.mark.requirement("S-26")

@@ -62,7 +62,7 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
 
     Args:
         given: Values of the launch arguments, by name.
-        stand_ins: Whether stand-ins take the place of the devices.
+        stand_ins: True when the simulated devices are started too, false on hardware.
 
     Raises:
         UsageError, ValueError: An argument is not acceptable, or does not fit the session.
@@ -139,7 +139,7 @@ def description(
 
     Args:
         arguments: Arguments of this launch file; those of `SHARED` come with them.
-        stand_ins: Whether stand-ins take the place of the devices.
+        stand_ins: True when the simulated devices are started too, false on hardware.
         check: Function that is called with the parameter file before anything is started.
     """
     from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable

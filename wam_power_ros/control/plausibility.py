@@ -48,8 +48,8 @@ class Bound(NamedTuple):
         moving: At a joint that moves: what the model may be wrong by.
         standing: At a joint that has reported the same position for some time, bit for bit. It may
             be frozen, and the arm move away under a torque that seems to have no effect.
-        inertial: What may be unexplained beside that, as a share of the torque that accelerates the
-            arm: sensors and motors lag.
+        inertial: Share of each joint's accelerating torque that may be unexplained beside these
+            two, because sensors and motors lag; 0 for none.
     """
 
     moving: np.ndarray

@@ -58,7 +58,7 @@ class PreparationWorker(Node):
     """The node of the process.
 
     Attributes:
-        ended: Whether the controller's end of the channel has been closed.
+        ended: True once the torque controller has ended or closed its end of the channel.
 
     Args:
         channel: Connection to the torque controller.
