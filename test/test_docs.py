@@ -5,11 +5,15 @@ import importlib
 import importlib.util
 import math
 import re
+import textwrap
 from pathlib import Path
 
 import pytest
+import yaml
 
 from wam_power_ros.cli.main import NODES
+from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
 
@@ -17,7 +21,12 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
 NODES_PAGE = (ROOT / "docs/nodes.md").read_text()
 METHOD = (ROOT / "docs/method.md").read_text()
-PAGES = ["README.md", "SECURITY.md", *(f"docs/{path.name}" for path in ROOT.glob("docs/*.md"))]
+PAGES = [
+    "README.md",
+    "CONTRIBUTING.md",
+    "SECURITY.md",
+    *(f"docs/{path.name}" for path in ROOT.glob("docs/*.md")),
+]
 CITATION = re.compile(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d)[],]")
 SOURCES = [
     path
@@ -146,3 +155,34 @@ def test_every_citation_is_in_the_references() -> None:
 @pytest.mark.parametrize("target", re.findall(r"^make (\w+)", README, re.MULTILINE))
 def test_every_make_target_of_the_readme_is_there(target: str) -> None:
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+
+
+def test_every_kind_of_fault_is_explained() -> None:
+    page = (ROOT / "docs/troubleshooting.md").read_text()
+    table = re.search(r"(\| kind \|.*?)\n\n", page, re.DOTALL)
+    assert table is not None
+    kinds = " ".join(row[0] for row in rows(table.group(1)))
+    assert set(re.findall(r"`(\w+)`", kinds)) == {kind.value for kind in FaultKind}
+
+
+def blocks(page: str, language: str) -> list[str]:
+    """Blocks of code of a page, wherever they are indented."""
+    pattern = rf"^( *)```{language}\n(.*?)^ *```"
+    found = re.findall(pattern, (ROOT / page).read_text(), re.DOTALL | re.MULTILINE)
+    return [textwrap.dedent(text) for _, text in found]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_example_of_the_pages_runs(
+    page: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(ROOT)
+    names: dict[str, object] = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, page, "exec"), names)
+    for block in blocks(page, "yaml"):
+        file = tmp_path / block.partition("\n")[0].removeprefix("# ")
+        file.write_text(block)
+        setup = overlay.setup([str(file)], simulated=True)
+        for node, values in yaml.safe_load(block).items():
+            assert values["ros__parameters"].items() <= setup[node].items()

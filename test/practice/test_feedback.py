@@ -92,7 +92,7 @@ def with_a_person(
 @presets
 def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str) -> None:
     practice = started(name, budget=40, learner={"decay": 0.98})
-    with_a_person(practice, 26)
+    with_a_person(practice, 17)
     log = [line_of(line.to_json()) for line in practice.log]
     assert {type(line) for line in log} == {Record, Rating, NewDemonstration}
     for cut in range(len(log) + 1):
