@@ -15,11 +15,11 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # A sourced ROS 2 Jazzy brings its own rclpy, NumPy 1 and Pinocchio; a plain machine gets everything from PyPI.
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_FLAGS := --system-site-packages
-EXTRAS := sim,cluster,test,dev
+EXTRAS := sim,view,cluster,test,browser,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
 else
 VENV_FLAGS :=
-EXTRAS := plain,sim,cluster,test,dev
+EXTRAS := plain,sim,view,cluster,test,browser,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 endif
 

@@ -46,14 +46,15 @@ ALLOWED: dict[str, set[str]] = {
     "reporting": {"rotations", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
+ALLOWED["view"] = {*BELOW, "console"} - {"conformance"}
 ALLOWED["nodes"] = BELOW - {"reporting"}
 ALLOWED["console"] = BELOW - {"reporting", "practice", "tasks"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
 ALLOWED["experiments"] = {*BELOW, "hardware_sim"} - {"ros"}
-ALLOWED["cli"] = {*BELOW, "nodes", "console", "experiments"}
+ALLOWED["cli"] = {*BELOW, "nodes", "console", "experiments", "view"}
 ALLOWED["benchmark"] = {*ALLOWED, "cli"}
 PURE = ("rotations", "arm_identity", "learning", "control", "tracking", "tasks", "conformance")
-SPEAK_ROS = {"params", "ros", "nodes", "console", "hardware_sim", "benchmark"}
+SPEAK_ROS = {"params", "ros", "nodes", "console", "view", "hardware_sim", "benchmark"}
 SIMULATE = {"hardware_sim", "experiments", "benchmark"}
 
 MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])

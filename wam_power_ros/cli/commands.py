@@ -195,7 +195,7 @@ def feedback(options: argparse.Namespace) -> int:
     """Give a person's feedback to the learner of a running session."""
     if (options.kind == "demonstration") != (options.bag is not None):
         raise UsageError("a bag is needed for a demonstration, and only for that")
-    domain = _existing_session(options.session) / "logs" / DOMAIN
+    domain = existing_session(options.session) / "logs" / DOMAIN
     if domain.exists():
         os.environ |= STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
     from wam_power_ros.console.feedback import give
@@ -225,7 +225,7 @@ def session_folder(options: argparse.Namespace) -> Path:
     from wam_power_ros.practice.session import Session, read
 
     if options.resume:
-        folder = _existing_session(options.session)
+        folder = existing_session(options.session)
     else:
         folder = (options.session or SESSIONS / f"{now()}-seed-{options.seed or 0}").resolve()
     if Session.exists(folder):
@@ -273,7 +273,7 @@ def check_names(task: str, options: argparse.Namespace) -> None:
             raise UsageError(f"{bag} is a demonstration of {', '.join(of_bag)}, not of {task}")
 
 
-def _existing_session(folder: Path | None) -> Path:
+def existing_session(folder: Path | None) -> Path:
     """Folder of a session, by default that of the newest one."""
     from wam_power_ros.practice.session import Session
 

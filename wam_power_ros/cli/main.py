@@ -126,6 +126,23 @@ def _parser() -> argparse.ArgumentParser:
     feedback.add_argument("bag", type=Path, nargs="?", help="bag of the demonstration")
     feedback.add_argument("--session", type=Path, help="folder (default: the newest session)")
 
+    viewed = add(
+        "view",
+        _view,
+        "serve a page that shows a session or a bag in a browser",
+        "Show arm, movements and learning curve in a browser; with buttons while a session runs.",
+    )
+    viewed.add_argument(
+        "path", type=Path, nargs="?", metavar="SESSION|BAG", help="folder (default: newest session)"
+    )
+    viewed.add_argument(
+        "--address",
+        default="127.0.0.1",
+        help="that the page is served at (default 127.0.0.1: this machine only). At any other, "
+        "everyone who reaches it can press the buttons",
+    )
+    viewed.add_argument("--port", type=_natural, default=8080, help="or the next free one (8080)")
+
     report = add("report", commands.report, "write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
 
@@ -200,6 +217,12 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("node", choices=NODES, metavar="NODE", help=", ".join(NODES))
     run.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="arguments of the node")
     return parser
+
+
+def _view(options: argparse.Namespace) -> int:
+    from wam_power_ros.cli.view import view
+
+    return view(options)
 
 
 def _known(group: str) -> str:

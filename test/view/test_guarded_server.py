@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may use the page."""
+
+from __future__ import annotations
+
+import socket
+
+import pytest
+
+pytest.importorskip("viser", reason="no viser")
+
+from wam_power_ros.view.guarded_server import open_server, refusal
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "10.0.0.7:80"])
+def test_the_page_itself_is_served_by_every_address_and_name_of_this_machine(host: str) -> None:
+    assert refusal(host, None) == refusal(host, f"http://{host}") == ""
+    assert refusal(f"{socket.gethostname()}:8080", None) == ""
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["http://elsewhere.example", "http://127.0.0.1:8081", "https://127.0.0.1:8080", "null", ""],
+)
+def test_a_page_of_another_origin_is_refused(origin: str) -> None:
+    assert "origin" in refusal("127.0.0.1:8080", origin)
+
+
+@pytest.mark.parametrize("host", ["rebound.example:8080", "127.0.0.1.example", "", None])
+def test_a_foreign_name_for_this_machine_is_refused(host: str | None) -> None:
+    assert "is not this machine" in refusal(host, None)
+
+
+def test_only_this_machine_reaches_the_server_and_nothing_is_shared_by_a_relay() -> None:
+    from viser import _messages
+
+    server = open_server("127.0.0.1", 0)
+    try:
+        assert _messages.ShareUrlRequest not in server._websock_server._incoming_handlers
+        with socket.create_connection(("127.0.0.1", server.get_port())):
+            pass
+        with socket.socket() as other, pytest.raises(OSError, match="refused"):
+            other.connect(("127.0.0.2", server.get_port()))
+    finally:
+        server.stop()
+
+
+def test_an_address_of_another_machine_is_refused() -> None:
+    with pytest.raises(OSError, match="assign"):
+        open_server("192.0.2.1", 0)

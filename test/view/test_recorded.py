@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags made ready to draw."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from wam_power_ros.bags import reader
+from wam_power_ros.view import recorded
+from wam_power_ros.view.skeleton import Skeleton
+
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+FLIP, REACH = BAGS / "demo_20261121_121737", BAGS / "reach_20261121_141024"
+
+
+def test_a_demonstration_has_its_arm_its_joints_and_the_body_in_the_pan() -> None:
+    movement = recorded.read(FLIP)
+    stamps, q = reader.read_demonstration(FLIP, movement.joint_names)
+    np.testing.assert_array_equal(movement.q, q)
+    np.testing.assert_allclose(movement.t, (stamps - stamps[0]) / 1e9)
+    assert movement.body == "pancake" and movement.policy is None
+    tool = Skeleton(movement.urdf, movement.joint_names).tool_path(movement.q[:1])[0]
+    assert np.linalg.norm(movement.body_at(0.1)[0] - tool) < 0.1
+    np.testing.assert_allclose(np.linalg.norm(movement.body_quat_wxyz, axis=1), 1.0)
+
+
+def test_a_task_without_a_body_has_none() -> None:
+    movement = recorded.read(REACH)
+    assert movement.body == "" and movement.body_at(1.0) is None
+
+
+def test_a_bag_without_a_description_is_of_the_arm_whose_joints_it_has(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    topics = {n: t for n, t in reader.topics(REACH).items() if n != recorded.DESCRIPTION}
+    monkeypatch.setattr(reader, "topics", lambda bag: topics)
+    # `read_demonstration` looks at the topics, too: its own remain
+    assert Skeleton(recorded.read(REACH).urdf).tool == "pan"
+
+
+def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="is not a bag"):
+        recorded.read(tmp_path)
+    shutil.copytree(REACH, tmp_path / "cut")
+    mcap = next((tmp_path / "cut").glob("*.mcap"))
+    mcap.write_bytes(mcap.read_bytes()[:1000])
+    with pytest.raises(ValueError, match="cut"):
+        recorded.read(tmp_path / "cut")

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `view`: a page in the browser, of a session or a bag."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from pathlib import Path
+
+from wam_power_ros.cli import commands
+from wam_power_ros.cli.launcher import UsageError, interrupt
+from wam_power_ros.practice.session import Session
+
+
+def view(options: argparse.Namespace) -> int:
+    """Serve the page until Ctrl-C."""
+    try:
+        from wam_power_ros.view import guarded_server, viewer
+    except ImportError as error:
+        raise UsageError(
+            f"the page needs viser ({error}): pip install 'viser>=1.1.1,<1.2'"
+        ) from None
+    path: Path | None = options.path
+    is_bag = path is not None and not Session.exists(path) and path.exists()
+    place = path.resolve() if is_bag else commands.existing_session(path)
+    signal.signal(signal.SIGTERM, interrupt)
+    server = guarded_server.open_server(options.address, options.port)
+    try:
+        show = viewer.of_bag if is_bag else viewer.of_session
+        host = f"[{options.address}]" if ":" in options.address else options.address
+        show(server, place, lambda: print(f"http://{host}:{server.get_port()}  (Ctrl-C ends it)"))
+    except KeyboardInterrupt:
+        pass
+    finally:
+        server.stop()
+    return 0

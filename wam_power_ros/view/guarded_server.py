@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A viser server that a page of another origin cannot use.
+
+A browser lets any page open a websocket to this machine; buttons that move an arm must not be in
+its reach. What names the server by another host name than ours (DNS rebinding) or comes from a page
+of another origin is refused with 403. Sharing through viser's public relay is switched off.
+"""
+
+from __future__ import annotations
+
+import http
+import io
+import ipaddress
+import re
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
+from typing import Any
+
+import viser
+from viser import _messages
+from viser.infra import _infra
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+LOOPBACK = "127.0.0.1"
+
+
+def refusal(host: str | None, origin: str | None) -> str:
+    """Reason to refuse a request by its Host and Origin headers; empty for none."""
+    name = re.sub(r":\d+$", "", host or "").strip("[]").lower()
+    ours = name in {"localhost", socket.gethostname().lower(), socket.getfqdn().lower()}
+    with suppress(ValueError):
+        ipaddress.ip_address(name)
+        ours = True
+    if not ours:
+        return f"host {host!r} is not this machine"
+    return "" if origin in (None, f"http://{host}") else f"origin {origin!r} is not this page"
+
+
+def open_server(address: str, port: int) -> viser.ViserServer:
+    """A server at an address; the port is the first free one from `port` on.
+
+    Raises:
+        OSError: The address is none of this machine.
+    """
+    with socket.socket() as probe:
+        probe.bind((address, 0))
+    with _refusing(), redirect_stdout(io.StringIO()):  # its banner names no address but its own
+        server = viser.ViserServer(host=address, port=port, label="wam_power_ros", verbose=False)
+    for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
+        server._websock_server._incoming_handlers.pop(message, None)
+    return server
+
+
+@contextmanager
+def _refusing() -> Iterator[None]:
+    """Give viser's web server, which has no option for it, the check of every request."""
+    web = _infra.websockets.asyncio.server
+    serve = web.serve
+
+    def guarded(*args: Any, process_request: Callable, **options: Any) -> Any:  # noqa: ANN401
+        def check(connection: Any, request: Request) -> Response | None:  # noqa: ANN401
+            why = refusal(request.headers.get("Host"), request.headers.get("Origin"))
+            if why:
+                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", Headers(), why.encode())
+            return process_request(connection, request)
+
+        return serve(*args, process_request=check, **options)
+
+    web.serve = guarded
+    try:
+        yield
+    finally:
+        web.serve = serve

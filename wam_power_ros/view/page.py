@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the browser shows, drawn with viser: the arm, paths and attractors, and the panels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import viser
+from viser import uplot
+
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.view.drawables import ellipsoids, segments
+from wam_power_ros.view.skeleton import Shape, Skeleton
+
+PLANNED, EXECUTED, ATTRACTOR = (37, 99, 235), (234, 88, 12), (13, 148, 136)
+BODY_TOP, BODY_UNDER = (250, 204, 110), (146, 84, 32)
+BODY_RADIUS, BODY_HEIGHT = 0.09, 0.006  # of each half of the disc that stands for a body [m]
+PATH_THICKNESS = 0.006  # [m]
+KINDS = {"reproduction": "#0891b2", "explore": "#64748b", "mean": "#c026d3", "retest": "#16a34a"}
+NO_SAFETY = "Stop is a request over the network, **no safety function**: use the pendant."
+
+
+class Page:
+    """One page; every browser that has it open sees the same.
+
+    Attributes:
+        server: Its server.
+
+    Args:
+        server: An open server.
+        title: Title of the panel.
+    """
+
+    def __init__(self, server: viser.ViserServer, title: str) -> None:
+        self.server = server
+        scene, gui = server.scene, server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.set_panel_label(f"wam-power view · {title}")
+        server.initial_camera.position = (1.35, -1.5, 1.15)
+        server.initial_camera.look_at = (0.5, 0.0, 0.55)
+        scene.add_grid("/ground", width=4.0, height=4.0, cell_size=0.1, section_size=0.5)
+        self._skeleton: Skeleton | None = None
+        self._links: list[viser.FrameHandle] = []
+        self._body: viser.FrameHandle | None = None
+        self._attractors: list[viser.SceneNodeHandle] = []
+        self._shown: dict[str, bool] = {}
+        with gui.add_folder("State"):
+            self._state = gui.add_markdown("")
+
+    # Scene
+
+    def show_arm(self, skeleton: Skeleton) -> None:
+        """Draw an arm in place of the last one."""
+        for handle in self._links:
+            handle.remove()
+        self._skeleton = skeleton
+        scene = self.server.scene
+        self._links = [scene.add_frame(f"/arm/{link}", show_axes=False) for link in skeleton.links]
+        for number, shape in enumerate(skeleton.shapes):
+            _add_shape(scene, f"/arm/{shape.link}/shape_{number}", shape)
+        scene.add_frame(
+            f"/arm/{skeleton.tool}/axes", axes_length=0.08, axes_radius=0.004, origin_radius=0.006
+        )
+
+    def pose(self, q: np.ndarray) -> None:
+        """Put the arm at joint angles (n,) [rad]."""
+        positions, quats = self._skeleton.placements(q)
+        with self.server.atomic():
+            for handle, position, quat in zip(self._links, positions, quats, strict=True):
+                handle.position, handle.wxyz = position, quat
+
+    def place_body(self, state: tuple[np.ndarray, np.ndarray] | None) -> None:
+        """Put the tracked body at a position [m] and quaternion wxyz; None hides it."""
+        if state is None:
+            if self._body is not None:
+                self._body.visible = False
+            return
+        if self._body is None:
+            self._body = _add_body(self.server.scene)
+        with self.server.atomic():
+            self._body.position, self._body.wxyz = state
+            self._body.visible = self._shown.get("body", True)
+
+    def show_path(self, name: str, points: np.ndarray, rgb: tuple[int, int, int]) -> None:
+        """Draw a path (T, 3) [m] in place of the last one of that name; fewer than 2 points none.
+
+        Args:
+            name: "planned" or "executed".
+            points: Points of the path.
+            rgb: Colour.
+        """
+        if len(points) < 2:
+            points = np.zeros((2, 3))
+        self.server.scene.add_line_segments(
+            f"/{name}",
+            segments(points).astype(np.float32),
+            rgb,
+            thickness=PATH_THICKNESS,
+            visible=self._shown.get(name, True),
+        )
+
+    def show_attractors(self, policy: Policy | None) -> None:
+        """Draw the attractors of a policy as stiffness ellipsoids; None draws none."""
+        for handle in self._attractors:
+            handle.remove()
+        self._attractors = []
+        drawn = () if policy is None else zip(*ellipsoids(policy), strict=True)
+        for number, (centre, semi_axes, quat) in enumerate(drawn):
+            handle = self.server.scene.add_icosphere(
+                f"/attractors/{number}",
+                radius=1.0,
+                color=ATTRACTOR,
+                opacity=0.3,
+                scale=tuple(map(float, semi_axes)),
+                position=centre,
+                wxyz=quat,
+                cast_shadow=False,
+                visible=self._shown.get("attractors", True),
+            )
+            self._attractors.append(handle)
+
+    # Panels
+
+    def state(self, lines: Mapping[str, str]) -> None:
+        """Show lines such as {"controller": "hold"}."""
+        text = "  \n".join(f"**{name}** {value}" for name, value in lines.items())
+        if text != self._state.content:
+            self._state.content = text
+
+    def add_legend(self, body: str, policies: bool = True) -> None:
+        """Add a panel that shows or hides what is drawn, and says in which colour.
+
+        Args:
+            body: Name of the tracked body, empty for none.
+            policies: Whether there are policies to draw.
+        """
+        kinds = {"executed": ("executed path (orange)", lambda: [self._node("/executed")])}
+        if policies:
+            kinds["planned"] = ("planned path (blue)", lambda: [self._node("/planned")])
+            kinds["attractors"] = ("stiffness at attractors (green)", lambda: self._attractors)
+        if body:
+            kinds["body"] = (f"tracked {body}", lambda: [self._body])
+        with self.server.gui.add_folder("Show"):
+            for name, (label, handles) in kinds.items():
+                box = self.server.gui.add_checkbox(label, True)
+                self._shown[name] = True
+                box.on_update(self._toggle(name, box, handles))
+
+    def _toggle(self, name: str, box: Any, handles: Callable[[], list]) -> Callable:  # noqa: ANN401
+        def toggle(_: object) -> None:
+            self._shown[name] = box.value
+            for handle in handles():
+                if handle is not None:
+                    handle.visible = box.value
+
+        return toggle
+
+    def _node(self, name: str) -> Any:  # noqa: ANN401 - of any kind
+        return self.server.scene.get_handle_by_name(name)
+
+    def add_buttons(
+        self,
+        folder: str,
+        buttons: Mapping[str, tuple[str, str, Callable[[], object]]],
+        note: str = "",
+    ) -> dict[str, viser.GuiButtonHandle]:
+        """Add a panel of buttons.
+
+        Args:
+            folder: Title of the panel.
+            buttons: Label -> colour, hint and what a click does.
+            note: Line below them.
+
+        Returns:
+            The buttons by label.
+        """
+        made = {}
+        with self.server.gui.add_folder(folder):
+            for label, (colour, hint, act) in buttons.items():
+                button = self.server.gui.add_button(label, color=colour, hint=hint)
+                button.on_click(lambda _, act=act: act())
+                made[label] = button
+            if note:
+                self.server.gui.add_markdown(note)
+        return made
+
+    def tell(self, title: str, text: str, good: bool = True) -> None:
+        """Show a notification in every browser."""
+        for client in self.server.get_clients().values():
+            client.add_notification(
+                title, text, auto_close_seconds=6.0, color="green" if good else "red"
+            )
+
+    def add_curve(self, names: Sequence[str]) -> Callable[[tuple[np.ndarray, ...]], None]:
+        """Add a panel with the learning curve; returns what replaces its columns.
+
+        Args:
+            names: Kinds of rollout, one series each; the best so far comes last.
+        """
+        points = [
+            uplot.Series(
+                label=name,
+                stroke=KINDS.get(name, "#64748b"),
+                width=0,
+                points={"show": True, "size": 7, "fill": KINDS.get(name, "#64748b")},
+            )
+            for name in names
+        ]
+        series = (
+            uplot.Series(label="rollout"),
+            *points,
+            uplot.Series(label="best", stroke="#ea580c", width=2, points={"show": False}),
+        )
+        empty = tuple(np.zeros(0) for _ in series)
+        with self.server.gui.add_folder("Learning"):
+            chart = self.server.gui.add_uplot(
+                empty,
+                series,
+                scales={"x": uplot.Scale(time=False), "y": uplot.Scale(range=(0.0, 1.1))},
+                axes=(uplot.Axis(label="rollout"), uplot.Axis(label="return")),
+                height=220,
+            )
+            self.terms = self.server.gui.add_markdown("")
+
+        def replace(columns: tuple[np.ndarray, ...]) -> None:
+            chart.data = columns
+
+        return replace
+
+
+def _add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
+    placed = {"color": shape.rgb, "position": shape.position, "wxyz": shape.quat_wxyz}
+    if shape.kind == "cylinder":
+        radius, length = shape.size
+        scene.add_cylinder(name, radius, length, **placed)
+    elif shape.kind == "sphere":
+        scene.add_icosphere(name, shape.size[0], **placed)
+    else:
+        scene.add_box(name, dimensions=shape.size, **placed)
+
+
+def _add_body(scene: viser.SceneApi) -> viser.FrameHandle:
+    """A disc, of another colour above than below, that shows how a body has turned."""
+    frame = scene.add_frame("/body", show_axes=False)
+    for name, side, rgb in (("top", 0.5, BODY_TOP), ("under", -0.5, BODY_UNDER)):
+        place = (0.0, 0.0, side * BODY_HEIGHT)
+        scene.add_cylinder(f"/body/{name}", BODY_RADIUS, BODY_HEIGHT, rgb, position=place)
+    return frame

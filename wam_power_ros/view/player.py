@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Playback of recorded movements: a time slider, a play button and a list of movements."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+
+from wam_power_ros.view.drawables import Movement, plan
+from wam_power_ros.view.page import EXECUTED, PLANNED, Page
+from wam_power_ros.view.skeleton import Skeleton
+
+SPEEDS = ("1/8", "1/4", "1/2", "1")
+STEP = 0.01  # of the slider [s]
+PATH_STEP = 5  # states between two points of a path that is drawn
+
+
+class Player:
+    """Shows one of several movements at the time of a slider.
+
+    Attributes:
+        movement: What is shown, None before the first.
+        name: Its name in the list.
+        playing: Whether it plays.
+
+    Args:
+        page: Page that it is drawn on.
+        names: Movements to choose from, oldest first.
+        read: Reads one by its name; a `ValueError` is shown.
+    """
+
+    def __init__(self, page: Page, names: Sequence[str], read: Callable[[str], Movement]) -> None:
+        self._page, self._read = page, read
+        self.movement: Movement | None = None
+        self.name = ""
+        self._lock = threading.Lock()  # callbacks of viser come in threads of their own
+        gui = page.server.gui
+        with gui.add_folder("Playback"):
+            self._choice = gui.add_dropdown("movement", [*names] or ["none"])
+            self._time = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
+            self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+            self._button = gui.add_button("Play")
+        self.playing = False
+        self._button.on_click(lambda _: self._toggle())
+        self._choice.on_update(lambda _: self._chosen())
+        self._time.on_update(lambda _: self._draw())
+
+    def offer(self, names: Sequence[str]) -> None:
+        """Replace the names to choose from."""
+        if tuple(names) != tuple(self._choice.options):
+            self._choice.options = tuple(names) or ("none",)
+
+    def show(self, name: str) -> None:
+        """Show a movement from its beginning."""
+        try:
+            movement = self._read(name)
+            skeleton = Skeleton(movement.urdf, movement.joint_names)
+        except (ValueError, OSError, KeyError) as error:
+            self._page.tell(name, str(error), good=False)
+            return
+        with self._lock:
+            self.movement, self.name, page = movement, name, self._page
+            if self._choice.value != name:
+                self._choice.value = name
+            page.show_arm(skeleton)
+            path = skeleton.tool_path(movement.q[::PATH_STEP])
+            page.show_path("executed", path, EXECUTED)
+            planned = path[:0] if movement.policy is None else plan(movement.policy, path[0])
+            page.show_path("planned", planned, PLANNED)
+            page.show_attractors(movement.policy)
+            self._time.max = max(round(movement.duration, 2), STEP)
+            self._time.value = 0.0
+        self._draw()
+
+    def advance(self, elapsed: float) -> None:
+        """Go on by a time [s] where it plays; the end is followed by the beginning."""
+        if self.playing and self.movement is not None:
+            numerator, _, denominator = self._speed.value.partition("/")
+            t = self._time.value + elapsed * int(numerator) / int(denominator or 1)
+            self._time.value = t if t < self.movement.duration else 0.0
+
+    def _chosen(self) -> None:
+        if self.movement is None or self._choice.value != self.name:
+            self.show(self._choice.value)
+
+    def _toggle(self) -> None:
+        self.playing = not self.playing
+        self._button.label = "Pause playback" if self.playing else "Play"
+
+    def _draw(self) -> None:
+        with self._lock:
+            if self.movement is not None:
+                t = float(self._time.value)
+                self._page.pose(self.movement.joints_at(t))
+                self._page.place_body(self.movement.body_at(t))

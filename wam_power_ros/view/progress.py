@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Progress of a session: its learning curve and the terms of its returns, as its records grow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from wam_power_ros.practice import session
+from wam_power_ros.practice.session_log import Kind, Record, with_ratings
+from wam_power_ros.reporting.terminal import number, returned, term_names
+from wam_power_ros.tasks.task import Task
+from wam_power_ros.view.page import Page
+
+KINDS: tuple[str, ...] = get_args(Kind)
+SHOWN = 4  # newest rollouts in the text
+
+
+def curve(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
+    """Numbers of the rollouts, returns of each of KINDS (NaN for the others), best so far."""
+    numbers = np.array([float(record.number) for record in records])
+    returns = np.array([np.nan if (r := rec.rated_return) is None else r for rec in records])
+    kinds = np.array([record.kind for record in records])
+    best = np.fmax.accumulate(returns) if len(returns) else returns
+    return (numbers, *(np.where(kinds == kind, returns, np.nan) for kind in KINDS), best)
+
+
+def newest(records: Sequence[Record], task: Task) -> str:
+    """The newest rollouts in Markdown, newest first: outcomes, then the terms of their returns."""
+    shown = records[: -SHOWN - 1 : -1]
+    lines = [f"**{label(record)}** {task.outcome(record)}  " for record in shown]
+    rows = [["", *(str(record.number) for record in shown)], ["---"] * (len(shown) + 1)]
+    for term in term_names(records):
+        rows.append([term, *(number(record.terms.get(term)) for record in shown)])
+    return "\n".join([*lines, "", *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def label(record: Record) -> str:
+    """A rollout in a list: number, kind and return."""
+    return f"{record.number} {record.kind} {returned(record)}"
+
+
+class Progress:
+    """Reads a session again whenever its log has grown, and shows it.
+
+    Attributes:
+        bags: Bag of each rollout that has one, by its label, newest first.
+        records: Its rollouts.
+
+    Args:
+        page: Page that it is shown on.
+        folder: Folder of the session.
+        task: Task of the session.
+    """
+
+    def __init__(self, page: Page, folder: Path, task: Task) -> None:
+        self._page, self._folder, self._task = page, folder, task
+        self._size = -1
+        self._replace = page.add_curve(KINDS)
+        self.bags: dict[str, Path] = {}
+        self.records: tuple[Record, ...] = ()
+
+    def refresh(self) -> bool:
+        """Show what has been added; returns whether anything has.
+
+        Raises:
+            SessionError: The log cannot be read.
+        """
+        log = self._folder / "rollouts.jsonl"
+        size = log.stat().st_size if log.exists() else 0
+        if size == self._size:
+            return False
+        self._size = size
+        self.records = with_ratings(session.read_log(self._folder))
+        self.bags = {
+            label(record): self._folder / "bags" / record.bag
+            for record in reversed(self.records)
+            if record.bag
+        }
+        self._replace(curve(self.records))
+        self._page.terms.content = newest(self.records, self._task)
+        return True

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Movements as bags hold them, made ready to draw."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wam_power_ros.bags import reader
+from wam_power_ros.bags.layout import STRING, TYPES
+from wam_power_ros.learning.policy import Policy, from_json
+from wam_power_ros.params.resources import share
+from wam_power_ros.view.drawables import Movement
+from wam_power_ros.view.skeleton import Skeleton
+
+DESCRIPTION, POLICY = "/robot_description", "/policy"
+STATE, ODOMETRY = "/state", "nav_msgs/msg/Odometry"
+URDFS = ("urdf/wam7.urdf", "urdf/cobot7.urdf")  # for a bag without a robot description
+BODY_GAP = 0.05  # of a body's state before the first of the arm that still counts [s]
+
+
+def read(bag: Path) -> Movement:
+    """Movement of a bag.
+
+    Raises:
+        ValueError: It is no bag, has no joint states, or none of an arm that is known.
+    """
+    found = reader.topics(bag)
+    urdf, skeleton = _description(bag, found)
+    arm = reader.noted_arm(bag)
+    names = arm.joint_names if arm is not None else skeleton.joint_names
+    stamps, q = reader.read_demonstration(bag, names)
+    body_topic = next(
+        (n for n, t in found.items() if n.endswith(STATE) and t.msgtype == ODOMETRY), ""
+    )
+    states = np.array(list(_body_states(bag, body_topic, int(stamps[0])))).reshape(-1, 8)
+    states = states[np.r_[True, np.diff(states[:, 0]) > 0.0]] if len(states) else states
+    return Movement(
+        name=bag.name,
+        urdf=urdf,
+        joint_names=names,
+        t=(stamps - stamps[0]) / 1e9,
+        q=q,
+        body=body_topic.strip("/").partition("/")[0],
+        body_t=states[:, 0],
+        body_position=states[:, 1:4],
+        body_quat_wxyz=states[:, 4:],
+        policy=_policy(bag, found),
+    )
+
+
+def _description(bag: Path, found: dict[str, reader.Topic]) -> tuple[str, Skeleton]:
+    """URDF of the arm, and the arm: as the bag describes it, else the first of ours that fits."""
+    if DESCRIPTION in found and found[DESCRIPTION].msgtype == STRING:
+        for message in _decoded(bag, DESCRIPTION, STRING):
+            return message.data, Skeleton(message.data)
+    texts = [share(urdf).read_text() for urdf in URDFS]
+    for text in texts:
+        skeleton = Skeleton(text)
+        try:
+            reader.read_demonstration(bag, skeleton.joint_names)
+        except ValueError:
+            continue
+        return text, skeleton
+    raise ValueError(f"{bag} has no {DESCRIPTION}, and its joints are not those of {list(URDFS)}")
+
+
+def _policy(bag: Path, found: dict[str, reader.Topic]) -> Policy | None:
+    if POLICY not in found or found[POLICY].msgtype != STRING:
+        return None
+    texts = [message.data for message in _decoded(bag, POLICY, STRING)]
+    return from_json(texts[-1]) if texts else None
+
+
+def _body_states(bag: Path, topic: str, start_ns: int) -> Iterator[tuple[float, ...]]:
+    """Time since the start [s], position and quaternion wxyz of each state."""
+    for message in _decoded(bag, topic, ODOMETRY) if topic else ():
+        stamp, pose = message.header.stamp, message.pose.pose
+        t = (stamp.sec * 1_000_000_000 + stamp.nanosec - start_ns) / 1e9
+        p, o = pose.position, pose.orientation
+        state = (t, p.x, p.y, p.z, o.w, o.x, o.y, o.z)
+        if t >= -BODY_GAP and np.isfinite(state).all():
+            yield state
+
+
+def _decoded(bag: Path, topic: str, msgtype: str) -> Iterator[Any]:
+    for _, _, cdr in reader.messages(bag, [topic]):
+        yield TYPES.deserialize_cdr(cdr, msgtype)
