@@ -22,6 +22,7 @@ from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read_log
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
@@ -50,7 +51,9 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     processes.node(
         "hardware_sim.main", "wam_sim.yaml", "optitrack_sim.yaml", **{"wam_sim:seed": SEED}
     )
-    processes.node("wam_power_ros.nodes.torque_controller", "torque_controller.yaml", **sim)
+    quick = {"move_speed": overlay.MOVE_SPEED}
+    controller = "wam_power_ros.nodes.torque_controller"
+    processes.node(controller, "torque_controller.yaml", **sim, **quick)
     processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **sim)
 
     def learner() -> subprocess.Popen[bytes]:

@@ -38,6 +38,7 @@ from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface, pose_messages
@@ -259,7 +260,8 @@ def all_but_the_learner(processes: Processes, folder: Path) -> subprocess.Popen[
     directory = {"directory": folder / "bags"}
     processes.node(f"wam_power_ros.nodes.{recorder}", f"{recorder}.yaml", **SIM, **directory)
     controller = "torque_controller"
-    return processes.node(f"wam_power_ros.nodes.{controller}", f"{controller}.yaml", **SIM)
+    quick = {"move_speed": overlay.MOVE_SPEED}
+    return processes.node(f"wam_power_ros.nodes.{controller}", f"{controller}.yaml", **SIM, **quick)
 
 
 def learner(processes: Processes, folder: Path) -> subprocess.Popen[bytes]:
