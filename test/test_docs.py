@@ -5,12 +5,14 @@ import importlib
 import importlib.util
 import math
 import re
+import shlex
 import textwrap
 from pathlib import Path
 
 import pytest
 import yaml
 
+from wam_power_ros.cli import main
 from wam_power_ros.cli.main import NODES
 from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.params import overlay
@@ -186,3 +188,22 @@ def test_every_example_of_the_pages_runs(
         setup = overlay.setup([str(file)], simulated=True)
         for node, values in yaml.safe_load(block).items():
             assert values["ros__parameters"].items() <= setup[node].items()
+
+
+def commands(page: str) -> list[list[str]]:
+    """Commands of wam-power in the blocks of a page, without comments and redirections."""
+    text = "\n".join(blocks(page, "bash")).replace("\\\n", " ")
+    split = [shlex.split(line, comments=True) for line in text.splitlines() if "wam-power" in line]
+    return [words[words.index("wam-power") + 1 :] for words in split if "wam-power" in words]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_of_the_pages_is_one_of_the_command_line(page: str) -> None:
+    for words in commands(page):
+        main._parser().parse_args(words)
+
+
+def test_a_command_that_is_misspelt_in_a_page_is_found() -> None:
+    assert len(commands("docs/tutorial.md")) > 6
+    with pytest.raises(SystemExit):
+        main._parser().parse_args(["learn", "--sesion", "first"])
