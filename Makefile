@@ -23,7 +23,7 @@ EXTRAS := plain,sim,view,cluster,test,browser,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 endif
 
-.PHONY: help learn reproduce test lint format build venv clean
+.PHONY: help learn reproduce test lint format build api venv clean
 
 help:
 	@echo 'make learn [ARGS="--seed 3"]   learn to flip a pancake, in simulation'
@@ -31,6 +31,7 @@ help:
 	@echo 'make test  [ARGS="-k power"]   the tests'
 	@echo 'make lint                      ruff: rules and format; mypy: types'
 	@echo 'make build                     colcon build, with colcon from PyPI'
+	@echo 'make api                       pages of every module from its docstrings, in site/'
 	@echo 'make venv                      only the set-up'
 
 venv: $(READY)
@@ -73,5 +74,11 @@ build: $(READY)
 	    -c $(VENV)/constraints.txt -e '.[build]'
 	$(BIN)/python -m colcon build --packages-select wam_power_ros
 
+# Modules are imported for it; of what an import starts, GLFW looks for its library in a process of its own.
+api: $(READY)
+	@$(BIN)/python -c 'import pdoc' 2>/dev/null || $(BIN)/python -m pip install --quiet --use-pep517 \
+	    -c $(VENV)/constraints.txt -e '.[api]'
+	PDOC_ALLOW_EXEC=1 $(BIN)/python -W ignore -m pdoc --docformat google --output-directory site wam_power_ros hardware_sim
+
 clean:
-	rm -rf $(VENV) build install log
+	rm -rf $(VENV) build install log site
