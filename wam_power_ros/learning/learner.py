@@ -9,6 +9,7 @@ and of the rollouts it was given: to restore one, give them to a new one in the 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any, Protocol
 
 import numpy as np
@@ -141,7 +142,7 @@ class Rollouts:
         self._z, self._returns = [], []
 
 
-class GaussianLearner:
+class GaussianLearner(ABC):
     """A learner that explores with Gaussian noise about its mean; the learners derive from it.
 
     A subclass has `Settings` of its own, and `_update`, which follows from the past rollouts.
@@ -190,9 +191,9 @@ class GaussianLearner:
         self._rollouts.add(z, ret)
         self._update()
 
+    @abstractmethod
     def _update(self) -> None:
         """Learn from the rollouts, the newest of which has just been added."""
-        raise NotImplementedError
 
 
 def best_first(returns: np.ndarray) -> np.ndarray:

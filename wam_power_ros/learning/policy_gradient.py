@@ -7,6 +7,8 @@ scale of returns, and the step is in units of the exploration noise.
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import numpy as np
 from pydantic import Field
 
@@ -43,9 +45,9 @@ class _PolicyGradient(GaussianLearner):
         self._noise *= self.settings.decay
         self._rollouts.clear()
 
+    @abstractmethod
     def _gradient(self, eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
         """Gradient in units of the noise; eps = noise * grad log pi (N, n), returns (N,)."""
-        raise NotImplementedError
 
 
 class Reinforce(_PolicyGradient):
