@@ -24,6 +24,7 @@ from wam_power_ros.nodes.pancake_tracker import PancakeTracker
 from wam_power_ros.nodes.torque_controller import TorqueController
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, security
+from wam_power_ros.view.live import View
 
 RIGHTS = security.table(overlay.setup())
 NAMES = {
@@ -40,6 +41,7 @@ NODES = {
     "learner": Learner,
     "wam_sim": lambda: Simulation().wam,  # it serves once it has its world
     "optitrack_sim": OptitrackSim,
+    "view": lambda: View(overlay.setup()["torque_controller"], "pancake"),
 }
 EVERYONES = {"/rosout", "/parameter_events", interface.CLOCK}
 

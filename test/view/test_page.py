@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a real browser."""
+"""The page in a real browser: bags and sessions drawn, buttons that reach services, strangers."""
 
 from __future__ import annotations
 
+import fcntl
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,24 @@ import pytest
 pytest.importorskip("viser", reason="no viser")
 
 from browser import chromium, opened, scene
+from conftest import Probe, lift
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from toss_task import demonstrated_policy, practice_of, toss
+
+from wam_power_ros.learning.policy import to_json
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.diagnostics import diagnostics_message
+from wam_power_ros.ros.domain import private_domain
 
 BAG = Path(__file__).resolve().parents[2] / "bags/demo_20261121_121737"
+ROLLOUTS = 5
+WHITE = np.full((400, 300, 3), 255)
 
 
 @pytest.fixture(scope="module")
@@ -26,35 +43,176 @@ def browser() -> Iterator[Any]:
         yield started
 
 
+class Viewing:
+    """`wam-power view` of a folder, as a process."""
+
+    def __init__(self, folder: Path) -> None:
+        command = [sys.executable, "-m", "wam_power_ros.cli", "view", str(folder), "--port", "0"]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.url = self.process.stdout.readline().split()[0]
+
+    def end(self) -> None:
+        """End it as Ctrl-C does."""
+        self.process.send_signal(signal.SIGINT)
+        assert self.process.wait(60) == 0
+
+
 @pytest.fixture(scope="module")
-def url() -> Iterator[str]:
-    """Address of a page that shows a bag, served by the command line."""
-    command = [sys.executable, "-m", "wam_power_ros.cli", "view", str(BAG), "--port", "0"]
-    viewing = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    try:
-        yield viewing.stdout.readline().split()[0]
-    finally:
-        viewing.send_signal(signal.SIGINT)
-        assert viewing.wait(60) == 0
+def bag_url() -> Iterator[str]:
+    viewing = Viewing(BAG)
+    yield viewing.url
+    viewing.end()
+
+
+class Running:
+    """A session whose learner and arm are this test: its folder is held, its services are ours."""
+
+    def __init__(self, folder: Path, domain: int) -> None:
+        settings = preset("flip", budget=ROLLOUTS, confirm=0)
+        policies = [demonstrated_policy()]
+        practice = practice_of(policies, settings, seed=0)
+        with Session.begin(folder, settings, 0, policies) as session:
+            for _ in range(ROLLOUTS):
+                trial = practice.next_trial()
+                session.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
+        (folder / "logs").mkdir()
+        (folder / "logs/ros_domain_id").write_text(f"{domain}\n")
+        self.folder, self.asked, self.probe = folder, [], Probe(domain)
+        for name in (interface.LEARNER_REWARD, interface.LEARNER_PUNISH, interface.STOP):
+            self._serve(Trigger, name)
+        self._serve(SetBool, interface.LEARNER_PAUSE)
+        node = self.probe.node
+        self._states = node.create_publisher(
+            JointState, interface.JOINT_STATES, interface.STATE_OUT
+        )
+        self._policy = node.create_publisher(String, interface.POLICY, interface.LATCHED)
+        self._diagnoses = node.create_publisher(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self._policy.publish(String(data=to_json(lift("lift"))))
+        self._lock = (folder / ".lock").open("a")
+        fcntl.flock(self._lock, fcntl.LOCK_EX)
+
+    def _serve(self, kind: type, name: str) -> None:
+        def answer(request: Any, response: Any) -> Any:  # noqa: ANN401
+            self.asked.append((name, getattr(request, "data", None)))
+            response.success = name != interface.LEARNER_PUNISH
+            code = Code.DONE if response.success else Code.REFUSED
+            response.message = str(Answer(code, f"answer to {name}"))
+            return response
+
+        self.probe.node.create_service(kind, name, answer)
+
+    def live(self) -> None:
+        """Publish a state and the diagnostics, and answer what is asked."""
+        now = self.probe.node.get_clock().now().to_msg()
+        names = [f"wam_j{i}" for i in range(1, 8)]
+        state = JointState(name=names, position=lift("lift").q_start.tolist())
+        state.header.stamp = now
+        self._states.publish(state)
+        said = ("wam7", "error", "joint 4 is beyond its limit", {})
+        self._diagnoses.publish(diagnostics_message(now, "torque_controller: loop", *said))
+        self.probe.spin(0.05)
+
+    def until(self, condition: Callable[[], Any], what: str) -> None:
+        """Live until a condition holds."""
+
+        def living() -> Any:  # noqa: ANN401
+            self.live()
+            return condition()
+
+        self.probe.until(living, what)
+
+    def end(self) -> None:
+        """End as a learner that is killed does."""
+        self._lock.close()
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[Running]:
+    with private_domain() as domain:
+        session = Running(tmp_path / "flips", domain)
+        yield session
+        session.end()
+        session.probe.close()
 
 
 def until_drawn_otherwise(page: Any, before: np.ndarray) -> np.ndarray:  # noqa: ANN401
-    for _ in range(100):
+    for _ in range(200):
         after = scene(page)
-        if np.abs(after - before).max() > 30:
+        if np.abs(after - before).max() > 60:
             return after
         page.wait_for_timeout(100)
     raise AssertionError("the picture did not change")
 
 
-def test_a_bag_is_drawn_and_played(browser: Any, url: str) -> None:  # noqa: ANN401
-    page = opened(browser, url)
-    page.get_by_role("button", name="Play").wait_for()
-    arm = until_drawn_otherwise(page, np.full((400, 300, 3), 255))
-    slider = page.get_by_role("slider")
-    page.get_by_role("button", name="Play").click()
+def says(page: Any, text: str) -> bool:  # noqa: ANN401
+    return text in page.inner_text("body")
+
+
+def test_a_bag_is_drawn_and_played(browser: Any, bag_url: str) -> None:  # noqa: ANN401
+    page = opened(browser, bag_url)
+    play = page.get_by_role("button", name="Play")
+    play.wait_for()
+    arm = until_drawn_otherwise(page, WHITE)
+    play.click()
     page.wait_for_function("Number(document.querySelector('[role=slider]').ariaValueNow) > 0.3")
     until_drawn_otherwise(page, arm)
-    page.get_by_role("button", name="Pause playback").click()
-    assert float(slider.get_attribute("aria-valuenow")) > 0.3
+    page.close()
+
+
+def test_a_session_is_watched_and_led_by_buttons_until_it_ends(
+    browser: Any,  # noqa: ANN401
+    running: Running,
+) -> None:
+    viewing = Viewing(running.folder)
+    url = viewing.url
+    page, second = opened(browser, url), opened(browser, url)
+    running.until(lambda: says(page, "flips (running)"), "the page knows that it runs")
+    assert says(page, f"{ROLLOUTS}, best return") and says(page, "no safety function")
+    running.until(lambda: says(page, "error: joint 4 is beyond its limit"), "diagnostics")
+    until_drawn_otherwise(page, WHITE)
+
+    for label, expected in (
+        ("Reward", (interface.LEARNER_REWARD, None)),
+        ("Punish", (interface.LEARNER_PUNISH, None)),
+        ("Pause", (interface.LEARNER_PAUSE, True)),
+        ("Continue", (interface.LEARNER_PAUSE, False)),
+        ("STOP the arm", (interface.STOP, None)),
+    ):
+        page.get_by_role("button", name=label, exact=True).click()
+        running.until(lambda expected=expected: running.asked[-1:] == [expected], label)
+    running.until(lambda: says(page, f"answer to {interface.STOP}"), "the answer is shown")
+
+    page.close()  # a browser that is closed does not disturb another
+    asked = len(running.asked)
+    reward = second.get_by_role("button", name="Reward", exact=True)
+    reward.click()
+    running.until(lambda: len(running.asked) == asked + 1, "the second browser is heard")
+
+    running.end()
+    running.until(lambda: says(second, "not running"), "the page knows that it has ended")
+    assert reward.is_disabled() and len(running.asked) == asked + 1
+    second.close()
+    viewing.end()
+
+
+def test_a_page_of_another_origin_cannot_connect(
+    browser: Any,  # noqa: ANN401
+    bag_url: str,
+) -> None:
+    import viser
+
+    connect = """([url, protocol]) => new Promise(done => {
+        const socket = new WebSocket(url, protocol);
+        socket.onopen = () => done("open");
+        socket.onerror = () => done("refused");
+    })"""
+    arguments = [bag_url.replace("http", "ws"), f"viser-v{viser.__version__}"]
+    stranger = browser.new_page()
+    stranger.set_content("<p>a page from elsewhere</p>")
+    assert stranger.evaluate(connect, arguments) == "refused"
+    page = opened(browser, bag_url)
+    assert page.evaluate(connect, arguments) == "open"  # so it was the origin
+    stranger.close()
     page.close()

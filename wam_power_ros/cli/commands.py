@@ -195,14 +195,19 @@ def feedback(options: argparse.Namespace) -> int:
     """Give a person's feedback to the learner of a running session."""
     if (options.kind == "demonstration") != (options.bag is not None):
         raise UsageError("a bag is needed for a demonstration, and only for that")
-    domain = existing_session(options.session) / "logs" / DOMAIN
-    if domain.exists():
-        os.environ |= STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
+    join_session(existing_session(options.session))
     from wam_power_ros.console.feedback import give
 
     accepted, answer = give(options.kind, options.bag)
     print(answer if accepted else f"refused: {answer}")
     return 0 if accepted else 2
+
+
+def join_session(folder: Path) -> None:
+    """Set the environment to the DDS domain of a session that was launched on stand-ins."""
+    domain = folder / "logs" / DOMAIN
+    if domain.exists():
+        os.environ |= STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
 
 
 def report(options: argparse.Namespace) -> int:

@@ -26,9 +26,13 @@ def view(options: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, interrupt)
     server = guarded_server.open_server(options.address, options.port)
     try:
-        show = viewer.of_bag if is_bag else viewer.of_session
         host = f"[{options.address}]" if ":" in options.address else options.address
-        show(server, place, lambda: print(f"http://{host}:{server.get_port()}  (Ctrl-C ends it)"))
+        url = f"http://{host}:{server.get_port()}"
+        ready = lambda: print(f"{url}  (Ctrl-C ends it)", flush=True)  # noqa: E731
+        if is_bag:
+            viewer.of_bag(server, place, ready)
+        else:
+            viewer.of_session(server, place, ready, commands.join_session)
     except KeyboardInterrupt:
         pass
     finally:

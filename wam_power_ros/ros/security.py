@@ -71,6 +71,11 @@ TABLE: dict[str, dict[str, str]] = {
     "replaying": {"publishes": "REPLAY_TRAJECTORY", "calls": "REPLAY STOP RECORD"},
     "enabling_switch": {"publishes": "ENABLE"},
     "feedback": {"publishes": "LEARNER_BAG", "calls": FEEDBACK},
+    "view": {
+        "publishes": "LEARNER_BAG",
+        "subscribes": "states description POLICY ROLLOUT_END_EFFECTOR DIAGNOSTICS state",
+        "calls": f"STOP GRAVITY_COMPENSATION RECORD {FEEDBACK} reset DEMONSTRATE",
+    },
     "operator": {  # a person with `ros2 service call`, `ros2 lifecycle set`, `ros2 topic hz`
         "publishes": "REPLAY_TRAJECTORY LEARNER_BAG",
         "subscribes": "DIAGNOSTICS states state",
@@ -87,7 +92,7 @@ NODE_NAMES = {"operator": "_ros2cli*"}  # of its nodes, where that is another: e
 MANAGED = {"torque_controller"}  # nodes with a life cycle
 OF_BODY = {"pancake_tracker", "optitrack_sim"}  # nodes that only run for a task with a tracked body
 PROCESSES = {  # node -> process whose enclave it shares; every other node has one of its own
-    **dict.fromkeys(("teaching", "replaying", "enabling_switch", "feedback"), "operator"),
+    **dict.fromkeys(("teaching", "replaying", "enabling_switch", "feedback", "view"), "operator"),
     "optitrack_sim": "wam_sim",
     "torque_controller_preparation": "torque_controller",  # its two processes
 }

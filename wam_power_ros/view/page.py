@@ -27,6 +27,8 @@ class Page:
 
     Attributes:
         server: Its server.
+        skeleton: Arm that is drawn, None before the first.
+        terms: Text below the learning curve.
 
     Args:
         server: An open server.
@@ -41,7 +43,7 @@ class Page:
         server.initial_camera.position = (1.35, -1.5, 1.15)
         server.initial_camera.look_at = (0.5, 0.0, 0.55)
         scene.add_grid("/ground", width=4.0, height=4.0, cell_size=0.1, section_size=0.5)
-        self._skeleton: Skeleton | None = None
+        self.skeleton: Skeleton | None = None
         self._links: list[viser.FrameHandle] = []
         self._body: viser.FrameHandle | None = None
         self._attractors: list[viser.SceneNodeHandle] = []
@@ -55,7 +57,7 @@ class Page:
         """Draw an arm in place of the last one."""
         for handle in self._links:
             handle.remove()
-        self._skeleton = skeleton
+        self.skeleton = skeleton
         scene = self.server.scene
         self._links = [scene.add_frame(f"/arm/{link}", show_axes=False) for link in skeleton.links]
         for number, shape in enumerate(skeleton.shapes):
@@ -66,7 +68,7 @@ class Page:
 
     def pose(self, q: np.ndarray) -> None:
         """Put the arm at joint angles (n,) [rad]."""
-        positions, quats = self._skeleton.placements(q)
+        positions, quats = self.skeleton.placements(q)
         with self.server.atomic():
             for handle, position, quat in zip(self._links, positions, quats, strict=True):
                 handle.position, handle.wxyz = position, quat

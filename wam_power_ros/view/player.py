@@ -11,6 +11,7 @@ from wam_power_ros.view.page import EXECUTED, PLANNED, Page
 from wam_power_ros.view.skeleton import Skeleton
 
 SPEEDS = ("1/8", "1/4", "1/2", "1")
+NONE = "none"  # of the movements, where there is no
 STEP = 0.01  # of the slider [s]
 PATH_STEP = 5  # states between two points of a path that is drawn
 
@@ -20,8 +21,9 @@ class Player:
 
     Attributes:
         movement: What is shown, None before the first.
-        name: Its name in the list.
         playing: Whether it plays.
+        stale: Whether something else has been drawn since it drew its movement.
+        on_choice: Called when a person chooses or plays a movement.
 
     Args:
         page: Page that it is drawn on.
@@ -32,34 +34,36 @@ class Player:
     def __init__(self, page: Page, names: Sequence[str], read: Callable[[str], Movement]) -> None:
         self._page, self._read = page, read
         self.movement: Movement | None = None
-        self.name = ""
+        self.stale = True
         self._lock = threading.Lock()  # callbacks of viser come in threads of their own
         gui = page.server.gui
         with gui.add_folder("Playback"):
-            self._choice = gui.add_dropdown("movement", [*names] or ["none"])
+            self._choice = gui.add_dropdown("movement", [*names] or [NONE])
             self._time = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
             self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
             self._button = gui.add_button("Play")
         self.playing = False
+        self.on_choice: Callable[[], object] = lambda: None
         self._button.on_click(lambda _: self._toggle())
-        self._choice.on_update(lambda _: self._chosen())
-        self._time.on_update(lambda _: self._draw())
+        self._choice.on_update(lambda event: self._chosen(event.client is not None))
+        self._time.on_update(lambda event: self._moved(event.client is not None))
 
     def offer(self, names: Sequence[str]) -> None:
         """Replace the names to choose from."""
         if tuple(names) != tuple(self._choice.options):
-            self._choice.options = tuple(names) or ("none",)
+            self._choice.options = tuple(names) or (NONE,)
 
     def show(self, name: str) -> None:
         """Show a movement from its beginning."""
         try:
             movement = self._read(name)
             skeleton = Skeleton(movement.urdf, movement.joint_names)
-        except (ValueError, OSError, KeyError) as error:
+        except (ValueError, OSError) as error:
+            self.movement, self.stale = None, False
             self._page.tell(name, str(error), good=False)
             return
         with self._lock:
-            self.movement, self.name, page = movement, name, self._page
+            self.movement, self.stale, page = movement, False, self._page
             if self._choice.value != name:
                 self._choice.value = name
             page.show_arm(skeleton)
@@ -72,6 +76,11 @@ class Player:
             self._time.value = 0.0
         self._draw()
 
+    def redraw(self) -> None:
+        """Show the movement that is chosen, if something else has been drawn since."""
+        if self.stale and self._choice.value != NONE:
+            self.show(self._choice.value)
+
     def advance(self, elapsed: float) -> None:
         """Go on by a time [s] where it plays; the end is followed by the beginning."""
         if self.playing and self.movement is not None:
@@ -79,17 +88,24 @@ class Player:
             t = self._time.value + elapsed * int(numerator) / int(denominator or 1)
             self._time.value = t if t < self.movement.duration else 0.0
 
-    def _chosen(self) -> None:
-        if self.movement is None or self._choice.value != self.name:
+    def _chosen(self, by_person: bool) -> None:
+        if by_person:
+            self.on_choice()
             self.show(self._choice.value)
 
+    def _moved(self, by_person: bool) -> None:
+        if by_person:
+            self.on_choice()
+        self._draw()
+
     def _toggle(self) -> None:
+        self.on_choice()
         self.playing = not self.playing
         self._button.label = "Pause playback" if self.playing else "Play"
 
     def _draw(self) -> None:
         with self._lock:
-            if self.movement is not None:
+            if self.movement is not None and not self.stale:
                 t = float(self._time.value)
                 self._page.pose(self.movement.joints_at(t))
                 self._page.place_body(self.movement.body_at(t))

@@ -5,17 +5,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import viser
+from rclpy.signals import SignalHandlerOptions
 
-from wam_power_ros.practice import session
+from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.view import recorded
+from wam_power_ros.view.live import View
 from wam_power_ros.view.page import Page
 from wam_power_ros.view.player import Player
-from wam_power_ros.view.progress import Progress
+from wam_power_ros.view.session_page import SessionPage, parameters, running
 
-PERIOD = 0.05  # of playback [s]
+LOOK_PERIOD = 0.05  # of playback [s]
+LIVE_PERIOD = 0.1  # between two looks at a running session [s]
+CHECK_PERIOD = 1.0  # between two checks that it runs [s]
 
 
 def of_bag(server: viser.ViserServer, bag: Path, ready: Callable[[], object]) -> None:
@@ -39,43 +44,53 @@ def of_bag(server: viser.ViserServer, bag: Path, ready: Callable[[], object]) ->
     last = time.monotonic()
     ready()
     while True:
-        time.sleep(PERIOD)
+        time.sleep(LOOK_PERIOD)
         now = time.monotonic()
         player.advance(now - last)
         last = now
 
 
-def of_session(server: viser.ViserServer, folder: Path, ready: Callable[[], object]) -> None:
+def of_session(
+    server: viser.ViserServer,
+    folder: Path,
+    ready: Callable[[], object],
+    join: Callable[[Path], object],
+) -> None:
     """Show a session, its rollouts and its learning curve until it is interrupted.
 
     Args:
         server: An open server.
         folder: Folder of the session.
         ready: Called when the page can be opened.
+        join: Sets this process's environment to the DDS domain of a running session.
 
     Raises:
         SessionError: It cannot be read.
     """
-    task = session.read_task(folder)
-    page = Page(server, folder.name)
-    player = Player(page, [], lambda name: recorded.read(progress.bags[name]))
-    progress = Progress(page, folder, task)
-    page.add_legend(task.body)
+    page = SessionPage(server, folder)
+    page.tick(0.0)
     ready()
-    last = time.monotonic()
     while True:
-        if progress.refresh():
-            player.offer([*progress.bags])
-            page.state(_summary(folder, progress))
-            if player.movement is None and progress.bags:
-                player.show(next(iter(progress.bags)))
-        time.sleep(PERIOD)
+        if not running(folder):
+            _tick(page, LOOK_PERIOD, lambda: running(folder))
+        join(folder)
+        setup = parameters(folder)
+        make = partial(View, setup["torque_controller"], setup["pancake_tracker"]["body"])
+        with participant(make, SignalHandlerOptions.NO) as node:
+            page.connect(node)
+            _tick(page, LIVE_PERIOD, lambda: not running(folder))
+            page.connect(None)
+
+
+def _tick(page: SessionPage, period: float, ended: Callable[[], bool]) -> None:
+    """Keep the page up to date every `period` [s] until `ended()`, which is asked once a second."""
+    last = asked = time.monotonic()
+    while True:
+        time.sleep(period)
         now = time.monotonic()
-        player.advance(now - last)
+        page.tick(now - last)
         last = now
-
-
-def _summary(folder: Path, progress: Progress) -> dict[str, str]:
-    returns = [r.rated_return for r in progress.records if r.rated_return is not None]
-    best = f"{max(returns):.3f}" if returns else "none yet"
-    return {"session": folder.name, "rollouts": str(len(progress.records)), "best return": best}
+        if now - asked > CHECK_PERIOD:
+            if ended():
+                return
+            asked = now
