@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from wam_power_ros.cli.keys import Keys
 from wam_power_ros.cli.launcher import (
     DOMAIN,
     STAND_INS,
@@ -174,8 +175,9 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Re
     log: Sequence[Line] = ()
     seen = 0
     over = False
-    with terminal.Display() as display:
+    with terminal.Display() as display, Keys(session_environment(folder)) as keys:
         while not over:
+            display.said = keys.poll()
             over = learner.process.poll() is not None
             processes.check(but=learner)
             size = path.stat().st_size if path.exists() else 0
@@ -195,7 +197,7 @@ def feedback(options: argparse.Namespace) -> int:
     """Give a person's feedback to the learner of a running session."""
     if (options.kind == "demonstration") != (options.bag is not None):
         raise UsageError("a bag is needed for a demonstration, and only for that")
-    join_session(existing_session(options.session))
+    os.environ |= session_environment(existing_session(options.session))
     from wam_power_ros.console.feedback import give
 
     accepted, answer = give(options.kind, options.bag)
@@ -203,11 +205,12 @@ def feedback(options: argparse.Namespace) -> int:
     return 0 if accepted else 2
 
 
-def join_session(folder: Path) -> None:
-    """Set the environment to the DDS domain of a session that was launched on stand-ins."""
+def session_environment(folder: Path) -> dict[str, str]:
+    """Variables that lead to the DDS domain of a session, if it was launched on stand-ins."""
     domain = folder / "logs" / DOMAIN
-    if domain.exists():
-        os.environ |= STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
+    if not domain.exists():
+        return {}
+    return STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
 
 
 def report(options: argparse.Namespace) -> int:

@@ -32,7 +32,7 @@ def view(options: argparse.Namespace) -> int:
         if is_bag:
             viewer.of_bag(server, place, ready)
         else:
-            viewer.of_session(server, place, ready, commands.join_session)
+            viewer.of_session(server, place, ready, commands.session_environment)
     except KeyboardInterrupt:
         pass
     finally:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import Path
 
@@ -12,11 +13,13 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from wam_power_ros.console.prompt import show
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code
-from wam_power_ros.ros.node_runner import participant
+from wam_power_ros.ros.node_runner import participant, run_script
 from wam_power_ros.ros.service_client import TIMEOUT, ServiceClient, ServiceError
 
+APPEAR_TIMEOUT = 10.0  # of a service, when a key asks for it [s of wall time]
 REQUESTS = {
     "reward": (interface.LEARNER_REWARD, Trigger, Trigger.Request()),
     "punish": (interface.LEARNER_PUNISH, Trigger, Trigger.Request()),
@@ -38,14 +41,24 @@ def give(kind: str, bag: Path | None = None) -> tuple[bool, str]:
     """
     try:
         with participant(lambda: rclpy.create_node("feedback"), SignalHandlerOptions.NO) as node:
-            return _give(node, kind, bag)
+            return _call(ServiceClient(node), node, kind, bag)
     except ServiceError as error:
         return False, f"{error}; is there a learner with the same ROS_DOMAIN_ID?"
 
 
-def _give(node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:
+def _answer_lines(node: Node) -> None:
+    """Give the feedback that is named on each line of the input; print a line per answer."""
+    calls = ServiceClient(node, appear_timeout=APPEAR_TIMEOUT)
+    for kind in map(str.strip, sys.stdin):
+        try:
+            accepted, answer = _call(calls, node, kind, None)
+        except ServiceError as error:
+            accepted, answer = False, str(error)
+        show(answer if accepted else f"{kind} refused: {answer}")
+
+
+def _call(calls: ServiceClient, node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:
     name, service, request = REQUESTS[kind]
-    calls = ServiceClient(node)
     if bag is not None:
         publisher = node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
         publisher.publish(String(data=str(bag.resolve())))
@@ -59,3 +72,12 @@ def _give(node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:
         if not early or time.monotonic() > end:
             return answer.success, answer.text
         calls.until(lambda: False, timeout=0.05)
+
+
+def main() -> int:
+    """Entry point of `python -m wam_power_ros.console.feedback`, which reads its input."""
+    return run_script(lambda: rclpy.create_node("feedback"), _answer_lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

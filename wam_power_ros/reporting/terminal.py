@@ -106,9 +106,14 @@ def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 class Display:
-    """Shows records as they come: a live table on a terminal, one line each in a file."""
+    """Shows records as they come: a live table on a terminal, one line each in a file.
+
+    Attributes:
+        said: Line below the table, such as the answer to a key.
+    """
 
     def __init__(self, console: Console | None = None) -> None:
+        self.said = ""
         self._outcome: Outcome = lambda record: ""
         self._log: Sequence[Line] = ()
         self._console = console or Console()
@@ -144,11 +149,13 @@ class Display:
     def _render(self) -> RenderableType:
         records = with_ratings(self._log)
         if not records:
-            return Group(Text("waiting for the first rollout", style="italic"), self._progress)
+            waiting = Text("waiting for the first rollout", style="italic")
+            return Group(waiting, Text(self.said), self._progress)
         returns = [record.rated_return for record in records if record.rated_return is not None]
         notes = [entry.note for entry in self._log if entry.note]
         parts = [rollout_table(records, self._outcome), Text(spark(returns), style="green")]
-        return Group(*parts, Text(notes[-1] if notes else "", style="italic"), self._progress)
+        parts += [Text(notes[-1] if notes else "", style="italic"), Text(self.said)]
+        return Group(*parts, self._progress)
 
 
 def line(entry: Line, outcome: Outcome) -> str:

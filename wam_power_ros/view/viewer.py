@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from functools import partial
@@ -54,7 +55,7 @@ def of_session(
     server: viser.ViserServer,
     folder: Path,
     ready: Callable[[], object],
-    join: Callable[[Path], object],
+    environment: Callable[[Path], dict[str, str]],
 ) -> None:
     """Show a session, its rollouts and its learning curve until it is interrupted.
 
@@ -62,7 +63,7 @@ def of_session(
         server: An open server.
         folder: Folder of the session.
         ready: Called when the page can be opened.
-        join: Sets this process's environment to the DDS domain of a running session.
+        environment: Variables that lead to the DDS domain of a running session.
 
     Raises:
         SessionError: It cannot be read.
@@ -73,7 +74,7 @@ def of_session(
     while True:
         if not running(folder):
             _tick(page, LOOK_PERIOD, lambda: running(folder))
-        join(folder)
+        os.environ |= environment(folder)
         setup = parameters(folder)
         make = partial(View, setup["torque_controller"], setup["pancake_tracker"]["body"])
         with participant(make, SignalHandlerOptions.NO) as node:

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys of the terminal during a session, pressed on a real pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import pty
+import sys
+import termios
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import Probe
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros.cli.keys import HINT, Keys
+from wam_power_ros.ros import interface
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Keyboard end of a terminal that is this process's standard input."""
+    keyboard, screen = pty.openpty()
+    monkeypatch.setattr(sys, "stdin", os.fdopen(screen))
+    monkeypatch.setattr(os, "tcgetpgrp", lambda fd: os.getpgrp())
+    yield keyboard
+    os.close(keyboard)
+
+
+def test_r_p_and_space_reach_the_learner_and_its_answer_is_shown(
+    probe: Probe, domain_id: int, terminal: int
+) -> None:
+    asked: list[object] = []
+
+    def answer(request: object, response: object) -> object:
+        asked.append(getattr(request, "data", "rating"))
+        response.success, response.message = True, f"[done] answer {len(asked)}"
+        return response
+
+    for name in (interface.LEARNER_REWARD, interface.LEARNER_PUNISH):
+        probe.node.create_service(Trigger, name, answer)
+    probe.node.create_service(SetBool, interface.LEARNER_PAUSE, answer)
+    before = termios.tcgetattr(sys.stdin)
+    with Keys({"ROS_DOMAIN_ID": str(domain_id)}) as keys:
+        assert keys.poll() == HINT
+        for number, (key, expected) in enumerate(
+            ((b"xr", "rating"), (b"p", "rating"), (b" ", True), (b" ", False)), start=1
+        ):
+            os.write(terminal, key)
+            probe.until(lambda n=number: keys.poll() == f"answer {n}", key.decode())
+            assert asked[-1] == expected and len(asked) == number
+    assert termios.tcgetattr(sys.stdin) == before
+
+
+def test_without_a_terminal_nothing_is_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "input").write_text("r")
+    monkeypatch.setattr(sys, "stdin", (tmp_path / "input").open())
+    with Keys({}) as keys:
+        assert keys.poll() == "" and sys.stdin.read() == "r"
