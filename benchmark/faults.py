@@ -25,6 +25,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -420,25 +422,30 @@ def lied(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
 
 
 def ended(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """The controller is ended in a rollout; the arm keeps the last torque."""
+    """The controller is ended or deactivated in a rollout; the arm keeps the last torque."""
     driver = Driver(lab)
+    off = lab.node.create_client(ChangeState, "/torque_controller/change_state")
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
     rests, wrong = [], []
     for number in range(repeats):
         controller = lab.controller()
         driver.begin("early")
         driver.play(rng.uniform(0.0, 0.8))
-        how = (signal.SIGTERM, signal.SIGINT)[number % 2]
-        controller.process.send_signal(how)
-        driver.play(0.6)
+        how = (signal.SIGTERM, signal.SIGINT, None)[number % 3]
+        if how is None:
+            off.call_async(request)
+        else:
+            controller.process.send_signal(how)
+        driver.play(0.5)
         driver.speeds.clear()
         driver.play(0.5)
         rests.append(max(driver.speeds))
         wrong.append(float(np.abs(lab.torques[-1][1].tau - driver.gravity()).max()))
-        driver.play(10.0, lambda c=controller: c.process.poll() is not None)
         lab.end(controller)
     return Row(
         "S-05",
-        "SIGTERM or SIGINT in a rollout: at rest 0.6 s later, last torque within 0.5 N m of g(q)",
+        "SIGTERM, SIGINT or deactivation in a rollout: at rest 0.5 s later, last torque within "
+        "0.5 N m of g(q)",
         f"{max(rests):.3f} m/s, {max(wrong):.2f} N m",
         repeats,
         max(rests) < REST_SPEED and max(wrong) < 0.5,

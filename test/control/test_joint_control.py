@@ -108,7 +108,7 @@ def test_only_the_states_of_a_replay_count_for_its_error() -> None:
     control.move(replay.q[0], 0.3, replay)
     first = control.replay_error
     for tick in range(200):  # a move of 0.1 s, the replay of 0.1 s, and hold
-        control.torque(tick * 2 * MS, HOME + 0.01, STILL)
+        control.torque(tick * 2 * MS, HOME + 0.01 - 1e-6 * (tick % 2), STILL)
     assert control.holding and control.replay_error is first
     assert first.count == 50 and first.largest.max() == pytest.approx(0.01)
     control.move(replay.q[0], 0.3, replay)

@@ -10,7 +10,7 @@ from rigid_arm import HOME, MODEL, PERIOD_NS, POLICY, Plant, begin, check, make,
 from wam_power_ros.control import safety
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.plausibility import VelocityCheck
+from wam_power_ros.control.plausibility import Estimate, VelocityCheck
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import FaultKind
 
@@ -298,3 +298,26 @@ def test_the_state_before_a_gap_is_not_compared_with() -> None:
     run_on = [controller.step(stamp + k * PERIOD_NS, q + 0.02, np.zeros(7)) for k in range(8, 30)]
     assert len(run_on) == 22
     assert controller.latched is None or controller.latched.kind is not FaultKind.VELOCITY
+
+
+@pytest.mark.parametrize("share", [-0.6, 0.6])
+def test_the_estimate_leaves_at_rest_what_friction_holds(share: float) -> None:
+    for way in ([0.3, 0.2, 0.1, 0.2, 0.3, 0.1, 0.2], [-0.2, 0.1, -0.3, 0.4, 0.8, 0.5, -0.6]):
+        q = HOME + way
+        push = share * MODEL.friction * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
+        estimate = Estimate(MODEL, q, np.zeros(7))
+        for _ in range(25):
+            estimate.predict(MODEL.gravity(q) + push, 0.008)
+        assert np.abs(estimate.qd).max() < 0.05
+
+
+def test_the_estimate_goes_on_with_what_moves_against_friction() -> None:
+    qd = np.array([0.8, -0.6, 0.9, 1.0, 2.0, -2.0, 2.5])
+    plant = Plant(HOME, friction=1.0)
+    plant.qd = qd.copy()
+    estimate = Estimate(MODEL, HOME, qd)
+    for _ in range(10):
+        tau = MODEL.gravity(plant.q)
+        plant.step(tau)
+        estimate.predict(tau, 0.002)
+        np.testing.assert_allclose(estimate.qd, plant.qd, atol=0.15)

@@ -11,6 +11,7 @@ import numpy as np
 from wam_power_ros.control.arm import FRICTION_SPEED, Arm
 from wam_power_ros.control.joint_references import Brake, Course, JointReference, MinJerk, Sampled
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.control.standing import StandingJoints
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 
 BANDWIDTH = 25.0  # [rad/s] w; with a delay of 8 ms, 30 is the most that survives a push of 40 N
@@ -36,6 +37,8 @@ class JointControl:
         self._arm = arm
         self._course = Course(lambda q, qd: Brake(q, qd, BRAKE_TIME, limits.q_min, limits.q_max))
         self._last: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref of the last state
+        self._stamp_ns = 0  # of the last state
+        self._standing = StandingJoints(arm)
         self.replay_error: TrackingError | None = None
 
     @property
@@ -56,6 +59,7 @@ class JointControl:
     def release(self) -> None:
         """Forget the reference: the next one begins where the arm is."""
         self._last = None
+        self._standing.begin()
 
     def torque(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         """Joint torques (n,) [N m] for one state, shapes (n,); all joints are decoupled.
@@ -79,11 +83,16 @@ class JointControl:
             self.replay_error.add(q_ref, q)
         rows = zip(qdd_ref.tolist(), error, speed_ref, qd.tolist(), strict=True)
         qdd = np.array([a + _STIFFNESS * e + _DAMPING * (v - w) for a, e, v, w in rows])
-        tau = self._arm.inverse_dynamics(q, qd, qdd)
+        arm = self._arm
+        tau = arm.inverse_dynamics(q, qd, qdd)
         if not holding:
             # By the reference's direction, not the measured one: it cannot chatter.
-            arm = self._arm
             tau += FRICTION_SHARE * (
                 arm.friction * np.tanh(qd_ref / FRICTION_SPEED) + arm.damping * qd_ref
             )
-        return tau
+        dt, self._stamp_ns = (stamp_ns - self._stamp_ns) * 1e-9, stamp_ns
+        if not (joints := self._standing.suspects(q, q_ref)):
+            return tau
+        carried = arm.inverse_dynamics(q, qd, qdd_ref)
+        inertia = arm.mass_matrix(q).diagonal()
+        return carried + self._standing.bounded(joints, tau - carried, inertia, dt)

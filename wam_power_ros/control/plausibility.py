@@ -37,6 +37,7 @@ STANDING = 30  # states of the same position, after which a joint stands
 FROZEN = 15  # states of the same position, after which it must have no velocity left
 STANDSTILL = 0.05  # [rad/s] slower than this a joint may be taken to stand still
 DIFFERENCED = 4  # states that a velocity is differenced over; even, for two drivers in turn
+FRICTION_STEPS, CREEP = 3, 0.005  # of the model; [rad/s] of a joint that friction holds
 FROZEN_SHARE = 0.3  # of the model's speed; a joint seen to move slower than that is not believed
 FROZEN_SPEED = 0.1  # [rad/s] of the model, below which a joint may stand still
 
@@ -267,12 +268,15 @@ class Estimate:
 
     def predict(self, tau: np.ndarray, dt: float) -> None:
         """Let a torque (n,) [N m] act for a time [s]; friction never reverses a motion."""
-        arm = self._arm
+        arm, qd = self._arm, self.qd
         mass = arm.mass_matrix(self.q)
-        free = tau - arm.bias(self.q, self.qd) - arm.damping * self.qd
-        qd = self.qd + dt * np.linalg.solve(mass, free)
-        held = dt * arm.friction / mass.diagonal()
-        self.qd = np.sign(qd) * np.minimum(np.maximum(np.abs(qd) - held, 0.0), arm.qd_max)
+        momentum = mass.dot(qd) + dt * (tau - arm.bias(self.q, qd) - arm.damping * qd)
+        # Implicit, as friction of one joint holds others: that of the wrist's light ones.
+        for _ in range(FRICTION_STEPS):
+            held = dt * arm.friction / np.maximum(np.abs(qd), CREEP)
+            qd = np.linalg.solve(mass + np.diag(held), momentum)
+        qd[np.abs(qd) < 1e-6] = 0.0  # so that it comes to rest bit for bit
+        self.qd = np.minimum(np.maximum(qd, -arm.qd_max), arm.qd_max)
         self.q = self.q + dt * self.qd
 
     def follow(self, state: JointState, tau: np.ndarray) -> None:

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joints that stand bit for bit while their reference moves: held by friction, or frozen."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from rigid_arm import HOME, MODEL, PERIOD_NS, Plant, begin, make
+
+from wam_power_ros.control import standing
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.standing import StandingJoints
+from wam_power_ros.control.tracking_error import TrackingLost
+
+DT = PERIOD_NS * 1e-9
+J6 = 5
+FRICTION = MODEL.friction[J6]
+HOLDS = 2.0 * FRICTION + 0.04 * MODEL.tau_max[J6]
+INERTIA = MODEL.mass_matrix(HOME).diagonal()
+BENT = np.array([-0.02, 0.1, -0.06, 0.24, -0.1, -0.1, 0.31])  # ways of the joints to the start
+
+
+def pushed(joints: StandingJoints, torque: float, due: float = 0.1) -> float:
+    """What is left of a push at joint 6, when it stands and its reference is so far away."""
+    push = torque * np.eye(7)[J6]
+    found = joints.suspects(HOME, HOME + due * np.eye(7)[J6])
+    return joints.bounded(found, push, INERTIA, DT)[J6]
+
+
+def stood() -> StandingJoints:
+    joints = StandingJoints(MODEL)
+    assert joints.suspects(HOME, HOME) == []
+    return joints
+
+
+def test_a_joint_stands_when_its_position_is_the_same_and_its_reference_has_moved() -> None:
+    joints, far = stood(), HOME + 0.01
+    assert joints.suspects(HOME, HOME + 0.9 * standing.MOVED) == []
+    assert joints.suspects(HOME, far) == list(range(7))
+    count = 1e-5 * np.eye(7)[2]
+    assert 2 not in joints.suspects(HOME + count, far)
+    assert joints.suspects(HOME + count, far) == [0, 1, 3, 4, 5, 6]
+    assert joints.suspects(HOME + count, far - 0.01) == [2]
+    joints.begin()
+    assert joints.suspects(HOME + count, far) == []
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_push_that_friction_bears_is_left_for_ever(sign: float) -> None:
+    joints = stood()
+    assert {pushed(joints, sign * 0.99 * FRICTION) for _ in range(500)} == {sign * 0.99 * FRICTION}
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_joint_that_might_be_fast_already_is_pushed_no_more(sign: float) -> None:
+    joints, torque = stood(), sign * 1.5 * FRICTION
+    pushes = [pushed(joints, torque) for _ in range(100)]
+    states = standing.SPEED * INERTIA[J6] / (0.5 * FRICTION) / DT  # until it would be fast
+    assert sum(push == torque for push in pushes) == pytest.approx(states, abs=1.0)
+    assert set(pushes[-50:]) == {0.0}
+    joints.suspects(HOME + 1e-4, HOME)  # it moves
+    joints.suspects(HOME, HOME)
+    assert pushed(joints, torque) == torque
+
+
+def test_a_joint_that_friction_cannot_hold_is_pushed_in_full_and_must_move() -> None:
+    for torque in (1.01 * HOLDS, -1.01 * HOLDS):
+        joints = stood()
+        for _ in range(100):
+            pushed(joints, 0.99 * torque / 1.01)
+        assert {pushed(joints, torque) for _ in range(standing.PATIENCE)} == {torque}
+        with pytest.raises(TrackingLost, match="joint 6 stands, pushed with"):
+            pushed(joints, torque)
+
+
+def test_states_in_which_friction_may_hold_it_again_give_it_time() -> None:
+    joints = stood()
+    for _ in range(5):
+        for _ in range(standing.PATIENCE):
+            pushed(joints, 1.01 * HOLDS)
+        pushed(joints, 0.5 * HOLDS)
+
+
+def still(*at: int) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Freeze joints where they are, with no velocity."""
+    kept: list[np.ndarray] = []
+
+    def lie(q: np.ndarray, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        kept.append(q)
+        q, qd = q.copy(), qd.copy()
+        q[list(at)], qd[list(at)] = kept[0][list(at)], 0.0
+        return q, qd
+
+    return lie
+
+
+def speed(plant: Plant) -> float:
+    return MODEL.motion(plant.q, plant.qd).tool_speed
+
+
+@pytest.mark.requirement("S-91")
+@pytest.mark.parametrize("frozen", [range(7), (3,), (4,), (5,)], ids=["all", "4", "5", "6"])
+def test_a_joint_that_freezes_in_a_slow_move_ends_it_before_the_arm_is_fast(
+    frozen: tuple[int, ...],
+) -> None:
+    controller, plant = begin(HOME + BENT, make(), friction=1.0, delay=2, sensing=True)
+    controller.move_to_start()
+    lie, speeds = still(*frozen), []
+    for k in range(800):
+        stamp, q, qd = plant.state()
+        plant.step(controller.step(stamp, *(lie(q, qd) if k >= 180 else (q, qd))))
+        speeds.append(speed(plant))
+    assert max(speeds) < 0.5
+    assert controller.mode is Mode.FAULT
+    assert speeds[-1] < 0.05
+
+
+@pytest.mark.requirement("S-93")
+@pytest.mark.parametrize("delay", [0, 4])
+def test_twice_the_friction_is_no_joint_that_stands(delay: int) -> None:
+    controller, plant = begin(HOME + 0.2 * BENT, make(), friction=2.0, delay=delay, sensing=True)
+    controller.move_to_start()
+    for _ in range(500):
+        plant.step(controller.step(*plant.state()))
+    assert controller.mode is Mode.HOLD, controller.latched
