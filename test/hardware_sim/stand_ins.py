@@ -16,6 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code, read
 
@@ -74,6 +75,7 @@ class Hardware:
             "torque_controller.yaml",
             state_timeout=0.0 if lockstep else 0.006,
             idle_service='""',  # an idled arm hangs until somebody lifts it
+            move_speed=overlay.MOVE_SPEED,
             realtime_priority=0 if lockstep else 60,
         )
         self.policies = self.probe.node.create_publisher(
