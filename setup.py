@@ -81,6 +81,7 @@ setup(
             f"reinforce = {NAME}.learning.policy_gradient:Reinforce",
             f"enac = {NAME}.learning.policy_gradient:Enac",
             f"random = {NAME}.learning.random_search:RandomSearch",
+            f"corrections_only = {NAME}.learning.corrections_only:CorrectionsOnly",
         ],
     },
 )

@@ -11,6 +11,8 @@ from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, N, check_range
 from wam_power_ros.control.arm import WAM_GUARDED, Guarded
 
+PITCH_RATE = 7.6  # [rad/s] of a practised person: most such tosses reproduce at 90 degrees or more
+
 
 @dataclass(frozen=True)
 class ArmSettings:
@@ -52,6 +54,9 @@ class SceneSettings:
         friction: Sliding friction between pan and body.
         body_offset_sd: Standard deviation of the body's place in the pan, per axis [m].
         obstacle: Centre and radius of a sphere in the base frame [m]; four, radius 0 for none.
+        body_mass: Mass of the body, as a share of its own.
+        body_size: Radius of the body, as a share of its own.
+        pitch_rate: Intended pitch rate of the demonstrator of a toss at the release [rad/s].
 
     Raises:
         ValueError: A value out of range.
@@ -60,9 +65,13 @@ class SceneSettings:
     friction: float = 0.2
     body_offset_sd: float = 0.003
     obstacle: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    body_mass: float = 1.0
+    body_size: float = 1.0
+    pitch_rate: float = PITCH_RATE
 
     def __post_init__(self) -> None:
         check_range(self, 0.0, 10.0, "friction", "body_offset_sd")
+        check_range(self, 0.1, 10.0, "body_mass", "body_size", "pitch_rate")
         values = self.obstacle
         if len(values) != 4 or not all(map(math.isfinite, values)) or values[3] < 0.0:
             raise ValueError(f"obstacle {values} must be x, y, z and a radius from 0")
@@ -79,6 +88,9 @@ class WorldSettings:
         torque_scale_sd: Standard deviation of each joint's torque constant per rollout, as a share.
         friction_sd: Standard deviation of each joint's Coulomb friction per rollout, as a share.
         friction_share: Share of the URDF's Coulomb friction that the joints have.
+        torque_constants: Torque constant of each joint, as a share of its own; seven.
+        payload: Mass at the tool that no model knows of [kg].
+        unknown: Replaces some settings by a draw from the seed, see `unknown_world.drawn`.
         driver_compensates_gravity: The driver adds g(q) to the commanded torque.
         watchdog: After 10 ms without a command the driver compensates gravity, damped; without a
             watchdog it holds the last command.
@@ -97,6 +109,9 @@ class WorldSettings:
     torque_scale_sd: float = 0.01
     friction_sd: float = 0.1
     friction_share: float = 1.0
+    torque_constants: tuple[float, ...] = (1.0,) * N
+    payload: float = 0.0
+    unknown: bool = False
     driver_compensates_gravity: bool = False
     watchdog: bool = True
     watchdog_damping: float = 5.0
@@ -109,3 +124,7 @@ class WorldSettings:
         shares = ("wind_sd", "torque_scale_sd", "friction_sd", "friction_share")
         check_range(self, 0.0, 10.0, *shares)
         check_range(self, 0.0, 100.0, "watchdog_damping")
+        check_range(self, 0.0, 5.0, "payload")
+        constants = self.torque_constants
+        if len(constants) != N or not all(0.0 < share < 10.0 for share in constants):
+            raise ValueError(f"torque_constants {constants} must be {N} shares above 0, below 10")

@@ -77,6 +77,8 @@ class WamSimParams(Params):
     torque_scale_sd: Spread
     friction_sd: Spread
     scene: str
+    pitch_rate: float = Field(ge=0.1, le=10.0, description="faster than any wrist")
+    unknown: bool
     friction: Spread
     body_offset_sd: Spread
     obstacle: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]]
@@ -90,7 +92,9 @@ class WamSimParams(Params):
             type(self).model_fields
         )
         settings = {name: getattr(self, name) for name in own} | {
-            "scene": SceneSettings(self.friction, self.body_offset_sd, self.obstacle),
+            "scene": SceneSettings(
+                self.friction, self.body_offset_sd, self.obstacle, pitch_rate=self.pitch_rate
+            ),
             "mocap": mocap,
             "arm": ArmSettings(
                 self.urdf, self.model_joint_names, tool, guarded, self.home, self.drives

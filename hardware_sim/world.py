@@ -16,7 +16,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from hardware_sim import scene
+from hardware_sim import scene, unknown_world
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import LOG_TICKS, RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.motors import DirectDrives, Motors
@@ -73,7 +73,10 @@ class World:
         seed: int = 0,
         make_scene: Callable[[SceneSettings], Scene] = Flip,
     ) -> None:
-        self.settings = settings = settings or WorldSettings()
+        settings = settings or WorldSettings()
+        if settings.unknown:
+            settings = unknown_world.drawn(settings, seed)
+        self.settings = settings
         self.seed = seed
         arm = settings.arm
         self.scene = make_scene(settings.scene)
@@ -82,6 +85,10 @@ class World:
             self.urdf, self.scene, settings.scene.friction, arm.tool, arm.guarded
         )
         self.data = data = mujoco.MjData(model)
+        self._pan = model.body(arm.tool).id
+        if settings.payload:
+            model.body_mass[self._pan] += settings.payload
+            mujoco.mj_setConst(model, data)
         # the driver's own model of the arm
         self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)
         self._substeps = round(PERIOD / scene.TIMESTEP)
@@ -91,7 +98,6 @@ class World:
             self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
             self._encoders = Encoders(joint_counts)
         self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
-        self._pan = model.body(arm.tool).id
         self._friction = settings.friction_share * model.dof_frictionloss[:N]
         self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:N]).tolist()
         # views into MuJoCo's own arrays
@@ -149,6 +155,7 @@ class World:
         offset = loud * settings.scene.body_offset_sd * rng.standard_normal(2)
         wind = loud * settings.wind_sd * rng.standard_normal(3)
         scale = 1.0 + loud * settings.torque_scale_sd * rng.standard_normal(N)
+        scale *= settings.torque_constants
         friction = 1.0 + loud * settings.friction_sd * rng.standard_normal(N)
         self._torque_scale: list[float] = scale.tolist()
         model.dof_frictionloss[:N] = self._friction * np.maximum(friction, 0.0)

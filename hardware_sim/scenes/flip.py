@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
-from hardware_sim.settings import SceneSettings
+from hardware_sim.settings import PITCH_RATE, SceneSettings
 from hardware_sim.wam import PERIOD
 from wam_power_ros import rotations
 from wam_power_ros.tasks.flip.flight import DELTA_H
@@ -25,7 +25,6 @@ HALF_HEIGHT = 0.0025  # [m] of the pancake
 MASS = 0.026  # [kg] of the pancake, the paper's
 HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
 HOME.setflags(write=False)
-PITCH_RATE = 7.6  # [rad/s] of a practised person: most such tosses reproduce at 90 degrees or more
 WRIST_TO_PAN = 0.34  # [m] from the wrist to the pan's centre
 
 
@@ -37,25 +36,26 @@ class Flip:
     home_sd = 0.0
 
     def __init__(self, settings: SceneSettings) -> None:
-        self._friction = settings.friction
+        self._settings = settings
 
     def build(self, spec: mujoco.MjSpec) -> None:
         """Add the pancake, white above and yellow below as the paper's."""
+        radius = PANCAKE_RADIUS * self._settings.body_size
         body = spec.worldbody.add_body(name=BODY, pos=[0.0, 0.0, 2.0])
         body.add_freejoint(name=BODY)
         body.add_geom(
             name=BODY,
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[PANCAKE_RADIUS, HALF_HEIGHT, 0.0],
-            mass=MASS,
+            size=[radius, HALF_HEIGHT, 0.0],
+            mass=MASS * self._settings.body_mass,
             fluid_ellipsoid=1,
             rgba=[0.95, 0.78, 0.25, 1.0],
-            **scene.body_contact(self._friction),
+            **scene.body_contact(self._settings.friction),
         )
         for sign, colour in ((1.0, [0.97, 0.97, 0.95, 1.0]), (-1.0, [0.96, 0.70, 0.10, 1.0])):
             body.add_geom(  # drawn, not felt
                 type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                size=[0.97 * PANCAKE_RADIUS, 0.0004, 0.0],
+                size=[0.97 * radius, 0.0004, 0.0],
                 pos=[0.0, 0.0, sign * (HALF_HEIGHT + 0.0002)],
                 mass=0.0,
                 rgba=colour,
@@ -73,7 +73,7 @@ class Flip:
 
     def script(self, rng: np.random.Generator) -> TossScript:
         """Draw a toss."""
-        return wrist_flick(rng)
+        return wrist_flick(rng, pitch_rate=self._settings.pitch_rate)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a toss.

@@ -10,6 +10,7 @@ import pytest
 
 from wam_power_ros.experiments import session_answer
 from wam_power_ros.experiments.studies.reaching_arm import taught_scenario
+from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, SessionError
 from wam_power_ros.practice.settings import preset
 
@@ -40,6 +41,18 @@ def test_the_answer_of_a_reach_meets_the_obstacle_of_its_session(
     assert session_answer.main([str(folder), "--no-film", "no <OpenGL>"]) == 0
     html = (folder / "report.html").read_text()
     assert "No film: no &lt;OpenGL&gt;" in html and "Ground truth" in html
+
+
+def test_the_answer_of_an_unknown_world_is_executed_in_that_world(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s", 0.0)
+    (folder / "logs").mkdir()
+    paths = []
+    for unknown in (False, True):
+        setup = overlay.setup(["unknown_world"] if unknown else [], simulated=True, task="reach")
+        (folder / "logs" / "parameters.yaml").write_text(overlay.text(setup))
+        paths.append(session_answer.run(folder, film=False).rollout.tool.position)
+    apart = np.linalg.norm(paths[0] - paths[1], axis=1)
+    assert apart.max() > 1e-3
 
 
 def test_a_session_without_a_policy_is_refused(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from toss_task import ANY_ARM, demonstrated_policy
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session, SessionError
 from wam_power_ros.practice.settings import preset
@@ -72,6 +73,14 @@ def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Pat
     html = session_report.write(folder).read_text()
     assert "Rollout 2 was the first that was flipped and caught" in html  # 100 degrees topple over
     assert "1.37 m/s" in html and "over the factory fault speed" in html
+
+
+def test_a_report_has_the_reproduction_beside_the_answer(folder: Path) -> None:
+    html = session_report.write(folder).read_text()
+    first = session.read(folder)[2][0]
+    assert f"Before learning: return {first.ret:.3f}" in html
+    assert "return of the reproduction, before learning" in html
+    assert re.search(r"after it: mean return 0\.\d{3}, \d+ of \d+ re-tests succeeded", html)
 
 
 def test_the_same_session_gives_the_same_report(folder: Path) -> None:

@@ -2,6 +2,7 @@
 """A running session is shown whatever its task is."""
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
@@ -49,6 +50,24 @@ def test_the_summary_has_the_peak_speeds_of_the_retests(practice: Practice) -> N
     text = terminal.summary([*practice.records, *tests], practice.task)
     assert "elbow 0.61, point 350 mm beyond it 1.37, tool 2.50 m/s" in text
     assert "no-load speed in 1 of 1" in text
+
+
+def test_the_summary_begins_with_what_the_demonstration_was_worth_before_learning() -> None:
+    settings = preset("flip", budget=8, confirm=0, retests=0)
+    candidates = [demonstrated_policy("one"), demonstrated_policy("other")]
+    practice = practice_of(candidates, settings, seed=1)
+    while (trial := practice.next_trial()) is not None:
+        assessment = toss(trial, practice.task.settings)
+        worth = 0.2 if trial.demonstration == "one" else 0.3  # the other one is learnt from
+        ret = worth if trial.kind == "reproduction" else 0.9
+        practice.learn_assessed(trial, replace(assessment, ret=ret, success=ret == 0.9))
+    last = practice.records[-1]
+    tests = [last.model_copy(update={"kind": "retest", "ret": ret}) for ret in (0.8, 0.9)]
+    tests.append(tests[0].model_copy(update={"ret": None, "success": False}))
+    text = terminal.summary([*practice.records, *tests], practice.task)
+    assert "before learning: return 0.300, no success" in text
+    assert "the reproduction of other; after it: mean return 0.850, 2 of 3 re-tests" in text
+    assert "before learning" not in terminal.summary(practice.records[:2], practice.task)
 
 
 def test_bars_grow_with_the_values() -> None:

@@ -25,6 +25,7 @@ from wam_power_ros.experiments.render import render
 from wam_power_ros.learning import policy
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.params import parameter_file
 from wam_power_ros.practice import session
 from wam_power_ros.reporting import figures, session_report
 from wam_power_ros.tasks.reach.task import Reach
@@ -61,7 +62,7 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
         raise session.SessionError(f"{folder} holds no policy yet")
     answer = policy.from_json(saved.read_text())
     obstacle = (*task.obstacle, task.radius) if isinstance(task, Reach) else (0.0, 0.0, 0.0, 0.0)
-    settings = WorldSettings(scene=SceneSettings(obstacle=obstacle))
+    settings = WorldSettings(scene=SceneSettings(obstacle=obstacle), unknown=_unknown(folder))
     world = World(settings, header.seed, scene_type(task.name))
     world.trace = []
     environment = Environment(world)
@@ -74,6 +75,15 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
         poses = world.trace[:: round(TRACE_RATE / FILM_RATE)]
         figures.save_film(render(world, poses), path, FILM_RATE)
     return session_report.ShownRollout(caption, rollout, path.read_bytes() if film else None)
+
+
+def _unknown(folder: Path) -> bool:
+    """Whether a session was held in an unknown world, by the parameters of its nodes, if any."""
+    file = folder / "logs" / "parameters.yaml"
+    if not file.is_file():
+        return False
+    simulation = parameter_file.read(file).get("wam_sim", {})
+    return bool(simulation.get("unknown"))
 
 
 def _caption(task: Task, executed: Policy, rollout: Rollout, truth: Truth) -> str:

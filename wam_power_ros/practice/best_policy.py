@@ -108,3 +108,14 @@ def choose_best(
         f"{best.id}: {best.successes} of {len(best.returns)} runs without exploration succeeded, "
         f"mean return {np.mean(best.returns):.3f}; {rule}"
     )
+
+
+def reproduction_learnt_from(records: Sequence[Record]) -> Record | None:
+    """The reproduction of the demonstration that is learnt from; None before it is chosen.
+
+    Args:
+        records: Records of a session, oldest first.
+    """
+    practised = [record.demonstration for record in records if record.kind != "reproduction"]
+    usable = (r for r in records if r.kind == "reproduction" and r.ret is not None)
+    return next((r for r in usable if practised and r.demonstration == practised[-1]), None)

@@ -23,10 +23,11 @@ from wam_power_ros.learning import policy
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice import session
+from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session import SessionHeader
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.reporting import figures, flip_figures, html_page, reach_figures
-from wam_power_ros.reporting.terminal import number, returned, term_names
+from wam_power_ros.reporting.terminal import before_and_after, number, returned, term_names
 from wam_power_ros.tasks.task import Task
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
@@ -126,7 +127,9 @@ def _cards(task: Task, records: Sequence[Record]) -> str:
     cards = [("rollouts", str(len(records)))]
     if usable:
         last = usable[-5:]
-        cards.append(("return of the first", f"{usable[0]:.3f}"))
+        first = reproduction_learnt_from(records)
+        if first is not None:
+            cards.append(("return of the reproduction, before learning", number(first.ret)))
         cards.append((f"mean return of the last {len(last)}", f"{statistics.mean(last):.3f}"))
     if tests:
         good = sum(_good(task, record) for record in tests)
@@ -171,7 +174,8 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
                 f"On {question}, the observation agreed with the simulator in {agree} of "
                 f"{len(judged)} rollouts."
             )
-    text += [f"{line[0].upper()}{line[1:]}." for line in task.summary(records)]
+    lines = [*before_and_after(records, task), *task.summary(records)]
+    text += [f"{line[0].upper()}{line[1:]}." for line in lines]
     if decisions := [record.note for record in records if record.note]:
         text.append(f"Last decision: {decisions[-1]}.")
     return html_page.paragraphs([" ".join(text)])

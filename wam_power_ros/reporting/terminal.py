@@ -13,6 +13,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session_log import Line, Record, with_ratings
 from wam_power_ros.tasks.task import Task
 
@@ -78,15 +79,35 @@ def summary(records: Sequence[Record], task: Task) -> str:
         return f"{len(records)} rollouts, none of them usable"
     best, last = max(records, key=lambda record: record.ret or 0.0), returns[-5:]
     lines = [
-        f"{len(records)} rollouts; return {returns[0]:.3f} at first, "
-        f"{sum(last) / len(last):.3f} over the last {len(last)}, "
+        f"{len(records)} rollouts; return {sum(last) / len(last):.3f} over the last {len(last)}, "
         f"best {best.ret:.3f} in rollout {best.number} ({task.outcome(best)})",
+        *before_and_after(records, task),
         *task.summary(records),
         *_peaks([r.truth for r in records if r.kind == "retest" and r.truth]),
     ]
     if notes := [record.note for record in records if record.note]:
         lines.append(f"last decision: {notes[-1]}")
     return "\n".join(lines)
+
+
+def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
+    """The demonstration's reproduction beside the re-tests of the answer: what learning added."""
+    first = reproduction_learnt_from(records)
+    if first is None:
+        return []
+    already = "a success already" if first.success else "no success"
+    line = (
+        f"before learning: return {number(first.ret)}, {already} ({task.outcome(first)}), "
+        f"the reproduction of {first.demonstration}"
+    )
+    tests = [record for record in records if record.kind == "retest"]
+    if returns := [record.ret for record in tests if record.ret is not None]:
+        succeeded = sum(record.success for record in tests)
+        line += (
+            f"; after it: mean return {np.mean(returns):.3f}, "
+            f"{succeeded} of {len(tests)} re-tests succeeded"
+        )
+    return [line]
 
 
 def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:

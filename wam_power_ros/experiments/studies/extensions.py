@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hardware_sim.scenes.flip import PITCH_RATE
+from hardware_sim.settings import PITCH_RATE
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies.flip_sessions import NOVICE, rollouts, stand_in, teach
 from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evaluate, generator

@@ -15,8 +15,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hardware_sim.ground_truth import Truth
-from hardware_sim.scenes.flip import PITCH_RATE, wrist_flick
-from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.scenes.flip import wrist_flick
+from hardware_sim.settings import PITCH_RATE, SceneSettings, WorldSettings
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.experiments.environment import Environment

@@ -21,8 +21,17 @@ class FreePath:
     stop within `REACH` of it. The inference is exact for returns without noise.
     """
 
-    def __init__(self, parameters: Parametrization, scenario: Scenario) -> None:
-        """Start without any contact; the obstacle of `scenario` is not used."""
+    def __init__(
+        self, parameters: Parametrization, scenario: Scenario, tolerance: float = 1e-9
+    ) -> None:
+        """Start without any contact; the obstacle of `scenario` is not used.
+
+        Args:
+            parameters: Meaning of the coordinates.
+            scenario: Reach without its obstacle.
+            tolerance: Deviation of a return from that of the free path that is no contact yet.
+        """
+        self._tolerance = tolerance
         self._parameters = parameters
         self._scenario = scenario
         self._met: list[np.ndarray] = []  # (3,) each
@@ -44,7 +53,7 @@ class FreePath:
         steps = path.shape[1]
         stops = held(np.repeat(path, steps, axis=0), np.arange(steps))  # (T, T, 3)
         off = np.abs(self._scenario.worth(stops) - ret)
-        if off[-1] <= off.min() + 1e-9:
+        if off[-1] <= off.min() + self._tolerance:
             return  # it went all the way
         last = int(off.argmin())
         step = path[0, last + 1] - path[0, last]

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The study of a novice's toss: the same sessions for every learner, and their figures."""
+
+from typing import Any
+
+from wam_power_ros.experiments.studies import novice
+from wam_power_ros.experiments.studies.flip_sessions import HELD_OUT
+from wam_power_ros.practice.settings import preset
+
+
+def test_rows_differ_in_the_learner_and_what_it_is_told_alone() -> None:
+    found = novice.jobs([1, 2])
+    assert {job.arguments["seed"] for job in found} == {1, 2}
+    assert not set(novice.HELD_OUT) & set(HELD_OUT)
+    own = {"task_settings", "learner", "learner_settings", "practice"}
+    plain = preset("flip", "flip", **found[0].arguments["changes"])
+    for job in found:
+        assert {**job.arguments, "seed": 0, "changes": 0} == {
+            **found[0].arguments,
+            "seed": 0,
+            "changes": 0,
+        }
+        settings = preset("flip", "flip", **job.arguments["changes"])
+        assert settings.model_dump(exclude=own) == plain.model_dump(exclude=own)
+        assert settings.practice.budget == plain.practice.budget
+        assert settings.practice.retests == plain.practice.retests
+        blind = settings.task_settings.landing_gain == settings.task_settings.turn_gain == 0.0
+        assert ("rotation" in novice.ROWS[job.study.removeprefix("novice-")].told) == (not blind)
+
+
+def test_unknown_worlds_are_studies_of_their_own() -> None:
+    (known,), (unknown,) = (novice.jobs([1], ["flip"], some) for some in (False, True))
+    assert known.study != unknown.study
+    assert unknown.arguments == {**known.arguments, "condition": {"unknown": True}}
+
+
+def a_session(true: int, ended_by: str, used: int, first: bool = False) -> dict[str, Any]:
+    return {
+        "used": used,
+        "ended_by": ended_by,
+        "trials": [{"true_flip": first}],
+        "retests": [{"true_flip": k < true} for k in range(10)],
+    }
+
+
+def test_the_figures_of_a_row_count_sessions_and_not_rollouts() -> None:
+    sessions = [
+        a_session(10, "confirmation", 20),
+        a_session(9, "confirmation", 30, first=True),
+        a_session(8, "confirmation", 50),
+        a_session(0, "budget", 60),
+    ]
+    found = novice.line(sessions)
+    assert (found["sessions"], found["reproduced"], found["solved"]) == (4, 1, 2)
+    assert found["confirmed"] == 3 and found["to_streak"] == 22.0  # eight confirm
+    assert found["true"][0] == 0.675 and 0.0 <= found["true"][1] < 0.3
+    assert novice.line([a_session(0, "budget", 60)])["to_streak"] is None

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Unknown worlds: drawn from the seed, felt by the arm and told to nobody."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from simulated import CALM, LEVEL, begin, holding_torque, run
+
+from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.unknown_world import drawn
+from hardware_sim.world import World
+
+SEEDS = range(200)
+
+
+def test_a_seed_is_one_world_and_another_seed_another() -> None:
+    assert drawn(WorldSettings(), 3) == drawn(WorldSettings(), 3) != drawn(WorldSettings(), 4)
+
+
+def test_what_is_drawn_fills_its_range_and_the_rest_stays() -> None:
+    plain = WorldSettings(wind_sd=0.2, scene=SceneSettings(body_offset_sd=0.001))
+    worlds = [drawn(plain, seed) for seed in SEEDS]
+    for values, low, high in (
+        ([w.scene.body_mass for w in worlds], 0.7, 1.3),
+        ([w.scene.body_size for w in worlds], 0.8, 1.2),
+        ([w.scene.friction for w in worlds], 0.1, 0.5),
+        ([c for w in worlds for c in w.torque_constants], 0.95, 1.05),
+        ([w.payload for w in worlds], 0.0, 0.12),
+    ):
+        assert low <= min(values) < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < max(values) <= high
+    assert {w.command_delay_ticks for w in worlds} == {1, 2, 3, 4}  # 2 to 8 ms
+    assert {(w.wind_sd, w.scene.body_offset_sd) for w in worlds} == {(0.2, 0.001)}
+
+
+def test_an_unknown_world_has_what_was_drawn_and_the_description_has_not() -> None:
+    world, known = World(WorldSettings(unknown=True), 5), World(seed=5)
+    hidden = drawn(WorldSettings(), 5)
+    pan, pancake = (world.model.body(name) for name in ("pan", "pancake"))
+    assert pan.mass - known.model.body("pan").mass == pytest.approx(hidden.payload)
+    share = pancake.mass / known.model.body("pancake").mass
+    assert share == pytest.approx(hidden.scene.body_mass)
+    sizes = world.model.geom("pancake").size / known.model.geom("pancake").size.clip(1e-9)
+    assert sizes[:2] == pytest.approx([hidden.scene.body_size, 1.0])
+    assert world.model.geom("pancake").friction[0] == pytest.approx(hidden.scene.friction)
+    assert world.settings.command_delay_ticks == hidden.command_delay_ticks
+    assert world.urdf == known.urdf
+
+
+@pytest.mark.parametrize("change", [{"payload": 0.5}, {"torque_constants": (0.8,) * 7}])
+def test_the_models_gravity_torque_does_not_hold_an_unknown_arm(change: dict[str, Any]) -> None:
+    fallen = []
+    for settings in (CALM, replace(CALM, **change)):
+        world = World(settings)
+        begin(world)
+        before = world.pan_pose[0][2]
+        run(world, holding_torque(world), 100)
+        fallen.append(before - world.pan_pose[0][2])
+    assert abs(fallen[0]) < 1e-4 < 2e-3 < fallen[1]
+
+
+def test_an_unknown_rollout_is_a_function_of_seed_and_id() -> None:
+    ends = []
+    for _ in range(2):
+        world = World(WorldSettings(unknown=True), 7)
+        begin(world)
+        run(world, holding_torque(world), 100)
+        ends.append(world.data.qpos.copy())
+    assert np.array_equal(*ends)
+    assert not np.allclose(ends[0][:7], LEVEL)

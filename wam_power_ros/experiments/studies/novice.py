@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The pancake taught by a novice with one demonstration: learners and baselines side by side.
+
+    python -m wam_power_ros.experiments.studies.novice [--seeds N] [--only ROW ...] [--unknown]
+
+prints a row for each. The reproduction of such a demonstration is never caught as a true flip, so
+the task tells learners apart, which that of a practised demonstrator (`flip_sessions`) does not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from wam_power_ros.experiments import jobs as job_cache
+from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.experiments.studies.flip_sessions import NOVICE, session
+from wam_power_ros.practice.settings import preset
+
+BUDGET = 60  # rollouts
+RETESTS = 10  # of the answer
+SOLVED = 9  # true flips among them
+CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
+HELD_OUT = range(3001, 3031)  # seeds without any tuning
+_BLIND = {"landing_gain": 0.0, "turn_gain": 0.0}  # without corrections
+
+
+class Row(NamedTuple):
+    """A line of the table.
+
+    Attributes:
+        told: What the learner is told of a rollout.
+        changes: Changes to the preset `flip`.
+    """
+
+    told: str
+    changes: Mapping[str, Any]
+
+
+ROWS = {
+    "flip": Row("return, landing error, rotation", {}),
+    "corrections": Row(
+        "landing error, rotation", {"learner": {"name": "corrections_only"}, "mean_every": 1}
+    ),
+    "power": Row("return", _BLIND),
+    "random": Row("return", {**_BLIND, "learner": {"name": "random"}}),
+}
+
+
+def study(row: str, unknown: bool) -> str:
+    """Name of the study of a row, in the world as it is described or in unknown ones."""
+    return f"novice-unknown-{row}" if unknown else f"novice-{row}"
+
+
+def jobs(
+    seeds: Sequence[int], rows: Sequence[str] = tuple(ROWS), unknown: bool = False
+) -> list[Job]:
+    """Sessions of every row, those of a seed together."""
+    condition = {"condition": {"unknown": True}} if unknown else {}
+    return [
+        Job(
+            study(name, unknown),
+            f"seed-{seed}",
+            session,
+            {
+                "seed": seed,
+                "name": "flip",
+                "demonstrations": 1,
+                "pitch_rate": NOVICE,
+                "changes": {"budget": BUDGET, "retests": RETESTS, **ROWS[name].changes},
+                **condition,
+            },
+        )
+        for seed in seeds
+        for name in rows
+    ]
+
+
+def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Figures of the sessions of a row, as data.
+
+    Returns:
+        Number of "sessions"; of these "reproduced": whose first reproduction was a true flip, and
+        "solved"; "to_streak": median of the rollouts before the streak of successes that ended a
+        session, of those it ended; "confirmed": their number; "true": mean and lowest decile of the
+        share of re-tests that were true flips.
+    """
+    true = np.array([np.mean([r["true_flip"] for r in s["retests"]] or [0]) for s in sessions])
+    ended = [s for s in sessions if s["ended_by"] == "confirmation"]
+    before = [s["used"] - CONFIRM for s in ended]
+    return {
+        "sessions": len(sessions),
+        "reproduced": sum(bool(s["trials"][0]["true_flip"]) for s in sessions),
+        "solved": int(np.sum(true >= SOLVED / RETESTS)),
+        "confirmed": len(ended),
+        "to_streak": float(np.median(before)) if before else None,
+        "true": (float(true.mean()), float(np.quantile(true, 0.1))),
+    }
+
+
+def main() -> None:
+    """Run the sessions of every row and print their figures."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--folder", type=Path, default=Path("novice"))
+    parser.add_argument("--seeds", type=int, default=len(HELD_OUT), help="of each row, at most 30")
+    parser.add_argument("--only", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
+    parser.add_argument("--unknown", action="store_true", help="in worlds drawn from the seed")
+    parser.add_argument("--workers", type=int, default=1)
+    args = parser.parse_args()
+    wanted = jobs(HELD_OUT[: args.seeds], args.only, args.unknown)
+    results = job_cache.run(wanted, args.folder, workers=args.workers)
+    for name in args.only:
+        found = line(list(results[study(name, args.unknown)].values()))
+        sys.stdout.write(f"{name} (told {ROWS[name].told}): {found}\n")
+
+
+if __name__ == "__main__":
+    main()
