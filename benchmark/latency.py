@@ -2,12 +2,14 @@
 """Latency from state to torque in real time: the controller beside a bare echo node.
 
     python -m benchmark.latency [--seconds 60] [--load 0] [--stages] [--messages]
+                                 [--view]
 
 The stand-in publishes 500 states a second on the wall clock. The controller answers each with a
 torque, the echo, a bare rclpy node in a process of its own, with the same message holding zeros.
 Both are timed by the stand-in's process, in the same run and with the same scheduling, so machine
 and middleware cancel in the ratio. Each topic has one reader. With --messages, periods are counted
-that are missed when the hardest messages come that the controller may be sent (`messages`).
+that are missed when the hardest messages come that the controller may be sent (`messages`). With
+--view, the page of `wam-power view` follows the arm meanwhile.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from benchmark import messages
+from benchmark import messages, viewing
 from benchmark.nodes import JOINTS, environment, ros_arguments
 from benchmark.stages import table as table_of_stages
 from wam_power_ros.cli.processes import Processes, Running
@@ -103,12 +105,18 @@ def stand_in(report: Path) -> int:
 
 
 def measure(
-    seconds: float, fifo: bool, load: int, stages: bool = False, hardest: bool = False
+    seconds: float,
+    fifo: bool,
+    load: int,
+    stages: bool = False,
+    hardest: bool = False,
+    view: bool = False,
 ) -> dict[str, dict[str, float]]:
     """Latency figures of controller and echo in one run, and CPU of each process [%].
 
     With `stages`, the controller also times its stages, at a small cost, and they are printed.
     With `hardest`, the messages of `benchmark.messages` are published, and the table is printed.
+    With `view`, the page of `wam-power view` follows the arm.
     """
     module = [sys.executable, "-m"]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
@@ -148,6 +156,7 @@ def measure(
                     "messages",
                     [*module, "benchmark.latency", "--role", f"messages {told}"],
                 )
+            held = viewing.start(processes, Path(folder), domain, list(JOINTS)) if view else None
             for i in range(load):
                 processes.start(f"load {i}", [sys.executable, "-c", "while True: pass"])
             time.sleep(10.0)  # for imports and discovery
@@ -160,6 +169,8 @@ def measure(
                 time.sleep(seconds)
             ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
             processes.check()
+            if held is not None:
+                held.close()
         rows = np.load(report)
         if hardest:
             print(messages.table(rows, json.loads(told.read_text()), PERIOD_NS))
@@ -232,6 +243,7 @@ def main() -> int:
     parser.add_argument(
         "--messages", action="store_true", help="also count periods missed at hard messages"
     )
+    parser.add_argument("--view", action="store_true", help="beside the page of `wam-power view`")
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options, _ = parser.parse_known_args()
@@ -247,7 +259,7 @@ def main() -> int:
         if fifo and not may_schedule():
             print(f"{title}: skipped, not permitted here (rtprio in /etc/security/limits.d)")
             continue
-        results[title] = measure(options.seconds, fifo, options.load)
+        results[title] = measure(options.seconds, fifo, options.load, view=options.view)
         print(table(title, results[title]))
         if options.messages:
             measure(0.0, fifo, options.load, hardest=True)

@@ -52,9 +52,10 @@ ALLOWED["console"] = BELOW - {"reporting", "practice", "tasks"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
 ALLOWED["experiments"] = {*BELOW, "hardware_sim"} - {"ros"}
 ALLOWED["cli"] = {*BELOW, "nodes", "console", "experiments", "view"}
+ALLOWED["robot"] = {"bags", "control", "learning", "params", "ros", "nodes", "cli"}
 ALLOWED["benchmark"] = {*ALLOWED, "cli"}
 PURE = ("rotations", "arm_identity", "learning", "control", "tracking", "tasks", "conformance")
-SPEAK_ROS = {"params", "ros", "nodes", "console", "view", "hardware_sim", "benchmark"}
+SPEAK_ROS = {"params", "ros", "nodes", "console", "view", "robot", "hardware_sim", "benchmark"}
 SIMULATE = {"hardware_sim", "experiments", "benchmark"}
 
 MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])

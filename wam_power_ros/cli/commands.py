@@ -17,13 +17,12 @@ from typing import TYPE_CHECKING
 
 from wam_power_ros.cli.keys import Keys
 from wam_power_ros.cli.launcher import (
-    DOMAIN,
-    STAND_INS,
     Launcher,
     UsageError,
     interrupt,
     launch,
     now,
+    session_environment,
     setup_options,
     short_path,
     simulated,
@@ -203,14 +202,6 @@ def feedback(options: argparse.Namespace) -> int:
     accepted, answer = give(options.kind, options.bag)
     print(answer if accepted else f"refused: {answer}")
     return 0 if accepted else 2
-
-
-def session_environment(folder: Path) -> dict[str, str]:
-    """Variables that lead to the DDS domain of a session, if it was launched on stand-ins."""
-    domain = folder / "logs" / DOMAIN
-    if not domain.exists():
-        return {}
-    return STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
 
 
 def report(options: argparse.Namespace) -> int:

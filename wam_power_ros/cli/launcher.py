@@ -152,6 +152,14 @@ def check_space(folder: Path, needed: float) -> None:
         raise UsageError(f"{free:.0f} MB free on the disk of {folder}, {needed:.0f} MB needed")
 
 
+def session_environment(folder: Path) -> dict[str, str]:
+    """Variables that lead to the DDS domain of a session, if it was launched on stand-ins."""
+    domain = folder / "logs" / DOMAIN
+    if not domain.exists():
+        return {}
+    return STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
+
+
 def reach(environment: Mapping[str, str]) -> str:
     """Discovery range of nodes that are started: this machine, unless the environment names one."""
     return environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "LOCALHOST"

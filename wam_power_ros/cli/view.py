@@ -8,7 +8,7 @@ import signal
 from pathlib import Path
 
 from wam_power_ros.cli import commands
-from wam_power_ros.cli.launcher import UsageError, interrupt
+from wam_power_ros.cli.launcher import UsageError, interrupt, session_environment
 from wam_power_ros.practice.session import Session
 
 
@@ -32,7 +32,7 @@ def view(options: argparse.Namespace) -> int:
         if is_bag:
             viewer.of_bag(server, place, ready)
         else:
-            viewer.of_session(server, place, ready, commands.session_environment)
+            viewer.of_session(server, place, ready, session_environment)
     except KeyboardInterrupt:
         pass
     finally:

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The robot object, by the example of its page, which runs here (`py`, not `python`: only once)."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+import pytest
+from test_docs import blocks
+
+from wam_power_ros import robot
+
+
+@pytest.fixture(scope="module")
+def example() -> dict[str, Any]:
+    """Names of the example, once it has run over DDS."""
+    before, names = dict(os.environ), {}
+    (block,) = blocks("docs/robot.md", "py")
+    exec(compile(block, "docs/robot.md", "exec"), names)
+    assert dict(os.environ) == before
+    return names
+
+
+def test_the_arm_is_where_it_was_told_to_go_and_holds(example: dict[str, Any]) -> None:
+    start, moved = example["start"], example["moved"]
+    np.testing.assert_allclose(moved.q, example["home"], atol=0.02)
+    assert np.abs(moved.qd).max() < 0.05
+    position, _ = example["wam"].arm.tool_pose(moved.q)
+    np.testing.assert_array_equal(moved.position, position)
+    assert np.linalg.norm(moved.position - start.position) > 0.02
+
+
+def test_what_was_taught_is_a_demonstration_that_was_replayed(example: dict[str, Any]) -> None:
+    assert np.ptp(example["demonstration"].position[:, 2]) > 0.1
+    assert "rms" in example["tracking"]
+
+
+def test_a_rollout_follows_its_policy_and_is_recorded(example: dict[str, Any]) -> None:
+    executed, policy = example["executed"], example["policy"]
+    assert executed.rollout.fault is None and executed.rollout.tool.id == policy.id
+    first = executed.rollout.tool.position[0]
+    np.testing.assert_allclose(first, example["demonstration"].position[0], atol=0.02)
+    assert len(executed.rollout.body.t) > 10 and executed.bag.startswith("rollout")
+
+
+def test_a_place_beyond_the_limits_is_refused_before_anything_is_sent() -> None:
+    never = robot.Robot.__new__(robot.Robot)
+    never.arm = robot.Arm(
+        robot.share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)]
+    )
+    for q in ([0.0] * 6, [0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0], [np.nan] * 7):
+        with pytest.raises(ValueError, match="must be 7 angles within"):
+            never.move_to(q)
+
+
+def test_an_unknown_set_up_is_refused() -> None:
+    with pytest.raises(ValueError, match="no set-up 'nonesuch'"), robot.connect("nonesuch"):
+        pass

@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An arm as a Python object, for scripts and notebooks.
+
+It uses the services that the command line uses, of nodes that run already (`connect`) or of
+stand-ins that it starts (`simulated`). A call returns when the arm has done it; Ctrl-C, or the
+interrupt of a notebook, stops the arm. It is no safety function.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from wam_power_ros.bags import reader
+from wam_power_ros.cli import launcher
+from wam_power_ros.control import replay_trajectory
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.nodes.rollout_client import CONTROLLER, Executed, Ready, RolloutClient
+from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
+from wam_power_ros.ros.node_runner import participant
+from wam_power_ros.ros.service_client import ServiceClient, ServiceError
+
+RECORDER = "demonstration_recorder"
+STATE_TIMEOUT = 10.0  # [s of wall time] for a joint state, or for a message to be received
+MOVE_TIMEOUT = 3600.0  # [s of wall time]
+REPORTS = 8  # callbacks at most for reports that have come meanwhile
+REST = np.linspace(0.0, 0.1, 6)  # times of the movement that rests at a place [s]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """State of an arm.
+
+    Attributes:
+        q: Joint angles [rad]. Shape (n,).
+        qd: Joint speeds [rad/s], None when the driver sends none. Shape (n,).
+        position: Position of the tool in the base frame [m]. Shape (3,).
+        rotation: Axes of the tool as columns. Shape (3, 3).
+        mode: Mode of the controller, as it reported last (once a second); "" before it did.
+        report: What the controller reported with it, such as the text of a fault.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray | None
+    position: np.ndarray
+    rotation: np.ndarray
+    mode: str
+    report: str
+
+
+class Robot:
+    """One arm whose nodes run; made by `connect` or `simulated`.
+
+    Attributes:
+        arm: Model of the arm.
+        joint_names: Joints of the driver, base to tip.
+    """
+
+    def __init__(self, node: Node, setup: overlay.Setup) -> None:
+        """Use a node that nobody else spins, under a set-up of `overlay.setup`."""
+        controller, body = setup[CONTROLLER], setup["pancake_tracker"]["body"]
+        self.arm = Arm(
+            share(controller["urdf"]).read_text(),
+            controller["model_joint_names"],
+            controller["tool_frame"],
+            guarded=(),
+        )
+        self.joint_names = tuple(controller["joint_names"])
+        self._settle_time = float(controller["settle_time"])
+        self._state_topic = controller["state_topic"]
+        self._node = node
+        self._read = JointStateReader(self.joint_names)
+        self._states: list[JointState] = []
+        self._mode = self._report = ""
+        self._executor = executor = SingleThreadedExecutor(context=node.context)
+        executor.add_node(node)
+        self._calls = ServiceClient(node, executor)
+        self._rollouts = RolloutClient(node, executor, SimpleNamespace(**setup["learner"]), body)
+        self._reset = interface.body_topic(body, "reset")
+        self._movements = node.create_publisher(
+            JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED
+        )
+        # Spun by `state` alone: a callback for each of 500 states a second would cost a core.
+        newest = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
+        listener = rclpy.create_node("robot_states", context=node.context)
+        listener.create_subscription(JointState, self._state_topic, self._on_state, newest)
+        self._listening = SingleThreadedExecutor(context=node.context)
+        self._listening.add_node(listener)
+        node.create_subscription(
+            DiagnosticArray, interface.DIAGNOSTICS, self._on_report, interface.DIAGNOSTICS_QOS
+        )
+
+    def state(self) -> RobotState:
+        """The next state that the driver publishes.
+
+        Raises:
+            ServiceError: None comes.
+            ValueError: It is not acceptable.
+        """
+        self._listening.spin_once(timeout_sec=0.0)  # takes what may be old
+        self._states.clear()
+        end = time.monotonic() + STATE_TIMEOUT
+        while not self._states:
+            self._listening.spin_once(timeout_sec=0.1)
+            if time.monotonic() > end:
+                raise ServiceError(f"no state on {self._state_topic} in {STATE_TIMEOUT:.0f} s")
+        for _ in range(REPORTS):
+            self._executor.spin_once(timeout_sec=0.0)
+        reading = self._read(self._states[-1])
+        if reading is None:
+            raise ValueError(f"{self._state_topic} has none of the joints {self.joint_names}")
+        position, rotation = self.arm.tool_pose(reading.q)
+        return RobotState(reading.q, reading.qd, position, rotation, self._mode, self._report)
+
+    def move_to(self, q: Sequence[float]) -> None:
+        """Move to joint angles [rad], shape (n,), at the controller's own pace, and hold.
+
+        Raises:
+            ValueError: They are not of this arm, or beyond its limits.
+            ServiceError: The controller refuses, or the arm did not arrive.
+        """
+        q = np.asarray(q, dtype=float)
+        low, high = self.arm.q_min, self.arm.q_max
+        if q.shape != low.shape or not np.all((q >= low) & (q <= high)):
+            limits = f"{low.tolist()} to {high.tolist()}"
+            raise ValueError(f"q {q.tolist()} must be {len(low)} angles within {limits}")
+        self._follow(REST, np.tile(q, (len(REST), 1)))
+
+    def teach(self, lead: Callable[[], object] | None = None) -> Path:
+        """Record a demonstration under gravity compensation; the arm holds afterwards.
+
+        Args:
+            lead: Returns when the person has led the arm, such as `lambda: input("Enter")`; None
+                for the simulated demonstrator.
+
+        Returns:
+            Bag of the demonstration.
+
+        Raises:
+            ServiceError: A service refuses or does not answer.
+        """
+        self._calls.until(self._recorder_listens, f"{RECORDER} listens")
+        insist = self._calls.insist
+        insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        try:
+            if lead is None:
+                insist(Trigger, self._reset)
+            insist(SetBool, interface.RECORD, SetBool.Request(data=True))
+            try:
+                if lead is None:
+                    insist(Trigger, interface.DEMONSTRATE)
+                else:
+                    lead()
+            finally:
+                bag = insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text
+        finally:
+            insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+        return Path(bag)
+
+    def replay(self, bag: Path | str, speed: float = 1.0) -> str:
+        """Repeat a recorded movement and hold.
+
+        Args:
+            bag: A demonstration, or any bag with joint states of this arm.
+            speed: 1 for as recorded.
+
+        Returns:
+            Tracking error, as the controller reports it.
+
+        Raises:
+            ValueError: The bag or the speed is not acceptable.
+            ServiceError: The controller refuses, or the movement was not finished.
+        """
+        recorded = reader.read_demonstration(bag, self.joint_names, arm=self.arm.identity())
+        return self._follow(*replay_trajectory.movement(*recorded, speed)).text
+
+    def rollout(self, policy: Policy, ready: Ready = lambda state: "") -> Executed:
+        """Move to the start of a policy, execute it once and hold.
+
+        Args:
+            policy: Policy to execute.
+            ready: Says what is missing before it may begin, by the state of the tracked body;
+                `Task.ready` of a task does.
+
+        Returns:
+            Paths of tool and body, fault if any, bag, and ground truth of a simulation.
+
+        Raises:
+            RolloutError: It could not be begun, or its end did not come in time.
+        """
+        whole = policy.basis.duration + self._settle_time
+        with self._stopping():
+            return self._rollouts.execute(policy, whole, ready)
+
+    def stop(self) -> None:
+        """End any movement and hold. No safety function.
+
+        Raises:
+            ServiceError: The controller refuses or does not answer.
+        """
+        self._calls.insist(Trigger, interface.STOP)
+
+    def _follow(self, t: np.ndarray, q: np.ndarray) -> Answer:
+        """Go to the start of a movement (N,), (N, n), follow it and hold."""
+        self.stop()  # succeeds once the controller is active
+        heard = self._movements.get_subscription_count
+        if not self._calls.until(heard, f"reader of {interface.REPLAY_TRAJECTORY}", STATE_TIMEOUT):
+            raise ServiceError(f"nobody reads {interface.REPLAY_TRAJECTORY}")
+        self._movements.publish(movement_message(self.joint_names, JointMovement(t, q)))
+        # Topics and services are not ordered: asked earlier, it would repeat the movement before.
+        if not self._movements.wait_for_all_acked(Duration(seconds=STATE_TIMEOUT)):
+            raise ServiceError(f"a movement on {interface.REPLAY_TRAJECTORY} was not received")
+        with self._stopping():
+            answer = self._calls.call(Trigger, interface.REPLAY, timeout=MOVE_TIMEOUT)
+        if answer is None or answer.code is not Code.DONE:
+            raise ServiceError(f"{interface.REPLAY}: {answer or 'no answer'}")
+        return answer
+
+    @contextmanager
+    def _stopping(self) -> Iterator[None]:
+        """Stop the arm when what is done here is interrupted."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            self.stop()
+            raise
+
+    def _recorder_listens(self) -> bool:
+        infos = self._node.get_subscriptions_info_by_topic(self._state_topic)
+        return RECORDER in {info.node_name for info in infos}
+
+    def _on_state(self, message: JointState) -> None:
+        self._states = [message]
+
+    def _on_report(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.startswith(f"{CONTROLLER}:"):
+                values = {item.key: item.value for item in status.values}
+                self._mode, self._report = values.get("mode", ""), status.message
+
+
+@contextmanager
+def connect(*config: str) -> Iterator[Robot]:
+    """Arm whose nodes run in this DDS domain, under the set-ups they were started with.
+
+    Raises:
+        ValueError: A set-up is not known, or names no URDF.
+    """
+    setup = overlay.setup(config)
+    if not setup[CONTROLLER]["urdf"]:
+        raise ValueError(f"set-ups {list(config)} must name a urdf")
+    with participant(lambda: rclpy.create_node("robot"), SignalHandlerOptions.NO) as node:
+        yield Robot(node, setup)
+
+
+@contextmanager
+def simulated(folder: Path | str, task: str = "flip", seed: int = 0) -> Iterator[Robot]:
+    """Arm whose nodes and stand-ins are started here, in a DDS domain of their own.
+
+    Args:
+        folder: For bags and logs.
+        task: Task whose scene is simulated.
+        seed: Seed of the simulation.
+
+    Raises:
+        UsageError: Another launcher is at work in the folder, or its disk is nearly full.
+        ValueError: There is no such task.
+    """
+    options = argparse.Namespace(config=[], simulate=False)
+    folder, before = Path(folder).resolve(), dict(os.environ)
+    try:
+        with launcher.launch(options, folder, seed, task) as launched:
+            if launched.setup["pancake_tracker"]["body"]:
+                launched.node("pancake_tracker")
+            os.environ |= launcher.session_environment(folder)
+            with participant(lambda: rclpy.create_node("robot"), SignalHandlerOptions.NO) as node:
+                yield Robot(node, launched.setup)
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
