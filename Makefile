@@ -15,11 +15,11 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # A sourced ROS 2 Jazzy brings its own rclpy, NumPy 1 and Pinocchio; a plain machine gets everything from PyPI.
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_FLAGS := --system-site-packages
-EXTRAS := sim,view,cluster,test,browser,dev
+EXTRAS := sim,view,cluster,completion,test,browser,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
 else
 VENV_FLAGS :=
-EXTRAS := plain,sim,view,cluster,test,browser,dev
+EXTRAS := plain,sim,view,cluster,completion,test,browser,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 endif
 
@@ -44,16 +44,19 @@ $(READY): requirements.txt setup.py setup.cfg
 	@$(CONSTRAIN)
 	@echo 'Installing into $(VENV); once, in a minute or two.'
 	@$(BIN)/python -m pip install --quiet --upgrade pip  # an old pip takes minutes to resolve the versions
-	@$(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
 	@$(BIN)/python -c 'import mujoco, pinocchio, rclpy' || { \
 	    echo 'A system library is missing, see above. libgomp.so.1: apt install libgomp1'; exit 1; }
 	@touch $@
 
+# Ctrl-C is an end that was asked for: the shell waits for the command, and make reports no error.
+STOPPABLE = trap : INT; $(1) || [ $$? -eq 130 ]
+
 learn: $(READY)
-	$(BIN)/wam-power learn $(ARGS)
+	@$(call STOPPABLE,$(BIN)/wam-power learn $(ARGS))
 
 reproduce: $(READY)
-	$(BIN)/wam-power reproduce $(ARGS)
+	@$(call STOPPABLE,$(BIN)/wam-power reproduce $(ARGS))
 
 # In the order of test/conftest.py: the slow folders first.
 test: $(READY)

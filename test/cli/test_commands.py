@@ -3,18 +3,24 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from bag_samples import NAMES, QOS, START, joint_state
+from toss_task import demonstrated_policy
 
 from wam_power_ros import arm_identity
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
+from wam_power_ros.cli.commands import given_options
+from wam_power_ros.cli.launcher import as_called, called, learner_at_work
 from wam_power_ros.params import overlay
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import preset
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -57,6 +63,68 @@ def test_the_demonstrations_of_another_task_are_refused(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("task", ["flip", "reach"])
+def test_a_demonstration_is_known_by_what_it_notes_and_not_by_its_name(
+    task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    writer = BagWriter(tmp_path / "mine")
+    writer.event("start", "reach", START)
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
+    names = tuple(f"wam_j{joint}" for joint in range(1, 8))
+    writer.write("/joint_states", START, joint_state(START, names, np.zeros(7)))
+    writer.close({})
+    words = ["learn", "--task", task, "--bags", "mine", "none"]
+    assert main.main(words) == 2
+    wrong = "mine is a demonstration of reach" if task == "flip" else "none is not a bag"
+    assert wrong in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_feedback_without_a_learner_answers_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, folder = preset("flip"), tmp_path / "s"
+    with Session.begin(folder, settings, 5, [demonstrated_policy()]):
+        assert learner_at_work(folder)
+    monkeypatch.setattr("wam_power_ros.cli.commands.STAND_INS", None)  # nothing of DDS is reached
+    assert main.main(["feedback", "reward", "--session", str(folder)]) == 2
+    assert "no learner is at work" in capsys.readouterr().err
+
+
+def test_a_session_that_was_not_begun_is_resumed_with_all_it_was_asked_for() -> None:
+    words = ["--task", "reach", "--preset", "full", "--trials", "9", "--demonstrations", "2"]
+    options = main._parser().parse_args(["learn", *words, "--bags", "a b", "c"])
+    again = main._parser().parse_args(["learn", *given_options(options)])
+    for name in ("task", "preset", "trials", "demonstrations", "bags", "seed", "learner"):
+        assert getattr(again, name) == getattr(options, name)
+
+
+@pytest.mark.parametrize(
+    ("program", "printed"),
+    [
+        (".venv/bin/wam-power", ".venv/bin/wam-power"),
+        ("{here}/.venv/bin/wam-power", ".venv/bin/wam-power"),
+        ("{bin}/wam-power", "wam-power"),
+        ("/x/wam_power_ros/cli/__main__.py", "{python} -m wam_power_ros.cli"),
+    ],
+)
+def test_commands_are_printed_as_they_can_be_pasted(
+    program: str, printed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, path = tmp_path / "here", tmp_path / "bin"
+    for folder in (here / ".venv/bin", path):
+        folder.mkdir(parents=True)
+        (folder / "wam-power").write_text("")
+        (folder / "wam-power").chmod(0o755)
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("PATH", str(path))
+    monkeypatch.setattr(sys, "argv", [program.format(here=here, bin=path)])
+    expected = printed.format(python=sys.executable)
+    assert called() == expected
+    assert as_called("to recover it: wam-power recover x") == f"to recover it: {expected} recover x"
+
+
 @pytest.mark.parametrize("words", [["demonstration"], ["reward", "some_bag"]])
 def test_feedback_takes_a_bag_for_a_demonstration_alone(
     words: list[str], capsys: pytest.CaptureFixture[str]
@@ -91,6 +159,6 @@ def test_a_bag_of_another_arm_is_not_replayed(
     writer.write("/joint_states", START, joint_state(START, NAMES, np.zeros(3)))
     path = writer.close({"arm": arm_identity.to_json(theirs)})
     folder = tmp_path / "replay"
-    assert main.main(["replay", str(path), "--simulate", "--folder", str(folder)]) == 2
+    assert main.main(["replay", str(path), "--folder", str(folder)]) == 2
     assert "is of another arm: of cobot7" in capsys.readouterr().err
     assert not folder.exists()  # no node was started

@@ -58,7 +58,14 @@ def test_nodes_and_scripts_get_their_parameters_whatever_characters_are_in_them(
         launcher = Launcher(processes, overlay.setup(), file)
         node = launcher.node("demonstration_recorder", directory=odd, stem="")
         script = launcher.script(
-            "teach", demonstrations=0, series=odd, person=False, body="", state_topic="/states"
+            "teach",
+            demonstrations=0,
+            series=odd,
+            person=False,
+            review=False,
+            bell=False,
+            body="",
+            state_topic="/states",
         )
         assert node.process.wait(60.0) == script.process.wait(60.0) == 2
     assert "stem = " in node.log.read_text()

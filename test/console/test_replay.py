@@ -8,15 +8,20 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from conftest import Probe, Processes
+from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.cli import main
 from wam_power_ros.console.replay import with_possible_speed
 from wam_power_ros.params.resources import share
+from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,6 +71,35 @@ def test_what_is_no_bag_is_refused_before_anything_starts(
     assert main.main(["replay", str(REACH), "--speed", "0", "--folder", str(tmp_path / "r")]) == 2
     assert "speed 0.0 must be positive" in capsys.readouterr().err
     assert not (tmp_path / "r").exists()
+
+
+@pytest.mark.parametrize(
+    ("code", "kept"), [(Code.TOO_FAST, False), (Code.REFUSED, False), (Code.FAULT, True)]
+)
+def test_a_replay_that_is_refused_leaves_no_bag(
+    probe: Probe, processes: Processes, tmp_path: Path, code: Code, kept: bool
+) -> None:
+    made = tmp_path / "replay_1"
+
+    def answer(text: str, code: Code = Code.DONE) -> Callable[..., Any]:
+        def respond(_: object, response: Trigger.Response) -> Trigger.Response:
+            made.mkdir(exist_ok=True)
+            values = {"speed": "0.5"} if code is Code.TOO_FAST else {}
+            found = Answer(code, text, values)
+            response.success, response.message = found.success, str(found)
+            return response
+
+        return respond
+
+    probe.node.create_service(Trigger, interface.STOP, answer(""))
+    probe.node.create_service(Trigger, interface.REPLAY, answer("no", code))
+    probe.node.create_service(SetBool, interface.RECORD, answer(str(made)))
+    given = {"bag": REACH, "speed": 1.0, "person": False, "arm": "''", "joint_names": NAMES}
+    script = processes.node("wam_power_ros.console.replay", **given)
+    probe.until(lambda: script.poll() is not None, "the end")
+    assert script.returncode == 1, processes.output(script)
+    assert made.exists() == kept
+    assert ("nothing was recorded" in processes.output(script)) != kept
 
 
 def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(

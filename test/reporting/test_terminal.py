@@ -27,11 +27,57 @@ def test_terms_and_outcomes_are_those_of_the_task(practice: Practice) -> None:
     table = terminal.rollout_table(practice.records, lambda record: f"outcome {record.number}")
     terms = list(practice.records[0].terms)
     assert [column.header for column in table.columns] == [
-        *("rollout", "kind", "return"),
+        *("#", "kind", "return"),
         *terms,
         *("best", "outcome"),
     ]
     assert [str(cell) for cell in table.columns[-1].cells] == [f"outcome {n}" for n in range(1, 7)]
+
+
+@pytest.mark.parametrize("width", [80, 100, 160])
+def test_no_head_and_no_outcome_is_cut_at_any_width(practice: Practice, width: int) -> None:
+    text, terms = io.StringIO(), dict.fromkeys(("rotation", "altitude", "landing", "caught"), 0.25)
+    records = [record.model_copy(update={"terms": terms}) for record in practice.records]
+    table = terminal.rollout_table(records, lambda record: "a pancake on the floor", width=width)
+    Console(file=text, width=width).print(table)
+    assert "…" not in text.getvalue()
+    head, *rows = text.getvalue().splitlines()
+    assert {"#", "kind", "return", "best", "outcome"} <= set(head.split())
+    assert len(rows) == len(practice.records)
+    for record, row in zip(practice.records, rows, strict=True):
+        assert "a pancake on the floor" in row and f"{record.ret:.3f}" in row
+    assert ("caught" in head.split()) == (width > 80)  # terms are left out where there is no room
+
+
+def test_the_budget_is_not_known_before_the_session_is(practice: Practice) -> None:
+    text = io.StringIO()
+    with terminal.Display(Console(file=text, width=80, force_terminal=True)) as display:
+        display.say("torque_controller: waiting for joint states", trouble=False)
+    shown = text.getvalue()
+    assert "of at most" not in shown
+    assert "waiting for joint states" in shown
+
+
+def test_trouble_is_printed_and_stays(practice: Practice) -> None:
+    text = io.StringIO()
+    with terminal.Display(Console(file=text, width=80)) as display:
+        display.say("torque_controller: mode hold", trouble=False)
+        display.say("torque_controller: fault (jump): joint 3", trouble=True)
+    assert text.getvalue() == "torque_controller: fault (jump): joint 3\n"
+
+
+def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
+    text = io.StringIO()
+    with terminal.Display(Console(file=text, width=80)) as display:
+        display.say("learner: waiting: the pancake is ready", trouble=False)
+        for now in (0.0, 4.0, 5.5, 6.0, 11.0):
+            display.tick(now)
+        assert [line.split()[1] for line in text.getvalue().splitlines()] == ["6", "11"]
+        assert "the pancake is ready" in text.getvalue()
+        display.show(practice.log[:1], 6, practice.task.outcome)
+        display.tick(12.0)
+        display.tick(16.0)
+    assert len(text.getvalue().splitlines()) == 3  # the rollout was a sign of life itself
 
 
 def test_a_line_has_number_return_terms_and_outcome(practice: Practice) -> None:

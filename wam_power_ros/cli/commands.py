@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shlex
 import signal
@@ -19,16 +18,22 @@ from wam_power_ros.cli.keys import Keys
 from wam_power_ros.cli.launcher import (
     Launcher,
     UsageError,
+    arm_of,
+    called,
     interrupt,
     launch,
+    learner_at_work,
     now,
     session_environment,
     setup_options,
     short_path,
     simulated,
     task_setup,
+    task_stems,
 )
+from wam_power_ros.cli.node_log import TROUBLE, NodeLogs, telling
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
+from wam_power_ros.console import prompt
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
@@ -37,23 +42,38 @@ if TYPE_CHECKING:
 SESSIONS = Path("sessions")
 REPLAYS = Path("replays")
 TASK = "flip"  # the default
+INTERRUPTED = 130  # exit status
 
 
 # On the arm or its stand-in
 
 
-def teach(options: argparse.Namespace) -> None:
-    """Record a series of demonstrations."""
+def teach(options: argparse.Namespace) -> int:
+    """Record a series of demonstrations, added to those of the folder."""
+    from wam_power_ros.bags import series
     from wam_power_ros.practice import plugins
 
     task = options.task or TASK
     plugins.task_type(task)  # refuses an unknown name before anything starts
     folder = (options.folder or Path("demonstrations") / now()).resolve()
-    with launch(options, folder, options.seed or 0, task) as launcher:
-        bags = _record_demonstrations(launcher, folder, options)
-    again = ["--task", task] if options.task else []
-    words = ["wam-power", "learn", "--bags", *map(str, map(short_path, bags)), *again]
-    print(f"To learn from them:\n  {shlex.join([*words, *setup_options(options)])}")
+    file = folder / series.FILE
+    before = len(series.read(file))
+    if before:
+        print(f"{short_path(folder)} has {before} demonstrations; these are added to them.")
+    seed = before if options.seed is None else options.seed  # other movements than those before
+    status = 0
+    try:
+        with launch(options, folder, seed, task) as launcher:
+            count, review = options.demonstrations, sys.stdin.isatty()
+            _teach(launcher, file, count, options, review)
+    except KeyboardInterrupt:
+        status = INTERRUPTED
+        print("\nStopped.")
+    if bags := series.read(file):
+        of_task = ["--task", task] if options.task else []
+        words = ["learn", "--bags", *map(str, map(short_path, bags)), *of_task]
+        _paste(f"To learn from these {len(bags)}:", [*words, *setup_options(options)])
+    return status
 
 
 def learn(options: argparse.Namespace) -> int:
@@ -72,8 +92,13 @@ def learn(options: argparse.Namespace) -> int:
         check_names(task, options)
         print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
-    words = ["wam-power", "learn", "--session", str(short_path(folder)), *setup_options(options)]
-    again = shlex.join(words)
+
+    def to_resume(text: str) -> None:
+        words = ["learn", "--session", str(short_path(folder))]
+        if not session.Session.exists(folder):  # nothing is on disk yet of what was asked for
+            words += given_options(options)
+        _paste(f"{text} To resume:", [*words, *setup_options(options)])
+
     try:
         with launch(options, folder, seed, task) as launcher:
             if launcher.setup["pancake_tracker"]["body"]:
@@ -90,15 +115,29 @@ def learn(options: argparse.Namespace) -> int:
                 demonstrations=[str(bag) for bag in bags] or [""],
                 **{name: value for name, value in given.items() if value},
             )
-            practised = _follow(folder, launcher.processes, learner)
+            practised = _follow(folder, launcher.processes, learner, options.bell)
     except KeyboardInterrupt:
-        print(f"\nStopped. The session is in {short_path(folder)}. To resume:\n  {again}")
-        return 130
+        to_resume(f"\nStopped. The session is in {short_path(folder)}.")
+        return INTERRUPTED
     except ProcessError:
-        print(f"\nThe session is in {short_path(folder)}. To resume:\n  {again}")
+        to_resume(f"\nThe session is in {short_path(folder)}.")
         raise
     print(terminal.summary(practised, session.read_task(folder)))
     return report(argparse.Namespace(session=folder))
+
+
+def _paste(text: str, words: Sequence[str]) -> None:
+    """Print a command that can be pasted, below what it is for."""
+    print(f"{text}\n  {called()} {shlex.join(words)}")
+
+
+def given_options(options: argparse.Namespace) -> list[str]:
+    """Command-line words of what a new session was asked for."""
+    words = []
+    for name in ("task", "learner", "preset", "trials", "seed", "demonstrations"):
+        value = getattr(options, name)
+        words += [] if value is None else [f"--{name}", str(value)]
+    return [*words, "--bags", *map(str, options.bags)] if options.bags else words
 
 
 def replay(options: argparse.Namespace) -> int:
@@ -106,15 +145,9 @@ def replay(options: argparse.Namespace) -> int:
     from wam_power_ros import arm_identity
     from wam_power_ros.bags import reader
     from wam_power_ros.control import replay_trajectory
-    from wam_power_ros.control.arm import Arm
-    from wam_power_ros.params.resources import share
 
-    controller = overlay.setup(options.config, options.simulate)["torque_controller"]
-    names, identity = controller["joint_names"], None
-    if controller["urdf"]:
-        urdf = share(controller["urdf"]).read_text()
-        model = Arm(urdf, controller["model_joint_names"], controller["tool_frame"], guarded=())
-        identity = model.identity()
+    names, arm = arm_of(overlay.setup(options.config, options.simulate))
+    identity = arm and arm.identity()
     recorded = reader.read_demonstration(options.bag, names, arm=identity)
     replay_trajectory.movement(*recorded, options.speed)
     folder = (options.folder or REPLAYS / now()).resolve()
@@ -146,31 +179,54 @@ def enable(_: argparse.Namespace) -> int:
 def _record_demonstrations(
     launcher: Launcher, folder: Path, options: argparse.Namespace
 ) -> list[Path]:
-    """Bags of the series of this folder, which is recorded now unless it is complete."""
-    series = folder / "demonstrations.json"
-    if not series.exists():
+    """Bags of the series of a session, completed now if need be.
+
+    A person goes on where a series was interrupted. The simulated demonstrator begins it again: its
+    movements depend on the seed and on their number since the stand-in was started.
+    """
+    from wam_power_ros.bags import series
+
+    file, wanted = folder / series.FILE, options.demonstrations
+    recorded = series.read(file)
+    if len(recorded) < wanted:
         person = not simulated(options)
-        teacher = "a person" if person else "the simulated demonstrator"
-        print(f"Teaching: {options.demonstrations} demonstrations by {teacher}")
-        teaching = launcher.script(
-            "teach",
-            demonstrations=options.demonstrations,
-            series=str(series),
-            person=person,
-            body=launcher.setup["pancake_tracker"]["body"],
-            state_topic=launcher.setup["torque_controller"]["state_topic"],
-        )
-        launcher.processes.finish(teaching)
-    return [Path(bag) for bag in json.loads(series.read_text())]
+        if recorded and not person:
+            for bag in filter(Path.is_dir, recorded):
+                series.discard(bag)
+            recorded = []
+            series.write(file, recorded)
+        missing = wanted - len(recorded)
+        _teach(launcher, file, missing, options, review=person and sys.stdin.isatty())
+    return series.read(file)
 
 
-def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Record]:
+def _teach(
+    launcher: Launcher, file: Path, count: int, options: argparse.Namespace, review: bool
+) -> None:
+    """Record demonstrations and add them to a series."""
+    person = not simulated(options)
+    teacher = "a person" if person else "the simulated demonstrator"
+    print(f"Teaching: {count} demonstrations by {teacher}")
+    teaching = launcher.script(
+        "teach",
+        demonstrations=count,
+        series=str(file),
+        person=person,
+        review=review,
+        bell=options.bell,
+        body=launcher.setup["pancake_tracker"]["body"],
+        state_topic=launcher.setup["torque_controller"]["state_topic"],
+    )
+    launcher.processes.finish(teaching)
+
+
+def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) -> Sequence[Record]:
     """Show the session until the learner has ended it; returns its records."""
     from wam_power_ros.practice import session
     from wam_power_ros.practice.session_log import with_ratings
     from wam_power_ros.reporting import terminal
 
-    path = folder / "rollouts.jsonl"
+    path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     log: Sequence[Line] = ()
     seen = 0
     over = False
@@ -185,6 +241,10 @@ def _follow(folder: Path, processes: Processes, learner: Running) -> Sequence[Re
                 settings, log = session.read(folder)[0].settings.practice, session.read_log(folder)
                 outcome = session.read_task(folder).outcome
                 display.show(log, settings.budget + settings.retests, outcome)
+            for said in logs.new():
+                display.say(said.text, said.severity in TROUBLE)
+                prompt.ring(bell and said.severity == "ERROR")
+            display.tick(time.monotonic())
             time.sleep(0.2)
     return with_ratings(log)
 
@@ -196,7 +256,10 @@ def feedback(options: argparse.Namespace) -> int:
     """Give a person's feedback to the learner of a running session."""
     if (options.kind == "demonstration") != (options.bag is not None):
         raise UsageError("a bag is needed for a demonstration, and only for that")
-    os.environ |= session_environment(existing_session(options.session))
+    folder = existing_session(options.session)
+    if not learner_at_work(folder):
+        raise UsageError(f"no learner is at work in {short_path(folder)}")
+    os.environ |= session_environment(folder)
     from wam_power_ros.console.feedback import give
 
     accepted, answer = give(options.kind, options.bag)
@@ -211,10 +274,11 @@ def report(options: argparse.Namespace) -> int:
 
     folder = options.session
     _, _, records = session.read(folder)
-    if any(record.truth for record in records):
-        _report_with_film(folder)
-    else:
-        session_report.write(folder)
+    with telling("writing the report"):
+        if any(record.truth for record in records):
+            _report_with_film(folder)
+        else:
+            session_report.write(folder)
     print(f"Report: {short_path(folder.resolve() / 'report.html')}")
     return 0
 
@@ -243,9 +307,10 @@ def check_names(task: str, options: argparse.Namespace) -> None:
     """Refuse what is unknown or belongs to another task before anything starts.
 
     Raises:
-        ValueError: When task, learner or preset is not known; lists the known names.
-        UsageError: When a bag is a demonstration of another task, by its name, or the budget leaves
-            nothing to practise.
+        ValueError: When task, learner or preset is not known; lists the known names. When a bag is
+            none, or not of this arm.
+        UsageError: When a bag is a demonstration of another task, or the budget leaves nothing to
+            practise.
     """
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.settings import preset
@@ -262,12 +327,19 @@ def check_names(task: str, options: argparse.Namespace) -> None:
             f"a budget of {budget} rollouts leaves none to practise after "
             f"{reproductions} reproductions of demonstrations; raise --trials"
         )
-    tasks: dict[str, set[str]] = {}
-    for name in plugins.names(plugins.TASKS):
-        recorder = overlay.setup(task=task_setup(name))["demonstration_recorder"]
-        tasks.setdefault(recorder["stem"], set()).add(name)
-    for bag in options.bags or []:
-        of_bag = tasks.get(bag.name.partition("_")[0], {task})
+    if options.bags:
+        _check_bags(task, options)
+
+
+def _check_bags(task: str, options: argparse.Namespace) -> None:
+    """Refuse bags that cannot be read as demonstrations of a task by this arm."""
+    from wam_power_ros.bags import reader, takes
+
+    names, arm = arm_of(overlay.setup(options.config, options.simulate, task_setup(task)))
+    tasks = task_stems()
+    for bag in options.bags:
+        reader.read_demonstration(bag, names, arm=arm and arm.identity())
+        of_bag = tasks.get(takes.kind_of(bag), {task})
         if task not in of_bag:
             raise UsageError(f"{bag} is a demonstration of {', '.join(of_bag)}, not of {task}")
 
@@ -329,14 +401,6 @@ def play(options: argparse.Namespace) -> None:
     play_bag.play(options.bag, options.rate, options.topics, options.wait)
 
 
-def recover(options: argparse.Namespace) -> None:
-    """Recover damaged bags."""
-    from wam_power_ros.bags.recovery import recover
-
-    for bag in options.bag:
-        print(recover(bag))
-
-
 def reproduce(options: argparse.Namespace) -> int:
     """Run the studies of the paper and write their report."""
     # One thread a process: with more, sums are ordered otherwise and last digits move. To be set
@@ -355,9 +419,9 @@ def reproduce(options: argparse.Namespace) -> int:
             options.only or reproduce.STUDIES,
         )
     except KeyboardInterrupt:
-        again = shlex.join(sys.argv[1:] if sys.argv[1:2] == ["reproduce"] else ["reproduce"])
-        print(f"\nStopped. Finished results are in {folder}. To resume:\n  wam-power {again}")
-        return 130
+        again = sys.argv[1:] if sys.argv[1:2] == ["reproduce"] else ["reproduce"]
+        _paste(f"\nStopped. Finished results are in {folder}. To resume:", again)
+        return INTERRUPTED
     except jobs.JobError as error:
         print(f"wam-power: {error}Finished results are in {folder}.", file=sys.stderr)
         return 1

@@ -7,6 +7,8 @@ import argparse
 import fcntl
 import json
 import os
+import re
+import shlex
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
@@ -15,11 +17,15 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params import overlay
 from wam_power_ros.ros.domain import exported, hold, private_domain
+
+if TYPE_CHECKING:
+    from wam_power_ros.control.arm import Arm
 
 DOMAIN = "ros_domain_id"  # file in a session's logs/ that holds the domain of its simulated nodes
 MEGABYTE = 1e6
@@ -136,6 +142,16 @@ def held(folder: Path) -> Iterator[None]:
         yield
 
 
+def learner_at_work(folder: Path) -> bool:
+    """Whether a learner holds a session folder."""
+    with (folder / ".lock").open("a") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
 def check_space(folder: Path, needed: float) -> None:
     """Check that a disk has room for the first recording, before a person teaches.
 
@@ -187,6 +203,17 @@ def task_setup(task: str) -> str:
     return str(beside) if beside.is_file() else task
 
 
+def task_stems() -> dict[str, set[str]]:
+    """Stem of the names of demonstrations -> tasks that they are of."""
+    from wam_power_ros.practice import plugins
+
+    tasks: dict[str, set[str]] = {}
+    for name in plugins.names(plugins.TASKS):
+        recorder = overlay.setup(task=task_setup(name))["demonstration_recorder"]
+        tasks.setdefault(recorder["stem"], set()).add(name)
+    return tasks
+
+
 def _enclave(name: str) -> list[str]:
     """ROS arguments that name the enclave of a node, where security is enabled."""
     secure = os.environ.get("ROS_SECURITY_ENABLE") == "true"
@@ -211,6 +238,35 @@ def _confirm_activation() -> None:
         "Keep a hand on the pendant, then press Enter: "
     ):
         raise UsageError("no answer: standard input is closed")
+
+
+def arm_of(setup: overlay.Setup) -> tuple[list[str], Arm | None]:
+    """Joint names of the driver of a set-up, and model of its arm; None without a URDF file."""
+    from wam_power_ros.control.arm import Arm
+    from wam_power_ros.params.resources import share
+
+    controller = setup["torque_controller"]
+    if not controller["urdf"]:
+        return controller["joint_names"], None
+    urdf = share(controller["urdf"]).read_text()
+    names, tool = controller["model_joint_names"], controller["tool_frame"]
+    return controller["joint_names"], Arm(urdf, names, tool, guarded=())
+
+
+def called() -> str:
+    """How this command line was called, to be typed again: such as .venv/bin/wam-power."""
+    program = Path(sys.argv[0])
+    if program.name == "__main__.py":
+        return f"{shlex.quote(str(short_path(Path(sys.executable))))} -m wam_power_ros.cli"
+    found = shutil.which(program.name)
+    if found and program.exists() and Path(found).samefile(program):
+        return program.name
+    return shlex.quote(str(short_path(program)))
+
+
+def as_called(text: str) -> str:
+    """Text whose `wam-power COMMAND` can be pasted into this terminal."""
+    return re.sub(r"\bwam-power (?=[a-z]+ )", lambda _: f"{called()} ", text)
 
 
 def now() -> str:

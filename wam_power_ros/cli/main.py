@@ -8,6 +8,7 @@ process opens no socket and imports no rclpy before a command needs it.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import os
 import sys
@@ -15,8 +16,10 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 
-from wam_power_ros.cli import commands
-from wam_power_ros.cli.launcher import UsageError
+from wam_power_ros import __version__
+from wam_power_ros.cli import bags_command, commands, score_command
+from wam_power_ros.cli.launcher import UsageError, as_called
+from wam_power_ros.cli.parser import Parser, natural, positive
 from wam_power_ros.cli.processes import ProcessError
 from wam_power_ros.params import overlay
 
@@ -31,11 +34,21 @@ NODES = {  # executable -> entry point, as setup.py declares them
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `wam-power`; returns the exit status."""
     _write_what_can_be_written()
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    with contextlib.suppress(ImportError):  # the extra "completion"
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    options = parser.parse_args(arguments)
     try:
+        if getattr(options, "simulate", False) and not options.config:
+            raise UsageError(
+                "--simulate puts stand-ins in the place of the devices of --config NAME; without "
+                "--config everything is simulated already"
+            )
         return int(options.command(options) or 0)
     except (UsageError, ProcessError, OSError, ValueError) as error:
-        print(f"{COMMAND_LINE}: {error}", file=sys.stderr)
+        print(f"{COMMAND_LINE}: {as_called(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
@@ -51,9 +64,10 @@ def _write_what_can_be_written() -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=COMMAND_LINE, description="Teach a robot arm by hand; let it improve by practising."
     )
+    parser.add_argument("--version", action="version", version=f"wam_power_ros {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def add(name: str, command: Callable, text: str, more: str = "") -> argparse.ArgumentParser:
@@ -73,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
         "--learner", metavar="NAME", help=f"one of {learners} (default: the preset's)"
     )
     learn.add_argument("--preset", metavar="NAME", help="settings of the task (default: its first)")
-    learn.add_argument("--trials", type=_natural, help="budget of rollouts (default: the preset's)")
+    learn.add_argument("--trials", type=positive, help="budget of rollouts (default: the preset's)")
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
     learn.add_argument(
         "--resume", action="store_true", help="resume; without --session the newest session"
@@ -141,7 +155,7 @@ def _parser() -> argparse.ArgumentParser:
         help="that the page is served at (default 127.0.0.1: this machine only). At any other, "
         "everyone who reaches it can press the buttons",
     )
-    viewed.add_argument("--port", type=_natural, default=8080, help="or the next free one (8080)")
+    viewed.add_argument("--port", type=natural, default=8080, help="or the next free one (8080)")
 
     report = add("report", commands.report, "write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
@@ -172,9 +186,12 @@ def _parser() -> argparse.ArgumentParser:
         help="longest wait for a subscriber of every topic before it begins [s] (default 0)",
     )
 
+    bags_command.add_to(subparsers)
+    score_command.add_to(subparsers)
+
     recover = add(
         "recover",
-        commands.recover,
+        bags_command.recover,
         "make a readable bag of one that a kill, a full disk or an incomplete copy has damaged",
     )
     recover.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
@@ -195,7 +212,7 @@ def _parser() -> argparse.ArgumentParser:
         "--folder", type=Path, help="for results and report (default: reproduction)"
     )
     reproduce.add_argument(
-        "--jobs", type=_natural, default=os.cpu_count(), help="processes (default: one per core)"
+        "--jobs", type=positive, default=os.cpu_count(), help="processes (default: one per core)"
     )
     reproduce.add_argument(
         "--quick", action="store_true", help="a few seeds, to see that it works (minutes)"
@@ -237,12 +254,15 @@ def _task_option(parser: argparse.ArgumentParser) -> None:
 def _skill_options(parser: argparse.ArgumentParser) -> None:
     _task_option(parser)
     parser.add_argument(
-        "--demonstrations", type=_natural, default=3, help="number to record (default 3)"
+        "--demonstrations", type=positive, default=3, help="number to record (default 3)"
     )
-    parser.add_argument("--seed", type=_natural, help="seed of exploration and simulation (0)")
+    parser.add_argument("--seed", type=natural, help="seed of exploration and simulation (0)")
 
 
 def _arm_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--bell", action="store_true", help="ring the terminal's bell at start, end and fault"
+    )
     parser.add_argument(
         "--config",
         action="append",
@@ -257,13 +277,6 @@ def _arm_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="with --config: stand-ins of the same shape take the place of the devices",
     )
-
-
-def _natural(text: str) -> int:
-    value = int(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{value} is negative")
-    return value
 
 
 def _run(options: argparse.Namespace) -> int:

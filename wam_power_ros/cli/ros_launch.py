@@ -70,6 +70,8 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
     from wam_power_ros.practice import session as sessions
 
     bags = [Path(bag).expanduser().resolve() for bag in given["demonstrations"].split()]
+    names = given["config"].split()
+    simulated = stand_ins and (bool(names) or given["pace"] == "real_time")
     session, task, seed = None, given["task"] or TASK, int(given["seed"] or 0)
     learner: dict[str, object] = {"session": ""}
     if given["session"]:
@@ -83,6 +85,8 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
             trials=int(given["trials"]) if given["trials"] else None,
             bags=bags,
             demonstrations=0,
+            config=names,
+            simulate=simulated,
         )
         session = session_folder(options)
         if sessions.Session.exists(session):
@@ -98,8 +102,6 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
             "preset": given["preset"],
             "trials": options.trials or 0,
         }
-    names = given["config"].split()
-    simulated = stand_ins and (bool(names) or given["pace"] == "real_time")
     setup = overlay.setup(names, simulated, task_setup(task))
     setup["learner"] |= {**learner, "task": task}
     if session is not None:

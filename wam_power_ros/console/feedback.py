@@ -17,9 +17,9 @@ from wam_power_ros.console.prompt import show
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code
 from wam_power_ros.ros.node_runner import participant, run_script
-from wam_power_ros.ros.service_client import TIMEOUT, ServiceClient, ServiceError
+from wam_power_ros.ros.service_client import LOG_AFTER, TIMEOUT, ServiceClient, ServiceError
 
-APPEAR_TIMEOUT = 10.0  # of a service, when a key asks for it [s of wall time]
+APPEAR_TIMEOUT = 10.0  # of a service of the learner [s of wall time]
 REQUESTS = {
     "reward": (interface.LEARNER_REWARD, Trigger, Trigger.Request()),
     "punish": (interface.LEARNER_PUNISH, Trigger, Trigger.Request()),
@@ -41,7 +41,8 @@ def give(kind: str, bag: Path | None = None) -> tuple[bool, str]:
     """
     try:
         with participant(lambda: rclpy.create_node("feedback"), SignalHandlerOptions.NO) as node:
-            return _call(ServiceClient(node), node, kind, bag)
+            calls = ServiceClient(node, None, APPEAR_TIMEOUT, LOG_AFTER)
+            return _call(calls, node, kind, bag)
     except ServiceError as error:
         return False, f"{error}; is there a learner with the same ROS_DOMAIN_ID?"
 

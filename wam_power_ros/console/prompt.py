@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 
 
 def show(text: str) -> None:
@@ -17,3 +18,30 @@ def ask(text: str) -> bool:
     sys.stderr.write(text)
     sys.stderr.flush()
     return bool(sys.stdin.readline())
+
+
+def choose(otherwise: str, keys: Mapping[str, str]) -> str:
+    """Ask for a key and Enter, or Enter alone.
+
+    Args:
+        otherwise: What Enter alone stands for, and a standard input that is closed.
+        keys: Key -> what it stands for.
+    """
+    listed = ", ".join(f"{key}: {word}" for key, word in keys.items())
+    while True:
+        sys.stderr.write(f"Enter: {otherwise}, {listed} > ")
+        sys.stderr.flush()
+        said = sys.stdin.readline().strip().lower()
+        if not said:
+            return otherwise
+        if said in keys.values():
+            return said
+        if said in keys:
+            return keys[said]
+
+
+def ring(wanted: bool = True) -> None:
+    """Ring the bell of the terminal."""
+    if wanted:
+        sys.stderr.write("\a")
+        sys.stderr.flush()

@@ -7,6 +7,7 @@ computes the tracking error.
 
 from __future__ import annotations
 
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -26,9 +27,10 @@ from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.node_runner import run_script
-from wam_power_ros.ros.service_client import ServiceClient, ServiceError
+from wam_power_ros.ros.service_client import LOG_AFTER, ServiceClient, ServiceError
 
 STOPPED = 130  # exit status
+NOT_BEGUN = (Code.REFUSED, Code.TOO_FAST, Code.NOT_ACTIVE, Code.BUSY)  # answers before any movement
 REPLAY_TIMEOUT = 3600.0  # [s of wall time]
 SETTLE_TIME = 1.0  # [s of wall time] in which a stopped arm comes to rest, still recorded
 
@@ -68,7 +70,7 @@ class Replay(Node):
         self._movements = self.create_publisher(
             JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED
         )
-        self._calls = ServiceClient(self)
+        self._calls = ServiceClient(self, log_period=LOG_AFTER)
         self._signals: list[int] = []
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda received, _: self._signals.append(received))
@@ -93,7 +95,11 @@ class Replay(Node):
         finally:
             path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text
         show(with_possible_speed(answer, self._params.speed))
-        show(f"recorded: {path}")
+        if answer.code in NOT_BEGUN:
+            shutil.rmtree(path)
+            show("The arm has not moved; nothing was recorded.")
+        else:
+            show(f"recorded: {path}")
         if self._signals:
             show("Stopped: the arm holds.")
         self._signals.clear()
@@ -107,7 +113,8 @@ class Replay(Node):
         calls = self._calls
         while True:
             future = calls.begin(Trigger, interface.REPLAY)
-            calls.until(lambda f=future: f.done() or self._signals, timeout=REPLAY_TIMEOUT)
+            over = lambda f=future: f.done() or self._signals  # noqa: E731
+            calls.until(over, "the end of the replay", REPLAY_TIMEOUT)
             if not future.done():
                 self._stop(future)
             answer = calls.answer(future)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record a series of kinesthetic demonstrations under gravity compensation.
 
-The teacher is a person, who presses Enter, or the demonstrator of the stand-in. When the series is
-complete, the paths of its bags are written as a JSON list.
+The teacher is a person, who presses Enter, or the demonstrator of the stand-in. The list of bags is
+written again after every take, and a take is added to what is there. Where takes are reviewed, a
+person may have each of them done again or discarded, or end the series with it.
 """
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from pathlib import Path
@@ -16,13 +16,16 @@ from pydantic import Field
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros.console.prompt import ask, show
+from wam_power_ros.bags import series
+from wam_power_ros.console.prompt import ask, choose, ring, show
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import run_script
-from wam_power_ros.ros.service_client import TIMEOUT, ServiceClient, ServiceError
+from wam_power_ros.ros.service_client import LOG_AFTER, TIMEOUT, ServiceClient, ServiceError
 
 RECORDER = "demonstration_recorder"
+KEEP, AGAIN, DISCARD, DONE = "keep", "again", "discard", "done"
+KEYS = {"a": AGAIN, "d": DISCARD, "q": DONE}
 
 
 class TeachParams(Params):
@@ -30,8 +33,10 @@ class TeachParams(Params):
 
     Attributes:
         demonstrations: Number of demonstrations to record.
-        series: File to which the list of bags is written.
+        series: File with the list of bags, to which they are added.
         person: Whether a person leads the arm; otherwise the demonstrator of the stand-in does.
+        review: Whether a person is asked after each take if it is to be kept.
+        bell: Whether the terminal's bell rings when a recording begins and ends.
         body: Name of the tracked body; empty for none.
         state_topic: Topic of the joint states, to which the recorder subscribes.
     """
@@ -39,6 +44,8 @@ class TeachParams(Params):
     demonstrations: int = Field(ge=1, le=100, description="a person's patience")
     series: str
     person: bool
+    review: bool
+    bell: bool
     body: str
     state_topic: str
 
@@ -49,7 +56,7 @@ class Teach(Node):
     def __init__(self) -> None:
         super().__init__("teaching", automatically_declare_parameters_from_overrides=True)
         self._params = TeachParams.of(self)
-        self._calls = ServiceClient(self)
+        self._calls = ServiceClient(self, log_period=LOG_AFTER)
 
     def run(self) -> None:
         """Record the series; the arm holds its position afterwards.
@@ -61,21 +68,37 @@ class Teach(Node):
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
         if not params.person:  # a person takes longer than any node does
             self._wait_for_recorder()
-        bags = []
-        for number in range(1, params.demonstrations + 1):
-            if params.person:
-                self._ask(f"demonstration {number}: press Enter, then lead the arm ")
-            else:  # arm and body back to the start
-                insist(Trigger, interface.body_topic(params.body, "reset"))
-            insist(SetBool, interface.RECORD, SetBool.Request(data=True))
-            if params.person:
-                self._ask("press Enter when the movement is over ")
-            else:
-                insist(Trigger, interface.DEMONSTRATE)
-            bags.append(insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text)
-            show(f"  {number} of {params.demonstrations}: {bags[-1]}")
+        file = Path(params.series)
+        bags, number, wanted = series.read(file), 1, params.demonstrations
+        while number <= wanted:
+            bag = self._take(number)
+            bags.append(bag)
+            series.write(file, bags)  # from now on an interruption leaves it in the series
+            show(f"  {number} of {wanted}: {bag}")
+            choice = choose(KEEP, KEYS) if params.review else KEEP
+            if choice in (AGAIN, DISCARD):
+                bags.pop()
+                show(f"  discarded, kept in {series.discard(bag)}")
+            wanted = {DONE: number, DISCARD: wanted - 1}.get(choice, wanted)
+            number += choice in (KEEP, DONE)
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
-        Path(params.series).write_text(json.dumps(bags))
+
+    def _take(self, number: int) -> Path:
+        """Record one demonstration; returns its bag."""
+        params, insist = self._params, self._calls.insist
+        if params.person:
+            self._ask(f"demonstration {number}: press Enter, then lead the arm ")
+        else:  # arm and body back to the start
+            insist(Trigger, interface.body_topic(params.body, "reset"))
+        insist(SetBool, interface.RECORD, SetBool.Request(data=True))
+        ring(params.bell)
+        if params.person:
+            self._ask("press Enter when the movement is over ")
+        else:
+            insist(Trigger, interface.DEMONSTRATE)
+        bag = Path(insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text)
+        ring(params.bell)
+        return bag
 
     def _wait_for_recorder(self) -> None:
         """Wait until the recorder is subscribed: it offers its service earlier than that."""

@@ -24,6 +24,7 @@ import importlib.metadata
 import importlib.resources
 import inspect
 import json
+import math
 import os
 import platform
 import re
@@ -54,6 +55,10 @@ from wam_power_ros.params.resources import share
 
 PACKAGES = ("wam_power_ros", "hardware_sim")
 NOT_HASHED = (  # sources without influence on a result; the studies run without ROS
+    "wam_power_ros/bags/editing.py",
+    "wam_power_ros/bags/quality.py",
+    "wam_power_ros/bags/series.py",
+    "wam_power_ros/bags/takes.py",
     "wam_power_ros/cli",
     "wam_power_ros/conformance",
     "wam_power_ros/console",
@@ -71,6 +76,7 @@ DATA = ("config", "urdf", "bags")
 LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # another version may move last digits
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 CLUSTER_TIMEOUT = 120.0  # [s]
+SPEED_PERIOD = 3600.0  # [s] of runs from which the time left is estimated; one takes a minute
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
 # What a worker returns: the job, its result as JSON text or the traceback, its times [s] and host.
 _Computed = tuple["Job", str, str, dict[str, Any]]
@@ -156,12 +162,20 @@ def run(
     if results:
         console.print(f"{len(results)} of {len(jobs)} results are there already.")
     missing = [job for job in jobs if job.name not in results]
-    left = Counter(job.study for job in missing)
+    left, begun = Counter(job.study for job in missing), time.monotonic()
+    if missing:
+        console.print(f"{len(missing)} runs to compute, with {workers} processes.", highlight=False)
     failed: list[str] = []
     bar = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn())
     remaining = (TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}"))
     with (
-        Progress(*bar, *remaining, console=console, disable=not console.is_terminal) as progress,
+        Progress(
+            *bar,
+            *remaining,
+            console=console,
+            disable=not console.is_terminal,
+            speed_estimate_period=SPEED_PERIOD,
+        ) as progress,
         contextlib.ExitStack() as stack,
     ):
         task = progress.add_task("", total=len(jobs), completed=len(results))
@@ -174,7 +188,12 @@ def run(
             left[job.study] -= 1
             progress.update(task, advance=1, description=job.study)
             if not left[job.study]:
-                console.print(f"{job.study}: done", highlight=False)
+                minutes = (time.monotonic() - begun) / 60.0
+                done, more = len(missing) - left.total(), left.total()
+                about = f", about {math.ceil(minutes / done * more)} min left" if more else ""
+                console.print(
+                    f"{job.study}: done; {done} of {len(missing)} runs{about}", highlight=False
+                )
     if failed:
         raise JobError(f"{len(failed)} of {len(jobs)} jobs failed.\n" + "\n".join(failed))
     ordered: Results = {}

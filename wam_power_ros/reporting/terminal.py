@@ -18,6 +18,9 @@ from wam_power_ros.practice.session_log import Line, Record, with_ratings
 from wam_power_ros.tasks.task import Task
 
 SHOWN = 14  # newest rollouts in the table
+QUIET_MAX = 5.0  # [s] without a line in a file
+KINDS = {"reproduction": "repro", "explore": "expl", "mean": "mean", "retest": "test"}
+OUTCOME_MIN = 24  # columns
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
 Outcome = Callable[[Record], str]  # such as `Task.outcome`
@@ -46,27 +49,43 @@ def spark(values: Sequence[float], width: int = 60) -> str:
     return "".join(BARS[round((len(BARS) - 1) * v / top)] if top > 0 else BARS[0] for v in shown)
 
 
-def rollout_table(records: Sequence[Record], outcome: Outcome, shown: int = SHOWN) -> Table:
-    """The newest rollouts: return and its terms, best return so far, outcome."""
-    terms = term_names(records)
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("rollout", justify="right")
-    table.add_column("kind")
-    for name in ["return", *terms, "best"]:
-        table.add_column(name, justify="right")
-    table.add_column("outcome", no_wrap=True)
-    best = 0.0
-    for index, record in enumerate(records):
+def rollout_table(
+    records: Sequence[Record], outcome: Outcome, shown: int = SHOWN, width: int = 160
+) -> Table:
+    """The newest rollouts: return and its terms, best return so far, outcome.
+
+    Args:
+        records: Rollouts, oldest first.
+        outcome: Outcome of a rollout in a few words.
+        shown: Number of rollouts in the table.
+        width: Columns of the terminal. The terms are left out, last first, and the kinds
+            shortened, until the outcome has room.
+    """
+    newest, bests, best = records[-shown:], [], 0.0
+    for record in records:
         better = record.rated_return is not None and record.rated_return > best
         best = max(best, record.rated_return or 0.0)
-        if index < len(records) - shown:
-            continue
+        bests.append((best, better))
+    terms = term_names(records)
+    longest = max((len(outcome(record)) for record in newest), default=0)
+    room = width - 32 - min(longest, OUTCOME_MIN)  # beside number, kind, return and best
+    while terms and sum(max(len(term), 5) + 1 for term in terms) > room:
+        terms.pop()
+    narrow = width < 100
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 1, 0, 0))
+    table.add_column("#", justify="right", no_wrap=True)
+    table.add_column("kind", no_wrap=True)
+    for name in ["return", *terms, "best"]:
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("outcome", no_wrap=True, overflow="ellipsis")
+    for record, (top, better) in zip(newest, bests[-shown:], strict=True):
+        kind = KINDS.get(record.kind, record.kind) if narrow else record.kind
         table.add_row(
             str(record.number),
-            Text(record.kind, style=STYLES.get(record.kind, "")),
+            Text(kind, style=STYLES.get(record.kind, "")),
             Text(returned(record), style="bold green" if better else ""),
             *(number(record.terms.get(term)) for term in terms),
-            f"{best:.3f}",
+            f"{top:.3f}",
             Text(outcome(record), style="green" if record.success else ""),
         )
     return table
@@ -137,14 +156,17 @@ class Display:
         self.said = ""
         self._outcome: Outcome = lambda record: ""
         self._log: Sequence[Line] = ()
+        self._told = ""  # last by a node
+        self._quiet_since: float | None = None  # [s]
+        self._told_at = 0.0  # [s]
         self._console = console or Console()
         self._progress = Progress(
-            TextColumn("{task.completed:.0f} of at most {task.total:.0f} rollouts"),
-            BarColumn(bar_width=40),
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=30),
             TimeElapsedColumn(),
             console=self._console,
         )
-        self._task = self._progress.add_task("")
+        self._task = self._progress.add_task("starting", total=None)
         self._live = Live(console=self._console, get_renderable=self._render)
 
     def __enter__(self) -> Display:
@@ -161,22 +183,46 @@ class Display:
         new = log[len(self._log) :]
         self._outcome, self._log = outcome, log
         count = sum(isinstance(entry, Record) for entry in log)
-        self._progress.update(self._task, completed=count, total=max(most, count))
+        most = max(most, count)
+        text = f"{count} of at most {most} rollouts"
+        self._progress.update(self._task, completed=count, total=most, description=text)
         if not self._console.is_terminal:
             for entry in new:
-                text = line(entry, outcome)
-                self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+                self._print(line(entry, outcome))
+
+    def say(self, text: str, trouble: bool) -> None:
+        """Show what a node has said: trouble above the table, all else as the last line."""
+        self._told = text
+        if trouble:
+            self._print(text, style="yellow")
+
+    def tick(self, now: float) -> None:
+        """Give a sign of life in a file that had no line for `QUIET_MAX`; `now` in s."""
+        if self._quiet_since is None:
+            self._quiet_since = self._told_at = now
+        elif not self._console.is_terminal and now - self._told_at >= QUIET_MAX:
+            text = f"      ... {now - self._quiet_since:.0f} s, last: {self._told or 'nothing yet'}"
+            self._console.print(text, highlight=False, soft_wrap=True, markup=False)
+            self._told_at = now
+
+    def _print(self, text: str, style: str = "") -> None:
+        self._console.print(text, style=style, highlight=False, soft_wrap=True, markup=False)
+        self._quiet_since = None
 
     def _render(self) -> RenderableType:
         records = with_ratings(self._log)
+        told = Text(self._told, style="dim", no_wrap=True, overflow="ellipsis")
         if not records:
             waiting = Text("waiting for the first rollout", style="italic")
-            return Group(waiting, Text(self.said), self._progress)
+            return Group(waiting, told, Text(self.said), self._progress)
         returns = [record.rated_return for record in records if record.rated_return is not None]
         notes = [entry.note for entry in self._log if entry.note]
-        parts = [rollout_table(records, self._outcome), Text(spark(returns), style="green")]
-        parts += [Text(notes[-1] if notes else "", style="italic"), Text(self.said)]
-        return Group(*parts, self._progress)
+        parts: list[RenderableType] = [
+            rollout_table(records, self._outcome, width=self._console.width),
+            Text(spark(returns), style="green"),
+            Text(notes[-1] if notes else "", style="italic"),
+        ]
+        return Group(*parts, told, Text(self.said), self._progress)
 
 
 def line(entry: Line, outcome: Outcome) -> str:

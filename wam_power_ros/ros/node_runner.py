@@ -31,6 +31,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from wam_power_ros.params import parameter_file
 from wam_power_ros.ros import network, security, shared_memory
 from wam_power_ros.ros.domain import FIRST, PER_DOMAIN, PER_PARTICIPANT, exported
 from wam_power_ros.ros.service_client import ServiceError
@@ -175,7 +176,7 @@ def run(
     except (ValueError, RCLError) as error:
         if node is not None:
             raise
-        get_logger("wam_power_ros").fatal(str(error))
+        get_logger("wam_power_ros").fatal(f"{error}{_without_file()}")
         return REFUSED
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -184,6 +185,16 @@ def run(
             node.close()
         end()
     return 0
+
+
+def _without_file() -> str:
+    """Where to get a parameter file, for a node that was started without one."""
+    if parameter_file.given(sys.argv):
+        return ""
+    return (
+        "\nStarted without a parameter file. `wam-power config > parameters.yaml` prints one for "
+        "all nodes; give it with --ros-args --params-file parameters.yaml"
+    )
 
 
 def end() -> None:

@@ -35,17 +35,22 @@ class ServiceClient:
         node: Node that calls.
         executor: Executor that has the node; one is made if omitted.
         appear_timeout: Time for a service to appear [s of wall time].
+        log_period: Time between two log entries about one wait [s of wall time].
     """
 
     def __init__(
-        self, node: Node, executor: Executor | None = None, appear_timeout: float = TIMEOUT
+        self,
+        node: Node,
+        executor: Executor | None = None,
+        appear_timeout: float = TIMEOUT,
+        log_period: float = LOG_PERIOD,
     ) -> None:
         self._node = node
         if executor is None:
             executor = SingleThreadedExecutor(context=node.context)
             executor.add_node(node)
         self._executor = executor
-        self._appear_timeout = appear_timeout
+        self._appear_timeout, self._log_period = appear_timeout, log_period
         self._clients: dict[str, Client] = {}
         self._called: set[str] = set()
         self._pending: dict[Future, Client] = {}
@@ -79,8 +84,8 @@ class ServiceClient:
             if waited > timeout:
                 return False
             if waited > log_at:
-                self._node.get_logger().info(f"waiting: {what}")
-                log_at = waited + LOG_PERIOD
+                self._node.get_logger().info(f"waiting: {what}, since {waited:.0f} s")
+                log_at = waited + self._log_period
             self._executor.spin_once(timeout_sec=min(0.05, timeout - waited))
         return True
 

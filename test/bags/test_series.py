@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A series of demonstrations names its bags, whatever is renamed or thrown away."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from bag_samples import demonstration, random_q
+
+from wam_power_ros.bags import layout, reader, series
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """A series of two bags."""
+    bags = [demonstration(tmp_path / "bags" / name, random_q(20)) for name in ("a", "b")]
+    series.write(tmp_path / series.FILE, bags)
+    return tmp_path / series.FILE
+
+
+def test_no_list_is_an_empty_series(tmp_path: Path) -> None:
+    assert series.read(tmp_path / series.FILE) == []
+
+
+@pytest.mark.parametrize("text", ["{}", "[1]", '["a"'])
+def test_what_is_no_list_of_paths_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / series.FILE).write_text(text)
+    with pytest.raises(ValueError, match=r"demonstrations\.json"):
+        series.read(tmp_path / series.FILE)
+
+
+def test_a_discarded_bag_leaves_the_series_and_is_still_there(file: Path) -> None:
+    first, second = series.read(file)
+    before = reader.topics(first)
+    moved = series.discard(first)
+    assert series.read(file) == [second]
+    assert not first.exists() and reader.topics(moved) == before
+
+
+def test_bags_of_one_name_are_all_kept_in_the_trash(file: Path) -> None:
+    first, _ = series.read(file)
+    one = series.discard(first)
+    other = series.discard(demonstration(first, random_q(20)))
+    assert one != other and one.is_dir() and other.is_dir()
+
+
+def test_a_bag_that_was_never_closed_can_be_discarded(tmp_path: Path) -> None:
+    left = layout.unfinished(tmp_path / "bags" / "left")
+    (left / "left").mkdir(parents=True)
+    assert series.discard(tmp_path / "bags" / "left").is_dir()
+    assert not left.exists()
+
+
+def test_a_folder_that_is_no_bag_is_not_discarded(file: Path) -> None:
+    for path in (file.parent, file.parent / "bags", file.parent / "none"):
+        with pytest.raises(ValueError, match="is not a bag"):
+            series.discard(path)
+
+
+def test_a_renamed_bag_is_renamed_in_its_series_and_can_be_read(file: Path) -> None:
+    first, second = series.read(file)
+    renamed = series.rename(first, "slow one")
+    assert series.read(file) == [renamed, second]
+    assert reader.topics(renamed)
+
+
+@pytest.mark.parametrize("name", ["b", "", "..", ".hidden", "x/y", "x.unfinished"])
+def test_a_name_that_is_taken_or_none_is_refused(file: Path, name: str) -> None:
+    first, _ = series.read(file)
+    with pytest.raises(ValueError, match=r"name of a bag|there already"):
+        series.rename(first, name)
+    assert first.is_dir()

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`wam-power bags` tells good takes from bad ones, and loses none."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_samples import demonstration
+
+from wam_power_ros.bags import layout, reader, series
+from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+SHIPPED = min((ROOT / "bags").glob("reach_*"))
+WAM = tuple(f"wam_j{joint}" for joint in range(1, 8))
+
+
+def said(capsys: pytest.CaptureFixture[str], *words: object) -> str:
+    capsys.readouterr()
+    assert main.main(["bags", *map(str, words)]) == 0
+    return capsys.readouterr().out
+
+
+@pytest.fixture
+def take(tmp_path: Path) -> Path:
+    """A copy of a shipped reach, in a folder of takes."""
+    return Path(shutil.copytree(SHIPPED, tmp_path / "taught" / "bags" / SHIPPED.name))
+
+
+def test_each_take_has_a_line_with_its_quality_and_why(
+    take: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    still = np.zeros((300, 7))
+    demonstration(take.with_name("demo_still"), still, WAM)
+    BagWriter(take.with_name("demo_cut")).abandon()
+    rows = {
+        line.split()[0]: line.split(maxsplit=5)
+        for line in said(capsys, "list", take.parent.parent).splitlines()
+    }
+    assert rows[take.name][1:] == ["reach", "2.7", "s", "good"]
+    assert rows["demo_still"][1:] == ["flip", "0.6", "s", "poor", "hardly moves: 0.000 rad"]
+    assert "was never closed" in " ".join(rows["demo_cut"])
+    assert "poor" in rows["demo_cut"]
+
+
+def test_no_take_is_an_error_that_names_where_was_looked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["bags", "list", str(tmp_path)]) == 2
+    assert f"no bags below {tmp_path}" in capsys.readouterr().err
+
+
+def test_a_take_is_shown_with_its_topics_and_joints(
+    take: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = said(capsys, "show", take)
+    assert f"{take}: reach, 2.67 s, good" in text
+    assert "/joint_states" in text and "smoothness -1.5" in text
+    assert text.count("% of its limit") == 7
+
+
+def test_a_take_is_as_far_from_itself_as_nothing(
+    take: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = sorted((ROOT / "bags").glob("reach_*"))[1]
+    _, same, different = said(capsys, "compare", take, take, other).splitlines()
+    assert "rms 0.000 rad" in same and "tool 0 mm, at most 0 mm" in same
+    assert "rms 0.000" not in different
+
+
+@pytest.mark.parametrize(("suffix", "begin"), [("png", b"\x89PNG"), ("svg", b"<?xml")])
+def test_takes_are_drawn_into_a_file(
+    suffix: str, begin: bytes, take: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / f"takes.{suffix}"
+    assert str(output) in said(capsys, "plot", take, "--output", output)
+    assert output.read_bytes().startswith(begin)
+
+
+def test_parts_names_and_the_trash(take: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = take.parent.parent / series.FILE
+    series.write(file, [take])
+    said(capsys, "rename", take, "reach_slow")
+    renamed = take.with_name("reach_slow")
+    assert series.read(file) == [renamed]
+    said(capsys, "trim", renamed, 0.2, 1.0)
+    stamps, _ = reader.read_demonstration(take.with_name("reach_slow_trimmed"), WAM)
+    assert (stamps[-1] - stamps[0]) * 1e-9 == pytest.approx(0.8, abs=0.01)
+    text = said(capsys, "delete", renamed)
+    assert not renamed.exists() and series.read(file) == []
+    assert reader.topics(Path(text.split()[-1]))
+
+
+def test_an_imported_bag_is_of_the_task_it_was_imported_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = tuple(f"panda_joint{joint}" for joint in range(1, 8))
+    _, q = reader.read_demonstration(SHIPPED, WAM)
+    theirs = demonstration(tmp_path / "theirs", q, names)
+    monkeypatch.chdir(tmp_path)
+    said(capsys, "import", theirs, "--joints", *names, "--task", "reach")
+    _, angles = reader.read_demonstration(tmp_path / "reach_theirs", WAM)
+    np.testing.assert_array_equal(angles, q)
+    assert main.main(["learn", "--bags", "reach_theirs"]) == 2
+    assert "is a demonstration of reach, not of flip" in capsys.readouterr().err
+
+
+def test_a_bag_that_was_never_closed_is_recovered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    writer = BagWriter(tmp_path / "cut")
+    writer.event("start", "demo", 1)
+    writer.flush()
+    writer.abandon()
+    assert layout.unfinished(tmp_path / "cut").exists()
+    assert "1 messages" in said(capsys, "recover", tmp_path / "cut")

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A misspelt word is refused with the word that was probably meant."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from wam_power_ros import __version__
+from wam_power_ros.cli import main
+
+
+def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    with pytest.raises(SystemExit) as ended:
+        main.main(words)
+    assert ended.value.code == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["lern"], "did you mean 'learn'?"),
+        (["learn", "--sesion", "x"], "--sesion; did you mean '--session'?"),
+        (["bags", "lst"], "did you mean 'list'?"),
+        (["run", "torque_controler"], "did you mean 'torque_controller'?"),
+        (["teach", "--demonstrations", "0"], "0 must be at least 1"),
+        (["learn", "--trials", "-3"], "-3 must be at least 1"),
+        (["learn", "--seed", "x"], "'x' is no whole number"),
+    ],
+)
+def test_a_slip_is_refused_with_what_was_meant(
+    words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert meant in refused(capsys, *words)
+
+
+def test_what_is_like_nothing_known_gets_no_guess(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "did you mean" not in refused(capsys, "quux")
+
+
+def test_options_of_a_node_are_left_to_the_node() -> None:
+    options = main._parser().parse_args(["run", "learner", "--ros-args", "-p", "seed:=1"])
+    assert options.rest == ["--ros-args", "-p", "seed:=1"]
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main.main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"wam_power_ros {__version__}\n"
+
+
+def test_stand_ins_without_a_set_up_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for command in (["learn"], ["teach"], ["replay", "bag"], ["config"]):
+        assert main.main([*command, "--simulate"]) == 2
+        assert "everything is simulated already" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_shell_completes_commands(tmp_path: Path) -> None:
+    pytest.importorskip("argcomplete")
+    answer = tmp_path / "answer"
+    words = {
+        "_ARGCOMPLETE": "1",
+        "_ARGCOMPLETE_SUPPRESS_SPACE": "1",
+        "_ARGCOMPLETE_STDOUT_FILENAME": str(answer),
+        "COMP_LINE": "wam-power rep",
+        "COMP_POINT": "13",
+        "_ARGCOMPLETE_IFS": "\n",
+    }
+    command = [sys.executable, "-c", "from wam_power_ros.cli.main import main; main()"]
+    subprocess.run(command, env=os.environ | words, timeout=60, check=True)
+    assert answer.read_text().split() == ["report", "replay", "reproduce"]

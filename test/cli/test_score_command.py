@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was recorded is scored again as it was scored, and under another return as that has it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+from bag_samples import LATCHED, string
+from rclpy.serialization import serialize_message
+from test_session_report import a_rollout
+from toss_task import ANY_ARM, demonstrated_policy
+
+from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.cli import main
+from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros.pose_messages import path_message
+
+ROOT = Path(__file__).resolve().parents[2]
+START = 1_700_000_000_000_000_000
+
+
+def recorded(path: Path, policy: Policy, rollout: Rollout) -> Path:
+    """Bag of a rollout, with paths of the one before it at its beginning, as latched topics are."""
+    writer = BagWriter(path)
+    writer.add("/policy", "std_msgs/msg/String", LATCHED)
+    writer.write("/policy", START, string(to_json(policy)))
+    paths = {"/rollout/end_effector": rollout.tool, "/rollout/pancake": rollout.body}
+    before = a_rollout("trial-0099", 0.1)
+    old = {"/rollout/end_effector": before.tool, "/rollout/pancake": before.body}
+    for topic in paths:
+        writer.add(topic, "nav_msgs/msg/Path", LATCHED)
+        for stamp, found in ((START, old[topic]), (START + 10**9, paths[topic])):
+            writer.write(topic, stamp, serialize_message(path_message(found, stamp, "base")))
+    return writer.close({})
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    """A session of two rollouts, with their bags."""
+    folder, settings = tmp_path / "s", preset("flip", budget=2, confirm=0, retests=0)
+    with Session.begin(folder, settings, 5, [demonstrated_policy("demonstration-1")]) as begun:
+        practice = begun.practice(ANY_ARM)
+        for angle in (100.0, 175.0):
+            trial = practice.next_trial()
+            rollout = a_rollout(trial.id, math.radians(angle))
+            bag = recorded(folder / "bags" / f"rollout_{trial.id}", trial.policy, rollout)
+            begun.append(practice.learn(trial, rollout, bag=bag.name))
+    return folder
+
+
+def test_a_session_scored_again_has_the_returns_it_had(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["score", str(session)]) == 0
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()[1:3]]
+    assert len(rows) == 2
+    for row in rows:
+        assert row[2] == row[4].rstrip(",")
+
+
+def test_another_preset_gives_its_own_return(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["score", str(session), "--preset", "paper"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    rows = [line.split() for line in lines[1:3]]
+    assert all(row[2] != row[4].rstrip(",") for row in rows)
+    assert lines[-1].startswith("mean of 1 explore: ")
+
+
+def test_a_bag_is_scored_as_its_rollout_was(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = session / "bags" / "rollout_trial-0002"
+    assert main.main(["score", str(bag)]) == 0
+    told = capsys.readouterr().out
+    assert main.main(["score", str(session)]) == 0
+    logged = capsys.readouterr().out.splitlines()[2].split()[2]
+    assert f"return {logged}" in told and "rotation" in told
+
+
+def test_a_demonstration_is_scored_as_it_was_led(capsys: pytest.CaptureFixture[str]) -> None:
+    bag = min((ROOT / "bags").glob("reach_*"))
+    assert main.main(["score", str(bag), "--task", "reach"]) == 0
+    assert "stopped at the obstacle" in capsys.readouterr().out  # it stands on the demonstration
+
+
+def test_what_has_no_return_says_why_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    bag = min((ROOT / "bags").glob("reach_*"))
+    assert main.main(["score", str(bag), "--task", "flip"]) == 1
+    assert "no state of the pancake" in capsys.readouterr().out

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Quality of a recorded movement: smoothness, limits, completeness, and the reasons for a grade."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+# Spectral arc length [Balasubramanian2012]
+CUTOFF_MAX = 10.0  # [Hz]
+AMPLITUDE_MIN = 0.05  # of the spectrum's largest, below which it ends
+PADDING = 4  # powers of two by which the spectrum is refined
+SMOOTH = -2.5  # a single smooth movement has about -1.6; below this it falters
+RANGE_MIN = 0.05  # movement of the joint that moves most [rad]
+SPEED_SHARE = 0.9  # of a speed limit, which a rollout may use up
+MARGIN_MIN = 0.02  # distance from a position limit [rad]
+MISSING_SHARE = 0.05  # of the messages of a topic
+
+
+class Grade(enum.IntEnum):
+    """Grade of a take."""
+
+    GOOD = 0
+    FAIR = 1  # usable; look at the reason
+    POOR = 2  # not to be learnt from
+
+
+class Remark(NamedTuple):
+    """A reason for a grade."""
+
+    grade: Grade
+    text: str
+
+
+class Limits(NamedTuple):
+    """Limits of the joints: position [rad] and speed [rad/s]. Shapes (n,)."""
+
+    q_min: np.ndarray
+    q_max: np.ndarray
+    qd_max: np.ndarray
+
+
+def smoothness(speed: np.ndarray, period: float) -> float:
+    """Spectral arc length of a speed profile: the nearer to 0 the smoother, whatever its size.
+
+    Args:
+        speed: Speed of a movement, in any unit. Shape (N,).
+        period: Sampling period [s].
+    """
+    size = 1 << (int(np.ceil(np.log2(len(speed)))) + PADDING)
+    frequency = np.fft.rfftfreq(size, period)
+    spectrum = np.abs(np.fft.rfft(speed, size))
+    kept = frequency <= CUTOFF_MAX
+    spectrum, frequency = spectrum[kept] / spectrum.max(), frequency[kept]
+    above = np.flatnonzero(spectrum >= AMPLITUDE_MIN)
+    inside = slice(above[0], above[-1] + 1)
+    f, a = frequency[inside], spectrum[inside]
+    width = f[-1] - f[0]
+    if width == 0.0:
+        return 0.0
+    return -float(np.hypot(np.diff(f) / width, np.diff(a)).sum())
+
+
+def joint_speeds(t: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Joint speeds of a smooth movement [rad/s]. Shape (N, n)."""
+    return np.gradient(q, t, axis=0)
+
+
+def movement_remarks(
+    t: np.ndarray, q: np.ndarray, joint_names: Sequence[str], limits: Limits | None
+) -> list[Remark]:
+    """Remarks on a smooth movement.
+
+    Args:
+        t: Times from 0 [s], evenly. Shape (N,).
+        q: Joint angles [rad]. Shape (N, n).
+        joint_names: Names of the joints.
+        limits: Limits of the arm, if known.
+    """
+    found = []
+    if np.ptp(q, axis=0).max() < RANGE_MIN:
+        return [Remark(Grade.POOR, f"hardly moves: {np.ptp(q, axis=0).max():.3f} rad")]
+    qd = joint_speeds(t, q)
+    arc = smoothness(np.linalg.norm(qd, axis=1), float(t[1] - t[0]))
+    if arc < SMOOTH:
+        found.append(Remark(Grade.FAIR, f"falters: smoothness {arc:.1f}, below {SMOOTH:g}"))
+    if limits is None or len(limits.q_min) != q.shape[1]:
+        return found
+    margin = np.minimum(q.min(axis=0) - limits.q_min, limits.q_max - q.max(axis=0))
+    joint = int(margin.argmin())
+    if margin[joint] < MARGIN_MIN:
+        where = "beyond" if margin[joint] < 0.0 else "at"
+        grade = Grade.POOR if margin[joint] < 0.0 else Grade.FAIR
+        found.append(Remark(grade, f"{joint_names[joint]} {where} its position limit"))
+    share = np.abs(qd).max(axis=0) / limits.qd_max
+    joint = int(share.argmax())
+    if share[joint] > SPEED_SHARE:
+        grade = Grade.POOR if share[joint] > 1.0 else Grade.FAIR
+        found.append(
+            Remark(grade, f"{joint_names[joint]} at {share[joint]:.0%} of its speed limit")
+        )
+    return found
+
+
+def completeness_remarks(counts: Mapping[str, int], missing: Mapping[str, int]) -> list[Remark]:
+    """Remarks on messages that are missing by their stamps.
+
+    Args:
+        counts: Number of messages by topic.
+        missing: Number of missing messages by topic.
+    """
+    return [
+        Remark(Grade.FAIR, f"{lost} of {lost + counts[topic]} messages missing on {topic}")
+        for topic, lost in missing.items()
+        if lost > MISSING_SHARE * (lost + counts[topic])
+    ]
+
+
+def grade(remarks: Sequence[Remark]) -> Grade:
+    """Grade of a take: that of its worst remark."""
+    return max((remark.grade for remark in remarks), default=Grade.GOOD)

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Takes: recordings in folders, and what a person wants to know of each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags.gaps import GapCounter
+from wam_power_ros.bags.series import TRASH
+from wam_power_ros.bags.writer import has_header, header_stamp
+
+FOLDERS = ("bags", "demonstrations", "replays", "sessions")  # where takes are, unless named
+
+
+@dataclass(frozen=True)
+class Take:
+    """A recording.
+
+    Attributes:
+        path: Folder of the bag.
+        kind: Stem of a task, "rollout" or "replay", as noted or by its name.
+        counts: Number of messages by topic.
+        missing: Number of messages missing by their stamps, by topic.
+        stamps: Stamps of the joint states [ns]. Shape (M,).
+        q: Joint angles [rad]. Shape (M, n).
+    """
+
+    path: Path
+    kind: str
+    counts: dict[str, int]
+    missing: dict[str, int]
+    stamps: np.ndarray
+    q: np.ndarray
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last joint state [s]."""
+        return float(self.stamps[-1] - self.stamps[0]) * 1e-9
+
+
+def find(places: Iterable[Path]) -> list[Path]:
+    """Bags below some folders, closed or not, oldest name first; a bag may be named itself."""
+    found = set()
+    for place in places:
+        for path in (place, *place.rglob("*")) if place.is_dir() else ():
+            if TRASH in path.parts:
+                continue
+            if path.name.endswith(layout.UNFINISHED):
+                found.add(path.with_name(path.name.removesuffix(layout.UNFINISHED)))
+            elif (path / "metadata.yaml").is_file() and not (
+                path.parent.name.endswith(layout.UNFINISHED)
+            ):
+                found.add(path)
+    return sorted(found, key=lambda path: (path.parent, path.name))
+
+
+def kind_of(path: Path) -> str:
+    """Kind of a recording as our recorder noted it when it began, else the first part of its name.
+
+    Raises:
+        ValueError: It is no bag, or damaged.
+    """
+    for _, _, cdr in reader.messages(path, [layout.EVENT]):
+        try:
+            event = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data)
+            if event["event"] == "start":
+                return str(event["reason"])
+        except Exception:  # whatever bytes make the decoder raise
+            break
+    return path.resolve().name.partition("_")[0]
+
+
+def read(path: Path, joint_names: Sequence[str]) -> Take:
+    """Read a take.
+
+    Raises:
+        ValueError: As `reader.read_demonstration`.
+    """
+    stamps, q = reader.read_demonstration(path, joint_names)
+    topics = reader.topics(path)
+    counts = dict.fromkeys(topics, 0)
+    gaps: dict[str, GapCounter] = {}
+    for name, _, cdr in reader.messages(path, topics):
+        counts[name] += 1
+        msgtype = topics[name].msgtype
+        if msgtype in layout.TYPES.fielddefs and has_header(msgtype):
+            gaps.setdefault(name, GapCounter()).add(header_stamp(cdr))
+    missing = {name: counter.gaps().missing for name, counter in gaps.items() if counts[name] > 2}
+    return Take(path, kind_of(path), counts, missing, stamps, q)

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`wam-power score`: return of recorded movements under any task and preset, offline."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from wam_power_ros.cli.launcher import UsageError, arm_of, task_setup
+from wam_power_ros.params import overlay
+
+if TYPE_CHECKING:
+    from wam_power_ros.control.arm import Arm
+    from wam_power_ros.learning.demonstration import Demonstration
+    from wam_power_ros.learning.policy import Policy
+    from wam_power_ros.learning.rollout import Rollout
+    from wam_power_ros.tasks.task import Assessment, Task
+
+
+def add_to(subparsers: argparse._SubParsersAction) -> None:
+    """Add the command to the command line."""
+    text = "return of recorded movements, or of a whole session, under any task and preset"
+    score_ = subparsers.add_parser("score", help=text, description=f"{text.capitalize()}.")
+    score_.set_defaults(command=score)
+    score_.add_argument("recorded", type=Path, nargs="+", help="bags, or folder of a session")
+    score_.add_argument("--task", metavar="NAME", help="task (default: the session's, else flip)")
+    score_.add_argument(
+        "--preset", metavar="NAME", help="settings of the task (default: its first)"
+    )
+    score_.add_argument("--config", action="append", default=[], metavar="NAME", help="set-up")
+
+
+def score(options: argparse.Namespace) -> int:
+    """Score bags or sessions."""
+    from wam_power_ros.practice.session import Session
+
+    failed = 0
+    for place in options.recorded:
+        if Session.exists(place):
+            _score_session(place, options)
+        else:
+            failed += _score_bag(place, options)
+    return 1 if failed else 0
+
+
+def _score_bag(bag: Path, options: argparse.Namespace) -> int:
+    """Print the score of a bag; returns 1 when it has none."""
+    name = options.task or "flip"
+    setup = overlay.setup(options.config, task=task_setup(name))
+    names, arm = arm_of(setup)
+    if arm is None:
+        raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
+    try:
+        task = _task(name, options.preset, _context(bag, name, setup, names, arm))
+        assessed = task.assess(*recorded_rollout(bag, task, names, arm))
+    except ValueError as error:
+        print(f"{bag}: no return: {error}")
+        return 1
+    terms = ", ".join(f"{term} {value:.3f}" for term, value in assessed.terms.items())
+    print(f"{bag}: {_told(assessed)}" + (f" ({terms})" if terms else ""))
+    return assessed.ret is None
+
+
+def _score_session(folder: Path, options: argparse.Namespace) -> None:
+    """Print every rollout of a session with its logged return and the one under the preset."""
+    import numpy as np
+
+    from wam_power_ros.practice import session
+
+    header, _, records = session.read(folder)
+    name = options.task or header.settings.task
+    names, arm = arm_of(overlay.setup(options.config, task=task_setup(name)))
+    if arm is None:
+        raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
+    task = _task(name, options.preset, json.loads((folder / "task.json").read_text()))
+    print(f"{folder}: logged return, return under {name}, preset {options.preset or 'first'}")
+    by_kind: dict[str, list[tuple[float, float]]] = {}
+    for record in records:
+        logged = "–" if record.ret is None else f"{record.ret:.3f}"
+        bag = folder / "bags" / record.bag
+        if record.fault:
+            told = f"fault: {record.fault}"
+        elif not record.bag or not bag.is_dir():
+            told = "no bag"
+        else:
+            try:
+                assessed = task.assess(*recorded_rollout(bag, task, names, arm))
+            except ValueError as error:
+                told = str(error)
+            else:
+                told = _told(assessed)
+                if record.ret is not None and assessed.ret is not None:
+                    by_kind.setdefault(record.kind, []).append((record.ret, assessed.ret))
+        print(f"{record.number:4d}  {record.kind:12}  {logged:>6}  {told}", flush=True)
+    for kind, pairs in by_kind.items():
+        before, now = np.mean(pairs, axis=0)
+        print(f"mean of {len(pairs)} {kind}: {before:.3f} logged, {now:.3f} now")
+
+
+def recorded_rollout(
+    bag: Path, task: Task, joint_names: list[str], arm: Arm
+) -> tuple[Policy, Rollout]:
+    """Policy and rollout of a bag; of a demonstration, the policy fitted to it and its own path.
+
+    Raises:
+        ValueError: The bag cannot be read, or holds neither.
+    """
+    from wam_power_ros.bags import layout, reader
+    from wam_power_ros.learning import policy as policies
+    from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+    from wam_power_ros.ros import interface, pose_messages
+
+    found: dict[str, Any] = {}
+    topics = reader.topics(bag)
+    body_topic = interface.rollout_topic(task.body) if task.body else ""
+    wanted = {interface.POLICY, interface.ROLLOUT_END_EFFECTOR, body_topic} & set(topics)
+    for name, _, data in reader.messages(bag, wanted):
+        found[name] = layout.TYPES.deserialize_cdr(data, topics[name].msgtype)  # the last counts
+    if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
+        return _as_rollout(bag, task, joint_names, arm)
+    policy = policies.from_json(found[interface.POLICY].data)
+    _, tool = pose_messages.path(found[interface.ROLLOUT_END_EFFECTOR], EndEffectorPath)
+    body = None
+    if task.body:
+        if body_topic not in found:
+            raise ValueError(f"no path of the {task.body} on {body_topic}")
+        _, body = pose_messages.path(found[body_topic], BodyPath)
+    if tool.id != policy.id or (body is not None and body.id != policy.id):
+        raise ValueError(f"the paths are not of the policy {policy.id}")
+    return policy, Rollout(tool, body)
+
+
+def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tuple[Policy, Rollout]:
+    """A demonstration as a rollout of the policy that is fitted to it."""
+    import numpy as np
+
+    from wam_power_ros import rotations
+    from wam_power_ros.bags import layout, reader
+    from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+    from wam_power_ros.ros import interface
+
+    stamps, q = reader.read_demonstration(bag, joint_names)
+    demonstration = _demonstration(bag, joint_names, arm)
+    policy = task.policy_of([demonstration], "demonstration")
+    # the recording from the start of the movement on, as the controller would sample it
+    near = np.abs(q - demonstration.q[0]).sum(axis=1)
+    peak = int(np.abs(np.diff(q, axis=0)).sum(axis=1).argmax())
+    first = int(near[: peak + 1].argmin())
+    kept = slice(first, None, max(1, round(0.01 / np.median(np.diff(stamps * 1e-9)))))
+    poses = [arm.tool_pose(row) for row in q[kept]]
+    position = np.array([pose[0] for pose in poses])
+    quat = rotations.quat_xyzw(np.array([pose[1] for pose in poses]))
+    t = (stamps[kept] - stamps[first]) * 1e-9
+    tool, body = EndEffectorPath(policy.id, t, position, quat), None
+    if task.body:
+        topic = interface.body_topic(task.body, "state")
+        if topic not in reader.topics(bag):
+            raise ValueError(f"no state of the {task.body} on {topic}")
+        rows = {}
+        for _, _, data in reader.messages(bag, [topic]):
+            message = layout.TYPES.deserialize_cdr(data, "nav_msgs/msg/Odometry")
+            at, pose = message.header.stamp, message.pose.pose
+            when = at.sec * 1_000_000_000 + at.nanosec - int(stamps[first])
+            p, o = pose.position, pose.orientation
+            rows[when] = (p.x, p.y, p.z, o.x, o.y, o.z, o.w)
+        times = np.array(sorted(when for when in rows if when >= 0), dtype=np.int64)
+        values = np.array([rows[int(when)] for when in times]).reshape(-1, 7)
+        body = BodyPath(policy.id, times * 1e-9, values[:, :3], values[:, 3:])
+    return policy, Rollout(tool, body)
+
+
+def _demonstration(bag: Path, joint_names: list[str], arm: Arm) -> Demonstration:
+    from wam_power_ros.bags import reader
+    from wam_power_ros.learning.demonstration import from_joint_samples
+
+    return from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
+
+
+def _context(
+    bag: Path, task: str, setup: overlay.Setup, joint_names: list[str], arm: Arm
+) -> dict[str, Any]:
+    """Context of the session that a bag is of, else that of the bag as the only demonstration."""
+    from wam_power_ros.practice import plugins
+    from wam_power_ros.practice.session import Session
+
+    folder = bag.resolve().parent.parent
+    if Session.exists(folder) and Session.task_of(folder) == task:
+        kept: dict[str, Any] = json.loads((folder / "task.json").read_text())
+        return kept
+    demonstration = _demonstration(bag, joint_names, arm)
+    obstacle = setup["torque_controller"]["obstacle"]
+    return plugins.task_type(task).context_of([demonstration], obstacle)
+
+
+def _task(name: str, preset_name: str | None, context: dict[str, Any]) -> Task:
+    from wam_power_ros.practice.settings import preset
+
+    return preset(name, preset_name or "").make_task(context)
+
+
+def _told(assessed: Assessment) -> str:
+    ret = "no return" if assessed.ret is None else f"return {assessed.ret:.3f}"
+    success = "success" if assessed.success else "no success"
+    return ", ".join(filter(None, (ret, success, assessed.why)))
