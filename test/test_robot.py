@@ -58,3 +58,11 @@ def test_a_place_beyond_the_limits_is_refused_before_anything_is_sent() -> None:
 def test_an_unknown_set_up_is_refused() -> None:
     with pytest.raises(ValueError, match="no set-up 'nonesuch'"), robot.connect("nonesuch"):
         pass
+
+
+def test_an_interrupt_stops_the_arm() -> None:
+    moving, stopped = robot.Robot.__new__(robot.Robot), []
+    moving.stop = lambda: stopped.append(True)
+    with pytest.raises(KeyboardInterrupt), moving._stopping():
+        raise KeyboardInterrupt
+    assert stopped == [True]

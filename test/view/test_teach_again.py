@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Another demonstration from the page, with services that do as they are told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.view import teach_again
+from wam_power_ros.view.teach_again import NotTaughtError, begin, finish
+
+PAUSE, FREE = interface.LEARNER_PAUSE, interface.GRAVITY_COMPENSATION
+RECORD, LEARN = interface.RECORD, interface.LEARNER_DEMONSTRATION
+BEGUN = [(PAUSE, True), (FREE, True), (RECORD, True)]
+
+
+class Services:
+    """Answers that it is done, except where `answers` has others, which come first."""
+
+    reset = "/pancake/reset"
+
+    def __init__(self, simulated: bool = False, **answers: list[Answer]) -> None:
+        self.simulated, self.answers = simulated, answers
+        self.asked: list[tuple[str, bool | None]] = []
+        self.bag: Path | None = None
+
+    def offered(self, name: str) -> bool:
+        """Only the stand-in's demonstrator is asked for."""
+        return self.simulated
+
+    def ask(self, name: str, on: bool | None = None) -> Answer:
+        """Note what is asked, and answer."""
+        self.asked.append((name, on))
+        waiting = self.answers.get(name.rpartition("/")[2], [])
+        return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1")
+
+    def name_bag(self, bag: Path) -> None:
+        """Note the bag."""
+        self.bag = bag
+
+
+@pytest.fixture(autouse=True)
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(teach_again, "RETRY_PERIOD", 0.001)
+
+
+def test_the_arm_is_let_go_only_after_the_trial_under_way_is_on_record() -> None:
+    services, asked_before = Services(), []
+
+    def trial_over() -> bool:
+        asked_before.append(list(services.asked))
+        return len(asked_before) > 3
+
+    begin(services, trial_over, lambda text: None)
+    assert asked_before == [[(PAUSE, True)]] * 4
+    assert services.asked == BEGUN
+
+
+def test_without_an_end_of_the_trial_the_arm_is_never_let_go() -> None:
+    services = Services()
+    with pytest.raises(NotTaughtError, match="no trial ended in 0 s; the learner is paused"):
+        begin(services, lambda: False, lambda text: None, patience=0.01)
+    assert services.asked == [(PAUSE, True)]
+
+
+def test_the_stand_in_leads_the_arm_from_its_start() -> None:
+    services = Services(simulated=True)
+    begin(services, lambda: True, lambda text: None)
+    reset, lead = (Services.reset, None), (interface.DEMONSTRATE, None)
+    assert services.asked == [*BEGUN[:2], reset, BEGUN[2], lead]
+
+
+def test_a_person_is_told_what_is_waited_for() -> None:
+    said: list[str] = []
+    begin(Services(), lambda: True, said.append)
+    assert said == ["pauses after the trial under way", "lead the arm, then press End of movement"]
+
+
+def test_the_bag_is_learnt_from_while_the_arm_holds_and_the_learner_goes_on() -> None:
+    services = Services()
+    assert finish(services) == "/bags/demo_1"
+    assert services.asked == [(RECORD, False), (FREE, False), (LEARN, None), (PAUSE, False)]
+    assert services.bag == Path("/bags/demo_1")
+
+
+def test_a_learner_that_has_not_heard_of_the_bag_yet_is_asked_again() -> None:
+    services = Services(demonstration=[Answer(Code.NOTHING), Answer(Code.DONE, "learnt")])
+    assert finish(services) == "learnt"
+
+
+def test_a_demonstration_that_is_refused_is_said_and_the_learner_goes_on() -> None:
+    services = Services(demonstration=[Answer(Code.REFUSED, "it never moves")])
+    with pytest.raises(NotTaughtError, match="it never moves"):
+        finish(services)
+    assert services.asked[-1] == (PAUSE, False)
+
+
+def test_a_service_that_goes_on_refusing_is_named() -> None:
+    busy = [Answer(Code.BUSY, "a rollout is under way")] * 1000
+    with pytest.raises(NotTaughtError, match=f"{FREE}: a rollout is under way"):
+        begin(Services(gravity_compensation=busy), lambda: True, lambda text: None, patience=0.01)
