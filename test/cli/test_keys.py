@@ -33,19 +33,23 @@ def test_r_p_and_space_reach_the_learner_and_its_answer_is_shown(
 ) -> None:
     asked: list[object] = []
 
-    def answer(request: object, response: object) -> object:
-        asked.append(getattr(request, "data", "rating"))
-        response.success, response.message = True, f"[done] answer {len(asked)}"
-        return response
+    def serve(kind: type, name: str) -> None:
+        def answer(request: object, response: object) -> object:
+            asked.append(getattr(request, "data", name))
+            response.success, response.message = True, f"[done] answer {len(asked)}"
+            return response
 
-    for name in (interface.LEARNER_REWARD, interface.LEARNER_PUNISH):
-        probe.node.create_service(Trigger, name, answer)
-    probe.node.create_service(SetBool, interface.LEARNER_PAUSE, answer)
+        probe.node.create_service(kind, name, answer)
+
+    reward, punish = interface.LEARNER_REWARD, interface.LEARNER_PUNISH
+    serve(Trigger, reward)
+    serve(Trigger, punish)
+    serve(SetBool, interface.LEARNER_PAUSE)
     before = termios.tcgetattr(sys.stdin)
     with Keys({"ROS_DOMAIN_ID": str(domain_id)}) as keys:
         assert keys.poll() == HINT
         for number, (key, expected) in enumerate(
-            ((b"xr", "rating"), (b"p", "rating"), (b" ", True), (b" ", False)), start=1
+            ((b"xr", reward), (b"p", punish), (b" ", True), (b" ", False)), start=1
         ):
             os.write(terminal, key)
             probe.until(lambda n=number: keys.poll() == f"answer {n}", key.decode())
