@@ -148,9 +148,9 @@ def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> No
         read_demonstration(path, NAMES, "/joints")
     with pytest.raises(ValueError, match="is of type"):
         read_demonstration(path, NAMES, "/robot_description")
-    with pytest.raises(ValueError, match="not a bag"):
+    with pytest.raises(ValueError, match="no metadata.yaml"):
         read_demonstration(tmp_path, NAMES)
-    with pytest.raises(ValueError, match="not a bag"):
+    with pytest.raises(ValueError, match="nothing of that name"):
         read_demonstration(tmp_path / "nowhere", NAMES)
     with pytest.raises(ValueError, match="not of the common interfaces"):
         BagWriter(tmp_path / "x").add("/custom", "wam_msgs/msg/RTJointPosition", QOS)

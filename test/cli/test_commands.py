@@ -87,7 +87,7 @@ def test_feedback_without_a_learner_answers_at_once(
     settings, folder = preset("flip"), tmp_path / "s"
     with Session.begin(folder, settings, 5, [demonstrated_policy()]):
         assert learner_at_work(folder)
-    monkeypatch.setattr("wam_power_ros.cli.commands.STAND_INS", None)  # nothing of DDS is reached
+    monkeypatch.delattr("wam_power_ros.cli.commands.session_environment")  # no DDS is reached
     assert main.main(["feedback", "reward", "--session", str(folder)]) == 2
     assert "no learner is at work" in capsys.readouterr().err
 

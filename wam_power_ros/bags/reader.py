@@ -205,6 +205,8 @@ def _check_metadata(path: Path) -> None:
     """Refuse a metadata.yaml that is not one before anything builds objects of it."""
     if unfinished(path).exists() and not path.exists():
         raise ValueError(f"{path} was never closed; recover it first: wam-power recover {path}")
+    if not path.exists():
+        raise ValueError(f"{path} is not a bag: there is nothing of that name")
     file = path / "metadata.yaml"
     if not file.is_file():
         raise ValueError(
