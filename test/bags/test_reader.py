@@ -148,7 +148,7 @@ def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> No
         read_demonstration(path, NAMES, "/joints")
     with pytest.raises(ValueError, match="is of type"):
         read_demonstration(path, NAMES, "/robot_description")
-    with pytest.raises(ValueError, match="no metadata.yaml"):
+    with pytest.raises(ValueError, match=r"no metadata\.yaml"):
         read_demonstration(tmp_path, NAMES)
     with pytest.raises(ValueError, match="nothing of that name"):
         read_demonstration(tmp_path / "nowhere", NAMES)
