@@ -138,6 +138,13 @@ def running(tmp_path: Path) -> Iterator[Running]:
         session.probe.close()
 
 
+@pytest.fixture
+def session_url(running: Running) -> Iterator[str]:
+    viewing = Viewing(running.folder)
+    yield viewing.url
+    viewing.end()
+
+
 def differs(page: Any, before: np.ndarray) -> bool:  # noqa: ANN401
     """Whether the picture has changed by more than shades."""
     return bool(np.abs(scene(page) - before).max() > 60)
@@ -169,10 +176,9 @@ def test_a_bag_is_drawn_and_played(browser: Any, bag_url: str) -> None:  # noqa:
 def test_a_session_is_watched_and_led_by_buttons_until_it_ends(
     browser: Any,  # noqa: ANN401
     running: Running,
+    session_url: str,
 ) -> None:
-    viewing = Viewing(running.folder)
-    url = viewing.url
-    page, second = opened(browser, url), opened(browser, url)
+    page, second = opened(browser, session_url), opened(browser, session_url)
     running.until(lambda: says(page, "flips (running)"), "the page knows that it runs")
     assert says(page, f"{ROLLOUTS}, best return") and says(page, "no safety function")
     running.until(lambda: says(page, "error: joint 4 is beyond its limit"), "diagnostics")
@@ -203,7 +209,6 @@ def test_a_session_is_watched_and_led_by_buttons_until_it_ends(
     running.until(lambda: says(second, "not running"), "the page knows that it has ended")
     assert reward.is_disabled() and len(running.asked) == asked + 1
     second.close()
-    viewing.end()
 
 
 def test_a_page_of_another_origin_cannot_connect(
