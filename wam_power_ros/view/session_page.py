@@ -164,6 +164,7 @@ class SessionPage:
             )
             lines["arm"] = silent if age > SILENCE else "heard"
             for name, (level, text) in self._node.seen.diagnoses.items():
+                text = text.replace(f"{self._folder}/", "")
                 lines[name.replace("_", " ")] = text if level == "ok" else f"⚠ {level}: {text}"
         return lines
 
