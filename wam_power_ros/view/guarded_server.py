@@ -23,8 +23,6 @@ from viser.infra import _infra
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-LOOPBACK = "127.0.0.1"
-
 
 def refusal(host: str | None, origin: str | None) -> str:
     """Reason to refuse a request by its Host and Origin headers; empty for none."""
@@ -42,10 +40,14 @@ def open_server(address: str, port: int) -> viser.ViserServer:
     """A server at an address; the port is the first free one from `port` on.
 
     Raises:
-        OSError: The address is none of this machine.
+        ValueError: The address is none of this machine.
     """
-    with socket.socket() as probe:
-        probe.bind((address, 0))
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    try:
+        with socket.socket(family) as probe:
+            probe.bind((address, 0))
+    except OSError as error:
+        raise ValueError(f"address {address!r} is none of this machine: {error}") from None
     with _refusing(), redirect_stdout(io.StringIO()):  # its banner names no address but its own
         server = viser.ViserServer(host=address, port=port, label="wam_power_ros", verbose=False)
     for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
