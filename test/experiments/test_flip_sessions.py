@@ -126,3 +126,15 @@ def test_a_claim_of_the_chapter_is_met_only_if_the_sessions_meet_it() -> None:
     bad = flip_chapter._default(flip_chapter.Sessions([*good[:5], *[held(9, landed=False)] * 5]))
     assert claim(bad, landed).met is False
     assert claim(bad, true).met is False
+
+
+@pytest.mark.parametrize(("angles", "count"), [((95.0, 170.0), 1), ((170.0, 95.0), 0)])
+def test_the_reproduction_that_is_learnt_from_is_counted_and_no_other(
+    angles: tuple[float, float], count: int
+) -> None:
+    first = [rollout("reproduction", 0.5 + k, angle=angle) for k, angle in enumerate(angles)]
+    taught = {**held(0), "trials": [*first, rollout("explore", 1.9)]}
+    sessions = flip_chapter.Sessions([taught, held(1)])
+    assert sessions.reproduced == count
+    text = flip_chapter._default(sessions).text[0]
+    assert f"was a true flip in {count} of 2 sessions" in text

@@ -28,7 +28,7 @@ LEARNERS = {
     "reinforce": "REINFORCE",
     "enac": "eNAC",
     "random": "random search",
-    "screened": "screened PoWER (ours)",
+    "screened": "screened PoWER (ours; told the model)",
 }
 OURS = "screened"
 
@@ -82,7 +82,10 @@ def chapter(results: Results) -> Chapter:
             "decide in the end. The model of reaching is Eq. 1's free path and Eq. 4, and the "
             "places where rollouts were stopped; that of the pancake is the toss Eq. 1 plans, in "
             "free flight, corrected by the returns. It receives the same returns as the others, "
-            "but it is given these models, which the others are not.",
+            "but it is given these models, which the others are not: what the comparison shows is "
+            "the worth of a model, not of a learner (experiments/studies/equal_knowledge.py gives "
+            "it to all). Rollouts until a return was reached count single rollouts; the mean "
+            "policy follows later.",
         ],
         parts=[_task(task, results[f"comparison-{task}"]) for task in TASKS],
     )

@@ -54,6 +54,19 @@ class Sessions:
         return np.array([share(run["retests"], "true_flip") for run in self.runs])
 
     @property
+    def reproduced(self) -> int:
+        """Number of sessions whose demonstration was a true flip when it was reproduced.
+
+        Of several reproductions that of the highest return is learnt from.
+        """
+        count = 0
+        for run in self.runs:
+            first = [trial for trial in run["trials"] if trial["kind"] == "reproduction"]
+            best = max(first, key=lambda trial: trial["ret"] or 0.0, default=None)
+            count += best is not None and bool(best["true_flip"])
+        return count
+
+    @property
     def curves(self) -> list[list[float]]:
         """Returns of the rollouts of each session that could be judged."""
         return [[ret for ret in run["curve"] if ret is not None] for run in self.runs]
@@ -175,7 +188,9 @@ def _default(sessions: Sessions) -> Chapter:
         [
             f"The default (preset flip) confirmed its answer within the budget in {confirmed} of "
             f"{count}, after {used.min():.0f} to {used.max():.0f} (median {np.median(used):.0f}) "
-            f"rollouts, and {faults} of {len(trials)} trials ended in a fault of the controller."
+            f"rollouts, and {faults} of {len(trials)} trials ended in a fault of the controller. "
+            f"Before any learning, the reproduction of the demonstration was a true flip in "
+            f"{sessions.reproduced} of {count}: where it was, what remained was to find it again.",
         ],
         claims,
         [Table(caption, head, rows)],
