@@ -29,7 +29,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (["bags", "lst"], "did you mean 'list'?"),
         (["run", "torque_controler"], "did you mean 'torque_controller'?"),
         (["teach", "--demonstrations", "0"], "0 must be at least 1"),
-        (["learn", "--trials", "-3"], "-3 must be at least 1"),
+        (["learn", "--trials", "-3"], "-3 must be at least 0"),
         (["learn", "--seed", "x"], "'x' is no whole number"),
     ],
 )

@@ -87,7 +87,7 @@ def _parser() -> argparse.ArgumentParser:
         "--learner", metavar="NAME", help=f"one of {learners} (default: the preset's)"
     )
     learn.add_argument("--preset", metavar="NAME", help="settings of the task (default: its first)")
-    learn.add_argument("--trials", type=positive, help="budget of rollouts (default: the preset's)")
+    learn.add_argument("--trials", type=natural, help="budget of rollouts (default: the preset's)")
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
     learn.add_argument(
         "--resume", action="store_true", help="resume; without --session the newest session"
