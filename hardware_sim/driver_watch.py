@@ -2,7 +2,7 @@
 """Watch for a robot in the domain of a stand-in: a driver, or another stand-in.
 
 A driver publishes joint states or receives commands. With a stand-in beside it, the torques for the
-simulation would move the robot.
+simulation would move the robot. Another stand-in is accepted in another namespace, a robot nowhere.
 
     python -m hardware_sim.driver_watch --ros-args --params-file FILE
 
@@ -24,6 +24,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from wam_power_ros.ros import interface, network, node_runner, security
 from wam_power_ros.ros.domain import FIRST, PER_PARTICIPANT, exported, ports
 
+STAND_IN = "wam_sim"
 STATES = "sensor_msgs/msg/JointState"
 OURS = {*security.TABLE, "check_driver"}  # nodes that may listen to commands
 TOOLS = (
@@ -57,7 +58,10 @@ class DriverWatch:
     def __init__(self, node: Node, command_topic: str, listeners: Sequence[str]) -> None:
         self._node = node
         self._mine = self._own_process()
-        self._commands = {node.resolve_topic_name(command_topic), interface.EFFORT_COMMANDS}
+        names = (command_topic, f"/{interface.EFFORT_COMMANDS}")
+        self._commands = {node.resolve_topic_name(name) for name in names}
+        lockstep = node.get_parameter("pace").value == "lockstep"
+        self._clock = node.resolve_topic_name(interface.CLOCK) if lockstep else ""
         self._listeners = (*TOOLS, *filter(None, listeners))
         self._begun = self._looked = time.monotonic()
         self._unnamed = 0.0  # when a listener without a name was first seen [s], 0 for none
@@ -103,33 +107,43 @@ class DriverWatch:
         """Name of a node that a simulation must not meet, and what it does; empty for none."""
         node = self._node
         for topic, types in node.get_topic_names_and_types():
-            if STATES in types and topic not in self._commands:
+            if topic == self._clock or (STATES in types and topic not in self._commands):
                 for other in self._others(node.get_publishers_info_by_topic(topic)):
-                    return other, f"publishes {topic}"
+                    if topic == self._clock or not self._beside(other):
+                        return other.node_name, f"publishes {topic}"
         for topic in self._commands:
             for other in self._others(node.get_subscriptions_info_by_topic(topic)):
-                if other not in OURS and not other.startswith(self._listeners):
-                    return other, f"{HEARS} {topic}"
+                name = other.node_name
+                if name not in OURS and not name.startswith(self._listeners):
+                    return name, f"{HEARS} {topic}"
         return "", ""
+
+    def _beside(self, other: TopicEndpointInfo) -> bool:
+        """Whether an endpoint is of a stand-in in another namespace, which commands its own arm."""
+        elsewhere = other.node_namespace != self._node.get_namespace()
+        return elsewhere and other.node_name == STAND_IN
 
     def _known(self) -> int:
         """Number of participants of other processes that have been discovered."""
         events = self._node.get_publishers_info_by_topic(EVENTS)
         return len({gid[:PARTICIPANT] for gid, _ in self._alive(events)})
 
-    def _others(self, endpoints: Sequence[TopicEndpointInfo]) -> list[str]:
-        """Names of the nodes of endpoints in other processes that are alive."""
-        return [name for _, name in self._alive(endpoints)]
+    def _others(self, endpoints: Sequence[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
+        """Endpoints in other processes that are alive."""
+        return [endpoint for _, endpoint in self._alive(endpoints)]
 
-    def _alive(self, endpoints: Sequence[TopicEndpointInfo]) -> list[tuple[bytes, str]]:
-        """Global ids and names of nodes of endpoints in other processes that are alive.
+    def _alive(
+        self, endpoints: Sequence[TopicEndpointInfo]
+    ) -> list[tuple[bytes, TopicEndpointInfo]]:
+        """Global ids of endpoints in other processes that are alive, and these.
 
         A killed process of this machine stays announced for 20 s.
         """
-        gids = [(bytes(each.endpoint_gid), each.node_name) for each in endpoints]
+        gids = [(bytes(each.endpoint_gid), each) for each in endpoints]
         if not self._mine:  # another middleware
-            return [(gid, name) for gid, name in gids if name != self._node.get_name()]
-        others = [(gid, name) for gid, name in gids if gid[:PROCESS] != self._mine]
+            mine = self._node.get_name(), self._node.get_namespace()
+            return [each for each in gids if (each[1].node_name, each[1].node_namespace) != mine]
+        others = [each for each in gids if each[0][:PROCESS] != self._mine]
         if not others:
             return []
         ids = (path.name for path in Path("/proc").glob("[0-9]*"))
@@ -168,7 +182,7 @@ class _Look(Node):
     """A node with the parameters of the stand-in and nothing else of it."""
 
     def __init__(self) -> None:
-        super().__init__("wam_sim", automatically_declare_parameters_from_overrides=True)
+        super().__init__(STAND_IN, automatically_declare_parameters_from_overrides=True)
 
     def look(self) -> None:
         topic, listeners = (self.get_parameter(name).value for name in ("command_topic", LISTENERS))

@@ -48,10 +48,11 @@ class Simulation:
     """
 
     def __init__(self) -> None:
-        self._domain = hold(exported(os.environ))  # for as long as the process lives
         self.intruder = ""
         self.wam = WamSim()
         params = self.wam.params
+        # for as long as the process lives
+        self._domain = hold(exported(os.environ), self.wam.get_namespace())
         self._watch = DriverWatch(self.wam, params.command_topic, params.listeners)
         make_scene = scene_type(params.scene)
         self.optitrack: OptitrackSim | None = None

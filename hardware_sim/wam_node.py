@@ -30,7 +30,7 @@ from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm, Guarded, guarded_points
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.diagnostics import diagnostics_message
+from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
 Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: of no use beyond the reach")]
 Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: no joint here turns so far")]
@@ -151,7 +151,8 @@ class WamSim(Node):
             self._velocities = self.create_publisher(JointState, params.velocity_topic, qos)
         others = [name for name in params.other_joints if name]
         self._others = joint_messages.JointStateWriter(others) if others else None
-        self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
+        if self.lockstep:
+            self._clocks = self.create_publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
         self._description = self.create_publisher(
             String, interface.ROBOT_DESCRIPTION, interface.LATCHED
         )
@@ -236,5 +237,5 @@ class WamSim(Node):
         values["stamp of the last [ns]"] = self.stamp_ns
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
-            diagnostics_message(now, "wam_sim: loop", "stand-in", "ok", doing, values)
+            diagnostics_message(now, component(self, "loop"), "stand-in", "ok", doing, values)
         )

@@ -8,7 +8,8 @@
 With `config` the stand-ins behave like those devices: hardware.launch.py in simulation.
 
 It runs in the domain of ROS_DOMAIN_ID, on this machine, and refuses to where a driver or another
-session is. (`wam-power learn` takes a domain of its own.)
+session is; simulations of other namespaces may be there. (`wam-power learn` takes a domain of its
+own.)
 """
 
 import os
@@ -25,15 +26,18 @@ from wam_power_ros.ros.domain import exported, hold
 HELD = []  # the lock of the domain, until the launch ends
 
 
-def check_domain(parameters: Path) -> None:
+def check_domain(launched: ros_launch.Launched, parameters: Path) -> None:
     """Refuse a domain in which a controller would hold a robot instead of the simulation.
 
     Raises:
         RuntimeError: A driver, another stand-in or another session is there.
     """
-    HELD.append(hold(exported(os.environ)))
+    HELD.append(hold(exported(os.environ), launched.namespace))
     command = [sys.executable, "-m", "hardware_sim.driver_watch", "--ros-args"]
-    if subprocess.run([*command, "--params-file", str(parameters)]).returncode:
+    command += ["--params-file", str(parameters), "-r", f"__ns:={launched.namespace or '/'}"]
+    for old, new in launched.remappings:
+        command += ["-r", f"{old}:={new}"]
+    if subprocess.run(command).returncode:
         raise RuntimeError("this domain is not free for a simulation, see above")
 
 

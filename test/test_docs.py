@@ -38,13 +38,17 @@ SOURCES = [
 ]
 NAMES = sorted(
     [
-        *(
-            value
-            for name, value in vars(interface).items()
-            if name.isupper() and isinstance(value, str) and value.startswith("/")
-        ),
-        *(interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES),
-        interface.rollout_topic("pancake"),
+        f"/{name.lstrip('/')}"  # without a namespace
+        for name in (
+            *(
+                value
+                for key, value in vars(interface).items()
+                if key.isupper() and isinstance(value, str) and not key.endswith("_FRAME")
+            ),
+            *(interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES),
+            interface.rollout_topic("pancake"),
+        )
+        if name != interface.SCENE
     ]
 )
 PAPER = re.search(r"\| paper \| code \| test \|\n(.*?)\n\n", METHOD, re.DOTALL)

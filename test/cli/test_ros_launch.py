@@ -6,12 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import yaml
 from conftest import ROOT
 
 from wam_power_ros.cli import ros_launch
 from wam_power_ros.cli.launcher import UsageError
 from wam_power_ros.params import overlay
+from wam_power_ros.params.parameter_file import of_nodes
 
 BAGS = sorted((ROOT / "bags").glob("demo_*"))
 DEFAULTS = {name: default for name, (default, _) in ros_launch.SHARED.items()}
@@ -68,7 +68,7 @@ def test_a_session_has_its_bags_in_its_folder_and_what_was_asked_for_it(tmp_path
     assert launched.setup["wam_sim"]["seed"] == 7
     file = ros_launch.parameter_file(launched)
     assert file.is_relative_to(folder)
-    assert yaml.safe_load(file.read_text())["learner"]["ros__parameters"] == learner
+    assert of_nodes(file)["learner"] == learner
 
 
 def test_a_task_without_a_body_has_no_tracker(tmp_path: Path) -> None:

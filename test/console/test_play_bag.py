@@ -110,7 +110,7 @@ def test_no_torque_is_played_and_nothing_beside_a_driver(
     player = playing(processes, DEMONSTRATION, "--rate", 0.1)
     assert player.wait(120.0) == 2
     said = processes.output(player)
-    assert f"not played: {interface.EFFORT_COMMANDS}" in said
+    assert f"not played: /{interface.EFFORT_COMMANDS}" in said
     assert "/joint_states is published by probe too" in said
 
 

@@ -51,7 +51,11 @@ def named(node: str, output: str) -> bool:
 
 
 @pytest.mark.requirement("S-55")
-@pytest.mark.parametrize("kinds", [("states",), ()], ids=["states", "only commands"])
+@pytest.mark.parametrize(
+    "kinds",
+    [("states",), (), ("states", "--ros-args", "-r", "__ns:=/right")],
+    ids=["states", "only commands", "in another namespace"],
+)
 def test_beside_a_driver_a_simulation_refuses_to_run_and_publishes_nothing(
     kinds: tuple[str, ...], probe: Probe, processes: Processes
 ) -> None:

@@ -100,9 +100,9 @@ def test_a_scene_without_a_body_is_reset_taught_and_practised_in(
 
 def taught_and_practised(hardware: Hardware, policy: Policy) -> None:
     arm, probe = arm_model(), hardware.probe
-    assert hardware.reset_service == "/scene/reset"
+    assert hardware.reset_service == "scene/reset"
     topics = {name for name, _ in probe.node.get_topic_names_and_types()}
-    assert not [name for name in topics if "pancake" in name or name == interface.MARKERS]
+    assert not [name for name in topics if "pancake" in name or name == f"/{interface.MARKERS}"]
     hardware.control()
     hardware.free()
     for number in range(2):

@@ -164,7 +164,7 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
     probe.node.create_timer(0.1, tell)
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.requests == [*begun, move, move, execute]
-    assert "waiting: torque_controller is active" in capfd.readouterr().err
+    assert "waiting: the torque controller is active" in capfd.readouterr().err
     probe.until(lambda: len(sent) >= 2, "the policies")
     assert len(sent) == cell.requests.count(move)
 

@@ -9,7 +9,6 @@ from typing import Annotated
 
 import pytest
 import rclpy
-import yaml
 from conftest import ROOT
 from pydantic import Field
 from rclpy.node import Node
@@ -23,7 +22,7 @@ from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderPara
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
-from wam_power_ros.params.parameter_file import comments
+from wam_power_ros.params.parameter_file import comments, of_nodes
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 
@@ -112,8 +111,8 @@ def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., No
 def test_every_parameter_says_what_it_is_its_range_and_that_it_is_read_at_start(
     node_with: Callable[..., Node],
 ) -> None:
-    values = yaml.safe_load((ROOT / "config/learner.yaml").read_text())["learner"]
-    node = node_with(**values["ros__parameters"])
+    values = of_nodes(ROOT / "config/learner.yaml")["learner"]
+    node = node_with(**values)
     LearnerParams.of(node)
     described = {name: node.describe_parameter(name) for name in LearnerParams.model_fields}
     assert all(each.read_only for each in described.values())
@@ -144,7 +143,7 @@ def test_every_parameter_says_what_it_is_its_range_and_that_it_is_read_at_start(
 def test_a_yaml_holds_exactly_what_its_node_reads(
     file: str, node: str, params: type[Params]
 ) -> None:
-    values = yaml.safe_load((ROOT / "config" / file).read_text())[node]["ros__parameters"]
+    values = of_nodes(ROOT / "config" / file)[node]
     assert set(values) == set(params.model_fields)
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     params(**(values | lists))

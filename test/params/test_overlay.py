@@ -17,7 +17,7 @@ from hardware_sim.wam_node import WamSimParams
 from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
-from wam_power_ros.params import overlay
+from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -78,7 +78,7 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
 def test_without_a_set_up_every_node_gets_its_own_file() -> None:
     setup = overlay.setup()
     for node in overlay.NODES:
-        own = yaml.safe_load((ROOT / f"config/{node}.yaml").read_text())[node]["ros__parameters"]
+        own = dict(parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node])
         own |= {"move_speed": overlay.MOVE_SPEED} if node == "torque_controller" else {}
         assert {name: setup[node][name] for name in own} == own
         assert setup[node].get("use_sim_time", False) == (node not in overlay.STAND_INS)
@@ -87,7 +87,7 @@ def test_without_a_set_up_every_node_gets_its_own_file() -> None:
 def test_what_follows_from_a_driver_reaches_recorder_and_stand_in(tmp_path: Path) -> None:
     setup = overlay.setup(["libbarrett"], simulated=True)
     recorder = read(setup, "demonstration_recorder", tmp_path)
-    assert recorder.driver_topics == ("/joint_torque_commands", "/wam/jointVelocity")
+    assert recorder.driver_topics == ("joint_torque_commands", "wam/jointVelocity")
     assert recorder.joint_names[0] == setup["wam_sim"]["joint_names"][0] == "q1"
     assert setup["wam_sim"]["pace"] == "real_time"
     assert setup["wam_sim"]["driver_compensates_gravity"]
@@ -96,9 +96,9 @@ def test_what_follows_from_a_driver_reaches_recorder_and_stand_in(tmp_path: Path
 @pytest.mark.parametrize(
     ("driver", "poses"),
     [
-        (None, "/ball/pose"),
-        ("natnet_ros2", "/ball/pose"),
-        ("vrpn_mocap", "/vrpn_mocap/ball/pose"),
+        (None, "ball/pose"),
+        ("natnet_ros2", "ball/pose"),
+        ("vrpn_mocap", "vrpn_mocap/ball/pose"),
         ("motion_capture_tracking", ""),
     ],
 )
@@ -142,6 +142,7 @@ def test_the_last_file_counts_most_and_may_deny_what_follows(tmp_path: Path) -> 
         ("torque_controler: {ros__parameters: {}}", "torque_controler"),
         ("torque_controller: {ros__parameters: {joint_name: [a]}}", "is it joint_names"),
         ("torque_controller: {parameters: {}}", "no file of ROS parameters"),
+        ("a/one: {ros__parameters: {}}\nb/one: {ros__parameters: {}}", "one twice"),
         ("- a\n- b", "no file of ROS parameters"),
         ("torque_controller: !!python/object:os.system {}", "no file of ROS parameters"),
         ("a: {", "no file of ROS parameters"),
@@ -176,4 +177,4 @@ VALUES = st.one_of(
 @given(st.dictionaries(st.text("abc_", min_size=1), VALUES | st.lists(PLAIN, min_size=1)))
 def test_what_is_written_is_what_is_read(values: dict[str, Any]) -> None:
     text = overlay.text({"node": values})
-    assert yaml.safe_load(text) == {"node": {"ros__parameters": values}}
+    assert yaml.safe_load(text) == {"/**/node": {"ros__parameters": values}}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics and services of a tracked body follow its name."""
+"""Names are relative to the arm; those of a tracked body follow its name."""
 
 from __future__ import annotations
 
@@ -8,12 +8,27 @@ import pytest
 from wam_power_ros.ros import interface
 
 
+def test_what_is_of_one_arm_has_a_relative_name_and_only_what_all_share_is_absolute() -> None:
+    names = {
+        name
+        for key, name in vars(interface).items()
+        if key.isupper() and isinstance(name, str) and not key.endswith("_FRAME")
+    }
+    names |= {interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES}
+    assert {name for name in names if name.startswith("/")} == {"/clock", "/diagnostics"}
+
+
+def test_frames_have_the_namespace_of_their_arm_as_prefix() -> None:
+    assert interface.frame("/", "wam_base") == "wam_base"
+    assert interface.frame("/left", "wam_base") == "left/wam_base"
+
+
 def test_topics_follow_the_name_of_the_tracked_body() -> None:
-    assert interface.body_topic("pancake", "state") == "/pancake/state"
-    assert interface.body_topic("ball", "reset") == "/ball/reset"
-    assert interface.rollout_topic("ball") == "/rollout/ball"
-    assert interface.body_topic("", "reset") == "/scene/reset"
-    assert interface.body_topic("", "truth") == "/scene/truth"
+    assert interface.body_topic("pancake", "state") == "pancake/state"
+    assert interface.body_topic("ball", "reset") == "ball/reset"
+    assert interface.rollout_topic("ball") == "rollout/ball"
+    assert interface.body_topic("", "reset") == "scene/reset"
+    assert interface.body_topic("", "truth") == "scene/truth"
 
 
 @pytest.mark.parametrize(("body", "leaf"), [("ball", "poses"), ("", "pose"), ("", "state")])

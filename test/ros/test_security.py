@@ -27,13 +27,13 @@ from wam_power_ros.ros import interface, security
 from wam_power_ros.view.live import View
 
 RIGHTS = security.table(overlay.setup())
-NAMES = {
+RELATIVE = {
     value
     for name, value in vars(interface).items()
-    if name.isupper() and isinstance(value, str) and value.startswith("/")
-}
-NAMES |= {interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES}
-NAMES.add(interface.rollout_topic("pancake"))
+    if name.isupper() and isinstance(value, str) and not name.endswith("_FRAME")
+} - {interface.SCENE}
+RELATIVE |= {interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES}
+NAMES = {f"/{name.lstrip('/')}" for name in RELATIVE | {interface.rollout_topic("pancake")}}
 NODES = {
     "torque_controller": TorqueController,
     "demonstration_recorder": DemonstrationRecorder,
@@ -43,7 +43,6 @@ NODES = {
     "optitrack_sim": OptitrackSim,
     "view": lambda: View(overlay.setup()["torque_controller"], "pancake"),
 }
-EVERYONES = {"/rosout", "/parameter_events", interface.CLOCK}
 
 
 def test_the_shipped_policy_is_that_of_the_table() -> None:
@@ -68,7 +67,7 @@ def test_every_topic_and_service_is_somebodys_and_no_other_is() -> None:
 def test_only_the_controller_publishes_torques(name: str | None) -> None:
     setup = overlay.setup([name] if name else [])
     root = ElementTree.fromstring(security.policy(security.table(setup)))
-    torques = setup["torque_controller"]["command_topic"]
+    torques = f"/{setup['torque_controller']['command_topic']}"
     senders = [
         profile.get("node")
         for profile in root.iter("profile")
@@ -103,29 +102,53 @@ def test_the_table_follows_the_name_of_the_body(tmp_path: Path) -> None:
 def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     recorder, learner = RIGHTS["demonstration_recorder"], RIGHTS["learner"]
     assert (recorder.publishes, recorder.calls) == ((interface.DIAGNOSTICS,), ())
-    assert learner.publishes == (interface.POLICY,)
+    assert learner.publishes == (f"/{interface.POLICY}",)
     assert {name.split("/")[1] for name in learner.serves} == {"learner"}
 
 
+def test_in_a_namespace_an_arm_has_rights_on_its_own_topics_and_no_other_arm() -> None:
+    left, right = (
+        ElementTree.fromstring(security.policy(security.table(overlay.setup(), name), name))
+        for name in ("left", "right")
+    )
+    shared = {"/diagnostics", "/rosout", "/parameter_events"}
+
+    def names(policy: ElementTree.Element) -> set[str]:
+        texts = {item.text for kind in ("topic", "service") for item in policy.iter(kind)}
+        return {text for text in texts if not text.startswith("/_ros2cli")}
+
+    assert names(left) & names(right) == shared
+    assert all(name.startswith("/left/") for name in names(left) - shared)
+    assert {enclave.get("path").split("/")[1] for enclave in left.iter("enclave")} == {"left"}
+
+
+@pytest.mark.parametrize("namespace", ["", "/left"])
 @pytest.mark.parametrize("kind", NODES.values(), ids=NODES)
 def test_a_node_does_what_it_may_and_may_what_it_does(
-    kind: Callable[[], Node], domain_id: int, tmp_path: Path
+    kind: Callable[[], Node], namespace: str, domain_id: int, tmp_path: Path
 ) -> None:
     file = tmp_path / "parameters.yaml"
     file.write_text(overlay.text(overlay.setup()))
-    rclpy.init(args=["--ros-args", "--params-file", str(file)], domain_id=domain_id)
+    remaps = ["-r", f"__ns:={namespace}", "-r", "/clock:=clock"] if namespace else []
+    rclpy.init(args=["--ros-args", "--params-file", str(file), *remaps], domain_id=domain_id)
     try:
         node = kind()
-        name, right = node.get_name(), RIGHTS[node.get_name()]
+        name = node.get_name()
+        right = security.table(overlay.setup(), namespace)[name]
         whose = (name, node.get_namespace())
-        own = {f"/{name}/{service}" for service in (*security.ABOUT_ITSELF, *security.LIFECYCLE)}
+        clock = security.resolved_name(interface.CLOCK, namespace)
+        everyones = {"/rosout", "/parameter_events", clock}
+        own = {
+            f"{namespace}/{name}/{service}"
+            for service in (*security.ABOUT_ITSELF, *security.LIFECYCLE)
+        }
         published = {topic for topic, _ in node.get_publisher_names_and_types_by_node(*whose)}
         heard = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(*whose)}
         served = {topic for topic, _ in node.get_service_names_and_types_by_node(*whose)} - own
         called = {topic for topic, _ in node.get_client_names_and_types_by_node(*whose)}
-        events = {f"/{name}/transition_event"} if name in security.MANAGED else set()
-        assert published - EVERYONES - events == set(right.publishes) - EVERYONES
-        assert heard - EVERYONES <= set(right.subscribes)
+        events = {f"{namespace}/{name}/transition_event"} if name in security.MANAGED else set()
+        assert published - everyones - events == set(right.publishes) - everyones
+        assert heard - everyones <= set(right.subscribes)
         assert called <= set(right.calls)
         assert served == set(right.serves)
         node.destroy_node()
@@ -136,10 +159,12 @@ def test_a_node_does_what_it_may_and_may_what_it_does(
 def test_the_command_line_prints_the_policy_of_a_set_up(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    assert main.main(["policy", "libbarrett", "--namespace", "left"]) == 0
+    assert "<topic>/left/joint_torque_commands</topic>" in capsys.readouterr().out
     assert main.main(["policy", "libbarrett"]) == 0
     text = capsys.readouterr().out
     assert "<topic>/joint_torque_commands</topic>" in text
-    assert interface.EFFORT_COMMANDS not in text
+    assert f"/{interface.EFFORT_COMMANDS}" not in text
 
 
 @pytest.mark.parametrize(

@@ -164,7 +164,7 @@ class Lab:
             self._start(f"wam_power_ros.nodes.{node}", setup)
 
     def _hear(self, topic: str) -> None:
-        assert topic == self._setup["torque_controller"]["state_topic"]
+        assert topic == f"/{self._setup['torque_controller']['state_topic']}"
         heard = self._probe.listen(JointState, topic, interface.STATE_RECORD)
         self._probe.until(lambda: len(heard) > 100, f"states on {topic}")
 
@@ -185,7 +185,8 @@ class Lab:
         def agreed() -> bool:
             response = self._probe.call(service, name, filled, PATIENCE)
             answer = answers.read(response.success, response.message)
-            if answer.success or (name == interface.RESET and answer.code is answers.Code.NOTHING):
+            reset = name == f"/{interface.RESET}"
+            if answer.success or (reset and answer.code is answers.Code.NOTHING):
                 return True  # without a fault there is nothing to reset
             self._probe.call(Trigger, interface.RESET, deadline=PATIENCE)  # as the guide says
             return False

@@ -47,7 +47,7 @@ class Launch:
         words = [sys.executable, "-c", CLI, "launch", "wam_power_ros", file, *given]
         script = f". {self._installed}/install/local_setup.sh && exec setsid {shlex.join(words)}"
         temporary = self._folder / "temporary"
-        temporary.mkdir(exist_ok=True)
+        temporary.mkdir(parents=True, exist_ok=True)
         self.process = self._processes.start(
             ["sh", "-c", script], TMPDIR=str(temporary), ROS_LOG_DIR=str(self._folder / "log")
         )
@@ -77,9 +77,9 @@ class Launch:
             return False
         return True
 
-    def has_ended_well(self) -> None:
-        """Exit status 0 of all, no process left, no file of parameters."""
-        assert self.process.wait(PATIENCE) == 0
+    def has_ended_well(self, status: int = 0) -> None:
+        """Exit status, 0 of every node, no process left, no file of parameters."""
+        assert self.process.wait(PATIENCE) == status
         assert "process has died" not in self.output
         assert "Traceback" not in self.output
         end = time.monotonic() + PATIENCE
@@ -93,6 +93,58 @@ class Launch:
 @pytest.fixture
 def launch(installed: Path, processes: Processes, tmp_path: Path) -> Launch:
     return Launch(installed, processes, tmp_path)
+
+
+@pytest.fixture
+def second(installed: Path, processes: Processes, tmp_path: Path) -> Launch:
+    return Launch(installed, processes, tmp_path / "second")
+
+
+@pytest.mark.parametrize(
+    "moment",
+    ["process started with pid", "each step waits for torques", "recording", "session finished"],
+)
+def test_ctrl_c_ends_a_launch_cleanly_at_any_moment(
+    moment: str, launch: Launch, tmp_path: Path
+) -> None:
+    session, bags = str(tmp_path / "session"), " ".join(BAGS)
+    asked = {"task": "reach", "trials": "1", "seed": "5"}
+    launch.start("sim.launch.py", session=session, demonstrations=bags, **asked)
+    launch.until(lambda: moment in launch.output, moment)
+    launch.interrupt()
+    launch.has_ended_well()
+
+
+def test_a_second_launch_in_the_same_domain_is_refused_in_one_line_and_the_first_goes_on(
+    launch: Launch, second: Launch
+) -> None:
+    launch.start("sim.launch.py")
+    launch.until(lambda: "mode hold" in launch.output, "the arm is held")
+    second.start("sim.launch.py")
+    second.has_ended_well(status=1)
+    assert "is in use on this machine by process" in second.output
+    assert "process started" not in second.output
+    assert launch.process.poll() is None
+    launch.interrupt()
+    launch.has_ended_well()
+
+
+def test_two_arms_are_launched_into_one_graph_and_learn_side_by_side(
+    launch: Launch, second: Launch, tmp_path: Path
+) -> None:
+    for each, name, seed in ((launch, "left", "5"), (second, "right", "6")):
+        each.start(
+            "sim.launch.py",
+            namespace=name,
+            session=str(tmp_path / name),
+            demonstrations=" ".join(BAGS),
+            task="reach",
+            trials="1",
+            seed=seed,
+        )
+    for each, name in ((launch, "left"), (second, "right")):
+        each.has_ended_well()
+        assert (tmp_path / name / "report.html").is_file()
 
 
 def test_a_launched_session_has_its_bags_and_its_report_and_then_ends(

@@ -82,7 +82,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
 
     first = learner()
     offered = probe.node.get_service_names_and_types
-    probe.until(lambda: interface.LEARNER_REWARD in dict(offered()), "the learner", 300.0)
+    probe.until(lambda: f"/{interface.LEARNER_REWARD}" in dict(offered()), "the learner", 300.0)
     refused = probe.call(Trigger, interface.LEARNER_REWARD, deadline=300.0)
     assert not refused.success  # nothing to rate: no rollout yet, or not even a session read
     probe.until(rollouts, "a first rollout", 300.0)

@@ -349,7 +349,7 @@ def test_another_reader_opens_the_demonstration(demonstration: Path) -> None:
     ]
     # None is missing; in lockstep a state whose answer is late is sent again.
     assert set(np.diff(stamps_ns)) - {0} == {2_000_000}
-    name, schema, encoding, qos = summary(demonstration)[interface.JOINT_STATES]
+    name, schema, encoding, qos = summary(demonstration)[layout.STATES]
     assert (name, schema, encoding) == ("sensor_msgs/msg/JointState", "ros2msg", "cdr")
     assert (qos["reliability"], qos["durability"]) == ("reliable", "volatile")
     (description,) = decoded(demonstration, interface.ROBOT_DESCRIPTION)
@@ -367,7 +367,7 @@ def test_another_reader_opens_a_rollout_with_everything_that_made_it(
         interface.body_topic("pancake", "pose"): "geometry_msgs/msg/PoseStamped",
         interface.POLICY: "std_msgs/msg/String",
     }.items()
-    assert topics[interface.POLICY][3]["durability"] == "transient_local"
+    assert topics[f"/{interface.POLICY}"][3]["durability"] == "transient_local"
     (policy, *_) = decoded(bag, interface.POLICY)
     assert json.loads(policy.data)["id"] == ROLLOUTS[-1]
     commands = decoded(bag, interface.EFFORT_COMMANDS)

@@ -390,7 +390,8 @@ def policy(options: argparse.Namespace) -> None:
     """Print the SROS2 policy."""
     from wam_power_ros.ros import security
 
-    print(security.policy(security.table(overlay.setup(options.config))), end="")
+    rights = security.table(overlay.setup(options.config), options.namespace)
+    print(security.policy(rights, options.namespace), end="")
 
 
 def play(options: argparse.Namespace) -> None:

@@ -124,6 +124,7 @@ def _parser() -> argparse.ArgumentParser:
         "generate_artifacts.",
     )
     policy.add_argument("config", nargs="*", metavar="NAME", help="as for config")
+    policy.add_argument("--namespace", default="", help="of the arm's nodes")
 
     feedback = add(
         "feedback",

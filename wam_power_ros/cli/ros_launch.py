@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import atexit
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -30,8 +31,10 @@ if TYPE_CHECKING:
     from launch import LaunchContext, LaunchDescription
 
 PATIENCE = "30.0"  # [s] for a node to end: a bag is closed, an arm brought to rest
+NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 NEEDED = ("wam_sim", "torque_controller")
 SHARED = {  # launch argument -> default and description
+    "namespace": ("", "of the nodes of one arm, and of its topics, services and frames"),
     "task": ("", "skill to be learnt; '': that of the session, or flip"),
     "session": ("", "folder of a session, begun or resumed; '': no learner"),
     "demonstrations": ("", "bags a new session begins from"),
@@ -50,11 +53,18 @@ class Launched(NamedTuple):
         setup: Parameters by node.
         executables: Nodes to start.
         session: Folder of the session; None without a learner.
+        namespace: Namespace of the nodes, such as `/left`; empty for none.
     """
 
     setup: overlay.Setup
     executables: tuple[str, ...]
     session: Path | None
+    namespace: str = ""
+
+    @property
+    def remappings(self) -> list[tuple[str, str]]:
+        """Names that are others in a namespace: each simulation there has a time of its own."""
+        return [("/clock", f"{self.namespace}/clock")] if self.namespace else []
 
 
 def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
@@ -116,7 +126,21 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
         executables.append("pancake_tracker")
     if session is not None:
         executables.append("learner")
-    return Launched(setup, tuple(executables), session)
+    return Launched(setup, tuple(executables), session, _namespace(given["namespace"]))
+
+
+def _namespace(text: str) -> str:
+    """Namespace of a launch argument, with its slash.
+
+    Raises:
+        ValueError: It is none.
+    """
+    name = text.strip("/")
+    if name and not NAMESPACE.fullmatch(name):
+        raise ValueError(
+            f"namespace {text!r} must be names of letters, digits and underscores, with a / between"
+        )
+    return f"/{name}" if name else ""
 
 
 def parameter_file(launched: Launched) -> Path:
@@ -135,14 +159,14 @@ def parameter_file(launched: Launched) -> Path:
 def description(
     arguments: list[DeclareLaunchArgument],
     stand_ins: bool,
-    check: Callable[[Path], None] = lambda file: None,
+    check: Callable[[Launched, Path], None] = lambda launched, file: None,
 ) -> LaunchDescription:
     """Description of a launch file.
 
     Args:
         arguments: Arguments of this launch file; those of `SHARED` come with them.
         stand_ins: True when the simulated devices are started too, false on hardware.
-        check: Function that is called with the parameter file before anything is started.
+        check: Function that is called before anything is started, with the parameter file.
     """
     from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
     from launch.substitutions import LaunchConfiguration
@@ -164,7 +188,7 @@ def description(
         values = {each.name: LaunchConfiguration(each.name).perform(context) for each in arguments}
         launched = prepare(values, stand_ins)
         file = parameter_file(launched)
-        check(file)
+        check(launched, file)
         return _nodes(launched, file, values["secure"] == "true")
 
     return LaunchDescription(
@@ -198,9 +222,11 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
         Node(
             package="wam_power_ros",
             executable=name,
+            namespace=launched.namespace,
+            remappings=launched.remappings,
             parameters=[str(file)],
             output="screen",
-            ros_arguments=["--enclave", f"/{name}"] if secure else [],
+            ros_arguments=["--enclave", f"{launched.namespace}/{name}"] if secure else [],
             sigterm_timeout=PATIENCE,
             sigkill_timeout=PATIENCE,
             on_exit={**ends, "learner": after_learner}.get(name),

@@ -65,7 +65,7 @@ def select_topics(
 
 def _danger(path: Path, name: str, msgtype: str) -> str:
     """Why a topic must not be published; empty if it may be."""
-    if name == interface.ENABLE:
+    if f"/{name}".endswith(f"/{interface.ENABLE}"):
         return "it enables an arm"
     if msgtype in COMMAND_TYPES or COMMAND_NAMES.search(name):
         return "it commands an arm"

@@ -192,7 +192,9 @@ class CheckDriver(Node):
                 "ROS_AUTOMATIC_DISCOVERY_RANGE must be theirs"
             )
         if not self._urdf:
-            raise ValueError(f"no message on {interface.ROBOT_DESCRIPTION}")
+            raise ValueError(
+                f"no message on {self.resolve_topic_name(interface.ROBOT_DESCRIPTION)}"
+            )
         arm = Arm(self._urdf, self._arm_params.model_joint_names, self._arm_params.tool_frame)
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
@@ -235,7 +237,9 @@ class CheckDriver(Node):
 
     def _service(self) -> Row:
         services = {name: types[0] for name, types in self.get_service_names_and_types()}
-        wanted = self._arm_params.idle_service
+        wanted = self._arm_params.idle_service and self.resolve_service_name(
+            self._arm_params.idle_service
+        )
         return topic_checks.offered("idle service", "std_srvs/srv/Trigger", services, wanted)
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:

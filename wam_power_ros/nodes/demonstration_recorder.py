@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Demonstration recorder: `/recorder/record` true and false in, a bag each time out.
+"""Demonstration recorder: `recorder/record` true and false in, a bag each time out.
 
 Messages are taken as they come and written by another thread, never decoded. The bag is
 `rollout_<id>` when a policy has come since the last recording began, else `<stem>_<date>_<time>`.
@@ -33,7 +33,7 @@ from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, node_runner, scheduling
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.diagnostics import diagnostics_message
+from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
@@ -210,7 +210,7 @@ class DemonstrationRecorder(Node):
         return {
             "joint_names": json.dumps(self._params.joint_names),
             **({"arm": self._arm} if self._arm else {}),
-            "state_topic": self._params.state_topic,
+            "state_topic": self._state_topic,
             "source": self._params.source,
             "version": f"wam_power_ros {__version__}",
         }
@@ -255,7 +255,7 @@ class DemonstrationRecorder(Node):
         values["waiting for the disk"] = recording.waiting if recording else 0
         values["lost before they came"] = sum(lost.values())
         values["real-time scheduling"] = self._granted.scheduling
-        name, now = "demonstration_recorder: bag", self.get_clock().now().to_msg()
+        name, now = component(self, "bag"), self.get_clock().now().to_msg()
         self._diagnostics.publish(diagnostics_message(now, name, "disk", level, text, values))
 
     def close(self) -> None:

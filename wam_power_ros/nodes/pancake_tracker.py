@@ -22,7 +22,7 @@ from sensor_msgs.msg import PointCloud2
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
-from wam_power_ros.ros.diagnostics import diagnostics_message
+from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.tracking.tracker import (
     ClockOffset,
     TrackedState,
@@ -55,6 +55,9 @@ class PancakeTracker(Node):
                 f"{params.markers_topic!r}"
             )
         self._tracker = Tracker(params.settings())
+        namespace = self.get_namespace()
+        self._frame = interface.frame(namespace, interface.BASE_FRAME)
+        self._body_frame = interface.frame(namespace, params.body)
         self._owed: _Rollout | None = None
         self._offset = ClockOffset()
         self._trouble = ""  # the last thing refused, or wrong with a path
@@ -119,8 +122,8 @@ class PancakeTracker(Node):
         self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
 
     def _publish(self, state: TrackedState) -> None:
-        reading = pose_messages.StateReading(state.stamp_ns, interface.BASE_FRAME, *state[1:6])
-        self._states.publish(pose_messages.odometry_message(reading, self._params.body))
+        reading = pose_messages.StateReading(state.stamp_ns, self._frame, *state[1:6])
+        self._states.publish(pose_messages.odometry_message(reading, self._body_frame))
 
     def _look(self) -> None:
         """Coast through an occlusion; give up waiting for frames that do not come."""
@@ -151,7 +154,7 @@ class PancakeTracker(Node):
             self._complain(f"{rollout.id} not scored: stamps {self._offset.seconds:.3f} s off")
             nothing = np.zeros(0)
             path = BodyPath(rollout.id, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
-        message = pose_messages.path_message(path, rollout.start_ns, interface.BASE_FRAME)
+        message = pose_messages.path_message(path, rollout.start_ns, self._frame)
         self._paths.publish(message)
 
     def _complain(self, text: str) -> None:
@@ -175,7 +178,7 @@ class PancakeTracker(Node):
         self._diagnostics.publish(
             diagnostics_message(
                 self.get_clock().now().to_msg(),
-                f"pancake_tracker: {self._params.body}",
+                component(self, self._params.body),
                 "motion capture",
                 level,
                 text,

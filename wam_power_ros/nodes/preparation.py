@@ -124,13 +124,19 @@ class Preparation:
         self._send(*self._path)
 
     def report(
-        self, stamp_ns: int, hardware_id: str, level: str, text: str, values: Mapping[str, object]
+        self,
+        stamp_ns: int,
+        name: str,
+        hardware_id: str,
+        level: str,
+        text: str,
+        values: Mapping[str, object],
     ) -> None:
         """Publish diagnostics of the loop; dropped while there is no process to do so."""
         if self._channel is not None:
             texts = {key: str(value) for key, value in values.items()}
             diagnosis = {"hardware_id": hardware_id, "level": level, "text": text, "values": texts}
-            self._send({"what": "report", "stamp_ns": stamp_ns, **diagnosis})
+            self._send({"what": "report", "stamp_ns": stamp_ns, "name": name, **diagnosis})
 
     def log(self, severity: str, text: str) -> None:
         """Log a text as "info" or "error", or as "warning" at most once a second."""

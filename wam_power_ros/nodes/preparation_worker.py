@@ -137,9 +137,8 @@ class PreparationWorker(Node):
     def _do_report(self, values: dict[str, Any], _: object) -> None:
         if any(later is not None and later.values["what"] == "report" for later in self._inbox):
             return  # those that waited while this process was started are out of date
-        parts = (values[name] for name in ("hardware_id", "level", "text", "values"))
-        stamp = time_message(values["stamp_ns"])
-        self._diagnostics.publish(diagnostics_message(stamp, "torque_controller: loop", *parts))
+        parts = (values[key] for key in ("name", "hardware_id", "level", "text", "values"))
+        self._diagnostics.publish(diagnostics_message(time_message(values["stamp_ns"]), *parts))
 
     def _do_log(self, values: dict[str, Any], _: object) -> None:
         log = self.get_logger()  # rclpy wants one line of the source for each severity

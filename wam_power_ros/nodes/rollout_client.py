@@ -28,7 +28,7 @@ from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind, Rollout
-from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros import diagnostics, interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.pose_messages import StateReading
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
@@ -39,7 +39,6 @@ ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
 CLOCKS_APART = 0.2  # clocks of arm and motion capture at most; the tracker allows no more [s]
 FAULT_TIMEOUT = 2.5  # for the diagnostics that name a fault, published once a second [s]
 READY_STATES = 3  # states of the body in a row that must be ready
-CONTROLLER = "torque_controller"  # node whose diagnostics report faults
 NOT_ACTIVE = ("", "unconfigured", Mode.INACTIVE.value)  # modes, the first before any is known
 Ready = Callable[[StateReading | None], str]  # what is missing before a rollout; empty for nothing
 
@@ -184,14 +183,14 @@ class RolloutClient:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.startswith(f"{CONTROLLER}:"):
-                values = {each.key: each.value for each in status.values}
+            values = diagnostics.of_controller(self._node.get_namespace(), status)
+            if values is not None:
                 self._mode = values.get("mode", "")
                 self._diagnoses += 1
                 self._fault = None
                 if status.level == DiagnosticStatus.ERROR:
                     kinds = {kind.value: kind for kind in FaultKind}
-                    kind = kinds.get(values.get("fault kind", ""), FaultKind.SOFTWARE)
+                    kind = kinds.get(values[diagnostics.FAULT_KIND], FaultKind.SOFTWARE)
                     self._fault = Fault(kind, status.message)
 
     def _read(self, convert: Callable[[], T]) -> T | None:
@@ -227,7 +226,7 @@ class RolloutClient:
         except ServiceError as error:
             raise RolloutError(str(error)) from error
         if answer is None:
-            self._log.warning(f"{name} does not answer")
+            self._log.warning(f"{self._node.resolve_service_name(name)} does not answer")
         return answer
 
     def _record(self, begin: bool) -> Answer | None:
@@ -303,7 +302,7 @@ class RolloutClient:
         """Wait until the diagnostics say that the controller is active."""
         self._mode = ""  # the last one may be from before
         active = lambda: self._mode not in NOT_ACTIVE  # noqa: E731
-        self.until(active, f"{CONTROLLER} is active (ros2 lifecycle)", math.inf)
+        self.until(active, "the torque controller is active (ros2 lifecycle)", math.inf)
 
     def _insist(self, name: str, policy_id: str) -> None:
         """Call a service until it has done it for this policy.

@@ -46,6 +46,7 @@ from wam_power_ros.ros import (
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.command_guard import SoleCommander
 from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.diagnostics import FAULT_KIND, component
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -65,6 +66,7 @@ class TorqueController(LifecycleNode):
         self._params = params = TorqueControllerParams.of(self)
         if (exposed := security.exposed(os.environ)) is not None:
             self.get_logger().warning(exposed)
+        self._frame = interface.frame(self.get_namespace(), params.base_frame)
         self._autostart = params.autostart
         self._urdf = share(params.urdf).read_text() if params.urdf else ""
         self._controller: Controller | None = None
@@ -127,7 +129,8 @@ class TorqueController(LifecycleNode):
         """Build the controller; everything that takes long happens here."""
         try:
             if not self._urdf:
-                raise ValueError(f"nothing has come on {interface.ROBOT_DESCRIPTION} yet")
+                topic = self.resolve_topic_name(interface.ROBOT_DESCRIPTION)
+                raise ValueError(f"nothing has come on {topic} yet")
             self._controller = self._params.controller(self._urdf, self._latched)
         except ValueError as error:
             self._refuse("configuration", error)
@@ -282,7 +285,7 @@ class TorqueController(LifecycleNode):
         path = controller.take_finished()
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
-            self._preparation.publish_path(path, start_ns, self._params.base_frame)
+            self._preparation.publish_path(path, start_ns, self._frame)
         if self._under_way:
             self._answer_moves()
         return None
@@ -485,11 +488,12 @@ class TorqueController(LifecycleNode):
             return ""
         node = self.get_fully_qualified_name()
         if not self._urdf:
-            return f"the robot description on {interface.ROBOT_DESCRIPTION}"
+            topic = self.resolve_topic_name(interface.ROBOT_DESCRIPTION)
+            return f"the robot description on {topic}"
         if self._controller is None:
             return "" if self._autostart else f"ros2 lifecycle set {node} configure"
         if self._unfit():
-            return f"joint states on {self._params.state_topic}"
+            return f"joint states on {self.resolve_topic_name(self._params.state_topic)}"
         return "" if self._autostart else f"ros2 lifecycle set {node} activate"
 
     def _look_after(self) -> None:
@@ -512,7 +516,7 @@ class TorqueController(LifecycleNode):
         values = {
             "mode": "unconfigured" if core is None else core.mode.value,
             "policy": (core and core.policy_id) or "",
-            "fault kind": core.latched.kind.value if core and core.latched else "",
+            FAULT_KIND: core.latched.kind.value if core and core.latched else "",
             **figures,
             **({} if core is None else core.counters),
             **{f"refused: {name}": count for name, count in self._refused.items()},
@@ -533,7 +537,8 @@ class TorqueController(LifecycleNode):
         elif self._refused_lately:
             level, text = "warn", self._last_refusal
         self._refused_lately = False
-        self._preparation.report(now, self._params.hardware_id, level, text, values)
+        name, device = component(self, "loop"), self._params.hardware_id
+        self._preparation.report(now, name, device, level, text, values)
 
     def _overload(self) -> str:
         """Warning about the last second's missed periods; too many are a fault."""

@@ -97,7 +97,7 @@ class Params(BaseModel):
         """
         values: dict[str, object] = {}
         for file in (path, *over):
-            nodes = parameter_file.read(file)
+            nodes = parameter_file.of_nodes(file)
             if file != path and node not in nodes:
                 continue
             if node not in nodes:

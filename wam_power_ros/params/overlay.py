@@ -101,8 +101,8 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
 
 
 def text(setup: Setup) -> str:
-    """A set-up as the text of a parameter file that every node can be started with."""
-    nodes = {node: {"ros__parameters": values} for node, values in setup.items()}
+    """A set-up as the text of a parameter file for every node, in whatever namespace it is."""
+    nodes = {f"/**/{node}": {"ros__parameters": values} for node, values in setup.items()}
     return yaml.dump(nodes, Dumper=_Plain, sort_keys=False, width=1000)
 
 
@@ -120,7 +120,7 @@ _Plain.add_representer(list, lambda to, items: to.represent_sequence(_SEQ, items
 
 def _read(file: Path) -> Setup:
     """Parameters by node of one file."""
-    found = parameter_file.read(file)
+    found = parameter_file.of_nodes(file)
     for values in found.values():  # a URDF may be in the folder of the set-up file
         if values.get("urdf") and (file.parent / values["urdf"]).is_file():
             values["urdf"] = str((file.parent / values["urdf"]).resolve())
@@ -144,7 +144,7 @@ def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
     elif "pose_topic" in given:
         given["pose_topic"] = given["pose_topic"].replace("{body}", mocap["body"])
     elif not given.get("markers_topic"):
-        given["pose_topic"] = f"/{mocap['body']}/pose"
+        given["pose_topic"] = f"{mocap['body']}/pose"
     mocap |= given
 
 

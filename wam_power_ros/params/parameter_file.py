@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,7 @@ Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
 
 
 def read(file: Path) -> dict[str, dict[str, Any]]:
-    """Parameters by node of one file.
+    """Parameters by node of one file; a node is named as the file does, with its namespace.
 
     Raises:
         ValueError: It is no regular file, too large, no YAML, or has other contents than
@@ -70,12 +70,39 @@ def read(file: Path) -> dict[str, dict[str, Any]]:
         raise ValueError(f"{file} has {size} bytes; at most {SIZE_MAX} are allowed")
     try:
         nodes = yaml.load(file.read_text(encoding="utf-8"), Loader=Loader) or {}
-        return {node: dict(section["ros__parameters"]) for node, section in nodes.items()}
+        return dict(_sections(nodes))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
     except (yaml.YAMLError, KeyError, TypeError, AttributeError, RecursionError) as error:
         text = re.sub(r"\s+", " ", str(error))
         raise ValueError(f"{file} is no file of ROS parameters: {text}") from None
+
+
+def _sections(nodes: dict[str, Any], above: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Nodes and their parameters; a namespace may be a level of its own."""
+    for name, section in nodes.items():
+        path = f"{above}/{name.lstrip('/')}" if above else name
+        if "ros__parameters" in section:
+            yield path, dict(section["ros__parameters"])
+        elif not section or not all(isinstance(below, dict) for below in section.values()):
+            raise KeyError(f"ros__parameters of {path}")
+        else:
+            yield from _sections(section, path)
+
+
+def of_nodes(file: Path) -> dict[str, dict[str, Any]]:
+    """Parameters by name of the node, whatever its namespace.
+
+    Raises:
+        ValueError: As `read`; also when a node is there twice, in two namespaces.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for path, values in read(file).items():
+        name = path.rpartition("/")[2]
+        if name in found:
+            raise ValueError(f"{file} has parameters for {name} twice; give each a file of its own")
+        found[name] = values
+    return found
 
 
 def comments(file: Path) -> dict[str, str]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
 
 LEVELS = {
     "ok": DiagnosticStatus.OK,
@@ -16,6 +17,22 @@ LEVELS = {
 }
 
 
+FAULT_KIND = "fault kind"  # value that the status of a controller has, and no other
+
+
+def component(node: Node, part: str) -> str:
+    """Name of a status on /diagnostics, which all arms share: `left/wam_sim: loop`."""
+    return f"{node.get_fully_qualified_name().lstrip('/')}: {part}"
+
+
+def of_controller(namespace: str, status: DiagnosticStatus) -> dict[str, str] | None:
+    """Values of a status if it is that of the controller in a namespace, else None."""
+    values = {each.key: each.value for each in status.values}
+    above, _, node = status.name.partition(":")[0].rpartition("/")
+    mine = FAULT_KIND in values and above == namespace.strip("/") and bool(node)
+    return values if mine else None
+
+
 def diagnostics_message(
     now: Time, name: str, hardware_id: str, level: str, text: str, values: Mapping[str, object]
 ) -> DiagnosticArray:
@@ -23,7 +40,7 @@ def diagnostics_message(
 
     Args:
         now: Stamp.
-        name: Name of node and component, as in "learner: session".
+        name: Name of node and component, see `component`.
         hardware_id: Name of the device.
         level: One of `LEVELS`.
         text: Summary for a person.

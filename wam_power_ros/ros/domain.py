@@ -2,7 +2,7 @@
 """DDS domains of this machine: one holder each, by a lock that the kernel drops with its process.
 
 A session holds the domain it works in, and a stand-in the one it was started in. Nodes that the
-holder has started belong to it. This module imports no rclpy.
+holder has started belong to it. Simulations in namespaces share a domain. No rclpy is imported.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def private_domain() -> Iterator[int]:
             continue
         with ExitStack() as held:
             try:
-                held.enter_context(_locked(domain))
+                held.enter_context(_locked(_lock_file(domain)))
             except OSError:  # taken, or made by another user
                 continue
             shared_memory.remove_ports(ports(domain))
@@ -67,26 +67,38 @@ def private_domain() -> Iterator[int]:
     )
 
 
-def hold(domain: int) -> IO[str] | None:
+def hold(domain: int, namespace: str = "") -> ExitStack | None:
     """Hold a domain until the result is closed or the process ends.
 
+    Args:
+        domain: Number of the domain.
+        namespace: Namespace that is held, beside those that others hold; empty for all of it.
+
     Returns:
-        The lock; None when a process above this one holds the domain already.
+        The locks; None when a process above this one holds it already.
 
     Raises:
         DomainError: Another process holds it.
     """
-    try:
-        return _locked(domain)
-    except BlockingIOError:
-        holder = _holder(domain)
-        if holder in _ancestors():
-            return None
-        who = _command(holder) if holder else "another process"
-        raise DomainError(
-            f"DDS domain {domain} is in use on this machine by {who}; end that, or choose another "
-            "domain: export ROS_DOMAIN_ID=N"
-        ) from None
+    name = namespace.strip("/").replace("/", "__")
+    files = [(_lock_file(domain), fcntl.LOCK_SH if name else fcntl.LOCK_EX)]
+    if name:
+        files.append((_lock_file(f"{domain}_{name}"), fcntl.LOCK_EX))
+    with ExitStack() as held:
+        for file, how in files:
+            try:
+                held.enter_context(_locked(file, how))
+            except BlockingIOError:
+                holder = _holder(file)
+                if holder in _ancestors():
+                    return None
+                who = _command(holder) if holder else "another process"
+                where = f"namespace {namespace} of DDS domain" if name else "DDS domain"
+                raise DomainError(
+                    f"{where} {domain} is in use on this machine by {who}; end that, or choose "
+                    "another domain: export ROS_DOMAIN_ID=N"
+                ) from None
+        return held.pop_all()
 
 
 def ports(domain: int) -> range:
@@ -94,34 +106,33 @@ def ports(domain: int) -> range:
     return range(FIRST - 10 + PER_DOMAIN * domain, FIRST - 10 + PER_DOMAIN * (domain + 1))
 
 
-def _lock_file(domain: int) -> Path:
+def _lock_file(domain: int | str) -> Path:
     return Path(tempfile.gettempdir()) / f"ros_domain_{domain}.lock"
 
 
-def _locked(domain: int) -> IO[str]:
-    """The locked file of a domain.
+def _locked(path: Path, how: int = fcntl.LOCK_EX) -> IO[str]:
+    """A locked file.
 
     Raises:
         BlockingIOError: Another process holds it.
         OSError: It cannot be opened.
     """
-    path = _lock_file(domain)
     try:
         file = path.open("a")
     except PermissionError:  # another user made it: to be read is enough for a lock
         file = path.open()
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(file, how | fcntl.LOCK_NB)
     except OSError:
         file.close()
         raise
     return file
 
 
-def _holder(domain: int) -> int:
-    """Process that holds a domain, as the kernel lists it; 0 where it does not tell."""
+def _holder(path: Path) -> int:
+    """Process that holds a file, as the kernel lists it; 0 where it does not tell."""
     with suppress(OSError):
-        inode = _lock_file(domain).stat().st_ino
+        inode = path.stat().st_ino
         for line in Path("/proc/locks").read_text().splitlines():
             words = line.split()
             if "FLOCK" in words and words[-3].rpartition(":")[2] == str(inode):

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names and QoS of all topics and services, and the frames."""
+"""Names and QoS of all topics and services, and the frames.
+
+What belongs to one arm has a relative name, which follows the namespace of its nodes. What a graph
+has once for all arms is absolute, as everywhere in ROS.
+"""
 
 from __future__ import annotations
 
@@ -9,35 +13,35 @@ from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 # Topics
-JOINT_STATES = "/joint_states"
-EFFORT_COMMANDS = "/effort_controller/commands"
-MARKERS = "/pointCloud"
-POLICY = "/policy"
-REPLAY_TRAJECTORY = "/replay/trajectory"
-ROLLOUT_END_EFFECTOR = "/rollout/end_effector"
-LEARNER_BAG = "/learner/bag"  # path of a demonstration to be given to the learner
-ROBOT_DESCRIPTION = "/robot_description"
+JOINT_STATES = "joint_states"
+EFFORT_COMMANDS = "effort_controller/commands"
+MARKERS = "pointCloud"
+POLICY = "policy"
+REPLAY_TRAJECTORY = "replay/trajectory"
+ROLLOUT_END_EFFECTOR = "rollout/end_effector"
+LEARNER_BAG = "learner/bag"  # path of a demonstration to be given to the learner
+ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
-ENABLE = "/controller/enable"
+ENABLE = "controller/enable"
 
 # Services
-EXECUTE = "/rollout/execute"
-STOP = "/controller/stop"
-RESET = "/controller/reset"
-MOVE_TO_START = "/controller/move_to_start"
-REPLAY = "/controller/replay"
-GRAVITY_COMPENSATION = "/controller/gravity_compensation"
-RECORD = "/recorder/record"
-LEARNER_REWARD = "/learner/reward"
-LEARNER_PUNISH = "/learner/punish"
-LEARNER_DEMONSTRATION = "/learner/demonstration"
-LEARNER_PAUSE = "/learner/pause"
-WAM_GRAVITY_COMPENSATE = "/wam/gravityCompensate"
-WAM_HOLD = "/wam/holdJointPosition"
-WAM_MOVE_HOME = "/wam/moveHome"
-WAM_IDLE = "/wam/idle"
-DEMONSTRATE = "/demonstrator/demonstrate"  # stand-in only
+EXECUTE = "rollout/execute"
+STOP = "controller/stop"
+RESET = "controller/reset"
+MOVE_TO_START = "controller/move_to_start"
+REPLAY = "controller/replay"
+GRAVITY_COMPENSATION = "controller/gravity_compensation"
+RECORD = "recorder/record"
+LEARNER_REWARD = "learner/reward"
+LEARNER_PUNISH = "learner/punish"
+LEARNER_DEMONSTRATION = "learner/demonstration"
+LEARNER_PAUSE = "learner/pause"
+WAM_GRAVITY_COMPENSATE = "wam/gravityCompensate"
+WAM_HOLD = "wam/holdJointPosition"
+WAM_MOVE_HOME = "wam/moveHome"
+WAM_IDLE = "wam/idle"
+DEMONSTRATE = "demonstrator/demonstrate"  # stand-in only
 
 
 # Topics and services of a tracked body, which follow its name; its frame is the name itself
@@ -49,11 +53,11 @@ _RESERVED = {SCENE, "end_effector"}
 
 
 def body_topic(body: str, leaf: str) -> str:
-    """Topic or service of a tracked body, such as `/pancake/state`.
+    """Topic or service of a tracked body, such as `pancake/state`.
 
     Args:
-        body: Name of the body; empty for a task without one, which has `/scene/truth` and
-            `/scene/reset`.
+        body: Name of the body; empty for a task without one, which has `scene/truth` and
+            `scene/reset`.
         leaf: One of `BODY_LEAVES`.
 
     Raises:
@@ -62,16 +66,16 @@ def body_topic(body: str, leaf: str) -> str:
     leaves = BODY_LEAVES if body else SCENE_LEAVES
     if leaf not in leaves:
         raise ValueError(f"no topic {leaf!r} of body {body!r}; there are {list(leaves)}")
-    return f"/{_checked(body) if body else SCENE}/{leaf}"
+    return f"{_checked(body) if body else SCENE}/{leaf}"
 
 
 def rollout_topic(body: str) -> str:
-    """Topic of a tracked body's path through a rollout, such as `/rollout/pancake`.
+    """Topic of a tracked body's path through a rollout, such as `rollout/pancake`.
 
     Raises:
         ValueError: When the name of the body is not acceptable.
     """
-    return f"/rollout/{_checked(body)}"
+    return f"rollout/{_checked(body)}"
 
 
 def _checked(body: str) -> str:
@@ -86,6 +90,11 @@ def _checked(body: str) -> str:
 # Frames
 BASE_FRAME = "wam_base"
 MOCAP_FRAME = "world"
+
+
+def frame(namespace: str, name: str) -> str:
+    """Frame of one arm: `left/wam_base` in namespace `/left`, as robot_state_publisher prefixes."""
+    return f"{namespace}/{name}".lstrip("/")
 
 
 def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE") -> QoSProfile:

@@ -108,13 +108,19 @@ class Access:
     calls: tuple[str, ...] = ()
 
 
-def table(setup: Setup) -> dict[str, Access]:
-    """Rights of every node under a set-up of `overlay.setup`, stand-ins and console included."""
+def table(setup: Setup, namespace: str = "") -> dict[str, Access]:
+    """Rights of every node under a set-up of `overlay.setup`, stand-ins and console included.
+
+    Args:
+        setup: Parameters by node.
+        namespace: Namespace of the arm's nodes; empty for none.
+    """
     names = _names(setup)
 
     def resolved(words: str) -> tuple[str, ...]:
         found = (names[w] if w in names else (getattr(interface, w),) for w in words.split())
-        return tuple(dict.fromkeys(f"/{name.lstrip('/')}" for group in found for name in group))
+        flat = dict.fromkeys(name for group in found for name in group)
+        return tuple(resolved_name(name, namespace) for name in flat)
 
     return {
         node: Access(**{right: resolved(words) for right, words in rights.items()})
@@ -140,35 +146,52 @@ def _names(setup: Setup) -> dict[str, tuple[str, ...]]:
         "idle": (arm["idle_service"] or interface.WAM_IDLE,),
         "mocap": (mocap["pose_topic"] or mocap["markers_topic"],),
         "recorded": (arm["state_topic"], *filter(None, chain(*map(recorder.get, recorded)))),
-        "lifecycle": tuple(f"/torque_controller/{name}" for name in LIFECYCLE),
+        "lifecycle": tuple(f"torque_controller/{name}" for name in LIFECYCLE),
     }
 
 
-def policy(rights: Mapping[str, Access]) -> str:
-    """SROS2 policy of a table, one enclave a process, for `ros2 security generate_artifacts`."""
+def resolved_name(name: str, namespace: str) -> str:
+    """Full name of a topic or service; in a namespace each arm has a /clock of its own."""
+    inside = f"/{namespace.strip('/')}".rstrip("/")
+    if name == interface.CLOCK:
+        return f"{inside}{name}"
+    return name if name.startswith("/") else f"{inside}/{name}"
+
+
+def policy(rights: Mapping[str, Access], namespace: str = "") -> str:
+    """SROS2 policy of a table, one enclave a process, for `ros2 security generate_artifacts`.
+
+    Args:
+        rights: Rights by node, of `table` with the same namespace.
+        namespace: Namespace of the arm's nodes; empty for none.
+    """
+    inside = f"/{namespace.strip('/')}".rstrip("/")
     root = ElementTree.Element("policy", version="0.2.0")
     enclaves = ElementTree.SubElement(root, "enclaves")
     profiles: dict[str, ElementTree.Element] = {}
     for node, access in rights.items():
         process = PROCESSES.get(node, node)
         if process not in profiles:
-            enclave = ElementTree.SubElement(enclaves, "enclave", path=f"/{process}")
+            enclave = ElementTree.SubElement(enclaves, "enclave", path=f"{inside}/{process}")
             profiles[process] = ElementTree.SubElement(enclave, "profiles")
-        profile = ElementTree.SubElement(profiles[process], "profile", ns="/", node=node)
+        own_namespace = "" if node in NODE_NAMES else inside  # `ros2` itself is in none
+        profile = ElementTree.SubElement(
+            profiles[process], "profile", ns=own_namespace or "/", node=node
+        )
         managed = node in MANAGED
         own = {f"~/{name}" for name in ABOUT_ITSELF + (LIFECYCLE if managed else ())}
         topics = {"/rosout", "/parameter_events"} | ({"~/transition_event"} if managed else set())
         for kind, right, names in (
             ("topic", "publish", topics.union(access.publishes)),
-            ("topic", "subscribe", {*access.subscribes, interface.CLOCK}),
+            ("topic", "subscribe", {*access.subscribes, resolved_name(interface.CLOCK, namespace)}),
             ("service", "reply", own.union(access.serves)),
             ("service", "request", set(access.calls)),
         ):
             if names:
                 group = ElementTree.SubElement(profile, f"{kind}s", {right: "ALLOW"})
                 for name in sorted(names):
-                    named = NODE_NAMES.get(node, node)
-                    ElementTree.SubElement(group, kind).text = name.replace("~", f"/{named}")
+                    named = f"{own_namespace}/{NODE_NAMES.get(node, node)}"
+                    ElementTree.SubElement(group, kind).text = name.replace("~", named)
     ElementTree.indent(root)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, "unicode")}\n'
 

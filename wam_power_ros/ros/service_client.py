@@ -96,7 +96,11 @@ class ServiceClient:
             ExternalShutdownException: When the process is being ended.
         """
         self.prepare(kind, name)
-        self.until(self._clients[name].service_is_ready, f"service {name}", math.inf)
+        self.until(self._clients[name].service_is_ready, f"service {self._full(name)}", math.inf)
+
+    def _full(self, name: str) -> str:
+        """Name of a service with its namespace, for people."""
+        return self._node.resolve_service_name(name)
 
     def begin(self, kind: type, name: str, request: object = None) -> Future:
         """Send a request; see `answer` for what to do with the future.
@@ -105,9 +109,9 @@ class ServiceClient:
             ServiceError: When the service does not appear in time.
         """
         self.prepare(kind, name)
-        client = self._clients[name]
-        if not self.until(client.service_is_ready, f"service {name}", self._appear_timeout):
-            raise ServiceError(f"{name} did not appear in {self._appear_timeout:.0f} s")
+        client, full = self._clients[name], self._full(name)
+        if not self.until(client.service_is_ready, f"service {full}", self._appear_timeout):
+            raise ServiceError(f"{full} did not appear in {self._appear_timeout:.0f} s")
         if name not in self._called:
             self._called.add(name)
             self.until(lambda: False, timeout=DISCOVERY)
@@ -149,7 +153,7 @@ class ServiceClient:
             ServiceError: When the service does not appear in time.
         """
         future = self.begin(kind, name, request)
-        self.until(lambda: future.done() or abandon(), f"answer of {name}", timeout)
+        self.until(lambda: future.done() or abandon(), f"answer of {self._full(name)}", timeout)
         return self.answer(future)
 
     def insist(self, kind: type, name: str, request: object = None) -> Answer:
@@ -163,9 +167,9 @@ class ServiceClient:
         while True:
             answer = self.call(kind, name, request, max(end - time.monotonic(), 1.0))
             if answer is None:
-                raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
+                raise ServiceError(f"{self._full(name)} did not answer in {TIMEOUT:.0f} s")
             if answer.success:
                 return answer
             if time.monotonic() > end:
-                raise ServiceError(f"{name} refused: {answer.text}")
+                raise ServiceError(f"{self._full(name)} refused: {answer.text}")
             self.until(lambda: False, timeout=RETRY_PERIOD)

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All arms share /diagnostics: a status says whose it is."""
+
+from __future__ import annotations
+
+import pytest
+from builtin_interfaces.msg import Time
+
+from wam_power_ros.ros.diagnostics import FAULT_KIND, diagnostics_message, of_controller
+
+
+@pytest.mark.parametrize(
+    ("name", "namespace", "mine"),
+    [
+        ("torque_controller: loop", "/", True),
+        ("left/torque_controller: loop", "/left", True),
+        ("left/arm/torque_controller: loop", "/left/arm", True),
+        ("left/torque_controller: loop", "/", False),
+        ("torque_controller: loop", "/left", False),
+        ("left/torque_controller: loop", "/right", False),
+        ("my_controller: loop", "/", True),  # whatever its node is called
+    ],
+)
+def test_a_controller_is_known_by_its_namespace(name: str, namespace: str, mine: bool) -> None:
+    values = {FAULT_KIND: "contact"}
+    message = diagnostics_message(Time(), name, "wam7", "error", "a fault", values)
+    found = of_controller(namespace, message.status[0])
+    assert found == (values if mine else None)
+
+
+def test_no_other_node_is_taken_for_the_controller() -> None:
+    message = diagnostics_message(Time(), "wam_sim: loop", "stand-in", "ok", "idle", {"mode": "x"})
+    assert of_controller("/", message.status[0]) is None
