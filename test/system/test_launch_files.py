@@ -108,7 +108,7 @@ def test_ctrl_c_ends_a_launch_cleanly_at_any_moment(
     moment: str, launch: Launch, tmp_path: Path
 ) -> None:
     session, bags = str(tmp_path / "session"), " ".join(BAGS)
-    asked = {"task": "reach", "trials": "1", "seed": "5"}
+    asked = {"task": "reach", "trials": "2", "seed": "5"}
     launch.start("sim.launch.py", session=session, demonstrations=bags, **asked)
     launch.until(lambda: moment in launch.output, moment)
     launch.interrupt()
@@ -122,7 +122,8 @@ def test_a_second_launch_in_the_same_domain_is_refused_in_one_line_and_the_first
     launch.until(lambda: "mode hold" in launch.output, "the arm is held")
     second.start("sim.launch.py")
     second.has_ended_well(status=1)
-    assert "is in use on this machine by process" in second.output
+    assert "node 'wam_sim' publishes" in second.output
+    assert "this domain is not free for a simulation" in second.output
     assert "process started" not in second.output
     assert launch.process.poll() is None
     launch.interrupt()
@@ -139,7 +140,7 @@ def test_two_arms_are_launched_into_one_graph_and_learn_side_by_side(
             session=str(tmp_path / name),
             demonstrations=" ".join(BAGS),
             task="reach",
-            trials="1",
+            trials="2",
             seed=seed,
         )
     for each, name in ((launch, "left"), (second, "right")):

@@ -16,7 +16,7 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.view.drawables import Movement
 from wam_power_ros.view.skeleton import Skeleton
 
-DESCRIPTION, POLICY = "/robot_description", "/policy"
+DESCRIPTION, POLICY = "/robot_description", "/policy"  # below the namespace of the arm
 STATE, ODOMETRY = "/state", "nav_msgs/msg/Odometry"
 URDFS = ("urdf/wam7.urdf", "urdf/cobot7.urdf")  # for a bag without a robot description
 BODY_GAP = 0.05  # of a body's state before the first of the arm that still counts [s]
@@ -44,7 +44,7 @@ def read(bag: Path) -> Movement:
         joint_names=names,
         t=(stamps - stamps[0]) / 1e9,
         q=q,
-        body=body_topic.strip("/").partition("/")[0],
+        body=body_topic.removesuffix(STATE).rpartition("/")[2],
         body_t=states[:, 0],
         body_position=states[:, 1:4],
         body_quat_wxyz=states[:, 4:],
@@ -54,9 +54,8 @@ def read(bag: Path) -> Movement:
 
 def _description(bag: Path, found: dict[str, reader.Topic]) -> tuple[str, Skeleton]:
     """URDF of the arm, and the arm: as the bag describes it, else the first of ours that fits."""
-    if DESCRIPTION in found and found[DESCRIPTION].msgtype == STRING:
-        for message in _decoded(bag, DESCRIPTION, STRING):
-            return message.data, Skeleton(message.data)
+    for message in _texts(bag, found, DESCRIPTION):
+        return message.data, Skeleton(message.data)
     texts = [share(urdf).read_text() for urdf in URDFS]
     for text in texts:
         skeleton = Skeleton(text)
@@ -68,10 +67,14 @@ def _description(bag: Path, found: dict[str, reader.Topic]) -> tuple[str, Skelet
     raise ValueError(f"{bag} has no {DESCRIPTION}, and its joints are not those of {list(URDFS)}")
 
 
+def _texts(bag: Path, found: dict[str, reader.Topic], name: str) -> Iterator[Any]:
+    """Messages of the first topic of texts with this name, in whatever namespace."""
+    topics = [n for n, topic in found.items() if n.endswith(name) and topic.msgtype == STRING]
+    yield from _decoded(bag, topics[0], STRING) if topics else ()
+
+
 def _policy(bag: Path, found: dict[str, reader.Topic]) -> Policy | None:
-    if POLICY not in found or found[POLICY].msgtype != STRING:
-        return None
-    texts = [message.data for message in _decoded(bag, POLICY, STRING)]
+    texts = [message.data for message in _texts(bag, found, POLICY)]
     return from_json(texts[-1]) if texts else None
 
 
