@@ -67,13 +67,22 @@ def test_an_independent_reader_decodes_the_bag(tmp_path: Path) -> None:
     assert b"MSG: builtin_interfaces/Time" in schemas[layout.JOINT_STATE].data
 
 
-def test_a_sqlite_bag_of_another_recorder_reads_the_same(tmp_path: Path) -> None:
+@pytest.mark.parametrize("qos", ["as in the file", "another"])  # in the metadata
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_bag_of_another_recorder_reads_the_same(
+    storage: StoragePlugin, qos: str, tmp_path: Path
+) -> None:
     q = random_q(20)
-    with Writer(tmp_path / "old", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        topic = writer.add_connection("/wam/joint_states", layout.JOINT_STATE, typestore=TYPES)
+    with Writer(tmp_path / "old", version=8, storage_plugin=storage) as writer:
+        topic = writer.add_connection(
+            "/wam/joint_states", layout.JOINT_STATE, typestore=TYPES, offered_qos_profiles=[QOS[0]]
+        )
         for index, row in enumerate(q):
             stamp_ns = START + 2_000_000 * index
             writer.write(topic, stamp_ns, joint_state(stamp_ns, NAMES, row))
+    if qos == "another":  # as in bags of rosbag2, which notes in one what discovery told later
+        metadata = tmp_path / "old/metadata.yaml"
+        metadata.write_text(metadata.read_text().replace("depth: 10", "depth: 0"))
     _, back = read_demonstration(tmp_path / "old", NAMES, "/wam/joint_states")
     np.testing.assert_array_equal(back, q)
 

@@ -179,16 +179,17 @@ def messages(path: Path, names: Iterable[str]) -> Iterator[tuple[str, int, bytes
     """
     names = set(names)
     with _reading(path) as (reader, budget):
-        kept = [item for item in reader.connections if item.topic in names]
-        packed = reader.compression_mode == "message"
-        if packed:  # unpacked here, with a limit
-            reader.storage.metadata = reader.storage.metadata._replace(compression_mode=None)
-        for connection, stamp_ns, cdr in reader.messages(kept) if kept else ():
-            if packed:
-                where = f"{path}: a message on {connection.topic}"
-                cdr = integrity.unpack(cdr, "zstd", integrity.UNPACKED_MAX, where)
-            budget.take(len(cdr))
-            yield connection.topic, stamp_ns, cdr
+        packed = reader.compression_mode == "message"  # unpacked here, with a limit
+        # Not Reader.messages(): it leaves out, without a word, topics of which metadata.yaml has
+        # another QoS than the file, as some bags of rosbag2 do.
+        for file in reader.storage.storages:
+            kept = [item for item in file.connections if item.topic in names]
+            for connection, stamp_ns, cdr in file.messages(kept) if kept else ():
+                if packed:
+                    where = f"{path}: a message on {connection.topic}"
+                    cdr = integrity.unpack(cdr, "zstd", integrity.UNPACKED_MAX, where)
+                budget.take(len(cdr))
+                yield connection.topic, stamp_ns, cdr
 
 
 @contextmanager
