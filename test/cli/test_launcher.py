@@ -112,6 +112,6 @@ def test_an_unknown_task_is_refused_with_the_known_ones() -> None:
 def test_the_printed_parameters_are_those_of_the_task(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["config", "--task", "reach"]) == 0
     nodes = yaml.safe_load(capsys.readouterr().out)
-    assert nodes["learner"]["ros__parameters"]["task"] == "reach"
-    assert nodes["pancake_tracker"]["ros__parameters"]["body"] == ""
+    assert nodes["/**/learner"]["ros__parameters"]["task"] == "reach"
+    assert nodes["/**/pancake_tracker"]["ros__parameters"]["body"] == ""
     assert sys.stdin is not None

@@ -108,7 +108,7 @@ def test_a_set_up_that_is_none_starts_nothing(
 def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.main(["config", "geodude", "--simulate"]) == 0
     nodes = yaml.safe_load(capsys.readouterr().out)
-    assert nodes["wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
+    assert nodes["/**/wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
 
 
 def test_a_report_of_no_session_is_refused(

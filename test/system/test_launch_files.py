@@ -102,7 +102,7 @@ def second(installed: Path, processes: Processes, tmp_path: Path) -> Launch:
 
 @pytest.mark.parametrize(
     "moment",
-    ["process started with pid", "each step waits for torques", "recording", "session finished"],
+    ["each step waits for torques", "mode hold", "recording", "session finished"],
 )
 def test_ctrl_c_ends_a_launch_cleanly_at_any_moment(
     moment: str, launch: Launch, tmp_path: Path

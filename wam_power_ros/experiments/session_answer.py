@@ -82,7 +82,7 @@ def _unknown(folder: Path) -> bool:
     file = folder / "logs" / "parameters.yaml"
     if not file.is_file():
         return False
-    simulation = parameter_file.read(file).get("wam_sim", {})
+    simulation = parameter_file.of_nodes(file).get("wam_sim", {})
     return bool(simulation.get("unknown"))
 
 

@@ -10,9 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import viser
-import yaml
 
-from wam_power_ros.params import overlay
+from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.practice import session
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer
@@ -51,8 +50,7 @@ def parameters(folder: Path) -> overlay.Setup:
     file = folder / "logs" / "parameters.yaml"
     if not file.is_file():
         return overlay.setup()
-    nodes = yaml.safe_load(file.read_text(encoding="utf-8"))
-    return {node: values["ros__parameters"] for node, values in nodes.items()}
+    return parameter_file.of_nodes(file)
 
 
 class SessionPage:
