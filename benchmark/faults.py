@@ -486,6 +486,7 @@ def simulation(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     )
 
 
+LIED = {name: lied(name) for name in LIES}
 ROWS = {  # name -> function and number of repeats
     "stale": (stale, 200),
     "kill": (kill, 50),
@@ -499,7 +500,7 @@ ROWS = {  # name -> function and number of repeats
     "starved_plain": (starved(False), 30),
     "network": (network, 5),
     "ended": (ended, 50),
-    **{name: (lied(name), 1) for name in LIES},
+    **{name: (function, 1) for name, function in LIED.items()},
     "simulation": (simulation, 3),
     "learner": (learner, 50),
     "recorder": (recorder, 50),
@@ -507,7 +508,8 @@ ROWS = {  # name -> function and number of repeats
 }
 
 
-PLAYED = (stale, intruder, clock, fuzz_over_dds, simulation)  # this process plays the arm
+# This process plays the arm.
+PLAYED = (stale, intruder, clock, fuzz_over_dds, simulation, ended, *LIED.values())
 WATCHED = (kill, stopped, restart, network)  # the stand-in is the arm
 
 
@@ -522,13 +524,17 @@ def alone(function: Callable, scratch: Path, repeats: int, rng: np.random.Genera
             lab = Lab(scratch)
             with lab.open():
                 row = function(lab, repeats, rng)
-            kept.write_text(json.dumps(asdict(row), default=bool))
+            kept.write_text(json.dumps([asdict(row), PEAKS], default=bool))
         except Exception:
             traceback.print_exc()
         finally:
             os._exit(0)
     os.waitpid(child, 0)
-    return Row(**json.loads(kept.read_text())) if kept.exists() else None
+    if not kept.exists():
+        return None
+    row, peaks = json.loads(kept.read_text())
+    PEAKS.update(peaks)
+    return Row(**row)
 
 
 def isolated(name: str, repeats: int, scratch: Path) -> Row | None:

@@ -161,6 +161,7 @@ class Driver:
     def ready(self) -> None:
         """Hold at the start of the policy, after the reset of a fault."""
         self.lie, lab = lambda state: state, self._lab
+        self.let_go()
         while True:
             self.play(0.5)
             if lab.label == "fault":
@@ -198,12 +199,16 @@ class Driver:
             self._world.attach(self._hand())
             self.play(0.4)
         if phase == "move":
-            self._world.attach(None)
+            self.let_go()
             self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
             self.play(1.0)
             self.ask(interface.MOVE_TO_START)
             self.play(5.0, lambda: lab.label == "move_to_start")
             self.play(0.2)
+
+    def let_go(self) -> None:
+        """Take the hand off the pan."""
+        self._world.attach(None)
 
     def _hand(self) -> Demonstrator:
         return Demonstrator(wrist_flick(np.random.default_rng(0)), *self._world.pan_pose)
@@ -235,6 +240,7 @@ def tell(driver: Driver, lab: Lab, phase: str, lie: Lie) -> Outcome:
     def watch() -> bool:
         if not faulted and lab.label == "fault":
             faulted.append(len(driver.speeds))
+            driver.let_go()
         return len(driver.speeds) >= WATCHED
 
     driver.play(WATCHED * 0.002 * 2.0, watch)
