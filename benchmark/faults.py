@@ -409,7 +409,8 @@ def lied(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
                 found = tell(driver, lab, phase, LIES[name]())
                 passed &= acceptable(found, peaks[phase])
                 when = "none" if found.faulted is None else f"{2 * found.faulted} ms"
-                seen.append(f"{phase} {when} {found.peak:.2f} ({peaks[phase]:.2f}) m/s")
+                speeds = f"{found.peak:.2f} ({peaks[phase]:.2f}), then {found.rest:.2f} m/s"
+                seen.append(f"{phase} {when} {speeds}")
         return Row(
             "S-91",
             f"{name}: tool at most 0.5 m/s faster than without, at rest 0.5 s after the fault",

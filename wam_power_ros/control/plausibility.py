@@ -189,6 +189,7 @@ class Plausibility:
     def begin(self) -> None:
         """Begin anew: the next state has no predecessor."""
         self._past.clear()
+        self._led = False  # by a person, whose force nobody knows
         self._same = [0] * self._arm.n  # states for which a position has stayed the same
         self._velocity.begin()
         self._torque.begin()
@@ -210,6 +211,7 @@ class Plausibility:
         positions = zip(self._same, last.q.tolist(), state.q.tolist(), strict=True)
         same = self._same = [count + 1 if now == before else 0 for count, before, now in positions]
         fault = self._velocity.fault(last, state, same)
+        self._led = bound is None
         if bound is None:
             self._torque.begin()
         else:
@@ -234,8 +236,12 @@ class Plausibility:
         for k in range(len(moved)):
             some = past[k * STRIDE : (k + 1) * STRIDE]
             dt = sum(each.dt for each in some)
+            fresh = k >= len(moved) - FRESH
+            if fresh and self._led:
+                found.q = found.q + dt * found.qd
+                continue
             found.predict(np.mean([each.tau for each in some], axis=0), dt)
-            if k < len(moved) - FRESH:
+            if not fresh:
                 # Within the stride in which it froze a joint has moved too little.
                 goes_on = np.abs(moved[k + 1]) > 0.5 * np.abs(moved[k])
                 seen = (np.abs(moved[k]) > STANDSTILL * dt) & goes_on
