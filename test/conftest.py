@@ -35,7 +35,17 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 # Folders whose tests take longest, longest first; the rest takes seconds a file.
-SLOW = ("system", "benchmark", "nodes", "experiments", "hardware_sim", "console", "practice")
+SLOW = (
+    "system",
+    "benchmark",
+    "nodes",
+    "experiments",
+    "hardware_sim",
+    "console",
+    "view",
+    "test",
+    "practice",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
