@@ -34,16 +34,16 @@ from wam_power_ros.cli import launcher
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.nodes.rollout_client import CONTROLLER, Executed, Ready, RolloutClient
+from wam_power_ros.nodes.rollout_client import Executed, Ready, RolloutClient
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import diagnostics, interface
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
 from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
-RECORDER = "demonstration_recorder"
+CONTROLLER, RECORDER = "torque_controller", "demonstration_recorder"  # nodes
 STATE_TIMEOUT = 10.0  # [s of wall time] for a joint state, or for a message to be received
 MOVE_TIMEOUT = 3600.0  # [s of wall time]
 REPORTS = 8  # callbacks at most for reports that have come meanwhile
@@ -257,8 +257,8 @@ class Robot:
 
     def _on_report(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.startswith(f"{CONTROLLER}:"):
-                values = {item.key: item.value for item in status.values}
+            values = diagnostics.of_controller(self._node.get_namespace(), status)
+            if values is not None:
                 self._mode, self._report = values.get("mode", ""), status.message
 
 

@@ -167,9 +167,10 @@ class View(Node):
     def _on_diagnosis(self, message: DiagnosticArray) -> None:
         for status in message.status:
             level = {DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning"}
-            named = status.name.partition(":")[0]
-            said = (level.get(status.level, "error"), status.message)
-            self.seen.diagnoses = {**self.seen.diagnoses, named: said}
+            above, _, named = status.name.partition(":")[0].rpartition("/")
+            if above == self.get_namespace().strip("/"):  # not those of another arm
+                said = (level.get(status.level, "error"), status.message)
+                self.seen.diagnoses = {**self.seen.diagnoses, named: said}
 
     def _read(self, convert: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever it converts to
         try:
