@@ -50,6 +50,14 @@ def test_a_long_silence_is_a_fault_and_a_longer_one_asks_to_idle_once() -> None:
     assert sum(silence.idle for _, silence in again) == 1  # once a silence
 
 
+def test_the_last_state_again_and_again_is_silence_after_the_timeout() -> None:
+    watchdog = fresh()
+    assert not watchdog.silent(5 * MS) and watchdog.silent(6 * MS)
+    watchdog.arrived(6 * MS)
+    assert not watchdog.silent(7 * MS)
+    assert not Watchdog(0.0, 0.002).silent(10**12)  # in lockstep
+
+
 def test_a_process_that_stood_still_waits_for_the_states_that_wait_for_it() -> None:
     watchdog = fresh()
     watched(5, watchdog)

@@ -58,6 +58,10 @@ class Watchdog:
         """A joint state has come."""
         self.arrived_ns, self._idle_asked = now_ns, False
 
+    def silent(self, now_ns: int) -> bool:
+        """Whether no new joint state has come for the timeout; an old one again does not count."""
+        return self.enabled and now_ns - self.arrived_ns > self._timeout_ns
+
     def activated(self) -> None:
         """The arm is held from now on; the driver may be asked to idle again."""
         self._idle_asked = False

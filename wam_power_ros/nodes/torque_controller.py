@@ -273,8 +273,8 @@ class TorqueController(LifecycleNode):
             self._stamp_ns = stamp_ns
             if self._watchdog.enabled and (fault := self._stamp_clock.check(stamp_ns, arrived_ns)):
                 controller.fault(fault)
-        elif controller.stamp_ns != stamp_ns:
-            return None  # refused and counted; `watch` sends when no good one comes
+        elif controller.stamp_ns != stamp_ns or self._watchdog.silent(arrived_ns):
+            return None  # refused, or repeated for long; `watch` sends when no good one comes
         if not self._active:
             return None
         if self._guard.foreign:
