@@ -65,3 +65,31 @@ def test_a_claim_is_met_only_if_the_results_say_so(better: bool) -> None:
         f"{DEMONSTRATION}with": helped,
     }
     assert {claim.met for claim in chapter(results).all_claims()} == {better}
+
+
+@pytest.mark.parametrize(
+    ("count", "loss", "verdict"),
+    [
+        (40, 0.0, "met"),
+        (40, 0.1, "not met"),
+        (40, 0.029, "not met"),  # not known to be within the margin
+        (6, 0.0, "not met"),  # nor is what differs by chance only
+        (2, 0.0, "too few runs"),
+    ],
+)
+def test_no_worse_is_a_margin_that_is_kept_and_not_a_difference_that_is_not_seen(
+    count: int, loss: float, verdict: str
+) -> None:
+    rng = np.random.default_rng(1)
+    fixed, auto = (level + 0.05 * rng.standard_normal((2, count)) for level in (0.7, 0.7 - loss))
+    fixed, auto = (values - values.mean(axis=1, keepdims=True) for values in (fixed, auto))
+    sizes = {
+        f"sigma-{AUTO}": {"final": (0.7 - loss + auto[0]).tolist(), "sigma": [4.0] * count},
+        "sigma-6": {"final": (0.7 + fixed[0]).tolist(), "sigma": [4.0] * count},
+    }
+    runs = {f"seed-{k}": run(0.5) for k in range(6)}
+    results = {REACHING: sizes, REACHING_NOISY: sizes, PERSON: runs}
+    results |= {f"{SIGMA}{AUTO}": runs, f"{SIGMA}6": runs}
+    results |= {f"{DEMONSTRATION}{which}": runs for which in ("with", "without")}
+    claims = [c for c in chapter(results).all_claims() if "without noise" in c.what]
+    assert [claim.verdict for claim in claims] == [verdict]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Chapters show what they were given, escaped, and a table is as wide as its head."""
 
+import numpy as np
 import pytest
 
 from wam_power_ros.reporting import chapter, figures
@@ -40,6 +41,24 @@ def test_the_overview_has_a_verdict_on_every_claim() -> None:
         ">reported<",
     ):
         assert words in html
+
+
+@pytest.mark.parametrize("met", [True, False])
+def test_a_few_runs_are_no_ground_for_a_verdict(met: bool) -> None:
+    few, enough = (Claim("a", "", "1", "", "", met, runs=runs) for runs in (2, 5))
+    assert (few.holds, few.verdict) == (None, "too few runs")
+    assert enough.holds is met
+    html = chapter.overview([Chapter("Reaching", claims=[few])])
+    assert 'class="reported">too few runs<' in html
+    only_reported = Claim("a", "", "1", "", "", None, runs=1)
+    assert only_reported.verdict == "reported"
+
+
+def test_colours_of_drawings_are_inverted_in_the_dark_and_those_of_photographs_not() -> None:
+    drawn = Figure.of("a", "", figures.learning_curve([0.5, 0.7], paper=False))
+    photographs = Figure.of("b", "", figures.filmstrip([np.zeros((6, 8, 3), np.uint8)]))
+    html = chapter.html(Chapter("t", figures=[drawn, photographs]))
+    assert html.count('class="drawn"') == 1
 
 
 def test_a_row_of_another_width_than_the_head_is_refused() -> None:

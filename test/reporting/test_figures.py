@@ -20,12 +20,29 @@ def test_the_papers_tables_hold_its_anchors() -> None:
 
 def test_a_learning_curve_holds_every_usable_return_and_the_papers() -> None:
     returns = np.array([0.5, np.nan, 0.7, 0.8])
-    axes = figures.learning_curve(returns, {3: "first flip"}, paper=True).axes[0]
+    axes = figures.learning_curve(returns, marks={3: "first flip"}, paper=True).axes[0]
     paper, dots, mean = (line.get_ydata() for line in axes.lines[:3])
     np.testing.assert_array_equal(paper, figures.paper_table("fig5")[:, 1])
     np.testing.assert_array_equal(dots, returns)
     np.testing.assert_allclose(mean, [0.5, 0.5, 0.6, 2.0 / 3.0])
     assert [text.get_text() for text in axes.texts] == ["first flip"]
+
+
+def test_each_kind_of_rollout_has_points_of_its_own_and_only_explorations_are_averaged() -> None:
+    kinds = ["reproduction", "reproduction", *["explore"] * 2, "mean", "explore", *["retest"] * 3]
+    returns = [0.3, 0.4, 0.5, 0.7, 0.8, 0.6, 0.9, 0.9, 0.9]
+    axes = figures.learning_curve(returns, kinds, paper=False).axes[0]
+    found = {line.get_label(): line for line in axes.lines}
+    for kind, (label, *_) in figures.POINTS.items():
+        at = [k + 1 for k, other in enumerate(kinds) if other == kind]
+        assert found[label].get_xdata().tolist() == at
+    mean = found["mean of five explorations"]
+    assert mean.get_xdata().tolist() == [3, 4, 6]
+    np.testing.assert_allclose(mean.get_ydata(), [0.5, 0.6, 0.6])
+    assert found["first reproduction"].get_ydata()[0] == 0.3
+    (shaded,) = axes.patches
+    extent = shaded.get_path().transformed(shaded.get_patch_transform()).get_extents()
+    assert (extent.x0, extent.x1) == (6.5, 9.5)
 
 
 def test_the_bars_of_the_terms_add_up_to_the_return() -> None:

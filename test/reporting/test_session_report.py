@@ -14,7 +14,7 @@ from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session, SessionError
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.reporting import session_report
+from wam_power_ros.reporting import session_report, terminal
 
 TURNS = [math.radians(degrees) for degrees in (60, 100, 150, 170, 175, 180)]
 
@@ -81,6 +81,22 @@ def test_a_report_has_the_reproduction_beside_the_answer(folder: Path) -> None:
     assert f"Before learning: return {first.ret:.3f}" in html
     assert "return of the reproduction, before learning" in html
     assert re.search(r"after it: mean return 0\.\d{3}, \d+ of \d+ re-tests succeeded", html)
+
+
+def test_what_was_learnt_from_comes_before_the_papers_return(folder: Path) -> None:
+    html = session_report.write(folder).read_text()
+    titles = re.findall(r"<h2>(.*?)</h2>", html)
+    assert titles.index("Learning curve") < titles.index("Return of the paper, Eq. 5")
+    assert html.count('class="drawn"') == html.count("<img")  # readable in the dark
+
+
+def test_page_and_terminal_have_one_angle_of_the_retests(folder: Path) -> None:
+    header, _, records = session.read(folder)
+    task = session.read_task(folder)
+    tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in records]
+    html = session_report.render(header, task, None, None, tests)
+    shown = re.search(r"<b>(\d+°)</b><span>median angle of the re-tests", html)
+    assert f"median angle of the re-tests {shown.group(1)}" in terminal.summary(tests, task)
 
 
 def test_the_same_session_gives_the_same_report(folder: Path) -> None:

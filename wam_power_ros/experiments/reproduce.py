@@ -124,8 +124,8 @@ def render(
 ) -> str:
     """The report as HTML; `kept` is the folder of the results, for the rest see `write`."""
     claims = [claim for chapter in chapters for claim in chapter.all_claims()]
-    judged = [claim for claim in claims if claim.met is not None]
-    met = sum(bool(claim.met) for claim in judged)
+    judged = [claim for claim in claims if claim.holds is not None]
+    met = sum(bool(claim.holds) for claim in judged)
     _, cpu = job_cache.spent(jobs, kept)
     introduction = [
         PAPER,
@@ -158,7 +158,7 @@ def render(
 
 
 def _verdicts(judged: Sequence[Claim]) -> list[str]:
-    missed = [claim for claim in judged if not claim.met]
+    missed = [claim for claim in judged if not claim.holds]
     if not missed:
         return [f"All {len(judged)} claims with a criterion are met."] if judged else []
     names = "; ".join(f"{claim.what}: {claim.ours}" for claim in missed)
@@ -227,7 +227,7 @@ def overview(chapters: Sequence[Chapter]) -> Table:
             measured = Text(claim.ours)
             about = ", ".join(text for text in (claim.spread, claim.count) if text)
             measured.append(f"\n{about}" if about else "", style="dim")
-            verdict = Text(claim.verdict, style=styles[claim.met])
+            verdict = Text(claim.verdict, style=styles[claim.holds])
             table.add_row(Text(claim.what), Text(claim.paper), measured, verdict)
         table.add_row()
     return table

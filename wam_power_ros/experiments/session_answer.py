@@ -67,9 +67,9 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     world.trace = []
     environment = Environment(world)
     quiet = policy.with_id(answer, f"answer{QUIET}")
-    sys.stdout.write(f"without noise: {_caption(task, quiet, *environment.run(quiet))}\n")
+    without = _caption(task, quiet, *environment.run(quiet))
     rollout, truth = environment.run(answer)
-    caption = _caption(task, answer, rollout, truth)
+    caption = f"{_caption(task, answer, rollout, truth)} Without noise: {without}"
     path = folder / "film.webp"
     if film:
         poses = world.trace[:: round(TRACE_RATE / FILM_RATE)]

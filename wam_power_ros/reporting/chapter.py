@@ -11,6 +11,8 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from wam_power_ros.reporting import figures, html_page
 
+RUNS_MIN = 5  # of a verdict: with fewer, no rank-sum test comes to p < 0.01
+
 
 @dataclass(frozen=True)
 class Claim:
@@ -24,6 +26,7 @@ class Claim:
         count: Sample size, such as "40 seeds".
         met: Whether the claim holds; None if there is no criterion and the value is only reported.
         left_open: What the paper leaves open and had to be decided; may be empty.
+        runs: Number of independent runs of each condition that the verdict is about.
     """
 
     what: str
@@ -33,11 +36,23 @@ class Claim:
     count: str
     met: bool | None = None
     left_open: str = ""
+    runs: int | None = None
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the claim holds; None without a criterion or with too few runs for a verdict."""
+        return None if self._too_few else self.met
 
     @property
     def verdict(self) -> str:
-        """Verdict: "met", "not met" or "reported"."""
+        """Verdict: "met", "not met", "reported" or "too few runs"."""
+        if self._too_few:
+            return "too few runs"
         return {True: "met", False: "not met", None: "reported"}[self.met]
+
+    @property
+    def _too_few(self) -> bool:
+        return self.met is not None and self.runs is not None and self.runs < RUNS_MIN
 
 
 @dataclass(frozen=True)
@@ -65,16 +80,19 @@ class Figure:
         name: Name of its file without suffix, unique in a report, such as "fig5-learning-curve".
         caption: Description, one or two sentences.
         png: Content of the file; empty if it could not be drawn, `caption` then gives the reason.
+        drawn: Whether it has lines and no photographs, so that its colours can be inverted.
     """
 
     name: str
     caption: str
     png: bytes
+    drawn: bool = False
 
     @classmethod
     def of(cls, name: str, caption: str, drawn: MatplotlibFigure) -> Figure:
         """Figure drawn by matplotlib, such as those of `wam_power_ros.reporting.figures`."""
-        return cls(name, caption, figures.png(drawn))
+        photographs = any(axes.images for axes in drawn.axes)
+        return cls(name, caption, figures.png(drawn), not photographs)
 
 
 @dataclass(frozen=True)
@@ -117,7 +135,8 @@ def html(chapter: Chapter, level: int = 2) -> str:
         html_page.table(t.head, t.rows, t.caption, best=t.best) for t in chapter.tables
     )
     for drawn in chapter.figures:
-        picture = html_page.image(drawn.png, "image/png", drawn.caption) if drawn.png else ""
+        style = "drawn" if drawn.drawn else ""
+        picture = html_page.image(drawn.png, "image/png", drawn.caption, style) if drawn.png else ""
         content += html_page.figure(picture, drawn.caption)
     content += "".join(html(part, level + 1) for part in chapter.parts)
     return html_page.section(chapter.title, chapter.text, content, level)
@@ -136,7 +155,7 @@ def overview(chapters: Sequence[Chapter]) -> str:
 
 
 def _row(claim: Claim, head: Sequence[str]) -> str:
-    style = {True: "met", False: "missed", None: "reported"}[claim.met]
+    style = {True: "met", False: "missed", None: "reported"}[claim.holds]
     opened = f"<small>left open: {escape(claim.left_open)}</small>" if claim.left_open else ""
     values = (claim.paper, claim.ours, claim.spread, claim.count)
     cells = "".join(

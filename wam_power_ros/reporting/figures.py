@@ -19,6 +19,12 @@ from matplotlib.figure import Figure
 INK, GRID, PAPER, STEEL = "#24292f", "#e3e6ea", "#8b949e", "#5b6570"
 PAN, PANCAKE, ACCENT = "#3b6ea5", "#d98324", "#2f855a"
 CYCLE = (PAN, PANCAKE, ACCENT, "#8057a8", "#b4455a")
+POINTS = {  # kind of a rollout -> label, marker and colour
+    "reproduction": ("reproductions", "D", STEEL),
+    "explore": ("explorations", "o", PAN),
+    "mean": ("the mean", "s", PANCAKE),
+    "retest": ("re-tests", "^", ACCENT),
+}
 
 
 def paper_table(name: str) -> np.ndarray:
@@ -36,23 +42,45 @@ def paper_table(name: str) -> np.ndarray:
 
 
 def learning_curve(
-    returns: Sequence[float], marks: Mapping[int, str] | None = None, *, paper: bool
+    returns: Sequence[float],
+    kinds: Sequence[str] = (),
+    marks: Mapping[int, str] | None = None,
+    *,
+    paper: bool,
 ) -> Figure:
-    """Return over the rollouts of a session, with a running mean of five.
+    """Return over the rollouts of a session by their kind, with a running mean of explorations.
+
+    The first reproduction, which nothing has been learnt for, is a level line; re-tests, which
+    repeat one policy, are shaded and in no mean.
 
     Args:
         returns: Return of each rollout, NaN where it was not usable. Length n.
+        kinds: Kind of each rollout, see `session_log.Kind`; all explorations if omitted.
         marks: Rollout number -> text above it, such as "first success".
         paper: Draw Fig. 5 of the paper behind it: returns must be those of Eq. 5.
     """
     figure, (axes,) = side_by_side(7.2, 3.8, 1.0)
+    values = np.asarray(returns, dtype=float)
+    rollout = np.arange(1, len(values) + 1)
+    of_kind = np.array([*kinds] or ["explore"] * len(values))
+    tests = rollout[of_kind == "retest"]
+    if len(tests):
+        axes.axvspan(tests[0] - 0.5, tests[-1] + 0.5, color=GRID, alpha=0.6, lw=0)
     if paper:
         mean_of_six = paper_table("fig5").T
         axes.plot(*mean_of_six, color=PAPER, lw=1.2, label="paper, Fig. 5 (mean of 6 sessions)")
-    values = np.asarray(returns, dtype=float)
-    rollout = np.arange(1, len(values) + 1)
-    axes.plot(rollout, values, "o", ms=3.5, color=PAN, alpha=0.55, label="rollouts")
-    axes.plot(rollout, _running_mean(values, 5), color=PAN, lw=2, label="mean of five")
+    first = values[(of_kind == "reproduction") & np.isfinite(values)][:1]
+    for level in first:
+        axes.axhline(level, color=STEEL, lw=1.0, ls="--", label="first reproduction")
+    for kind, (label, marker, color) in POINTS.items():
+        there = of_kind == kind
+        if there.any():
+            style = {"ms": 4.0, "color": color, "alpha": 0.75, "label": label}
+            axes.plot(rollout[there], values[there], marker, **style)
+    explored = of_kind == "explore"
+    if explored.any():
+        means = _running_mean(values[explored], 5)
+        axes.plot(rollout[explored], means, color=PAN, lw=2, label="mean of five explorations")
     top = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
     for number, text in (marks or {}).items():
         axes.axvline(number, color=ACCENT, lw=0.8, ls=":")
@@ -60,7 +88,7 @@ def learning_curve(
     axes.set(xlabel="rollout", ylabel="return")
     axes.xaxis.get_major_locator().set_params(integer=True)
     axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
-    legend(axes)
+    shared_legend(figure, [axes], 4)
     return figure
 
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,6 +36,12 @@ def angle_deg(record: Record) -> float | None:
     """Rotation of the pancake at t_f [degree], None if it is not known."""
     turned = (record.observation or {}).get("angle")
     return None if turned is None else abs(math.degrees(turned))
+
+
+def median_angle(records: Sequence[Record]) -> str:
+    """Median rotation of the pancake at t_f as a text, empty where none is known."""
+    angles = [turned for record in records if (turned := angle_deg(record)) is not None]
+    return f"{np.median(angles):.0f}°" if angles else ""
 
 
 def equation_5(record: Record) -> float:

@@ -38,10 +38,17 @@ def paragraphs(text: Sequence[str]) -> str:
     return "".join(f"<p>{escape(part)}</p>" for part in text if part)
 
 
-def image(data: bytes, kind: str = "image/svg+xml", alt: str = "") -> str:
-    """HTML of a picture embedded in the page."""
+def image(data: bytes, kind: str = "image/svg+xml", alt: str = "", style: str = "") -> str:
+    """HTML of a picture embedded in the page; style "drawn": its colours are inverted in the dark.
+
+    Args:
+        data: Content of the picture.
+        kind: Its media type.
+        alt: Description.
+        style: Class of the element; "drawn" for lines and text on white.
+    """
     coded = base64.b64encode(data).decode()
-    return f'<img alt="{escape(alt)}" src="data:{kind};base64,{coded}">'
+    return f'<img alt="{escape(alt)}"{_class(style)} src="data:{kind};base64,{coded}">'
 
 
 def figure(content: str, caption: str) -> str:
@@ -111,6 +118,7 @@ PAGE = Template("""<!doctype html>
     :root { --ink: #dfe3e8; --paper: #15191e; --quiet: #98a2ad; --line: #30363d; --blue: #7fb0e3;
             --tint: #1d232a; --good: #183024; --green: #6cc497; --red: #e58a9b; }
     img { background: #fff; }
+    img.drawn { filter: invert(.92) hue-rotate(180deg); }
   }
   body { font: 16px/1.55 system-ui, sans-serif; color: var(--ink); background: var(--paper);
          max-width: 62rem; margin: 2.5rem auto; padding: 0 1.2rem; }

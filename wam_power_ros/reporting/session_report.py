@@ -118,7 +118,7 @@ def _good(task: Task, record: Record) -> bool:
 
 
 def _svg(drawn: Figure) -> str:
-    return html_page.image(figures.svg(drawn))
+    return html_page.image(figures.svg(drawn), style="drawn")
 
 
 def _cards(task: Task, records: Sequence[Record]) -> str:
@@ -135,9 +135,8 @@ def _cards(task: Task, records: Sequence[Record]) -> str:
         good = sum(_good(task, record) for record in tests)
         what = "flipped and caught" if task.name == "flip" else "that succeeded"
         cards.append((f"re-tests {what}", f"{good} of {len(tests)}"))
-    angles = [turned for record in tests if (turned := flip_figures.angle_deg(record)) is not None]
-    if task.name == "flip" and angles:
-        cards.append(("median angle of the re-tests", f"{statistics.median(angles):.0f}°"))
+    if task.name == "flip" and (angle := flip_figures.median_angle(tests)):
+        cards.append(("median angle of the re-tests", angle))
     return html_page.cards(cards)
 
 
@@ -204,16 +203,18 @@ def _curves(task: Task, records: Sequence[Record]) -> str:
     marks = {} if first is None else {first: "first flip" if flip else "first success"}
     own = [math.nan if record.ret is None else record.ret for record in records]
     eq5 = [flip_figures.equation_5(record) for record in records] if flip else None
-    html = ""
+    kinds = [record.kind for record in records]
+    drawn = figures.learning_curve(own, kinds, marks, paper=own == eq5)
+    text = ["Return that was learnt from, of every rollout."]
+    html = html_page.section("Learning curve", text, _svg(drawn))
     if eq5 is not None:
-        text = "Return of Eq. 5 of every rollout. The paper's curve is the mean of six sessions."
-        drawn = figures.learning_curve(eq5, marks, paper=True)
-        html += html_page.section("Learning curve", [text], _svg(drawn))
-    if own != eq5:
-        title = "Return that was learnt from" if flip else "Learning curve"
-        drawn = figures.learning_curve(own, marks, paper=False)
-        text = "The session's own return of every rollout."
-        html += html_page.section(title, [text], _svg(drawn))
+        beside = "The paper's curve is the mean of six sessions; it has no re-tests."
+        if own == eq5:
+            html = html_page.section("Learning curve", [f"{text[0]} {beside}"], _svg(drawn))
+        else:
+            drawn = figures.learning_curve(eq5, kinds, marks, paper=True)
+            told = f"Eq. 5 of every rollout, which was not learnt from. {beside}"
+            html += html_page.section("Return of the paper, Eq. 5", [told], _svg(drawn))
     values = {name: [record.terms.get(name) for record in records] for name in term_names(records)}
     drawn = figures.terms([record.number for record in records], values)
     return html + html_page.section("Terms", content=_svg(drawn))

@@ -102,6 +102,7 @@ def summary(records: Sequence[Record], task: Task) -> str:
         f"best {best.ret:.3f} in rollout {best.number} ({task.outcome(best)})",
         *before_and_after(records, task),
         *task.summary(records),
+        *_angles(records),
         *_peaks([r.truth for r in records if r.kind == "retest" and r.truth]),
     ]
     if notes := [record.note for record in records if record.note]:
@@ -127,6 +128,14 @@ def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
             f"{succeeded} of {len(tests)} re-tests succeeded"
         )
     return [line]
+
+
+def _angles(records: Sequence[Record]) -> list[str]:
+    """Median angle of the re-tests of a task that turns something, as the report has it."""
+    from wam_power_ros.reporting.flip_figures import median_angle  # matplotlib, only at the end
+
+    angle = median_angle([record for record in records if record.kind == "retest"])
+    return [f"  median angle of the re-tests {angle}"] if angle else []
 
 
 def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -160,7 +160,8 @@ def _ahead(name: str, returns: Mapping[str, np.ndarray], what: str, over: str) -
     against = f"{ours.mean():.3f} against {', '.join(f'{v.mean():.3f}' for v in others)}"
     spread = f"p = {', '.join(f'{p:.1g}' for p in p_values)}"
     claimed = f"{LEARNERS[name]} ahead of {names}: {what} (rank-sum p < 0.01)"
-    return Claim(claimed, "", against, spread, over, ahead)
+    few = min(map(len, (ours, *others)))
+    return Claim(claimed, "", against, spread, over, ahead, runs=few)
 
 
 def _p_greater(ours: np.ndarray, others: np.ndarray) -> float:

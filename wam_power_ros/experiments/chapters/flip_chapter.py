@@ -145,6 +145,7 @@ def _default(sessions: Sessions) -> Chapter:
                 f"mean {shares.mean():.1%}, worst session {shares.min():.0%}",
                 over,
                 int((shares >= RELIABLE).sum()) >= wanted * len(sessions),
+                runs=len(sessions),
             )
             for what, shares, wanted in (("landed", landed, 0.9), ("true flips", true, 2.0 / 3.0))
         ),
@@ -156,6 +157,7 @@ def _default(sessions: Sessions) -> Chapter:
             count,
             bool(used.max() < 100),
             OPEN,
+            len(sessions),
         ),
         Claim(
             "Shipped default: no joint beyond its no-load speed at 48 V",
@@ -164,6 +166,7 @@ def _default(sessions: Sessions) -> Chapter:
             "",
             over,
             beyond == 0,
+            runs=len(sessions),
         ),
         Claim(
             "Speeds the arm's safety board has to allow",

@@ -119,6 +119,7 @@ def _synthetic(runs: Mapping[str, Runs]) -> Chapter:
             f"sd {full.std(ddof=1):.3f}, {full.min():.2f} to {full.max():.2f}",
             over,
             bool(np.median(full) >= 0.74 and full.mean() >= 0.72),
+            runs=count,
         ),
         Claim(
             "Reaching: full better than diagonal by at least 0.03 (rank-sum p < 0.01)",
@@ -127,6 +128,7 @@ def _synthetic(runs: Mapping[str, Runs]) -> Chapter:
             f"p = {p:.2g}, one-sided",
             over,
             apart >= 0.03 and p < 0.01,
+            runs=count,
         ),
         Claim(
             "Reaching, full matrices: at most 10 % of runs stuck at the obstacle",
@@ -135,6 +137,7 @@ def _synthetic(runs: Mapping[str, Runs]) -> Chapter:
             f"diagonal {np.mean(runs['diagonal'].stuck):.0%}",
             over,
             stuck <= 0.1,
+            runs=count,
         ),
         Claim(
             f"Reaching, full, PoWER, stretch: mean 0.77, and {LEVEL} in a median of 45 rollouts",
@@ -143,6 +146,7 @@ def _synthetic(runs: Mapping[str, Runs]) -> Chapter:
             f"{hit.any(axis=1).sum()} of {count} runs reached it",
             over,
             bool(full.mean() >= 0.77 and needed <= 45),
+            runs=count,
         ),
     ]
     learnt = {}
