@@ -58,9 +58,9 @@ learn: $(READY)
 reproduce: $(READY)
 	@$(call STOPPABLE,$(BIN)/wam-power reproduce $(ARGS))
 
-# In the order of test/conftest.py: the slow folders first.
+# In the order of test/conftest.py: the slow folders first. Three workers on two cores: many tests wait for a clock.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

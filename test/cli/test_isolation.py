@@ -123,7 +123,7 @@ def test_a_second_learn_is_refused_before_it_writes_anything(
     with (folder / lock).open("a") as first:
         fcntl.flock(first, fcntl.LOCK_EX)
         assert main.main(["learn", "--session", str(folder)]) == 2
-    assert "another wam-power or learner is at work in" in capsys.readouterr().err
+    assert "another session or learner is at work in" in capsys.readouterr().err
     assert (folder / "logs" / DOMAIN).read_text() == "42\n"
     assert (folder / "logs" / "parameters.yaml").read_text() == "# of the first\n"
 

@@ -101,7 +101,7 @@ def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_num
         process.send_signal(signal.SIGINT)
         out, err = process.communicate()
     assert process.returncode == 130, err
-    assert f"Finished results are in {stopped}" in out and "wam-power reproduce --quick" in out
+    assert f"Finished results are in {stopped}" in out and " reproduce --quick" in out
     assert not (stopped / "report.html").exists()
     for folder, workers in ((stopped, 2), (whole, 1)):
         with begin(folder, workers) as process:

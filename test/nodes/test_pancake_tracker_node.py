@@ -135,6 +135,7 @@ def test_hidden_markers_coast_and_every_fault_is_in_the_diagnostics(
 ) -> None:
     bench = Bench(probe, processes, rate=10.0)
     frames = probe.publisher(PoseStamped, interface.body_topic("pancake", "pose"), RELIABLE)
+    probe.spin(0.5)  # it has found the tracker, and the tracker finds it a moment later
     now_ns = time.time_ns()
     bad = [
         (PAN + np.array([0.0, 2.0, 0.0]), LEVEL),

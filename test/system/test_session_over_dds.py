@@ -99,7 +99,7 @@ def children(process: subprocess.Popen[str]) -> list[int]:
 def decoded(bag: Path, topic: str) -> list[Any]:
     with next(bag.glob("*.mcap")).open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        return [message for *_, message in reader.iter_decoded_messages(topics=[topic])]
+        return [message for *_, message in reader.iter_decoded_messages(topics=[f"/{topic}"])]
 
 
 def summary(bag: Path) -> dict[str, tuple[str, str, str, dict[str, Any]]]:
@@ -361,7 +361,7 @@ def test_another_reader_opens_a_rollout_with_everything_that_made_it(
 ) -> None:
     bag = interrupted.folder / "bags" / json.loads(lines(interrupted.folder)[-1])["bag"]
     topics = summary(bag)
-    assert {name: kind for name, (kind, *_) in topics.items()}.items() >= {
+    assert {name.lstrip("/"): kind for name, (kind, *_) in topics.items()}.items() >= {
         interface.JOINT_STATES: "sensor_msgs/msg/JointState",
         interface.EFFORT_COMMANDS: "std_msgs/msg/Float64MultiArray",
         interface.body_topic("pancake", "pose"): "geometry_msgs/msg/PoseStamped",

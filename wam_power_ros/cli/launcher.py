@@ -137,7 +137,7 @@ def held(folder: Path) -> Iterator[None]:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise UsageError(f"another wam-power or learner is at work in {folder}") from None
+                raise UsageError(f"another session or learner is at work in {folder}") from None
         file.close()  # the learner's own again
         yield
 

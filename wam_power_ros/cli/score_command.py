@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -115,9 +116,10 @@ def recorded_rollout(
     found: dict[str, Any] = {}
     topics = reader.topics(bag)
     body_topic = interface.rollout_topic(task.body) if task.body else ""
-    wanted = {interface.POLICY, interface.ROLLOUT_END_EFFECTOR, body_topic} & set(topics)
+    leaves = (interface.POLICY, interface.ROLLOUT_END_EFFECTOR, body_topic)
+    wanted = {topic: leaf for leaf in leaves if leaf and (topic := _topic(topics, leaf))}
     for name, _, data in reader.messages(bag, wanted):
-        found[name] = layout.TYPES.deserialize_cdr(data, topics[name].msgtype)  # the last counts
+        found[wanted[name]] = layout.TYPES.deserialize_cdr(data, topics[name].msgtype)
     if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
         return _as_rollout(bag, task, joint_names, arm)
     policy = policies.from_json(found[interface.POLICY].data)
@@ -155,9 +157,9 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
     t = (stamps[kept] - stamps[first]) * 1e-9
     tool, body = EndEffectorPath(policy.id, t, position, quat), None
     if task.body:
-        topic = interface.body_topic(task.body, "state")
-        if topic not in reader.topics(bag):
-            raise ValueError(f"no state of the {task.body} on {topic}")
+        state = interface.body_topic(task.body, "state")
+        if not (topic := _topic(reader.topics(bag), state)):
+            raise ValueError(f"no state of the {task.body} on {state}")
         rows = {}
         for _, _, data in reader.messages(bag, [topic]):
             message = layout.TYPES.deserialize_cdr(data, "nav_msgs/msg/Odometry")
@@ -169,6 +171,11 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
         values = np.array([rows[int(when)] for when in times]).reshape(-1, 7)
         body = BodyPath(policy.id, times * 1e-9, values[:, :3], values[:, 3:])
     return policy, Rollout(tool, body)
+
+
+def _topic(topics: Iterable[str], name: str) -> str:
+    """The topic of a bag that has this name, in whatever namespace; empty for none."""
+    return next((topic for topic in topics if f"/{topic}".endswith(f"/{name}")), "")
 
 
 def _demonstration(bag: Path, joint_names: list[str], arm: Arm) -> Demonstration:

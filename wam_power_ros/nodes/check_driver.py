@@ -186,7 +186,8 @@ class CheckDriver(Node):
         self.spin(seconds)
         if not (self.states or self.frames or self.clouds):
             topics = (self._arm_params.state_topic, self._mocap.pose_topic or "")
-            topics = " nor on ".join(filter(None, (*topics, self._mocap.markers_topic)))
+            named = filter(None, (*topics, self._mocap.markers_topic))
+            topics = " nor on ".join(map(self.resolve_topic_name, named))
             raise ValueError(
                 f"no messages on {topics}: start the drivers; ROS_DOMAIN_ID and "
                 "ROS_AUTOMATIC_DISCOVERY_RANGE must be theirs"
