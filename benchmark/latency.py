@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Empty, Float64MultiArray
 
 from benchmark import messages, viewing
 from benchmark.nodes import JOINTS, environment, ros_arguments
@@ -90,6 +90,10 @@ def stand_in(report: Path) -> int:
             publish(message)
 
         simulation.wam.publish = timed
+        bad = messages.bad_state
+        simulation.wam.create_subscription(
+            Empty, messages.BAD_STATE, lambda _: publish(bad()), interface.COMMAND
+        )
         simulation.wam.create_subscription(
             Float64MultiArray, ECHO, partial(on_answer, ECHO), interface.COMMAND
         )

@@ -16,7 +16,7 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Empty, String
 from trajectory_msgs.msg import JointTrajectory
 
 from benchmark.nodes import JOINTS
@@ -26,6 +26,7 @@ from wam_power_ros.ros.stamps import time_message
 
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 POINTS = 200_000
+BAD_STATE = "/benchmark/bad_state"  # asks the stand-in for one: it meets no other source of states
 WINDOW = 6.0  # after each message, in which periods are counted [s]
 
 
@@ -71,11 +72,11 @@ class Messages(Node):
         make = self.create_publisher
         policies = make(String, interface.POLICY, interface.LATCHED)
         movements = make(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
-        states = make(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+        states = make(Empty, BAD_STATE, interface.COMMAND)
         policy, movement = String(data=largest_policy()), longest_movement()
         self._messages: list[tuple[str, Publisher | None, Callable[[], object]]] = [
             ("nothing", None, lambda: None),
-            ("first refusal: a state that is NaN", states, bad_state),
+            ("first refusal: a state that is NaN", states, Empty),
             ("second refusal: `{` as a policy", policies, lambda: String(data="{")),
             ("1 MB of junk as a policy", policies, lambda: String(data="{" * 1_000_000)),
             (f"policy of {COUNT_MAX} primitives, 60 s", policies, lambda: policy),
