@@ -25,7 +25,7 @@ from std_srvs.srv import Trigger
 from wam_power_ros.ros import interface, node_runner
 def make():
     node = Node("server")
-    node.create_subscription(String, "/commands", print, interface.COMMAND)
+    node.create_subscription(String, "/commands", lambda message: None, interface.COMMAND)
     node.create_service(Trigger, "/reset", lambda _, response: response)
     print("serving", flush=True)
     return node
