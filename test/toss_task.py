@@ -16,8 +16,8 @@ from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_log import Line
-from wam_power_ros.practice.settings import SessionSettings
+from wam_power_ros.practice.session_log import Line, Record
+from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK
 from wam_power_ros.tasks.flip.settings import FlipSettings
@@ -135,3 +135,12 @@ def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:
         task.success_angle == 0.0 or (caught and flipped and angle >= task.success_angle)
     )
     return Assessment(ret, terms, flight, success)
+
+
+def some_records(count: int) -> list[Record]:
+    """Records of the first rollouts of a session of the flip."""
+    practice = practice_of([demonstrated_policy()], preset("flip", budget=count, confirm=0), seed=0)
+    records = []
+    while len(records) < count and (trial := practice.next_trial()) is not None:
+        records.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
+    return records

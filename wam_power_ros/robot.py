@@ -60,7 +60,7 @@ class RobotState:
         position: Position of the tool in the base frame [m]. Shape (3,).
         rotation: Axes of the tool as columns. Shape (3, 3).
         mode: Mode of the controller, as it reported last (once a second); "" before it did.
-        report: What the controller reported with it, such as the text of a fault.
+        report: Text of that report, such as that of a fault; "" before it came.
     """
 
     q: np.ndarray

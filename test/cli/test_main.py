@@ -11,25 +11,16 @@ from pathlib import Path
 import pytest
 import yaml
 from rich.console import Console
-from toss_task import demonstrated_policy, practice_of, toss
+from toss_task import demonstrated_policy, some_records
 
 from wam_power_ros.cli import main
 from wam_power_ros.practice.session import Session
-from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
 
 ROOT = Path(__file__).resolve().parents[2]
 TASK = preset("flip").make_task({})
 OUTCOME = TASK.outcome
-
-
-def some_records(count: int) -> list[Record]:
-    practice = practice_of([demonstrated_policy()], preset("flip", budget=count, confirm=0), seed=0)
-    records = []
-    while len(records) < count and (trial := practice.next_trial()) is not None:
-        records.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
-    return records
 
 
 def begun_session(folder: Path, seed: int = 5) -> Path:

@@ -8,24 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from toss_task import demonstrated_policy, practice_of, toss
+from toss_task import some_records
 
 pytest.importorskip("viser", reason="no viser")
 
 from wam_power_ros.params import overlay
-from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.view import session_page
 from wam_power_ros.view.progress import KINDS, SHOWN, curve, label, newest
-
-
-def some_records(count: int) -> list[Record]:
-    practice = practice_of([demonstrated_policy()], preset("flip", budget=count, confirm=0), seed=0)
-    records = []
-    while len(records) < count and (trial := practice.next_trial()) is not None:
-        records.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
-    return records
-
 
 RECORDS = some_records(8)
 

@@ -102,3 +102,14 @@ def test_a_service_that_goes_on_refusing_is_named() -> None:
     busy = [Answer(Code.BUSY, "a rollout is under way")] * 1000
     with pytest.raises(NotTaughtError, match=f"{FREE}: a rollout is under way"):
         begin(Services(gravity_compensation=busy), lambda: True, lambda text: None, patience=0.01)
+
+
+@pytest.mark.parametrize("step", ["begin", "finish"])
+def test_an_arm_that_cannot_be_recorded_holds_again(step: str) -> None:
+    services = Services(record=[Answer(Code.BUSY, "the disk is full")] * 10_000)
+    with pytest.raises(NotTaughtError, match="the disk is full"):
+        if step == "begin":
+            begin(services, lambda: True, lambda text: None, patience=0.01)
+        else:
+            finish(services, patience=0.01)
+    assert services.asked[-1] == (FREE, False)

@@ -24,7 +24,7 @@ def choose(otherwise: str, keys: Mapping[str, str]) -> str:
     """Ask for a key and Enter, or Enter alone.
 
     Args:
-        otherwise: What Enter alone stands for, and a standard input that is closed.
+        otherwise: Answer returned for Enter alone, and where standard input is closed.
         keys: Key -> what it stands for.
     """
     listed = ", ".join(f"{key}: {word}" for key, word in keys.items())

@@ -35,8 +35,8 @@ class TeachParams(Params):
         demonstrations: Number of demonstrations to record.
         series: File with the list of bags, to which they are added.
         person: Whether a person leads the arm; otherwise the demonstrator of the stand-in does.
-        review: Whether a person is asked after each take if it is to be kept.
-        bell: Whether the terminal's bell rings when a recording begins and ends.
+        review: True to ask a person after each take to keep, repeat or discard it.
+        bell: True to ring the terminal's bell as a recording begins and ends.
         body: Name of the tracked body; empty for none.
         state_topic: Topic of the joint states, to which the recorder subscribes.
     """

@@ -80,7 +80,7 @@ class Figure:
         name: Name of its file without suffix, unique in a report, such as "fig5-learning-curve".
         caption: Description, one or two sentences.
         png: Content of the file; empty if it could not be drawn, `caption` then gives the reason.
-        drawn: Whether it has lines and no photographs, so that its colours can be inverted.
+        drawn: True for a line drawing, whose colours may be inverted in the dark.
     """
 
     name: str

@@ -40,11 +40,11 @@ NEWEST = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
 
 @dataclass
 class Seen:
-    """What has been heard so far.
+    """Newest message of each kind.
 
     Attributes:
         q: Joint angles [rad], None before the first state. Shape (n,).
-        heard: When the newest state was taken [s, steady clock].
+        heard: Time of receipt of the newest joint state [s, steady clock].
         body: Position [m] and quaternion wxyz of the tracked body, None before the first.
         policy: Policy that was published last, None before the first.
         tool_path: Path of the tool in the last finished rollout [m]. Shape (T, 3).
@@ -63,7 +63,7 @@ class View(Node):
     """Listens to a session and calls its services.
 
     Attributes:
-        seen: What has been heard so far.
+        seen: Newest message of each kind.
 
     Args:
         arm: Parameters of the controller.

@@ -136,7 +136,7 @@ class Page:
 
         Args:
             body: Name of the tracked body, empty for none.
-            policies: Whether there are policies to draw.
+            policies: True when there are policies to draw.
         """
         kinds = {"executed": ("executed path (orange)", lambda: [self._node("/executed")])}
         if policies:

@@ -20,9 +20,9 @@ class Player:
     """Shows one of several movements at the time of a slider.
 
     Attributes:
-        movement: What is shown, None before the first.
-        playing: Whether it plays.
-        stale: Whether something else has been drawn since it drew its movement.
+        movement: Movement that is shown, None before the first.
+        playing: True while it plays.
+        stale: True once something else has been drawn over its movement.
         on_choice: Called when a person chooses or plays a movement.
 
     Args:

@@ -48,7 +48,7 @@ def begin(
 
     Args:
         services: Services of the session.
-        trial_over: Whether the trial that was under way before is on record.
+        trial_over: Returns true once the trial that was under way is on record.
         tell: Takes a line about what is waited for.
         patience: Longest wait for a service to agree [s of wall time].
 
@@ -63,14 +63,19 @@ def begin(
             raise NotTaughtError(f"no trial ended in {patience:.0f} s; the learner is paused")
         time.sleep(RETRY_PERIOD)
     _insist(services, interface.GRAVITY_COMPENSATION, True, patience)
-    if services.offered(interface.DEMONSTRATE):  # the stand-in: arm and body back to the start
-        _insist(services, services.reset, None, patience)
-    _insist(services, interface.RECORD, True, patience)
-    if services.offered(interface.DEMONSTRATE):
-        tell("the simulated demonstrator leads the arm")
-        _insist(services, interface.DEMONSTRATE, None, patience)
-    else:
-        tell("lead the arm, then press End of movement")
+    try:
+        if services.offered(interface.DEMONSTRATE):  # the stand-in: arm and body back to the start
+            _insist(services, services.reset, None, patience)
+        _insist(services, interface.RECORD, True, patience)
+        if services.offered(interface.DEMONSTRATE):
+            tell("the simulated demonstrator leads the arm")
+            _insist(services, interface.DEMONSTRATE, None, patience)
+        else:
+            tell("lead the arm, then press End of movement")
+    except NotTaughtError:
+        services.ask(interface.RECORD, False)
+        services.ask(interface.GRAVITY_COMPENSATION, False)  # an arm that nobody leads holds
+        raise
 
 
 def finish(services: Services, patience: float = PATIENCE) -> str:
@@ -82,8 +87,10 @@ def finish(services: Services, patience: float = PATIENCE) -> str:
     Raises:
         NotTaughtError: A service refused; the learner's reason, if it was its.
     """
-    bag = Path(_insist(services, interface.RECORD, False, patience).text)
-    _insist(services, interface.GRAVITY_COMPENSATION, False, patience)
+    try:
+        bag = Path(_insist(services, interface.RECORD, False, patience).text)
+    finally:
+        _insist(services, interface.GRAVITY_COMPENSATION, False, patience)
     services.name_bag(bag.resolve())
     end = time.monotonic() + patience
     while True:  # topics and services are not ordered: the name of the bag may still come

@@ -34,7 +34,7 @@ class Row(NamedTuple):
     """A line of the table.
 
     Attributes:
-        told: What the learner is told of a rollout.
+        told: Names of the measurements of a rollout that the learner is given.
         changes: Changes to the preset `flip`.
     """
 
