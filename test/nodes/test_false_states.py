@@ -31,12 +31,13 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
 
 
 @pytest.mark.requirement("S-91")
-def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_velocities_turn_false(
-    lab: Lab,
+@pytest.mark.parametrize("lie", ["velocities negated", "the same state again and again"])
+def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false(
+    lab: Lab, lie: str
 ) -> None:
     driver = Driver(lab)
     lab.controller(priority=0)
-    outcome = tell(driver, lab, "upwards", LIES["velocities negated"]())
+    outcome = tell(driver, lab, "upwards", LIES[lie]())
     assert outcome.faulted is not None
     assert outcome.rest < REST_SPEED
 
