@@ -18,13 +18,13 @@ from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.ros.pose_messages import path_message
+from wam_power_ros.ros.pose_messages import Finished, finished_message, path_message
 
 ROOT = Path(__file__).resolve().parents[2]
 START = 1_700_000_000_000_000_000
 
 
-def recorded(path: Path, policy: Policy, rollout: Rollout) -> Path:
+def recorded(path: Path, policy: Policy, rollout: Rollout, executed: str = "") -> Path:
     """Bag of a rollout, with paths of the one before it at its beginning, as latched topics are."""
     writer = BagWriter(path)
     writer.add("/policy", "std_msgs/msg/String", LATCHED)
@@ -36,6 +36,9 @@ def recorded(path: Path, policy: Policy, rollout: Rollout) -> Path:
         writer.add(topic, "nav_msgs/msg/Path", LATCHED)
         for stamp, found in ((START, old[topic]), (START + 10**9, paths[topic])):
             writer.write(topic, stamp, serialize_message(path_message(found, stamp, "base")))
+    writer.add("/rollout/finished", "std_msgs/msg/String", LATCHED)
+    finished = Finished(executed or policy.id, START + 10**9, None)
+    writer.write("/rollout/finished", START + 10**9, string(finished_message(finished).data))
     return writer.close({})
 
 
@@ -82,6 +85,15 @@ def test_a_bag_is_scored_as_its_rollout_was(
     assert main.main(["score", str(session)]) == 0
     logged = capsys.readouterr().out.splitlines()[2].split()[2]
     assert f"return {logged}" in told and "rotation" in told
+
+
+def test_a_bag_whose_paths_are_of_another_policy_has_no_return(
+    session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy, rollout = demonstrated_policy("trial-0002"), a_rollout("trial-0002", 3.0)
+    bag = recorded(session / "bags" / "rollout_x", policy, rollout, executed="trial-0001")
+    assert main.main(["score", str(bag)]) == 1
+    assert "the paths are not of the policy trial-0002" in capsys.readouterr().out
 
 
 def test_a_demonstration_is_scored_as_it_was_led(capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,7 +15,6 @@ from stand_ins import CONFIGS, NAMES, TICK, Hardware, arm_model
 from std_msgs.msg import Float64MultiArray, String
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.stamps import nanoseconds
 
@@ -59,11 +58,11 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
     for pauses in ((0.0, 0.0), (0.13, 0.0), (0.02, 0.11)):
         poses.clear()
         message, truth = hardware.rollout(policy, pauses)
-        start_ns, path = pose_messages.path(message, EndEffectorPath)
+        start_ns, *path = pose_messages.path(message)
         seen = [pose_messages.pose(pose) for pose in poses]
         at = {reading.stamp_ns - start_ns: reading.position.tolist() for reading in seen}
         frames.append({stamp: place for stamp, place in at.items() if 0 <= stamp < 1_000_000_000})
-        results.append((path.t.tolist(), path.position.tolist(), path.quat_xyzw.tolist(), truth))
+        results.append((*(values.tolist() for values in path), truth))
         probe.until(lambda: hardware.label() == "hold", "hold again")
     assert results[0] == results[1]
     assert results[0] == results[2]
@@ -74,7 +73,7 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
     assert truth["id"] == policy.id
     assert truth["caught"]
     other = hardware.rollout(lift("trial-0002"), (0.0, 0.0))[0]  # another id, another draw of noise
-    assert pose_messages.path(other, EndEffectorPath)[1].position.tolist() != results[0][1]
+    assert pose_messages.path(other).position.tolist() != results[0][1]
 
 
 def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(

@@ -22,7 +22,6 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
@@ -63,7 +62,7 @@ class Rehearsal:
 
         self.probe.until(done, name)
 
-    def execute(self, policy: Policy) -> EndEffectorPath:
+    def execute(self, policy: Policy) -> pose_messages.PathReading:
         """The path of a rollout of this policy, by a controller that is started for it."""
         paths = self.probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self.processes.node("wam_power_ros.nodes.torque_controller", self.file)
@@ -75,7 +74,7 @@ class Rehearsal:
         ):
             self.insist(service, policy, policies)
         message = self.probe.until(lambda: paths and paths[-1], "the path")
-        return pose_messages.path(message, EndEffectorPath)[1]
+        return pose_messages.path(message)
 
 
 @pytest.mark.parametrize("name", ["geodude", "libbarrett", "franka"])

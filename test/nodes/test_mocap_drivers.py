@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.sensors import Mocap, MocapFrame
 from wam_power_ros import rotations
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.tracking.marker_fit import LAYOUT
@@ -117,7 +117,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     pan = EndEffectorPath("trial-1", t, still[:, :3], still[:, 3:])
     ends.publish(pose_messages.path_message(pan, start_ns, "wam_base"))
     message = probe.until(lambda: paths and paths[-1], "the path", 60.0)
-    path = pose_messages.path(message, BodyPath)[1]
+    path = pose_messages.path(message)
 
     # every frame that was seen is in it, at the time of its exposure, none that was not
     wanted = setup["pancake_tracker"]["rate"] * (DURATION - HIDDEN[1] + HIDDEN[0])

@@ -45,10 +45,11 @@ class Cell:
             self.node.create_service(Trigger, name, self._serve(name))
         latched = interface.LATCHED
         self.paths = self.node.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, latched)
+        self.ends = self.node.create_publisher(String, interface.ROLLOUT_FINISHED, latched)
         self._diagnostics = self.node.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
-        self.end = WHOLE
+        self.end, self.late = WHOLE, 0.01  # of the path; time after the end of its rollout [s]
         self.fault: Fault | None = None
 
     def _serve(self, name: str):  # noqa: ANN202 - a callback of rclpy
@@ -64,17 +65,15 @@ class Cell:
 
         return serve
 
-    def publish(self, end: float, policy_id: str = POLICY.id) -> None:
-        """A path of the tool that ends then, and diagnostics as a controller publishes them."""
+    def publish(self, end: float, policy_id: str = POLICY.id, start_ns: int = 10**9) -> None:
+        """A path of the tool that ends then, and the end of its rollout, as of a controller."""
         t = np.arange(0.0, end, 0.01)
         level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
         path = EndEffectorPath(policy_id, t, np.zeros((len(t), 3)), level)
-        self.paths.publish(pose_messages.path_message(path, 1_000_000_000, "wam_base"))
-        level, text, kind = "ok", "hold", ""
-        if self.fault is not None:
-            level, text, kind = "error", self.fault.text, self.fault.kind.value
-        for _ in range(3):
-            self.diagnose("hold", level, text, kind)
+        finished = pose_messages.Finished(policy_id, start_ns, self.fault)
+        self.ends.publish(pose_messages.finished_message(finished))
+        message = pose_messages.path_message(path, start_ns, "wam_base")
+        self.node.create_timer(self.late, lambda: self.paths.publish(message))
 
     def diagnose(self, mode: str, level: str, text: str, kind: str = "") -> None:
         """Diagnostics as a controller publishes them."""
@@ -102,9 +101,11 @@ def test_a_rollout_is_executed_from_its_start(client: RolloutClient, cell: Cell)
 
 
 def test_the_path_of_another_rollout_is_not_taken(client: RolloutClient, cell: Cell) -> None:
-    cell.publish(0.2, "trial-0001")
+    cell.publish(0.2, "trial-0001", start_ns=5 * 10**8)
+    client.until(lambda: client._tool_path, "that path", 20.0)
+    cell.late = 0.3
     executed = client.execute(POLICY, WHOLE, lambda state: "")
-    assert executed.rollout.tool.id == POLICY.id
+    assert executed.rollout.tool.t[-1] > 0.4
 
 
 @pytest.mark.parametrize("kind", [FaultKind.TOOL_SPEED, FaultKind.STATES_LOST])

@@ -10,8 +10,9 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from hypothesis import given
 from hypothesis import strategies as st
+from std_msgs.msg import String
 
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
 from wam_power_ros.ros import interface, pose_messages
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
@@ -73,7 +74,7 @@ def test_a_cloud_of_another_layout_is_refused() -> None:
 
 
 @given(st.integers(1, 200), st.integers(1, 10**18))
-def test_a_rollout_path_keeps_its_id_start_and_poses(count: int, start_ns: int) -> None:
+def test_a_rollout_path_keeps_its_start_and_poses_in_one_frame(count: int, start_ns: int) -> None:
     t = np.arange(count) * 0.01
     there = EndEffectorPath(
         "trial-0007",
@@ -82,26 +83,48 @@ def test_a_rollout_path_keeps_its_id_start_and_poses(count: int, start_ns: int) 
         np.tile(LEVEL, (count, 1)),
     )
     message = pose_messages.path_message(there, start_ns, interface.BASE_FRAME)
-    back_ns, back = pose_messages.path(message, EndEffectorPath)
-    assert (back_ns, back.id) == (start_ns, there.id)
+    back = pose_messages.path(message)
+    assert back.start_ns == start_ns
+    frames = {item.header.frame_id for item in (message, *message.poses)}
+    assert frames == {interface.BASE_FRAME}
     np.testing.assert_allclose(back.t, t, atol=1e-9)
     np.testing.assert_array_equal(back.position, there.position)
     np.testing.assert_array_equal(back.quat_xyzw, there.quat_xyzw)
 
 
-def test_an_empty_path_keeps_its_id() -> None:
+def test_an_empty_path_keeps_its_start() -> None:
     nothing = BodyPath("trial-0008", np.empty(0), np.empty((0, 3)), np.empty((0, 4)))
-    message = pose_messages.path_message(nothing, 5, interface.BASE_FRAME)
-    start_ns, back = pose_messages.path(message, BodyPath)
-    assert (start_ns, back.id, len(back.t)) == (5, "trial-0008", 0)
+    back = pose_messages.path(pose_messages.path_message(nothing, 5, interface.BASE_FRAME))
+    assert (back.start_ns, len(back.t), back.position.shape) == (5, 0, (0, 3))
 
 
-def test_a_path_of_two_rollouts_is_refused() -> None:
+def test_a_path_whose_time_stands_still_is_refused() -> None:
     path = BodyPath("a", np.array([0.1, 0.2]), np.zeros((2, 3)), np.tile(LEVEL, (2, 1)))
     message = pose_messages.path_message(path, 5, interface.BASE_FRAME)
-    message.poses[1].header.frame_id = "b"
-    with pytest.raises(ValueError, match="ids"):
-        pose_messages.path(message, BodyPath)
-    message.poses.clear()
-    with pytest.raises(ValueError, match="no pose"):
-        pose_messages.path(message, BodyPath)
+    message.poses[1].header.stamp = message.poses[0].header.stamp
+    with pytest.raises(ValueError, match="increase"):
+        pose_messages.path(message)
+
+
+@given(st.integers(1, 10**18), st.sampled_from([None, *FaultKind]), st.text(max_size=40))
+def test_the_end_of_a_rollout_keeps_its_id_start_and_fault(
+    start_ns: int, kind: FaultKind | None, text: str
+) -> None:
+    there = pose_messages.Finished("trial-0007", start_ns, kind and Fault(kind, text))
+    assert pose_messages.finished(pose_messages.finished_message(there)) == there
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        '{"id": "a"}',
+        '{"id": "a", "start": {"sec": 1}, "fault": null}',
+        '{"id": "a", "start": {"sec": 1, "nanosec": 0}, "fault": {"kind": "luck", "text": ""}}',
+        '{"id": "a", "start": {"sec": 1, "nanosec": 0}, "fault": 7}',
+    ],
+)
+def test_what_is_no_end_of_a_rollout_is_refused(text: str) -> None:
+    with pytest.raises(ValueError):
+        pose_messages.finished(String(data=text))

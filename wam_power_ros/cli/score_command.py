@@ -116,21 +116,28 @@ def recorded_rollout(
     found: dict[str, Any] = {}
     topics = reader.topics(bag)
     body_topic = interface.rollout_topic(task.body) if task.body else ""
-    leaves = (interface.POLICY, interface.ROLLOUT_END_EFFECTOR, body_topic)
+    of_tool = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_FINISHED)
+    leaves = (interface.POLICY, *of_tool, body_topic)
     wanted = {topic: leaf for leaf in leaves if leaf and (topic := _topic(topics, leaf))}
     for name, _, data in reader.messages(bag, wanted):
         found[wanted[name]] = layout.TYPES.deserialize_cdr(data, topics[name].msgtype)
     if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
         return _as_rollout(bag, task, joint_names, arm)
     policy = policies.from_json(found[interface.POLICY].data)
-    _, tool = pose_messages.path(found[interface.ROLLOUT_END_EFFECTOR], EndEffectorPath)
+    path = pose_messages.path(found[interface.ROLLOUT_END_EFFECTOR])
+    tool = EndEffectorPath(policy.id, *path[1:])
     body = None
     if task.body:
         if body_topic not in found:
             raise ValueError(f"no path of the {task.body} on {body_topic}")
-        _, body = pose_messages.path(found[body_topic], BodyPath)
-    if tool.id != policy.id or (body is not None and body.id != policy.id):
-        raise ValueError(f"the paths are not of the policy {policy.id}")
+        begun, *of_body = pose_messages.path(found[body_topic])
+        if begun != path.start_ns:
+            raise ValueError(f"the path of the {task.body} is of another rollout than the tool's")
+        body = BodyPath(policy.id, *of_body)
+    if interface.ROLLOUT_FINISHED in found:  # not in bags of earlier versions
+        finished = pose_messages.finished(found[interface.ROLLOUT_FINISHED])
+        if (finished.id, finished.start_ns) != (policy.id, path.start_ns):
+            raise ValueError(f"the paths are not of the policy {policy.id}")
     return policy, Rollout(tool, body)
 
 

@@ -19,7 +19,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
@@ -37,7 +37,6 @@ LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # every other is an err
 class _Rollout(NamedTuple):
     """A finished rollout whose path is owed."""
 
-    id: str
     start_ns: int
     end_ns: int
     asked_ns: int  # when, on the watch
@@ -106,14 +105,16 @@ class PancakeTracker(Node):
 
     def _on_end_effector(self, message: Path) -> None:
         try:
-            start_ns, pan = pose_messages.path(message, EndEffectorPath)
+            tool = pose_messages.path(message)
+            if not len(tool.t):
+                raise ValueError("path of the tool without a pose")
         except ValueError as error:
             self._refuse(error)
             return
         if self._owed is not None:
             self._answer()  # its frames will not come any more
-        end_ns = start_ns + round(float(pan.t[-1]) * 1e9)
-        self._owed = _Rollout(pan.id, start_ns, end_ns, self._watch.now().nanoseconds)
+        end_ns = tool.start_ns + round(float(tool.t[-1]) * 1e9)
+        self._owed = _Rollout(tool.start_ns, end_ns, self._watch.now().nanoseconds)
         self._answer_if_complete()
 
     def _refuse(self, error: ValueError) -> None:
@@ -144,16 +145,17 @@ class PancakeTracker(Node):
     def _answer(self) -> None:
         """Publish the path that is owed."""
         rollout, self._owed = self._owed, None
-        path = self._tracker.path(rollout.id, rollout.start_ns, rollout.end_ns)
+        name = f"rollout-{rollout.start_ns}"
+        path = self._tracker.path(name, rollout.start_ns, rollout.end_ns)
         down = falling(path)
         if down is not None and down[2] > -0.87 * math.hypot(*down):  # 30 degrees
             self._complain(
                 f"the {self._params.body} falls along {down.round(1)}: up_axis or world_to_base?"
             )
         if abs(self._offset.seconds) > self._params.clock_offset_max:
-            self._complain(f"{rollout.id} not scored: stamps {self._offset.seconds:.3f} s off")
+            self._complain(f"{name} not scored: stamps {self._offset.seconds:.3f} s off")
             nothing = np.zeros(0)
-            path = BodyPath(rollout.id, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
+            path = BodyPath(name, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
         message = pose_messages.path_message(path, rollout.start_ns, self._frame)
         self._paths.publish(message)
 

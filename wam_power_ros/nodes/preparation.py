@@ -27,7 +27,7 @@ from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.dmp import Tables
-from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.learning.rollout import EndEffectorPath, Fault
 from wam_power_ros.ros.process_channel import Channel, Message, pair
 
 NAME = "torque_controller_preparation"  # node of the process
@@ -114,9 +114,12 @@ class Preparation:
         """Call none of those that wait for `when_read`."""
         self._waiting.clear()
 
-    def publish_path(self, path: EndEffectorPath, start_ns: int, frame: str) -> None:
-        """Publish the path of a rollout that began at `start_ns` [ns], in this frame."""
-        values = {"what": "path", "id": path.id, "start_ns": start_ns, "frame": frame}
+    def publish_path(
+        self, path: EndEffectorPath, start_ns: int, frame: str, fault: Fault | None = None
+    ) -> None:
+        """Publish the path of a rollout that began at `start_ns` [ns], and the fault at its end."""
+        values: dict[str, object] = {"what": "path", "id": path.id, "start_ns": start_ns}
+        values |= {"frame": frame, "fault": fault and [fault.kind.value, fault.text]}
         self._path = (
             values,
             {"t": path.t, "position": path.position, "quat_xyzw": path.quat_xyzw},

@@ -32,7 +32,7 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning import policy as policies
-from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 from wam_power_ros.nodes.preparation import (
     MOVEMENT,
     NAME,
@@ -76,6 +76,9 @@ class PreparationWorker(Node):
         # The last two of each kind: when the loop lets one go, its memory is given back here.
         self._shared: dict[str, deque[object]] = {what: deque(maxlen=2) for what in SIZE_MAX}
         self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
+        self._finished = self.create_publisher(
+            String, interface.ROLLOUT_FINISHED, interface.LATCHED
+        )
         self._diagnostics = self.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
@@ -133,6 +136,9 @@ class PreparationWorker(Node):
         path = EndEffectorPath(values["id"], **arrays)
         message = pose_messages.path_message(path, values["start_ns"], values["frame"])
         self._paths.publish(message)
+        fault = values["fault"] and Fault(FaultKind(values["fault"][0]), values["fault"][1])
+        finished = pose_messages.Finished(path.id, values["start_ns"], fault)
+        self._finished.publish(pose_messages.finished_message(finished))
 
     def _do_report(self, values: dict[str, Any], _: object) -> None:
         if any(later is not None and later.values["what"] == "report" for later in self._inbox):

@@ -30,14 +30,14 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind, Rollout
 from wam_power_ros.ros import diagnostics, interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.pose_messages import StateReading
+from wam_power_ros.ros.pose_messages import Finished, PathReading, StateReading
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
 T = TypeVar("T")
 STARTS_MAX = 5  # attempts to begin one rollout
 ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
 CLOCKS_APART = 0.2  # clocks of arm and motion capture at most; the tracker allows no more [s]
-FAULT_TIMEOUT = 2.5  # for the diagnostics that name a fault, published once a second [s]
+END_TOLERANCE = 0.05  # by which a whole rollout may be shorter: no fault cut it short [s]
 READY_STATES = 3  # states of the body in a row that must be ready
 NOT_ACTIVE = ("", "unconfigured", Mode.INACTIVE.value)  # modes, the first before any is known
 Ready = Callable[[StateReading | None], str]  # what is missing before a rollout; empty for nothing
@@ -94,12 +94,12 @@ class RolloutClient:
         self._params = params
         self._services = ServiceClient(node, executor, params.service_timeout)
         self._body = body
-        self._tool_path: tuple[int, EndEffectorPath] | None = None  # stamp of its start [ns]
-        self._body_path: tuple[int, BodyPath] | None = None
+        self._finished: Finished | None = None
+        self._tool_path: PathReading | None = None
+        self._body_path: PathReading | None = None
         self._truth: dict[str, Any] | None = None
         self._fault: Fault | None = None
         self._mode = ""  # of the controller, published once a second
-        self._diagnoses = 0  # messages with the controller's diagnostics
         self._ready: Ready = lambda state: "nothing is awaited"
         self._missing = ""
         self._ready_states = 0  # in a row
@@ -109,6 +109,7 @@ class RolloutClient:
         self._truth_topic = interface.body_topic(body, "truth")
         subscribe = node.create_subscription
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_tool_path, interface.LATCHED)
+        subscribe(String, interface.ROLLOUT_FINISHED, self._on_finished, interface.LATCHED)
         subscribe(String, self._truth_topic, self._on_truth, interface.LATCHED)
         subscribe(
             DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
@@ -142,7 +143,8 @@ class RolloutClient:
                 self._log.warning(f"{policy.id} from its start again: {why}")
                 if attempt == STARTS_MAX - 1:
                     raise
-        tool, body = self._paths(policy.id, ready_ns)
+        finished = self._end(policy.id, ready_ns)
+        tool, body = self._paths(finished)
         bag = self._end_bag() if self._params.record_rollouts else ""
         if self._node.count_publishers(self._truth_topic):
             self.until(
@@ -150,7 +152,7 @@ class RolloutClient:
                 f"ground truth of {policy.id}",
                 self._params.rollout_timeout,
             )
-        fault = self._fault_of(tool, whole)
+        fault = finished.fault if tool.t[-1] <= whole - END_TOLERANCE else None
         return Executed(Rollout(tool, body, fault), bag, self._truth_of(policy.id))
 
     def until(self, condition: Callable[[], object], what: str, timeout: float) -> None:
@@ -165,11 +167,14 @@ class RolloutClient:
 
     # Messages in
 
+    def _on_finished(self, message: String) -> None:
+        self._finished = self._read(lambda: pose_messages.finished(message))
+
     def _on_tool_path(self, message: Path) -> None:
-        self._tool_path = self._read(lambda: pose_messages.path(message, EndEffectorPath))
+        self._tool_path = self._read(lambda: pose_messages.path(message))
 
     def _on_body_path(self, message: Path) -> None:
-        self._body_path = self._read(lambda: pose_messages.path(message, BodyPath))
+        self._body_path = self._read(lambda: pose_messages.path(message))
 
     def _on_state(self, message: Odometry) -> None:
         state = self._read(lambda: pose_messages.odometry(message))
@@ -186,7 +191,6 @@ class RolloutClient:
             values = diagnostics.of_controller(self._node.get_namespace(), status)
             if values is not None:
                 self._mode = values.get("mode", "")
-                self._diagnoses += 1
                 self._fault = None
                 if status.level == DiagnosticStatus.ERROR:
                     kinds = {kind.value: kind for kind in FaultKind}
@@ -328,38 +332,36 @@ class RolloutClient:
                 raise RolloutError(f"{name} for {policy_id} refused: {answer}")
             self._services.until(lambda: False, timeout=0.05)
 
-    def _paths(self, policy_id: str, ready_ns: int) -> tuple[EndEffectorPath, BodyPath | None]:
-        """The paths of the rollout that began after the body was ready.
+    def _end(self, policy_id: str, ready_ns: int) -> Finished:
+        """The end of the rollout that began after the body was ready.
 
-        A rollout of the same trial whose learner was killed has left its paths on the latched
-        topics: they began earlier.
+        A rollout of the same trial whose learner was killed has left its end and its paths on the
+        latched topics: it began earlier.
         """
         earliest_ns = ready_ns - round(CLOCKS_APART * 1e9)
-        timeout = self._params.rollout_timeout
-        self.until(
-            lambda: _is_of(self._tool_path, policy_id, earliest_ns), f"path of {policy_id}", timeout
-        )
-        start_ns, tool = self._tool_path
-        if not self._body:
-            return tool, None
-        self.until(
-            lambda: _is_of(self._body_path, policy_id, start_ns) and self._body_path[0] == start_ns,
-            f"path of the {self._body} in {policy_id}",
-            timeout,
-        )
-        return tool, self._body_path[1]
 
-    def _fault_of(self, tool: EndEffectorPath, whole: float) -> Fault | None:
-        """The controller's fault when it cut the rollout short, as its diagnostics report it."""
-        if tool.t[-1] > whole - 0.05:
-            return None
-        before = self._diagnoses  # the message under way may be from before the end
-        self._services.until(
-            lambda: self._fault is not None or self._diagnoses > before + 1,
-            "diagnostics of the controller",
-            FAULT_TIMEOUT,
-        )
-        return self._fault
+        def ended() -> bool:
+            last = self._finished
+            return last is not None and last.id == policy_id and last.start_ns >= earliest_ns
+
+        self.until(ended, f"end of {policy_id}", self._params.rollout_timeout)
+        return self._finished
+
+    def _paths(self, finished: Finished) -> tuple[EndEffectorPath, BodyPath | None]:
+        """The paths that begin with the stamp of a finished rollout."""
+        of, timeout = f"in {finished.id}", self._params.rollout_timeout
+        self.until(lambda: _begins(self._tool_path, finished), f"path of the tool {of}", timeout)
+        if self._body:
+            self.until(
+                lambda: _begins(self._body_path, finished),
+                f"path of the {self._body} {of}",
+                timeout,
+            )
+        try:
+            tool = EndEffectorPath(finished.id, *self._tool_path[1:])
+            return tool, BodyPath(finished.id, *self._body_path[1:]) if self._body else None
+        except ValueError as error:
+            raise RolloutError(str(error)) from error
 
     def _truth_of(self, policy_id: str) -> dict[str, Any] | None:
         truth = self._truth
@@ -370,5 +372,5 @@ def _is_about(answer: Answer, policy_id: str) -> bool:
     return answer.values.get("policy") == policy_id
 
 
-def _is_of(arrived: tuple[int, Any] | None, policy_id: str, earliest_ns: int) -> bool:
-    return arrived is not None and arrived[1].id == policy_id and arrived[0] >= earliest_ns
+def _begins(path: PathReading | None, finished: Finished) -> bool:
+    return path is not None and path.start_ns == finished.start_ns

@@ -285,7 +285,7 @@ class TorqueController(LifecycleNode):
         path = controller.take_finished()
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
-            self._preparation.publish_path(path, start_ns, self._frame)
+            self._preparation.publish_path(path, start_ns, self._frame, controller.latched)
         if self._under_way:
             self._answer_moves()
         return None

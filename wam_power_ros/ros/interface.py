@@ -19,6 +19,7 @@ MARKERS = "pointCloud"
 POLICY = "policy"
 REPLAY_TRAJECTORY = "replay/trajectory"
 ROLLOUT_END_EFFECTOR = "rollout/end_effector"
+ROLLOUT_FINISHED = "rollout/finished"  # whose the paths are that begin with the same stamp
 LEARNER_BAG = "learner/bag"  # path of a demonstration to be given to the learner
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
@@ -49,7 +50,7 @@ BODY_LEAVES = ("pose", "state", "truth", "reset", "drop")  # the last three: sta
 SCENE_LEAVES = ("truth", "reset")  # of a task without a body
 SCENE = "scene"
 _BODY = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_RESERVED = {SCENE, "end_effector"}
+_RESERVED = {SCENE, "end_effector", "finished"}
 
 
 def body_topic(body: str, leaf: str) -> str:

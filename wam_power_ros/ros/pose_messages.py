@@ -7,19 +7,20 @@ are `int` nanoseconds, quaternions xyzw, all else SI.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+import json
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2, PointField
+from std_msgs.msg import String
 
+from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.ros.stamps import nanoseconds, sensor_stamp, time_message
 
 if TYPE_CHECKING:
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-
-RolloutPath = TypeVar("RolloutPath", "EndEffectorPath", "BodyPath")
 
 
 class PoseReading(NamedTuple):
@@ -169,50 +170,88 @@ def _rotation(quat_xyzw: np.ndarray) -> np.ndarray:
     )
 
 
-def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) -> Path:
-    """Message of a rollout's path, with start_ns [ns] as its stamp and the id as each pose's frame.
+class PathReading(NamedTuple):
+    """Path of a tool or a body through a rollout.
 
-    A path without poses could not carry its id: it is sent as one pose at NaN.
+    Attributes:
+        start_ns: Stamp of the start of the rollout [ns], which tells rollouts apart.
+        t: Time since then [s]. Shape (M,).
+        position: Positions [m]. Shape (M, 3).
+        quat_xyzw: Orientations. Shape (M, 4).
     """
+
+    start_ns: int
+    t: np.ndarray
+    position: np.ndarray
+    quat_xyzw: np.ndarray
+
+
+def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) -> Path:
+    """Message of a rollout's path in a frame, with the start of the rollout [ns] as its stamp."""
     message = Path()
     message.header.stamp, message.header.frame_id = time_message(start_ns), frame
-    if not len(path.t):
-        nowhere = np.full(3, np.nan)
-        message.poses = [pose_message(start_ns, path.id, nowhere, np.array([0.0, 0.0, 0.0, 1.0]))]
-        return message
     stamps = start_ns + np.rint(np.asarray(path.t) * 1e9).astype(np.int64)  # (M,) [ns]
     message.poses = [
-        pose_message(int(time), path.id, position, quat_xyzw)
+        pose_message(int(time), frame, position, quat_xyzw)
         for time, position, quat_xyzw in zip(stamps, path.position, path.quat_xyzw, strict=True)
     ]
     return message
 
 
-def path(message: Path, kind: type[RolloutPath]) -> tuple[int, RolloutPath]:
-    """Read a rollout's path.
-
-    Args:
-        message: Message of the path.
-        kind: Class of the path, `EndEffectorPath` or `BodyPath`.
-
-    Returns:
-        Start of the rollout [ns], and the path with times since then [s].
+def path(message: Path) -> PathReading:
+    """Read a rollout's path, whose values `EndEffectorPath` and `BodyPath` check.
 
     Raises:
-        ValueError: When there is no pose or more than one id, stamps do not increase, or as `kind`.
+        ValueError: When the stamp is not set, or those of the poses do not increase.
     """
-    if not message.poses:
-        raise ValueError("path has no pose and so no rollout id; an empty one has one pose at NaN")
-    ids = {item.header.frame_id for item in message.poses}
-    if len(ids) != 1:
-        raise ValueError(f"path carries the rollout ids {sorted(ids)}, must carry one")
     start_ns = sensor_stamp(message)
-    first = message.poses[0].pose.position
-    poses = [] if np.isnan([first.x, first.y, first.z]).all() else message.poses
-    t = np.array([(nanoseconds(item.header.stamp) - start_ns) * 1e-9 for item in poses])  # (M,)
+    t = np.array([(nanoseconds(item.header.stamp) - start_ns) * 1e-9 for item in message.poses])
     if np.any(np.diff(t) <= 0.0):
         raise ValueError("stamps of the poses of a path must increase")
-    arrays = [_pose_arrays(item.pose) for item in poses]
+    arrays = [_pose_arrays(item.pose) for item in message.poses]
     position = np.array([item[0] for item in arrays]).reshape(-1, 3)  # (M, 3)
     quat_xyzw = np.array([item[1] for item in arrays]).reshape(-1, 4)  # (M, 4)
-    return start_ns, kind(id=ids.pop(), t=t, position=position, quat_xyzw=quat_xyzw)
+    return PathReading(start_ns, t, position, quat_xyzw)
+
+
+class Finished(NamedTuple):
+    """A rollout that has ended.
+
+    Attributes:
+        id: Id of the policy that was executed.
+        start_ns: Stamp of its start [ns], which is that of its paths.
+        fault: Fault that is latched at its end, None without.
+    """
+
+    id: str
+    start_ns: int
+    fault: Fault | None
+
+
+def finished_message(finished: Finished) -> String:
+    """Message of the end of a rollout: a JSON object."""
+    fault = finished.fault
+    sec, nanosec = divmod(finished.start_ns, 1_000_000_000)
+    values = {
+        "id": finished.id,
+        "start": {"sec": sec, "nanosec": nanosec},
+        "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
+    }
+    return String(data=json.dumps(values))
+
+
+def finished(message: String) -> Finished:
+    """Read the end of a rollout.
+
+    Raises:
+        ValueError: When it is no such JSON object.
+    """
+    try:
+        values = json.loads(message.data)
+        start, fault = values["start"], values["fault"]
+        start_ns = int(start["sec"]) * 1_000_000_000 + int(start["nanosec"])
+        if fault is not None:
+            fault = Fault(FaultKind(fault["kind"]), str(fault["text"]))
+        return Finished(str(values["id"]), start_ns, fault)
+    except (KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"end of a rollout {message.data[:200]!r}: {error!r}") from error

@@ -49,7 +49,7 @@ TABLE: dict[str, dict[str, str]] = {
         "calls": "idle",
     },
     "torque_controller_preparation": {
-        "publishes": "ROLLOUT_END_EFFECTOR DIAGNOSTICS",
+        "publishes": "ROLLOUT_END_EFFECTOR ROLLOUT_FINISHED DIAGNOSTICS",
         "subscribes": "POLICY REPLAY_TRAJECTORY",
     },
     "demonstration_recorder": {
@@ -63,7 +63,8 @@ TABLE: dict[str, dict[str, str]] = {
     },
     "learner": {
         "publishes": "POLICY",
-        "subscribes": "ROLLOUT_END_EFFECTOR state rollout truth DIAGNOSTICS LEARNER_BAG",
+        "subscribes": "ROLLOUT_END_EFFECTOR ROLLOUT_FINISHED state rollout truth DIAGNOSTICS "
+        "LEARNER_BAG",
         "serves": FEEDBACK,
         "calls": "MOVE_TO_START EXECUTE reset RESET RECORD",
     },

@@ -27,7 +27,6 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import answers, interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
@@ -157,9 +156,9 @@ class View(Node):
         self.seen.policy = self._read(lambda: policies.from_json(message.data)) or self.seen.policy
 
     def _on_path(self, message: Path) -> None:
-        path = self._read(lambda: pose_messages.path(message, EndEffectorPath))
+        path = self._read(lambda: pose_messages.path(message))
         if path is not None:
-            self.seen.tool_path = path[1].position
+            self.seen.tool_path = path.position
 
     def _on_urdf(self, message: String) -> None:
         self._urdf = message.data
