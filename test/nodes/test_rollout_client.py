@@ -73,7 +73,12 @@ class Cell:
         finished = pose_messages.Finished(policy_id, start_ns, self.fault)
         self.ends.publish(pose_messages.finished_message(finished))
         message = pose_messages.path_message(path, start_ns, "wam_base")
-        self.node.create_timer(self.late, lambda: self.paths.publish(message))
+
+        def once() -> None:
+            timer.cancel()
+            self.paths.publish(message)
+
+        timer = self.node.create_timer(self.late, once)
 
     def diagnose(self, mode: str, level: str, text: str, kind: str = "") -> None:
         """Diagnostics as a controller publishes them."""
