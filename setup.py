@@ -55,13 +55,13 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            f"torque_controller = {NAME}.nodes.torque_controller:main",
-            f"demonstration_recorder = {NAME}.nodes.demonstration_recorder:main",
-            f"pancake_tracker = {NAME}.nodes.pancake_tracker:main",
-            f"learner = {NAME}.nodes.learner:main",
-            f"check_driver = {NAME}.nodes.check_driver:main",
-            "wam_sim = hardware_sim.main:main",
-            f"wam-power = {NAME}.cli.main:main",
+            f"torque_controller = {NAME}.entry:torque_controller",
+            f"demonstration_recorder = {NAME}.entry:demonstration_recorder",
+            f"pancake_tracker = {NAME}.entry:pancake_tracker",
+            f"learner = {NAME}.entry:learner",
+            f"check_driver = {NAME}.entry:check_driver",
+            f"wam_sim = {NAME}.entry:wam_sim",
+            f"wam-power = {NAME}.entry:wam_power",
         ],
         f"{NAME}.scenes": [
             "flip = hardware_sim.scenes.flip:Flip",

@@ -11,9 +11,13 @@ looks once, before a launch file starts anything, and ends with status 2 where a
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import INTERRUPTED, start
+
+    raise SystemExit(start("hardware_sim.driver_watch", INTERRUPTED))
+
 import math
 import os
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -192,7 +196,3 @@ class _Look(Node):
 def main() -> int:
     """Look once; returns REFUSED where a robot is."""
     return node_runner.run_script(_Look, _Look.look)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

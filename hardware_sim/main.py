@@ -8,9 +8,13 @@ delay, jitter and lose as real networks do.
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import start
+
+    raise SystemExit(start("hardware_sim.main"))
+
 import copy
 import os
-import sys
 import time
 from collections.abc import Callable
 
@@ -170,7 +174,3 @@ def main() -> int:
             simulation.wam.get_logger().fatal(text)
 
     return node_runner.run(Simulation, spin=spin) or (REFUSED if intruders else 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -21,13 +21,17 @@ from launch.actions import DeclareLaunchArgument
 
 from launch import LaunchDescription
 from wam_power_ros.cli import ros_launch
+from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.ros.domain import exported, hold
 
 HELD = []  # the lock of the domain, until the launch ends
 
 
-def check_domain(launched: ros_launch.Launched, parameters: Path) -> None:
+def check_domain(launched: ros_launch.Launched, parameters: Path) -> bool:
     """Refuse a domain in which a controller would hold a robot instead of the simulation.
+
+    Returns:
+        False after Ctrl-C.
 
     Raises:
         RuntimeError: A driver, another stand-in or another session is there.
@@ -37,8 +41,10 @@ def check_domain(launched: ros_launch.Launched, parameters: Path) -> None:
     command += ["--params-file", str(parameters), "-r", f"__ns:={launched.namespace or '/'}"]
     for old, new in launched.remappings:
         command += ["-r", f"{old}:={new}"]
-    if subprocess.run(command).returncode:
+    status = subprocess.run(command).returncode
+    if status not in (0, INTERRUPTED):
         raise RuntimeError("this domain is not free for a simulation, see above")
+    return status == 0
 
 
 def generate_launch_description() -> LaunchDescription:

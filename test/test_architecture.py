@@ -32,6 +32,7 @@ OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "
 # because each folder only names folders above it.
 ALLOWED: dict[str, set[str]] = {
     "durable_files": set(),  # a root module that every folder with files may import
+    "entry": set(),  # imported first by every process
     "rotations": set(),
     "arm_identity": set(),
     "bags": {"durable_files", "arm_identity"},
@@ -42,7 +43,7 @@ ALLOWED: dict[str, set[str]] = {
     "practice": {"durable_files", "learning", "tasks"},
     "params": {"durable_files", "rotations", "learning", "control", "tracking"},
     "conformance": {"rotations", "learning", "control", "tracking"},
-    "ros": {"rotations", "learning", "params", "bags"},
+    "ros": {"entry", "rotations", "learning", "params", "bags"},
     "reporting": {"rotations", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)

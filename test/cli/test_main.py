@@ -35,14 +35,14 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 
 def test_wam_power_run_starts_what_ros2_run_starts() -> None:
     setup = (ROOT / "setup.py").read_text().replace("{NAME}", "wam_power_ros")
-    entry_points = dict(re.findall(r'"([\w-]+) = ([\w.]+):main"', setup))
-    assert entry_points.pop("wam-power") == "wam_power_ros.cli.main"
-    assert entry_points == {name: entry.module for name, entry in main.NODES.items()}
+    points = dict(re.findall(r'"([\w-]+) = (wam_power_ros\.entry:\w+)"', setup))
+    assert points.pop("wam-power") == "wam_power_ros.entry:wam_power"
+    assert points == {name: point.value for name, point in main.NODES.items()}
 
 
 @pytest.mark.parametrize("node", main.NODES)
 def test_every_node_is_a_module_that_is_there(node: str) -> None:
-    assert find_spec(main.NODES[node].module) is not None
+    assert find_spec(main.NODES[node].load().args[0]) is not None
 
 
 def test_a_node_gets_its_arguments_from_the_command_line() -> None:

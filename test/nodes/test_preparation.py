@@ -47,6 +47,12 @@ class Worker:
         of = Path(f"/proc/{self._controller}/task/{self._controller}/children").read_text().split()
         return int(of[-1]) if of else 0
 
+    @property
+    def blocked(self) -> int:
+        """Mask of the signals that do not reach it."""
+        status = Path(f"/proc/{self.pid}/status").read_text()
+        return int(status.partition("SigBlk:")[2].split()[0], 16)
+
     def signal(self, number: int) -> None:
         """Send it a signal."""
         os.kill(self.pid, number)
@@ -119,6 +125,8 @@ def test_a_request_uses_the_policy_that_was_published_before_it(
 def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
     probe: Probe, arm: PlayedArm, worker: Worker
 ) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):  # those of its group are the controller's
+        assert worker.blocked >> (number - 1) & 1
     older, newer = (probe.publisher(String, interface.POLICY, interface.LATCHED) for _ in range(2))
     for publisher, name in ((older, "older"), (newer, "newer")):
         publisher.publish(String(data=to_json(lift(name))))

@@ -283,7 +283,3 @@ def _arm_options(parser: argparse.ArgumentParser) -> None:
 def _run(options: argparse.Namespace) -> int:
     sys.argv = [options.node, *options.rest]
     return NODES[options.node].load()()
-
-
-if __name__ == "__main__":
-    sys.exit(main())

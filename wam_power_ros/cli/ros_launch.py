@@ -159,14 +159,15 @@ def parameter_file(launched: Launched) -> Path:
 def description(
     arguments: list[DeclareLaunchArgument],
     stand_ins: bool,
-    check: Callable[[Launched, Path], None] = lambda launched, file: None,
+    check: Callable[[Launched, Path], bool] = lambda launched, file: True,
 ) -> LaunchDescription:
     """Description of a launch file.
 
     Args:
         arguments: Arguments of this launch file; those of `SHARED` come with them.
         stand_ins: True when the simulated devices are started too, false on hardware.
-        check: Function that is called before anything is started, with the parameter file.
+        check: Function that is called before anything is started, with the parameter file; nothing
+            is started if it returns false.
     """
     from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
     from launch.substitutions import LaunchConfiguration
@@ -188,8 +189,7 @@ def description(
         values = {each.name: LaunchConfiguration(each.name).perform(context) for each in arguments}
         launched = prepare(values, stand_ins)
         file = parameter_file(launched)
-        check(launched, file)
-        return _nodes(launched, file, values["secure"] == "true")
+        return _nodes(launched, file, values["secure"] == "true") if check(launched, file) else []
 
     return LaunchDescription(
         [

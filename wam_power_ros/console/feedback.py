@@ -3,6 +3,11 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import INTERRUPTED, start
+
+    raise SystemExit(start("wam_power_ros.console.feedback", INTERRUPTED))
+
 import sys
 import time
 from pathlib import Path
@@ -78,7 +83,3 @@ def _call(calls: ServiceClient, node: Node, kind: str, bag: Path | None) -> tupl
 def main() -> int:
     """Entry point of `python -m wam_power_ros.console.feedback`, which reads its input."""
     return run_script(lambda: rclpy.create_node("feedback"), _answer_lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

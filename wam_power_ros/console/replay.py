@@ -7,9 +7,13 @@ computes the tracking error.
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import INTERRUPTED, start
+
+    raise SystemExit(start("wam_power_ros.console.replay", INTERRUPTED))
+
 import shutil
 import signal
-import sys
 from pathlib import Path
 
 from pydantic import Field
@@ -147,7 +151,3 @@ def with_possible_speed(answer: Answer, speed: float) -> str:
 def main() -> int:
     """Entry point of `python -m wam_power_ros.console.replay`."""
     return run_script(Replay, Replay.run, signals=SignalHandlerOptions.NO)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

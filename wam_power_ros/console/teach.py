@@ -8,7 +8,11 @@ person may have each of them done again or discarded, or end the series with it.
 
 from __future__ import annotations
 
-import sys
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import INTERRUPTED, start
+
+    raise SystemExit(start("wam_power_ros.console.teach", INTERRUPTED))
+
 import time
 from pathlib import Path
 
@@ -119,7 +123,3 @@ class Teach(Node):
 def main() -> int:
     """Entry point of `python -m wam_power_ros.console.teach`."""
     return run_script(Teach, Teach.run)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,6 +7,11 @@ that could move the arm. The rows are made by the modules in `conformance`.
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import INTERRUPTED, start
+
+    raise SystemExit(start("wam_power_ros.nodes.check_driver", INTERRUPTED))
+
 import argparse
 import json
 import os
@@ -437,7 +442,3 @@ def main() -> int:
         text = {"verdict": result.value, "said": sentence, "config": options.config, "rows": table}
         options.json.write_text(json.dumps(text, indent=1) + "\n")
     return STATUS[result]
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,9 +7,13 @@ Messages are taken as they come and written by another thread, never decoded. Th
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import start
+
+    raise SystemExit(start("wam_power_ros.nodes.demonstration_recorder"))
+
 import json
 import shutil
-import sys
 import time
 from contextlib import suppress
 from datetime import datetime
@@ -270,7 +274,3 @@ class DemonstrationRecorder(Node):
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros demonstration_recorder`."""
     return node_runner.run(DemonstrationRecorder)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,10 +8,14 @@ rollout, add a demonstration, or pause to record one: on disk before it is answe
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import start
+
+    raise SystemExit(start("wam_power_ros.nodes.learner"))
+
 import json
 import math
 import signal
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -422,7 +426,3 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     for each in (signal.SIGINT, signal.SIGTERM):
         signal.signal(each, signal.SIG_IGN)
     raise KeyboardInterrupt
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,8 +7,12 @@ when; it goes out when a frame of the rollout's end or later has come, or none f
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import start
+
+    raise SystemExit(start("wam_power_ros.nodes.pancake_tracker"))
+
 import math
-import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -192,7 +196,3 @@ class PancakeTracker(Node):
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros pancake_tracker`."""
     return node_runner.run(PancakeTracker)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import signal
 import socket
 import sys
 import time
@@ -255,6 +256,7 @@ class Preparation:
             command,
             {**os.environ, "ROS_DOMAIN_ID": str(self._domain)},
             file_actions=[(os.POSIX_SPAWN_DUP2, theirs.fileno(), CHANNEL)],
+            setsigmask=(signal.SIGINT, signal.SIGTERM),  # those of its group are the controller's
             scheduler=(os.SCHED_OTHER, os.sched_param(0)),
         )
         theirs.close()

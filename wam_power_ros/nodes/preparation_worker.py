@@ -7,7 +7,6 @@ controller. It hands over policies with their tables and movements on the contro
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 import time
@@ -244,9 +243,7 @@ def others_wait() -> bool:
 
 
 def main() -> int:
-    """Run until the torque controller has ended; signals to its process group are its own."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+    """Run until the torque controller has ended; it has blocked the signals to its group here."""
     channel = channel_of_process()
     make = lambda: PreparationWorker(channel)  # noqa: E731
     with node_runner.participant(make, SignalHandlerOptions.NO) as node:

@@ -9,9 +9,13 @@ that takes long happens here: policies and movements come finished from the proc
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before the other imports, which a signal may interrupt
+    from wam_power_ros.entry import start
+
+    raise SystemExit(start("wam_power_ros.nodes.torque_controller"))
+
 import dataclasses
 import os
-import sys
 import time
 import traceback
 from collections import Counter
@@ -572,7 +576,3 @@ def main() -> int:
             node, ended, node.attend, node.patience, node.failed
         ),
     )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -31,6 +31,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros import network, security, shared_memory
 from wam_power_ros.ros.domain import FIRST, PER_DOMAIN, PER_PARTICIPANT, exported
@@ -39,7 +40,7 @@ from wam_power_ros.ros.service_client import ServiceError
 N = TypeVar("N", bound=Node)
 RCLError = rclpy_implementation.RCLError  # of the middleware, such as invalid keys
 SPREAD = 16  # of the 32 numbers that are looked for within LOCALHOST, the rest for who comes later
-REFUSED, INTERRUPTED = 2, 130  # exit statuses
+REFUSED = 2  # exit status
 
 
 def init(

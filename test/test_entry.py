@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A signal during the imports of a process ends it as later on, and nothing is printed."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+from wam_power_ros import entry
+
+SLOW = "import time; print('importing', flush=True); time.sleep(600)"
+GUARDED = [
+    path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
+    for folder in ("wam_power_ros/nodes", "wam_power_ros/console", "hardware_sim")
+    for path in sorted((ROOT / folder).glob("*.py"))
+    if "\ndef main()" in path.read_text()
+    and path.stem not in ("preparation_worker", "enabling_switch", "play_bag")
+]
+EXECUTABLES = re.findall(r'f"[\w-]+ = \{NAME\}\.entry:(\w+)"', (ROOT / "setup.py").read_text())
+WAYS = {
+    **{f"-m {name}": ["-m", name] for name in [*GUARDED, "wam_power_ros.cli"]},
+    **{
+        name: ["-c", f"import sys; from wam_power_ros.entry import {name}; sys.exit({name}())"]
+        for name in EXECUTABLES
+    },
+}
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Libraries whose import does not end."""
+    folder = tmp_path_factory.mktemp("slow")
+    for name in ("numpy", "yaml", "rclpy"):
+        (folder / f"{name}.py").write_text(SLOW)
+    return folder
+
+
+def test_every_executable_and_every_module_with_a_main_is_asked() -> None:
+    assert len(EXECUTABLES) == 7
+    assert len(GUARDED) == 10
+    assert set(EXECUTABLES) < set(vars(entry))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("way", WAYS)
+def test_a_signal_during_the_imports_ends_a_process_without_a_word(
+    way: str, number: int, slow: Path
+) -> None:
+    path = os.pathsep.join([str(slow), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    process = subprocess.Popen(
+        [sys.executable, *WAYS[way]],
+        cwd=slow,
+        env={**os.environ, "PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "importing\n"
+    process.send_signal(number)
+    printed = process.communicate(timeout=60.0)
+    assert printed == ("", "")
+    for_a_person = re.search(r"check_driver|console|cli|driver_watch|wam_power$", way)
+    assert process.returncode == (entry.INTERRUPTED if for_a_person else 0)
+
+
+def test_a_signal_that_is_ignored_stays_ignored(tmp_path: Path) -> None:
+    (tmp_path / "imported.py").write_text(
+        "import os, signal; os.kill(os.getpid(), signal.SIGINT)\ndef main(): return 7\n"
+    )
+    code = (
+        "import signal; from wam_power_ros import entry;"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN); raise SystemExit(entry.start('imported'))"
+    )
+    path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    ended = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path})
+    assert ended.returncode == 7
