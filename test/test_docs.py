@@ -18,6 +18,7 @@ from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_VIGOUR
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -142,6 +143,8 @@ def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
             f"along x, {settings.landing_limit} m at most",
             f"moved by {settings.turn_gain} of what was missing",
             f"{settings.turn_limit} at most",
+            f"like the flick, by {settings.vigour_gain} of what was missing",
+            f"divided by {TURN_OF_VIGOUR:.0f} rad, {settings.vigour_limit} at most",
             f"exp((R_k − R_max)/({power.sharpness} ",
             f"at least {math.degrees(settings.success_angle):.0f} degrees",
             f"{math.degrees(settings.success_angle + settings.confirm_margin):.0f} degrees (ending",

@@ -24,7 +24,8 @@ def test_rows_differ_in_the_learner_and_what_it_is_told_alone() -> None:
         assert settings.model_dump(exclude=own) == plain.model_dump(exclude=own)
         assert settings.practice.budget == plain.practice.budget
         assert settings.practice.retests == plain.practice.retests
-        blind = settings.task_settings.landing_gain == settings.task_settings.turn_gain == 0.0
+        task = settings.task_settings
+        blind = task.landing_gain == task.turn_gain == task.vigour_gain == 0.0
         assert ("rotation" in novice.ROWS[job.study.removeprefix("novice-")].told) == (not blind)
 
 
@@ -39,15 +40,15 @@ def a_session(true: int, ended_by: str, used: int, first: bool = False) -> dict[
         "used": used,
         "ended_by": ended_by,
         "trials": [{"true_flip": first}],
-        "retests": [{"true_flip": k < true} for k in range(10)],
+        "retests": [{"true_flip": k < true} for k in range(30)],
     }
 
 
 def test_the_figures_of_a_row_count_sessions_and_not_rollouts() -> None:
     sessions = [
-        a_session(10, "confirmation", 20),
-        a_session(9, "confirmation", 30, first=True),
-        a_session(8, "confirmation", 50),
+        a_session(30, "confirmation", 20),
+        a_session(27, "confirmation", 30, first=True),
+        a_session(24, "confirmation", 50),
         a_session(0, "budget", 60),
     ]
     found = novice.line(sessions)

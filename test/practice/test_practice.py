@@ -17,7 +17,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record, line_of
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_VIGOUR
 from wam_power_ros.tasks.task import Assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
@@ -135,7 +135,7 @@ def test_a_trial_stays_the_same_until_it_is_learnt_from() -> None:
 
 
 def test_a_rollout_that_says_nothing_is_tried_again_and_leaves_the_course_of_learning() -> None:
-    settings = preset("flip", budget=20, retests=0, learner={"decay": 0.97})
+    settings = preset("flip", budget=20, confirm=0, retests=0, learner={"decay": 0.97})
     undisturbed = practice_of(CANDIDATES, settings, 3)
     run(undisturbed, lambda trial: toss(trial, settings.task_settings, noise=0.0))
     disturbed = practice_of(CANDIDATES, settings, 3)
@@ -204,26 +204,46 @@ def test_a_reproduction_that_ended_in_a_fault_is_not_chosen() -> None:
     assert "flick-2" in practice.choice
 
 
-def test_flick_and_catch_shift_are_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
+def test_a_toss_is_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
     practice = started("flip")
     settings = practice.task.settings
     for record in run(practice, rollouts=12):
         moved = np.subtract(record.learnt_as, record.z)
-        assert not moved[:-2].any()
+        assert not moved[:-3].any()
         error = record.observation["landing_error"][0]
         assert moved[-1] == pytest.approx(settings.landing_gain * error / 0.016)
-        lacking = settings.turn_gain * (math.pi - record.observation["angle"]) / TURN_OF_FLICK
-        limited = np.clip(lacking, -settings.turn_limit, settings.turn_limit)
-        assert moved[-2] == pytest.approx(limited / settings.noise.flick)
+        missing = math.pi - record.observation["angle"]
+        flick = settings.turn_gain * missing / TURN_OF_FLICK
+        flick = np.clip(flick, -settings.turn_limit, settings.turn_limit)
+        assert moved[-2] == pytest.approx(flick / settings.noise.flick)
+        vigour = settings.vigour_gain * missing / TURN_OF_VIGOUR
+        assert abs(vigour) < settings.vigour_limit
+        assert moved[-3] == pytest.approx(vigour / settings.noise.vigour)
     trial = practice.next_trial()
     assessment = toss(trial, settings)
     far = {**assessment.observation, "landing_error": [9.0, 0.0, 0.0]}
     limited = practice.learn_assessed(trial, replace(assessment, observation=far))
     assert limited.learnt_as[-1] - limited.z[-1] == pytest.approx(0.25 / 0.016)
-    for change in ({"tossed": False}, {"seen": False}):
-        trial = practice.next_trial()
-        record = practice.learn_assessed(trial, replace(assessment, observation={**far, **change}))
-        assert record.learnt_as == record.z
+    trial = practice.next_trial()
+    unseen = replace(assessment, observation={**far, "seen": False})
+    record = practice.learn_assessed(trial, unseen)
+    assert record.learnt_as == record.z
+
+
+@pytest.mark.parametrize("seen", [True, False])
+def test_a_pancake_that_was_not_thrown_lacks_the_whole_half_turn(seen: bool) -> None:
+    practice = started("flip")
+    settings = practice.task.settings
+    run(practice, rollouts=4)
+    trial = practice.next_trial()
+    weak = {"tossed": False, "seen": seen, "angle": 0.0, "landing_error": [0.0, 0.0, 0.0]}
+    record = practice.learn_assessed(trial, Assessment(0.05, observation=weak))
+    moved = np.subtract(record.learnt_as, record.z)
+    stronger = [settings.vigour_limit, settings.turn_limit, 0.0]
+    noise = settings.noise
+    stronger /= np.array([noise.vigour, noise.flick, noise.catch_shift])
+    np.testing.assert_allclose(moved[-3:], stronger)
+    assert not moved[:-3].any()
 
 
 def test_without_landing_gain_a_trial_is_learnt_as_it_was_executed() -> None:
@@ -413,8 +433,10 @@ def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
         preset("flip", learner={"name": "genetic"})
     with pytest.raises(ValueError, match="sigmma"):
         preset("flip", learner={"sigmma": 3})
-    with pytest.raises(ValueError, match="need a catch shift"):
-        preset("flip", variant="full")
+    for name in ("landing_gain", "turn_gain", "vigour_gain"):
+        off = {"landing_gain": 0.0, "turn_gain": 0.0, "vigour_gain": 0.0, name: 0.5}
+        with pytest.raises(ValueError, match=f"{name} 0.5 needs a parameter .* 'planar'"):
+            preset("flip", variant="full", **off)
     with pytest.raises(ValueError, match="a success needs"):
         preset("flip", "paper", success_return=0.0)
     with pytest.raises(ValueError, match="budget"):
@@ -475,7 +497,8 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
 @pytest.mark.requirement("S-31")
 def test_infeasible_samples_are_rejected_and_only_feasible_ones_are_tried() -> None:
     def infeasible(policy: Policy) -> str:
-        return "too far out" if policy.attractors[3, 0] > CANDIDATES[0].attractors[3, 0] else ""
+        stiffer = policy.stiffness[3, 0, 0] > CANDIDATES[0].stiffness[3, 0, 0]
+        return "too stiff" if stiffer else ""
 
     practice = practice_of(
         CANDIDATES[:1], preset("flip", budget=20, retests=0), 3, arm=AnyArm(infeasible)
@@ -531,6 +554,24 @@ def test_an_infeasible_mean_or_answer_is_shrunk_to_what_ran_without_a_fault() ->
         again = practice_of(CANDIDATES[:1], settings, seed, practice.records)
         assert again.records == practice.records and again.next_trial() is None
     assert shrunk > 0
+
+
+def test_a_correction_that_the_arm_cannot_follow_keeps_no_other_back() -> None:
+    first = CANDIDATES[0].attractors[1]  # moved by the vigour alone
+
+    def infeasible(policy: Policy) -> str:
+        return "" if np.allclose(policy.attractors[1], first) else "too fast"
+
+    practice = practice_of(
+        CANDIDATES[:1], preset("flip", budget=2, retests=0), 3, arm=AnyArm(infeasible)
+    )
+    settings = practice.task.settings
+    flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
+    record = practice.learn_assessed(practice.next_trial(), Assessment(0.5, observation=flight))
+    vigour, flick, shift = np.array(record.learnt_as)[-3:]
+    assert vigour == 0.0
+    assert flick == pytest.approx(settings.turn_limit / settings.noise.flick)
+    assert shift == pytest.approx(settings.landing_gain * 0.1 / settings.noise.catch_shift)
 
 
 def test_a_landing_correction_stops_where_the_arm_cannot_follow() -> None:

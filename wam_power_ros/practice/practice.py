@@ -435,13 +435,18 @@ class Practice:
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates a rollout is learnt from at: corrected, but not to where it is infeasible."""
         parametrization = self._parametrizations[trial.demonstration]
-        shift = self.task.hindsight(assessment, parametrization)
-        if shift is not None:
-            for share in (1.0, 0.5, 0.25):
-                z = trial.z + share * shift
-                if self._arm.infeasible(parametrization.policy(z, "corrected")[0]) is None:
-                    return z
-        return trial.z
+
+        def feasible(z: np.ndarray) -> bool:
+            return self._arm.infeasible(parametrization.policy(z, "corrected")[0]) is None
+
+        z = trial.z
+        parts = self.task.hindsight(assessment, parametrization)
+        if not parts or feasible(z + sum(parts)):
+            return z + sum(parts)
+        for part in parts:  # one that the arm cannot follow does not keep the others back
+            shares = (share for share in (1.0, 0.5, 0.25) if feasible(z + share * part))
+            z = z + next(shares, 0.0) * part
+        return z
 
     # Taking up
 

@@ -144,14 +144,15 @@ class Task(Protocol):
 
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
-    ) -> np.ndarray | None:
-        """Shift of the coordinates that would have done better, or None.
+    ) -> Sequence[np.ndarray]:
+        """Shifts of the coordinates that together would have done better; none for no correction.
 
         What was executed is learnt from at the shifted coordinates. A measured error has a
         direction, which a return does not have.
 
         Returns:
-            Shift of z, shape (size,); None for no correction.
+            Shifts of z, shape (size,) each, one for each error; where the arm cannot follow all of
+            them, each in turn as far as it can.
         """
 
     def confirms(self, record: Judged) -> bool:

@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flick and catch shift of a toss."""
+"""Vigour, flick and catch shift of a toss."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from toss_task import demonstrated_policy
 
+from wam_power_ros.learning.dmp import reproduce_many
 from wam_power_ros.learning.parametrization import VARIANTS, NoiseScales, Parametrization
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
 
-NOISE = FlipNoise(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
+NOISE = FlipNoise(
+    stiffness=0.1, attractor=0.01, rotation=0.05, vigour=0.04, flick=0.03, catch_shift=0.02
+)
 
 
 def moved(group: str, value: float) -> tuple[Policy, Policy]:
@@ -37,12 +42,36 @@ def test_the_flick_enlarges_the_demonstrated_turn() -> None:
     np.testing.assert_array_equal(after.attractors, before.attractors)
 
 
+def test_the_vigour_enlarges_the_demonstrated_movement_in_the_same_time() -> None:
+    policy = demonstrated_policy()
+    level = policy.attractors.copy()
+    level[:, 1] = 0.1  # in the plane y = 0.1
+    p = flip_parametrization(replace(policy, attractors=level), "planar", NOISE)
+    z = np.zeros(p.size)
+    z[p.groups["vigour"]] = 5.0  # 0.2
+    before, after = p.policy0, p.policy(z, "a")[0]
+    paths, _ = reproduce_many(
+        before.basis,
+        np.stack([before.stiffness, after.stiffness]),
+        np.stack([before.attractors, after.attractors]),
+        before.damping,
+        level[0],
+        np.zeros(3),
+        600,
+        0.002,
+    )
+    np.testing.assert_allclose(paths[1] - level[0], 1.2 * (paths[0] - level[0]), atol=1e-12)
+    old, new = before.rotation_attractors, after.rotation_attractors
+    np.testing.assert_allclose(new[:, 1] - new[0, 1], 1.2 * (old[:, 1] - old[0, 1]))
+    np.testing.assert_array_equal(new[:, [0, 2]], old[:, [0, 2]])
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_only_the_planar_variant_has_a_flick_and_a_catch_shift(variant: str) -> None:
+def test_only_the_planar_variant_has_a_vigour_a_flick_and_a_catch_shift(variant: str) -> None:
     policy = demonstrated_policy()
     noise = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
     p, plain = flip_parametrization(policy, variant, NOISE), Parametrization(policy, variant, noise)
-    extra = ["flick", "catch_shift"] if variant == "planar" else []
+    extra = ["vigour", "flick", "catch_shift"] if variant == "planar" else []
     assert list(p.groups) == [*plain.groups, *extra]
     assert p.size == plain.size + len(extra)
     same = [q.policy(np.zeros(q.size), "a")[0] for q in (p, plain)]

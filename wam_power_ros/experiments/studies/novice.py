@@ -23,11 +23,11 @@ from wam_power_ros.experiments.studies.flip_sessions import NOVICE, session
 from wam_power_ros.practice.settings import preset
 
 BUDGET = 60  # rollouts
-RETESTS = 10  # of the answer
-SOLVED = 9  # true flips among them
+RETESTS = 30  # of the answer
+SOLVED = 27  # true flips among them
 CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
 HELD_OUT = range(3001, 3031)  # seeds without any tuning
-_BLIND = {"landing_gain": 0.0, "turn_gain": 0.0}  # without corrections
+_BLIND = {"landing_gain": 0.0, "turn_gain": 0.0, "vigour_gain": 0.0}  # without corrections
 
 
 class Row(NamedTuple):

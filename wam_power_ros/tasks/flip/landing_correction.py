@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hindsight correction: shift z by the measured landing and rotation error of a toss."""
+"""Hindsight correction: shift z by what landing and rotation missed, for lack of a toss too."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import math
 import numpy as np
 
 from wam_power_ros.learning.parametrization import Parametrization
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.settings import FlipSettings
 from wam_power_ros.tasks.task import Assessment
 
 
 def landing_correction(
     assessment: Assessment, parametrization: Parametrization, settings: FlipSettings
-) -> np.ndarray | None:
-    """Shift of the catch shift and the flick by what landing and rotation missed.
+) -> list[np.ndarray]:
+    """Shifts of the catch shift, the flick and the vigour by what landing and rotation missed.
 
-    The catch shift goes to where the pancake came down, the flick to where it would have made
-    half a turn.
+    The catch shift goes to where the pancake came down, vigour and flick to where it would have
+    made half a turn. A pancake that was not thrown made none of it, so all of it is missing.
 
     Args:
         assessment: Assessment of a rollout, with its flight as the observation.
@@ -27,20 +27,22 @@ def landing_correction(
         settings: Gains and limits.
 
     Returns:
-        Shift of z, shape (size,); None without gains or without a toss that was seen.
+        Shifts of z, shape (size,) each; none without gains, or when the toss was not seen.
     """
     flight = assessment.observation
-    if not (settings.landing_gain or settings.turn_gain):
-        return None
-    if flight is None or not (flight["tossed"] and flight["seen"]):
-        return None
-    shift = settings.landing_gain * float(flight["landing_error"][0])  # along x
-    flick = settings.turn_gain * (math.pi - float(flight["angle"])) / TURN_OF_FLICK
-    moved = np.zeros(parametrization.size)
-    for group, value, limit in (
-        ("catch_shift", shift, settings.landing_limit),
-        ("flick", flick, settings.turn_limit),
+    if flight is None or (flight["tossed"] and not flight["seen"]):
+        return []
+    missing = math.pi - float(flight["angle"])  # of half a turn
+    error = float(flight["landing_error"][0])  # along x
+    shifts = []
+    for group, gain, wanted, limit in (
+        ("catch_shift", settings.landing_gain, error, settings.landing_limit),
+        ("flick", settings.turn_gain, missing / TURN_OF_FLICK, settings.turn_limit),
+        ("vigour", settings.vigour_gain, missing / TURN_OF_VIGOUR, settings.vigour_limit),
     ):
-        index = parametrization.groups[group]
-        moved[index] = float(np.clip(value, -limit, limit)) / parametrization.scale[index]
-    return moved
+        if gain and wanted:
+            index = parametrization.groups[group]
+            shift = np.zeros(parametrization.size)
+            shift[index] = float(np.clip(gain * wanted, -limit, limit))
+            shifts.append(shift / parametrization.scale)
+    return shifts

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parametrization of a toss: that of the policy, with a flick and a catch shift."""
+"""Parametrization of a toss: that of the policy, with its vigour, a flick and a catch shift."""
 
 from __future__ import annotations
 
@@ -11,16 +11,19 @@ from wam_power_ros.learning.policy import Policy
 
 CATCH_PROFILE = (0.5, 1.0, 1.0)  # shift of the last three attractors for a catch shift of one [1]
 TURN_OF_FLICK = 2.0  # additional turn of a toss for a flick of one, measured on wrist flicks [rad]
+TURN_OF_VIGOUR = 3.0  # the same for a vigour of one [rad]
 
 
 class FlipNoise(NoiseScales):
     """Standard deviation of the exploration noise of a toss.
 
     Attributes:
+        vigour: Noise of the vigour [1].
         flick: Noise of the flick [1].
         catch_shift: Noise of the catch shift [m].
     """
 
+    vigour: float = Field(default=0.05, gt=0.0, le=1.0)
     flick: float = Field(default=0.05, gt=0.0, le=1.0)
     catch_shift: float = Field(gt=0.0, le=1.0)
 
@@ -28,7 +31,10 @@ class FlipNoise(NoiseScales):
 def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Parametrization:
     """Parametrization of a toss around a demonstrated policy.
 
-    The variant "planar" has two more parameters than `Parametrization`:
+    The variant "planar" has three more parameters than `Parametrization`:
+        vigour: Enlarges the whole demonstrated movement in the plane, mu_i - mu_1 and r_i - r_1,
+            by this share [1]: Eq. 1 is linear in its attractors, so that all speeds and
+            accelerations grow by it, in the same time.
         flick: Enlarges the demonstrated turn of the pan, r_i - r_1 about y, by this share [1].
         catch_shift: Moves mu_x of the last three attractors by 0.5, 1 and 1 times this [m].
 
@@ -43,11 +49,13 @@ def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Para
             f"variant {variant!r} shifts the last {len(CATCH_PROFILE)} attractors, "
             f"policy {policy.id!r} has {n}"
         )
-    turn, shift, still = np.zeros((3, n, 3))
+    swing, turn, shift, still = np.zeros((4, n, 3))
+    swing[:, [0, 2]] = (policy.attractors - policy.attractors[0])[:, [0, 2]]
     pitch = policy.rotation_attractors[:, 1]
     turn[:, 1] = pitch - pitch[0]
     shift[-len(CATCH_PROFILE) :, 0] = CATCH_PROFILE
     directions = (
+        Direction("vigour", noise.vigour, attractors=swing, rotation=turn),
         Direction("flick", noise.flick, attractors=still, rotation=turn),
         Direction("catch_shift", noise.catch_shift, attractors=shift, rotation=still),
     )

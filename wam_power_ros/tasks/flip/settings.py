@@ -32,6 +32,8 @@ class FlipSettings(BaseModel):
         turn_gain: Share of the rotation that was missing to half a turn by which a rollout's flick
             is corrected before it is learnt from; 0 for none. Needs the variant "planar".
         turn_limit: Largest correction of the flick for one rollout [1].
+        vigour_gain: The same for the vigour, of which more throws higher, too.
+        vigour_limit: Largest correction of the vigour for one rollout [1].
         success_return: Least return of a success; 0 when the return does not matter.
         success_angle: Least rotation in the air of a success, which must also be caught and
             flipped [rad]; 0 when the flip does not matter.
@@ -53,6 +55,8 @@ class FlipSettings(BaseModel):
     landing_limit: float = Field(default=0.25, gt=0.0, le=1.0)
     turn_gain: float = Field(default=0.0, ge=0.0, le=1.0)
     turn_limit: float = Field(default=0.1, gt=0.0, le=1.0)
+    vigour_gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    vigour_limit: float = Field(default=0.3, gt=0.0, le=1.0)
     success_return: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
@@ -61,11 +65,12 @@ class FlipSettings(BaseModel):
 
     @model_validator(mode="after")
     def _fit_together(self) -> FlipSettings:
-        if max(self.landing_gain, self.turn_gain) > 0.0 and self.variant != "planar":
-            raise ValueError(
-                f"landing_gain {self.landing_gain} and turn_gain {self.turn_gain} need a catch "
-                f"shift and a flick: variant 'planar', not {self.variant!r}"
-            )
+        for name in ("landing_gain", "turn_gain", "vigour_gain"):
+            if getattr(self, name) > 0.0 and self.variant != "planar":
+                raise ValueError(
+                    f"{name} {getattr(self, name)} needs a parameter that only the variant "
+                    f"'planar' has, not {self.variant!r}"
+                )
         if self.success_return == 0.0 and self.success_angle == 0.0:
             raise ValueError("a success needs a success_return or a success_angle")
         return self
@@ -81,6 +86,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "mean_every": 5,
         "landing_gain": 0.7,
         "turn_gain": 0.5,
+        "vigour_gain": 0.5,
         "success_return": 0.0,
         "success_angle": math.radians(150.0),
         "confirm": 8,

@@ -77,8 +77,8 @@ class Flip:
 
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
-    ) -> np.ndarray | None:
-        """Correct the catch shift and the flick; see `landing_correction`."""
+    ) -> Sequence[np.ndarray]:
+        """Correct the catch shift, the flick and the vigour; see `landing_correction`."""
         return landing_correction(assessment, parametrization, self.settings)
 
     def confirms(self, record: Judged) -> bool:

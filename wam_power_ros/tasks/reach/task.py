@@ -120,9 +120,9 @@ class Reach:
 
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
-    ) -> np.ndarray | None:
+    ) -> Sequence[np.ndarray]:
         """No correction: Eq. 4 is learnt from as it is."""
-        return None
+        return ()
 
     def confirms(self, record: Judged) -> bool:
         """Every success counts."""

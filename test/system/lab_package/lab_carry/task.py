@@ -84,8 +84,8 @@ class Carry:
         terms = {"calm": 0.5 * np.exp(-off / 0.05), "goal": 0.5 * np.exp(-missed / 0.1)}
         return Assessment(sum(terms.values()), terms, {"off": off}, off < 0.06)
 
-    def hindsight(self, assessment: Assessment, parametrization: Parametrization) -> None:
-        return None
+    def hindsight(self, assessment: Assessment, parametrization: Parametrization) -> tuple[()]:
+        return ()
 
     def confirms(self, record: Judged) -> bool:
         return True
