@@ -24,6 +24,7 @@ ROS = {
     "std_msgs",
     "std_srvs",
     "trajectory_msgs",
+    "visualization_msgs",
 }
 SIMULATOR = {"mujoco"}
 OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "time", "datetime"}

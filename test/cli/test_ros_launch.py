@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
+import yaml
 from conftest import ROOT
 
 from wam_power_ros.cli import ros_launch
@@ -110,3 +112,23 @@ def test_without_a_session_the_parameter_file_ends_with_the_launch(
     for (remove, *arguments), also in ends:
         remove(*arguments, **also)
     assert not file.parent.exists()
+
+
+def test_the_arm_is_described_with_the_frames_and_the_time_of_its_nodes() -> None:
+    described = ros_launch.arm_description(sim(namespace="left"))
+    assert described is not None
+    assert described["frame_prefix"] == "left/" and described["use_sim_time"] is True
+    assert '<link name="wam_base">' in str(described["robot_description"])
+    alone = ros_launch.arm_description(sim(pace="real_time"))
+    assert alone is not None
+    assert (alone["frame_prefix"], alone["use_sim_time"]) == ("", False)
+    assert ros_launch.arm_description(sim(config="geodude")) is None  # other names than its URDF's
+
+
+def test_rviz_shows_the_arm_of_its_namespace() -> None:
+    text = ros_launch.rviz_file("/left")
+    shipped = (ROOT / "config/visualization/session.rviz").read_text()
+    topics = re.findall(r"Value: (/[a-z_/]+)", shipped)
+    assert re.findall(r"Value: (/[a-z_/]+)", text) == [f"/left{topic}" for topic in topics]
+    assert "Fixed Frame: left/wam_base" in text and "TF Prefix: left\n" in text
+    assert yaml.safe_load(ros_launch.rviz_file("")) == yaml.safe_load(shipped)

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import pytest
 import rclpy
 from conftest import ROOT, Processes
+from layouts import uses
 from rclpy.node import Node
 
 from hardware_sim.main import Simulation
@@ -21,9 +22,11 @@ from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
 from wam_power_ros.nodes.learner import Learner
 from wam_power_ros.nodes.pancake_tracker import PancakeTracker
+from wam_power_ros.nodes.preparation_worker import PreparationWorker
 from wam_power_ros.nodes.torque_controller import TorqueController
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, security
+from wam_power_ros.ros.process_channel import pair
 from wam_power_ros.view.live import View
 
 RIGHTS = security.table(overlay.setup())
@@ -35,6 +38,7 @@ RELATIVE = {
 RELATIVE |= {interface.body_topic("pancake", leaf) for leaf in interface.BODY_LEAVES}
 NAMES = {f"/{name.lstrip('/')}" for name in RELATIVE | {interface.rollout_topic("pancake")}}
 NODES = {
+    "torque_controller_preparation": lambda: PreparationWorker(pair()[0]),
     "torque_controller": TorqueController,
     "demonstration_recorder": DemonstrationRecorder,
     "pancake_tracker": PancakeTracker,
@@ -102,7 +106,7 @@ def test_the_table_follows_the_name_of_the_body(tmp_path: Path) -> None:
 def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     recorder, learner = RIGHTS["demonstration_recorder"], RIGHTS["learner"]
     assert (recorder.publishes, recorder.calls) == ((interface.DIAGNOSTICS,), ())
-    assert learner.publishes == (f"/{interface.POLICY}",)
+    assert set(learner.publishes) == {f"/{interface.POLICY}", f"/{interface.LEARNER_MARKERS}"}
     assert {name.split("/")[1] for name in learner.serves} == {"learner"}
 
 
@@ -142,12 +146,15 @@ def test_a_node_does_what_it_may_and_may_what_it_does(
             f"{namespace}/{name}/{service}"
             for service in (*security.ABOUT_ITSELF, *security.LIFECYCLE)
         }
-        published = {topic for topic, _ in node.get_publisher_names_and_types_by_node(*whose)}
+        published = dict(node.get_publisher_names_and_types_by_node(*whose))
+        shown = [use for use in uses() if f"{namespace}{use.topic}" in published]
+        wrong = [use for use in shown if not use.fits(published[f"{namespace}{use.topic}"][0])]
+        assert wrong == []
         heard = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(*whose)}
         served = {topic for topic, _ in node.get_service_names_and_types_by_node(*whose)} - own
         called = {topic for topic, _ in node.get_client_names_and_types_by_node(*whose)}
         events = {f"{namespace}/{name}/transition_event"} if name in security.MANAGED else set()
-        assert published - everyones - events == set(right.publishes) - everyones
+        assert published.keys() - everyones - events == set(right.publishes) - everyones
         assert heard - everyones <= set(right.subscribes)
         assert called <= set(right.calls)
         assert served == set(right.serves)

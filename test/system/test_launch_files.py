@@ -21,6 +21,15 @@ NEEDED = ("launch_ros", "ros2launch", "colcon_ros")
 missing = [name for name in NEEDED if importlib.util.find_spec(name) is None]
 pytestmark = pytest.mark.skipif(bool(missing), reason=f"{', '.join(missing)} not installed")
 PATIENCE = 300.0  # [s of wall time]
+NOTES_ITS_CALL = """#!/bin/sh
+trap 'exit 0' INT
+for word in "$@"; do
+  echo "$word"
+  if [ -f "$word" ]; then cat "$word"; fi
+done > "$0.part"
+mv "$0.part" "$0.called"
+while :; do sleep 0.1; done
+"""
 BAGS = [str(bag) for bag in sorted((ROOT / "bags").glob("reach_*"))]
 CLI = "import sys; from ros2cli.cli import main; sys.exit(main())"
 
@@ -41,15 +50,24 @@ class Launch:
     def __init__(self, installed: Path, processes: Processes, folder: Path) -> None:
         self._installed, self._processes, self._folder = installed, processes, folder
 
-    def start(self, file: str, **arguments: str) -> None:
-        """Begin; `output` then tells what it has printed."""
+    def start(self, file: str, prefix: Path | None = None, **arguments: str) -> None:
+        """Begin; `output` then tells what it has printed.
+
+        Args:
+            file: Launch file.
+            prefix: Place of more packages.
+            arguments: Arguments of the launch file.
+        """
         given = [f"{name}:={value}" for name, value in arguments.items()]
         words = [sys.executable, "-c", CLI, "launch", "wam_power_ros", file, *given]
         script = f". {self._installed}/install/local_setup.sh && exec setsid {shlex.join(words)}"
         temporary = self._folder / "temporary"
         temporary.mkdir(parents=True, exist_ok=True)
         self.process = self._processes.start(
-            ["sh", "-c", script], TMPDIR=str(temporary), ROS_LOG_DIR=str(self._folder / "log")
+            ["sh", "-c", script],
+            TMPDIR=str(temporary),
+            ROS_LOG_DIR=str(self._folder / "log"),
+            AMENT_PREFIX_PATH=str(prefix or os.environ.get("AMENT_PREFIX_PATH", "")),
         )
         self.temporary = temporary
 
@@ -194,5 +212,28 @@ def test_hardware_waits_for_its_driver_and_the_learner_for_the_controller(
         "waiting for /recorder/record",
     ):
         launch.until(lambda waits=waits: waits in launch.output, waits)
+    launch.interrupt()
+    launch.has_ended_well()
+
+
+def test_rviz_and_the_state_publisher_are_started_for_the_arm_of_the_namespace(
+    launch: Launch, tmp_path: Path
+) -> None:
+    called = {}
+    for name in ("robot_state_publisher", "rviz2"):
+        program = tmp_path / "prefix/lib" / name / name
+        mark = tmp_path / "prefix/share/ament_index/resource_index/packages" / name
+        for path, text in ((program, NOTES_ITS_CALL), (mark, "")):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text)
+        program.chmod(0o755)
+        called[name] = program.with_name(f"{name}.called")
+    launch.start("sim.launch.py", tmp_path / "prefix", namespace="left", rviz="true")
+    launch.until(lambda: all(map(Path.exists, called.values())), "both are started")
+    launch.until(lambda: "mode hold" in launch.output, "the arm is held")
+    state_publisher, rviz = (file.read_text() for file in called.values())
+    assert "frame_prefix: left/" in state_publisher and "wam_base" in state_publisher
+    assert "__ns:=/left" in state_publisher and "/clock:=/left/clock" in state_publisher
+    assert "Fixed Frame: left/wam_base" in rviz and "/left/learner/markers" in rviz
     launch.interrupt()
     launch.has_ended_well()

@@ -19,9 +19,13 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import yaml
+
 from wam_power_ros.cli.commands import TASK, check_names, session_folder
 from wam_power_ros.cli.launcher import reach, task_setup
 from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros import interface
 
 if TYPE_CHECKING:
     from launch.actions import DeclareLaunchArgument
@@ -156,6 +160,37 @@ def parameter_file(launched: Launched) -> Path:
     return file
 
 
+def arm_description(launched: Launched) -> dict[str, object] | None:
+    """Parameters of robot_state_publisher.
+
+    Returns:
+        None where there is no URDF whose joints are called as the driver calls them.
+    """
+    arm = launched.setup["torque_controller"]
+    if not arm["urdf"] or arm["joint_names"] != arm["model_joint_names"]:
+        return None
+    return {
+        "robot_description": share(arm["urdf"]).read_text(),
+        "frame_prefix": f"{launched.namespace}/".lstrip("/"),
+        "use_sim_time": bool(arm.get("use_sim_time", False)),
+    }
+
+
+def rviz_file(namespace: str) -> str:
+    """Configuration of RViz for the arm in a namespace, such as `/left`; empty for none."""
+    whole = yaml.safe_load(share("config/visualization/session.rviz").read_text())
+    manager = whole["Visualization Manager"]
+    frames = manager["Global Options"]
+    frames["Fixed Frame"] = interface.frame(namespace, frames["Fixed Frame"])
+    for display in manager["Displays"]:
+        for key in ("Topic", "Description Topic"):
+            if key in display:
+                display[key]["Value"] = namespace + display[key]["Value"]
+        if "TF Prefix" in display:
+            display["TF Prefix"] = namespace.lstrip("/")
+    return yaml.safe_dump(whole, sort_keys=False)
+
+
 def description(
     arguments: list[DeclareLaunchArgument],
     stand_ins: bool,
@@ -183,13 +218,19 @@ def description(
         DeclareLaunchArgument(
             "secure", default_value="false", choices=["true", "false"], description=SECURE
         ),
+        DeclareLaunchArgument(
+            "rviz", default_value="false", choices=["true", "false"], description="RViz as well"
+        ),
     ]
 
     def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         values = {each.name: LaunchConfiguration(each.name).perform(context) for each in arguments}
         launched = prepare(values, stand_ins)
         file = parameter_file(launched)
-        return _nodes(launched, file, values["secure"] == "true") if check(launched, file) else []
+        if not check(launched, file):
+            return []
+        shown = _shown(launched, file, stand_ins, values["rviz"] == "true")
+        return [*_nodes(launched, file, values["secure"] == "true"), *shown]
 
     return LaunchDescription(
         [
@@ -233,3 +274,37 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
         )
         for name in launched.executables
     ]
+
+
+def _shown(
+    launched: Launched, file: Path, stand_ins: bool, rviz: bool
+) -> list[LaunchDescriptionEntity]:
+    """RViz if asked for; robot_state_publisher where it is installed and no driver brings one."""
+    from ament_index_python.packages import get_packages_with_prefixes
+    from launch_ros.actions import Node
+
+    common = {"namespace": launched.namespace, "output": "log"}
+    arm = launched.setup["torque_controller"]
+    described = arm_description(launched) if stand_ins else None
+    nodes, name = [], "robot_state_publisher"
+    if described is not None and name in get_packages_with_prefixes():
+        remaps = [*launched.remappings, ("joint_states", arm["state_topic"])]
+        parameters = [described]
+        nodes.append(
+            Node(package=name, executable=name, parameters=parameters, remappings=remaps, **common)
+        )
+    if rviz:
+        config = file.with_name("session.rviz")
+        config.write_text(rviz_file(launched.namespace), encoding="utf-8")
+        time = {"use_sim_time": bool(arm.get("use_sim_time", False))}
+        nodes.append(
+            Node(
+                package="rviz2",
+                executable="rviz2",
+                arguments=["-d", str(config)],
+                parameters=[time],
+                remappings=launched.remappings,
+                **common,
+            )
+        )
+    return nodes

@@ -39,6 +39,7 @@ from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
 from wam_power_ros.learning.policy import Policy, to_json, with_id
 from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.params.resources import share
@@ -157,6 +158,7 @@ class Learner(Node):
             self.create_service(kind, name, answer)
         task = self._task_type()
         self._rollouts = RolloutClient(self, executor_for(self), self.params, task.body)
+        self._markers = Markers(self, task.body, self._arm.obstacle)
 
     # A person's part
 
@@ -382,11 +384,13 @@ class Learner(Node):
             )
         begun, task = time.time(), practice.task
         tool = Pose(*self._arm.kinematics.tool_pose(trial.policy.q_start))
+        self._markers.plan(trial.policy, tool.position)
         executed = self._rollouts.execute(
             trial.policy,
             trial.policy.basis.duration + task.settle_time,
             lambda state: task.ready(state, tool),
         )
+        self._markers.executed(executed.rollout.tool.position)
         return practice.learn(
             trial,
             executed.rollout,

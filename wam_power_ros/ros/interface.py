@@ -20,6 +20,7 @@ POLICY = "policy"
 REPLAY_TRAJECTORY = "replay/trajectory"
 ROLLOUT_END_EFFECTOR = "rollout/end_effector"
 ROLLOUT_FINISHED = "rollout/finished"  # whose the paths are that begin with the same stamp
+LEARNER_MARKERS = "learner/markers"
 LEARNER_BAG = "learner/bag"  # path of a demonstration to be given to the learner
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"

@@ -62,7 +62,7 @@ TABLE: dict[str, dict[str, str]] = {
         "subscribes": "mocap ROLLOUT_END_EFFECTOR",
     },
     "learner": {
-        "publishes": "POLICY",
+        "publishes": "POLICY LEARNER_MARKERS",
         "subscribes": "ROLLOUT_END_EFFECTOR ROLLOUT_FINISHED state rollout truth DIAGNOSTICS "
         "LEARNER_BAG",
         "serves": FEEDBACK,

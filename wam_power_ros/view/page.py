@@ -11,7 +11,8 @@ import viser
 from viser import uplot
 
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.view.drawables import ellipsoids, segments
+from wam_power_ros.learning.policy_shapes import ellipsoids
+from wam_power_ros.view.drawables import segments
 from wam_power_ros.view.skeleton import Shape, Skeleton
 
 PLANNED, EXECUTED, ATTRACTOR = (37, 99, 235), (234, 88, 12), (13, 148, 136)

@@ -6,7 +6,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 
-from wam_power_ros.view.drawables import Movement, plan
+from wam_power_ros.learning.policy_shapes import plan
+from wam_power_ros.view.drawables import Movement
 from wam_power_ros.view.page import EXECUTED, PLANNED, Page
 from wam_power_ros.view.skeleton import Skeleton
 

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import viser
 
+from wam_power_ros.learning.policy_shapes import plan
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.practice import session
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer
 from wam_power_ros.view import recorded, teach_again
-from wam_power_ros.view.drawables import plan
 from wam_power_ros.view.live import Seen, View
 from wam_power_ros.view.page import EXECUTED, NO_SAFETY, PLANNED, Page
 from wam_power_ros.view.player import Player

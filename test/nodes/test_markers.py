@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Markers show the policy, the last rollout, the body and the obstacle, whole in every message."""
+
+from __future__ import annotations
+
+import numpy as np
+from conftest import Probe, lift
+from nav_msgs.msg import Odometry
+from visualization_msgs.msg import Marker, MarkerArray
+
+from wam_power_ros.nodes.markers import ARROW, Markers
+from wam_power_ros.ros import interface, pose_messages
+
+POLICY = lift("trial-0001")
+START = POLICY.attractors[0] + [0.0, 0.1, 0.0]
+ALL = {"planned", "stiffness", "executed", "normal", "obstacle"}
+
+
+def points(marker: Marker) -> np.ndarray:
+    return np.array([[point.x, point.y, point.z] for point in marker.points])
+
+
+def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) -> None:
+    markers = Markers(probe.node, "pancake", (0.7, 0.0, 0.6, 0.09))
+    states = probe.publisher(
+        Odometry, interface.body_topic("pancake", "state"), interface.STATE_OUT
+    )
+    markers.plan(POLICY, START)
+    executed = np.random.default_rng(1).normal(size=(9, 3))
+    markers.executed(executed)
+    tilted = np.array([np.sin(0.2), 0.0, 0.0, np.cos(0.2)])  # by 0.4 rad about x
+    where = np.array([0.6, 0.0, 0.5])
+    still = np.zeros(3)
+    state = pose_messages.StateReading(1, "wam_base", where, tilted, still, still, 1e-6)
+    heard = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
+
+    def whole() -> list[Marker] | None:
+        states.publish(pose_messages.odometry_message(state, "pancake"))
+        probe.spin(0.05)
+        last = heard[-1].markers if heard else []
+        return last if {marker.ns for marker in last} - {""} == ALL else None
+
+    clear, *drawn = probe.until(whole, "all markers")
+    assert clear.action == Marker.DELETEALL
+    assert {marker.header.frame_id for marker in (clear, *drawn)} == {"wam_base"}
+    assert len({(marker.ns, marker.id) for marker in drawn}) == len(drawn)
+    by_name = {marker.ns: marker for marker in drawn}
+    np.testing.assert_array_equal(points(by_name["planned"])[0], START)
+    np.testing.assert_array_equal(points(by_name["executed"]), executed)
+    normal = points(by_name["normal"]) - where
+    np.testing.assert_allclose(normal[1], ARROW * np.array([0.0, -np.sin(0.4), np.cos(0.4)]))
+    assert by_name["obstacle"].scale.x == 0.18
+    ellipsoids = [marker for marker in drawn if marker.ns == "stiffness"]
+    centres = [[getattr(marker.pose.position, axis) for axis in "xyz"] for marker in ellipsoids]
+    np.testing.assert_array_equal(centres, POLICY.attractors)
+
+
+def test_without_a_body_and_an_obstacle_there_is_neither(probe: Probe) -> None:
+    heard = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
+    Markers(probe.node, "", (0.0, 0.0, 0.0, 0.0)).plan(POLICY, START)
+    (message,) = probe.until(lambda: heard, "the markers")
+    assert {marker.ns for marker in message.markers[1:]} == {"planned", "stiffness"}

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The layouts for RViz, Foxglove and PlotJuggler name what the nodes publish, and nothing else.
+
+That the types are those of the publishers is seen in `test_security`, where every node is made.
+"""
+
+from __future__ import annotations
+
+import yaml
+from layouts import FOLDER, uses
+
+from wam_power_ros.params import overlay
+from wam_power_ros.ros import interface, security
+
+RIGHTS = security.table(overlay.setup())
+PUBLISHED = {topic for access in RIGHTS.values() for topic in access.publishes}
+
+
+def test_every_topic_of_a_layout_is_one_that_a_node_publishes() -> None:
+    named = {(use.file, use.topic) for use in uses()}
+    assert {file for file, _ in named} == {
+        path.name for path in FOLDER.iterdir() if path.suffix != ".yaml"
+    }
+    assert {topic for _, topic in named} - PUBLISHED == set()
+
+
+def test_the_frame_of_rviz_is_that_of_the_arm() -> None:
+    whole = yaml.safe_load((FOLDER / "session.rviz").read_text())["Visualization Manager"]
+    assert whole["Global Options"]["Fixed Frame"] == interface.BASE_FRAME
+
+
+def test_the_diagnostics_of_every_node_are_in_one_group() -> None:
+    file = yaml.safe_load((FOLDER / "diagnostics.yaml").read_text())
+    groups = file["analyzers"]["ros__parameters"]
+    wanted = [
+        text for group in groups.values() if isinstance(group, dict) for text in group["contains"]
+    ]
+    nodes = {
+        name.removesuffix("_preparation")  # its process beside it publishes for the controller
+        for name, access in RIGHTS.items()
+        if interface.DIAGNOSTICS in access.publishes
+    }
+    assert len(nodes) > 3
+    for name in nodes:
+        for namespace in ("", "left/"):
+            assert [text for text in wanted if text in f"{namespace}{name}: loop"] == [f"{name}: "]

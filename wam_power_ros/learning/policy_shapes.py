@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Policies as shapes that can be drawn: the path that is planned, and ellipsoids of stiffness."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from wam_power_ros import rotations
+from wam_power_ros.learning.dmp import reproduce_many
+from wam_power_ros.learning.policy import PERIOD, Policy, symmetric_part
+
+ELLIPSOID = 0.06  # longest semi-axis of all ellipsoids of a policy [m]
+PLAN_STEP = 5  # samples of a plan between two that are drawn
+
+
+class Ellipsoids(NamedTuple):
+    """Attractors with their stiffness.
+
+    Attributes:
+        centres: Attractors mu_i [m]. Shape (n, 3).
+        semi_axes: In proportion to the eigenvalues of K_i [m]. Shape (n, 3).
+        quats_wxyz: Orientation of the axes. Shape (n, 4).
+    """
+
+    centres: np.ndarray
+    semi_axes: np.ndarray
+    quats_wxyz: np.ndarray
+
+
+def ellipsoids(policy: Policy) -> Ellipsoids:
+    """Stiffness ellipsoids of a policy: long where it is stiff."""
+    values, axes = np.linalg.eigh(symmetric_part(policy.stiffness))
+    axes[..., 0] *= np.linalg.det(axes)[:, None]  # a rotation, not a reflection
+    quats = np.roll(rotations.quat_xyzw(axes), 1, axis=-1)
+    return Ellipsoids(policy.attractors, ELLIPSOID * values / values.max(), quats)
+
+
+def plan(policy: Policy, start: np.ndarray) -> np.ndarray:
+    """Path that Eq. 1 gives from rest at `start` (3,) [m]. Shape (T, 3)."""
+    steps = round(policy.basis.duration / PERIOD) + 1
+    x, _ = reproduce_many(
+        policy.basis,
+        policy.stiffness[None],
+        policy.attractors[None],
+        policy.damping,
+        start,
+        np.zeros(3),
+        steps,
+        PERIOD,
+    )
+    return x[0, ::PLAN_STEP]
