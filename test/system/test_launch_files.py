@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -235,5 +236,33 @@ def test_rviz_and_the_state_publisher_are_started_for_the_arm_of_the_namespace(
     assert "frame_prefix: left/" in state_publisher and "wam_base" in state_publisher
     assert "__ns:=/left" in state_publisher and "/clock:=/left/clock" in state_publisher
     assert "Fixed Frame: left/wam_base" in rviz and "/left/learner/markers" in rviz
+    assert "use_sim_time:=true" in rviz and "use_sim_time: true" in state_publisher
     launch.interrupt()
     launch.has_ended_well()
+
+
+def test_a_recorder_that_was_killed_is_started_again_and_the_session_goes_on(
+    launch: Launch, tmp_path: Path
+) -> None:
+    session = tmp_path / "session"
+    asked = {"task": "reach", "trials": "2", "seed": "5"}
+    launch.start("sim.launch.py", session=str(session), demonstrations=" ".join(BAGS), **asked)
+    launch.until(lambda: "recording" in launch.output, "the first recording")
+    recorder = r"demonstration_recorder-\d+\]: process started with pid \[(\d+)\]"
+    os.kill(int(re.findall(recorder, launch.output)[0]), signal.SIGKILL)
+    assert launch.process.wait(PATIENCE) == 0
+    assert len(re.findall(recorder, launch.output)) == 2
+    assert launch.output.count("process has died") == 1
+    assert (session / "report.html").is_file()
+    assert (session / "bags/rollout_trial-0002").is_dir()
+
+
+def test_a_recorder_that_refuses_its_parameters_ends_the_launch(
+    launch: Launch, tmp_path: Path
+) -> None:
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text("demonstration_recorder: {ros__parameters: {stem: 'no good'}}")
+    launch.start("sim.launch.py", config=str(wrong))
+    launch.process.wait(PATIENCE)
+    assert "process[demonstration_recorder-3] was required" in launch.output
+    assert launch.output.count("demonstration_recorder-3]: process started") == 1

@@ -2,7 +2,8 @@
 """What the launch files of launch/ share: arguments, parameters, nodes, the end of a session.
 
 A launch ends when its learner has ended, after the report of the session, or when a node ends
-without which nothing can go on (`NEEDED`). `launch` is imported where it is used: a machine
+without which nothing can go on (`NEEDED`), or refuses its parameters. The others are started again.
+`launch` is imported where it is used: a machine
 without ROS has none.
 """
 
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 PATIENCE = "30.0"  # [s] for a node to end: a bag is closed, an arm brought to rest
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 NEEDED = ("wam_sim", "torque_controller")
+RESPAWN_DELAY = 1.0  # [s], within which Ctrl-C of the terminal has reached launch as well
 SHARED = {  # launch argument -> default and description
     "namespace": ("", "of the nodes of one arm, and of its topics, services and frames"),
     "task": ("", "skill to be learnt; '': that of the session, or flip"),
@@ -247,6 +249,8 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
     from launch.actions import ExecuteProcess, Shutdown
     from launch_ros.actions import Node
 
+    from wam_power_ros.ros.node_runner import REFUSED
+
     def after_learner(
         event: ProcessExited, context: LaunchContext
     ) -> list[LaunchDescriptionEntity] | None:
@@ -258,7 +262,13 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
         ended = Shutdown(reason="the session has ended")
         return [ExecuteProcess(cmd=command, name="report", output="screen", on_exit=[ended])]
 
+    def refused(event: ProcessExited, _: LaunchContext) -> list[LaunchDescriptionEntity] | None:
+        if event.returncode != REFUSED:
+            return None
+        return [Shutdown(reason=f"{event.process_name} refused its parameters")]
+
     ends = {name: [Shutdown(reason=f"{name} has ended")] for name in NEEDED}
+    ends["learner"] = after_learner
     return [
         Node(
             package="wam_power_ros",
@@ -270,7 +280,9 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
             ros_arguments=["--enclave", f"{launched.namespace}/{name}"] if secure else [],
             sigterm_timeout=PATIENCE,
             sigkill_timeout=PATIENCE,
-            on_exit={**ends, "learner": after_learner}.get(name),
+            on_exit=ends.get(name, refused),
+            respawn=name not in ends,
+            respawn_delay=RESPAWN_DELAY,
         )
         for name in launched.executables
     ]
@@ -289,20 +301,21 @@ def _shown(
     nodes, name = [], "robot_state_publisher"
     if described is not None and name in get_packages_with_prefixes():
         remaps = [*launched.remappings, ("joint_states", arm["state_topic"])]
-        parameters = [described]
+        own = file.with_name(f"{name}.yaml")  # launch would leave a file of its own behind
+        own.write_text(yaml.safe_dump({"/**": {"ros__parameters": described}}), encoding="utf-8")
         nodes.append(
-            Node(package=name, executable=name, parameters=parameters, remappings=remaps, **common)
+            Node(package=name, executable=name, parameters=[str(own)], remappings=remaps, **common)
         )
     if rviz:
         config = file.with_name("session.rviz")
         config.write_text(rviz_file(launched.namespace), encoding="utf-8")
-        time = {"use_sim_time": bool(arm.get("use_sim_time", False))}
+        time = f"use_sim_time:={str(arm.get('use_sim_time', False)).lower()}"
         nodes.append(
             Node(
                 package="rviz2",
                 executable="rviz2",
                 arguments=["-d", str(config)],
-                parameters=[time],
+                ros_arguments=["-p", time],
                 remappings=launched.remappings,
                 **common,
             )
