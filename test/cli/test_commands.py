@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_samples import NAMES, QOS, START, joint_state
-from toss_task import demonstrated_policy
+from toss_task import demonstrated_policy, practice_of, toss
 
 from wam_power_ros import arm_identity
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
-from wam_power_ros.cli.commands import given_options
+from wam_power_ros.cli.commands import _has_ended, given_options
 from wam_power_ros.cli.launcher import as_called, called, learner_at_work
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session
@@ -90,6 +90,23 @@ def test_feedback_without_a_learner_answers_at_once(
     monkeypatch.delattr("wam_power_ros.cli.commands.session_environment")  # no DDS is reached
     assert main.main(["feedback", "reward", "--session", str(folder)]) == 2
     assert "no learner is at work" in capsys.readouterr().err
+
+
+def test_a_session_that_has_ended_says_so_and_how_to_go_on_and_starts_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, policies = preset("flip", budget=3, confirm=0, retests=1), [demonstrated_policy()]
+    practice, folder = practice_of(policies, settings, seed=0), tmp_path / "s"
+    with Session.begin(folder, settings, 0, policies, demonstrations=["a", "b"]) as session:
+        while (trial := practice.next_trial()) is not None:
+            assert not _has_ended(1, practice.records)
+            session.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
+    (folder / "report.html").touch()
+    monkeypatch.delattr("wam_power_ros.cli.commands.launch")  # no node is started
+    assert main.main(["learn", "--session", str(folder)]) == 0
+    said = capsys.readouterr().out
+    assert "has ended" in said and "1 re-tests succeeded" in said
+    assert "learn --task flip --trials 6 --bags a b" in said
 
 
 def test_a_session_that_was_not_begun_is_resumed_with_all_it_was_asked_for() -> None:

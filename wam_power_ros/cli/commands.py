@@ -37,6 +37,7 @@ from wam_power_ros.console import prompt
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
+    from wam_power_ros.practice.session import SessionHeader
     from wam_power_ros.practice.session_log import Line, Record
 
 SESSIONS = Path("sessions")
@@ -86,6 +87,8 @@ def learn(options: argparse.Namespace) -> int:
     if resumed:
         header, _, records = session.read(folder)
         seed, task = header.seed, header.settings.task
+        if _has_ended(header.settings.practice.retests, records):
+            return _tell_ended(folder, header, records, options)
         print(f"Resuming {folder} with {len(records)} recorded rollouts.")
     else:
         seed, task = options.seed or 0, options.task or TASK
@@ -124,6 +127,29 @@ def learn(options: argparse.Namespace) -> int:
         raise
     print(terminal.summary(practised, session.read_task(folder)))
     return report(argparse.Namespace(session=folder))
+
+
+def _has_ended(retests: int, records: Sequence[Record]) -> bool:
+    """Whether all re-tests of a session, which come last, are on record."""
+    done = sum(record.kind == "retest" and record.ret is not None for record in records)
+    return 0 < retests <= done
+
+
+def _tell_ended(
+    folder: Path, header: SessionHeader, records: Sequence[Record], options: argparse.Namespace
+) -> int:
+    """Say what a session that has ended has learnt, and how to practise longer; starts nothing."""
+    from wam_power_ros.practice import session
+    from wam_power_ros.reporting import terminal
+
+    print(f"{short_path(folder)} has ended: all its re-tests are on record. Nothing is started.")
+    print(terminal.summary(records, session.read_task(folder)))
+    settings = header.settings
+    words = ["learn", "--task", settings.task, "--trials", str(2 * settings.practice.budget)]
+    bags = map(str, map(short_path, map(Path, header.demonstrations)))
+    again = [*words, "--bags", *bags, *setup_options(options)]
+    _paste("To practise longer, in a new session on the same demonstrations:", again)
+    return 0 if (folder / "report.html").is_file() else report(argparse.Namespace(session=folder))
 
 
 def _paste(text: str, words: Sequence[str]) -> None:

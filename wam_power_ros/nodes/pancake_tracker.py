@@ -28,6 +28,7 @@ from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.tracking.tracker import (
+    REPEATED,
     ClockOffset,
     TrackedState,
     Tracker,
@@ -104,7 +105,10 @@ class PancakeTracker(Node):
             self._publish(state)
         elif self._tracker.fault:
             self._trouble = self._tracker.fault
-            self.get_logger().warning(f"refused: {self._trouble}", throttle_duration_sec=1.0)
+            if self._trouble == REPEATED:  # a habit of some drivers; diagnostics count them
+                self.get_logger().warning("repeated poses are refused; said once", once=True)
+            else:
+                self.get_logger().warning(f"refused: {self._trouble}", throttle_duration_sec=1.0)
         self._answer_if_complete()
 
     def _on_end_effector(self, message: Path) -> None:

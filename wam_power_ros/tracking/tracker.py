@@ -21,6 +21,7 @@ from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
 
 SECOND = 1_000_000_000  # [ns]
+REPEATED = "pose repeated"
 GRAVITY = 9.81  # [m/s^2]
 HISTORY = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
 INTERVAL_MIN = SECOND // 1000  # frames stamped closer together were stamped on delivery [ns]
@@ -185,7 +186,7 @@ class Tracker:
         if self._is_repeated(frame.stamp_ns, position.tobytes() + quat_xyzw.tobytes()):
             held = frame.stamp_ns - self._raw_since
             frozen = self._repeats >= FROZEN_COUNT and held >= FROZEN_TIME
-            self.refuse("pose repeated", Validity.FROZEN if frozen else None)
+            self.refuse(REPEATED, Validity.FROZEN if frozen else None)
             return None
         low, high = self._settings.workspace_low, self._settings.workspace_high
         bounds = zip(low, frame.position.tolist(), high, strict=True)

@@ -16,6 +16,7 @@ from wam_power_ros.view.drawables import segments
 from wam_power_ros.view.skeleton import Shape, Skeleton
 
 PLANNED, EXECUTED, ATTRACTOR = (37, 99, 235), (234, 88, 12), (13, 148, 136)
+TRAIL = (250, 176, 120)
 BODY_TOP, BODY_UNDER = (250, 204, 110), (146, 84, 32)
 BODY_RADIUS, BODY_HEIGHT = 0.09, 0.006  # of each half of the disc that stands for a body [m]
 PATH_THICKNESS = 0.006  # [m]
@@ -67,12 +68,13 @@ class Page:
             f"/arm/{skeleton.tool}/axes", axes_length=0.08, axes_radius=0.004, origin_radius=0.006
         )
 
-    def pose(self, q: np.ndarray) -> None:
-        """Put the arm at joint angles (n,) [rad]."""
+    def pose(self, q: np.ndarray) -> np.ndarray:
+        """Put the arm at joint angles (n,) [rad]; returns the position of the tool (3,) [m]."""
         positions, quats = self.skeleton.placements(q)
         with self.server.atomic():
             for handle, position, quat in zip(self._links, positions, quats, strict=True):
                 handle.position, handle.wxyz = position, quat
+        return positions[-1]
 
     def place_body(self, state: tuple[np.ndarray, np.ndarray] | None) -> None:
         """Put the tracked body at a position [m] and quaternion wxyz; None hides it."""
@@ -90,7 +92,7 @@ class Page:
         """Draw a path (T, 3) [m] in place of the last one of that name; fewer than 2 points none.
 
         Args:
-            name: "planned" or "executed".
+            name: "planned", "executed" or "trail".
             points: Points of the path.
             rgb: Colour.
         """
@@ -101,7 +103,7 @@ class Page:
             segments(points).astype(np.float32),
             rgb,
             thickness=PATH_THICKNESS,
-            visible=self._shown.get(name, True),
+            visible=self._shown.get("executed" if name == "trail" else name, True),
         )
 
     def show_attractors(self, policy: Policy | None) -> None:
@@ -139,7 +141,8 @@ class Page:
             body: Name of the tracked body, empty for none.
             policies: True when there are policies to draw.
         """
-        kinds = {"executed": ("executed path (orange)", lambda: [self._node("/executed")])}
+        executed = lambda: [self._node("/executed"), self._node("/trail")]  # noqa: E731
+        kinds = {"executed": ("executed path (orange)", executed)}
         if policies:
             kinds["planned"] = ("planned path (blue)", lambda: [self._node("/planned")])
             kinds["attractors"] = ("stiffness at attractors (green)", lambda: self._attractors)

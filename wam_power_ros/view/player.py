@@ -70,6 +70,7 @@ class Player:
             page.show_arm(skeleton)
             path = skeleton.tool_path(movement.q[::PATH_STEP])
             page.show_path("executed", path, EXECUTED)
+            page.show_path("trail", path[:0], EXECUTED)
             planned = path[:0] if movement.policy is None else plan(movement.policy, path[0])
             page.show_path("planned", planned, PLANNED)
             page.show_attractors(movement.policy)

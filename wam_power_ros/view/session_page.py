@@ -6,9 +6,11 @@ from __future__ import annotations
 import fcntl
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import viser
 
 from wam_power_ros.learning.policy_shapes import plan
@@ -18,11 +20,12 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer
 from wam_power_ros.view import recorded, teach_again
 from wam_power_ros.view.live import Seen, View
-from wam_power_ros.view.page import EXECUTED, NO_SAFETY, PLANNED, Page
+from wam_power_ros.view.page import EXECUTED, NO_SAFETY, PLANNED, TRAIL, Page
 from wam_power_ros.view.player import Player
 from wam_power_ros.view.progress import Progress
 from wam_power_ros.view.skeleton import Skeleton
 
+TRAIL_LENGTH = 40  # looks at the arm, ten a second, whose tool positions are joined
 SILENCE = 1.0  # without a joint state, after which the arm counts as silent [s of wall time]
 RUNNING, ENDED = "running", "not running: its records"
 REWARD, PUNISH, PAUSE, CONTINUE = "Reward", "Punish", "Pause", "Continue"
@@ -70,6 +73,7 @@ class SessionPage:
         self._page = Page(server, folder.name)
         self._node: View | None = None
         self._drawn: Seen = Seen()
+        self._trail: deque[np.ndarray] = deque(maxlen=TRAIL_LENGTH)
         self._teaching = False
         self._paused_after: int | None = None  # rollouts on record when it was paused
         practice = {
@@ -133,9 +137,11 @@ class SessionPage:
             return
         if drawn.q is None or not self._player.stale:  # a movement was played
             drawn = Seen()
+            self._trail.clear()
             page.show_arm(Skeleton(node.urdf, node.model_joint_names))
             self._player.stale = True
-        page.pose(seen.q)
+        self._trail.append(page.pose(seen.q))
+        page.show_path("trail", np.array(self._trail), TRAIL)
         page.place_body(seen.body)
         if seen.policy is not None and seen.policy is not drawn.policy:
             start = page.skeleton.placements(seen.policy.q_start)[0][-1]
