@@ -652,6 +652,23 @@ def test_without_states_the_arm_is_braked_on_its_model_alone(friction: float) ->
     assert np.abs(tau - MODEL.gravity(plant.q)).max() < MODEL.friction.max()
 
 
+@pytest.mark.requirement("S-41")
+@pytest.mark.parametrize("moment", [0.27, 0.4, 0.5])
+def test_a_silence_noticed_late_is_braked_from_where_the_arm_is_then(moment: float) -> None:
+    controller, plant = begin(friction=1.0, delay=2, sensing=True)
+    controller.execute()
+    tau = run(controller, plant, moment)[-1]
+    for _ in range(8):
+        plant.step(tau)
+    speeds, elapsed = [], 9 * 0.002
+    for _ in range(500):
+        plant.step(controller.stale_torque(elapsed))
+        speeds.append(MODEL.motion(plant.q, plant.qd).tool_speed)
+        elapsed = 0.002
+    assert max(speeds[100:]) < 0.2 * max(speeds)
+    assert max(speeds[250:]) < safety.REST_SPEED
+
+
 @pytest.mark.requirement("S-04")
 def test_no_rest_of_the_gravity_is_sent_to_a_driver_that_compensates_it() -> None:
     controller = make(driver_compensates_gravity=True)

@@ -10,12 +10,13 @@ from rigid_arm import HOME, MODEL, PERIOD_NS, POLICY, Plant, begin, check, make,
 from wam_power_ros.control import safety
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.plausibility import Estimate, VelocityCheck
+from wam_power_ros.control.plausibility import Bound, Estimate, Plausibility, VelocityCheck
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import FaultKind
 
 State = tuple[int, np.ndarray, np.ndarray]
 Lie = Callable[[State], State]
+PERIOD = PERIOD_NS * 1e-9
 LONGEST = 15  # states until a lie about a moving arm is a fault: 30 ms
 NOTICED = 0.5  # [rad/s] of a velocity that is wrong; a smaller lie may be noticed later
 START = HOME + np.array([0.3, -0.2, 0.2, -0.3, 0.2, 0.2, 0.3])
@@ -52,6 +53,17 @@ def two_drivers() -> Lie:
     return lie
 
 
+def stamps(rate: float) -> Lie:
+    """Stamps advance at another rate than time does."""
+    kept: list[int] = []
+
+    def lie(state: State) -> State:
+        kept.append(state[0])
+        return kept[0] + round(rate * (state[0] - kept[0])), state[1], state[2]
+
+    return lie
+
+
 LIES: dict[str, Callable[[], Lie]] = {
     "all frozen": frozen,
     "all frozen, velocities zero": lambda: frozen(still=True),
@@ -64,6 +76,8 @@ LIES: dict[str, Callable[[], Lie]] = {
     "velocities permuted": lambda: velocities(lambda qd: np.roll(qd, 1)),
     "velocities of another clock": lambda: velocities(lambda qd: 0.1 * qd),
     "two drivers": two_drivers,
+    "stamps at a tenth of the speed": lambda: stamps(0.1),
+    "stamps at three times the speed": lambda: stamps(3.0),
 }
 
 
@@ -74,7 +88,7 @@ def tool_speed(plant: Plant) -> float:
 def lied_to(
     controller: Controller, plant: Plant, lie: Lie
 ) -> tuple[int | None, list[float], float]:
-    """Falsify the plant's states for 1 s.
+    """Falsify the plant's states for 1 s; our own clock is right.
 
     Returns:
         States until the fault, tool speeds [m/s], and by how much the velocity of a joint was
@@ -87,7 +101,7 @@ def lied_to(
         false = lie(plant.state())
         said, true = np.abs(false[2]), np.abs(plant.qd)
         sizes.append(np.abs(false[2] - plant.qd) - 0.5 * np.minimum(said, true))
-        tau, before = controller.step(*false), tau
+        tau, before = controller.step(*false, PERIOD), tau
         check(tau, before)
         plant.step(tau)
         speeds.append(tool_speed(plant))
@@ -119,6 +133,26 @@ def test_a_false_state_in_a_rollout_ends_in_a_stop(name: str, moment: str, nomin
     assert faulted <= LONGEST or size < NOTICED, (faulted, size)
     assert not controller.latched.kind.of_policy
     assert max(speeds[faulted + 250 :], default=0.0) < safety.REST_SPEED
+
+
+@pytest.mark.requirement("S-91")
+@pytest.mark.parametrize("moment", [0.27, 0.48])
+@pytest.mark.parametrize("name", LIES)
+def test_the_truth_after_a_lie_moves_nothing_and_can_be_reset(name: str, moment: float) -> None:
+    controller, plant = begin(friction=1.0, delay=2, sensing=True)
+    controller.execute()
+    run(controller, plant, moment)
+    faulted, _, size = lied_to(controller, plant, LIES[name]())
+    if faulted is None or size < NOTICED:
+        return
+    tau, speeds = controller.step(*plant.state(), PERIOD), []
+    for _ in range(250):
+        plant.step(tau)
+        speeds.append(tool_speed(plant))
+        tau = controller.step(*plant.state(), PERIOD)
+    assert max(speeds) < 0.3
+    assert max(speeds[150:]) < safety.REST_SPEED
+    controller.reset()
 
 
 @pytest.mark.requirement("S-91")
@@ -269,6 +303,20 @@ def test_states_at_a_flood_of_tiny_stamps_change_the_torque_no_faster() -> None:
     assert np.all(np.abs(tau - first) <= 1000.0 * 1e-4 + 1e-9)
 
 
+def test_stamps_that_hurry_change_the_torque_no_faster_than_time_passes() -> None:
+    def changed(elapsed: float | None) -> float:
+        controller, plant = begin()
+        controller.execute()
+        first = controller.step(*plant.state(), elapsed)
+        for _ in range(10):  # the arm stands still, and its stamps go on
+            plant.stamp += 10 * PERIOD_NS // 2
+            tau = controller.step(*plant.state(), elapsed)
+        return float(np.abs(tau - first).max())
+
+    assert changed(1e-5) <= 1000.0 * 1e-4 + 1e-9
+    assert changed(None) > 1.0
+
+
 @pytest.mark.requirement("S-04")
 def test_where_the_driver_adds_gravity_the_motors_keep_their_limit() -> None:
     limits = safety.limits_of(MODEL, torque=0.5 * MODEL.tau_max)
@@ -321,3 +369,82 @@ def test_the_estimate_goes_on_with_what_moves_against_friction() -> None:
         plant.step(tau)
         estimate.predict(tau, 0.002)
         np.testing.assert_allclose(estimate.qd, plant.qd, atol=0.15)
+
+
+def moved(rates: list[float], believed: bool = False, joint: int = 3) -> Estimate:
+    """An arm at rest, one of whose joints is then said to change at these rates [rad/s]."""
+    estimate, q, carried = Estimate(MODEL, HOME, np.zeros(7)), HOME, MODEL.gravity(HOME)
+    for k, rate in enumerate([0.0] * 8 + rates):
+        q = q + rate * PERIOD * np.eye(7)[joint]
+        state = JointState(k * PERIOD_NS, q, np.zeros(7), PERIOD)
+        estimate.follow(state, carried, believed)
+    return estimate
+
+
+def test_a_joint_that_jumps_once_or_to_and_fro_has_no_speed() -> None:
+    for rates in (
+        [20.0],
+        [20.0, 0.0],
+        [20.0, 0.0, 0.0],
+        [10.0, -10.0] * 4,
+        [10.0, -10.0] * 4 + [0.0],
+    ):
+        assert np.abs(moved(rates).qd).max() < 0.01, rates
+
+
+def test_a_joint_that_moves_has_the_speed_at_which_its_position_changes() -> None:
+    for rate in (0.1, 1.0, -2.0):
+        assert moved([rate] * 8).qd[3] == pytest.approx(rate)
+    unsteady = moved([1.0, 1.3, 0.9, 1.1])
+    assert 0.9 < unsteady.qd[3] < 1.3
+
+
+def test_where_a_joint_is_said_to_be_counts_once_it_moves_and_is_believed() -> None:
+    jump = [100.0, *([0.0] * 4)]  # 0.2 rad: the joint has another zero now, or has had no power
+    still, doubted, believed = (
+        moved(jump + steps, believing)
+        for steps, believing in (([0.0] * 300, True), ([0.3] * 300, False), ([0.3] * 300, True))
+    )
+    assert still.q[3] == pytest.approx(HOME[3], abs=0.005)
+    assert doubted.q[3] == pytest.approx(HOME[3] + 0.18, abs=0.005)
+    assert believed.q[3] == pytest.approx(HOME[3] + 0.38)
+
+
+def test_a_joint_that_is_hidden_is_moved_by_the_joints_that_are_seen() -> None:
+    mass = MODEL.mass_matrix(HOME)
+    seen = np.arange(7) != 1
+    estimate = Estimate(MODEL, HOME, np.full(7, 0.5))
+    momentum = mass.dot(estimate.qd)[1]
+    estimate.correct(seen, np.array([0.2, 9.0, -0.1, 1.0, 0.3, -0.8, 0.4]))
+    assert mass.dot(estimate.qd)[1] == pytest.approx(momentum)
+    np.testing.assert_allclose(estimate.qd[seen] - 0.5, [0.2, -0.1, 1.0, 0.3, -0.8, 0.4])
+
+
+def test_a_torque_acts_on_the_estimate_as_late_as_on_the_arm() -> None:
+    carried, push = MODEL.gravity(HOME), np.array([0.0, 30.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    estimate = Estimate(MODEL, HOME, np.zeros(7), [carried, carried])
+    speeds = []
+    for _ in range(4):
+        estimate.advance(carried + push, PERIOD)
+        speeds.append(estimate.qd[1])
+    assert speeds[:2] == [0.0, 0.0]
+    assert 0.0 < speeds[2] < speeds[3]
+
+
+def test_where_the_arm_was_before_a_lie_leads_to_where_it_is() -> None:
+    """In a push that grows: what is late by a few states is wrong by a tenth of a radian/s."""
+    plausibility, plant = Plausibility(MODEL), Plant(HOME, friction=1.0, delay=2)
+    loose = Bound(np.full(7, 1e9), np.full(7, 1e9))
+    last, lie = None, None
+    for k in range(140):
+        tau = MODEL.gravity(HOME) + min(k, 60) * np.array([0.0, 0.3, 0.0, 0.05, 0.0, 0.0, 0.0])
+        stamp, q, qd = plant.state()
+        lie = lie or (q, qd) if k >= 130 else None
+        state = JointState(stamp, *(lie or (q, qd)), PERIOD)
+        plausibility.fault(last, state, tau, loose)
+        last = state
+        plant.step(tau)
+    estimate = plausibility.estimate(last)
+    assert plant.qd[1] > 0.5
+    np.testing.assert_allclose(estimate.qd, plant.qd, atol=0.06)
+    np.testing.assert_allclose(estimate.q, plant.q, atol=0.01)

@@ -52,11 +52,13 @@ def test_a_push_that_friction_bears_is_left_for_ever(sign: float) -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_a_joint_that_might_be_fast_already_is_pushed_no_more(sign: float) -> None:
+def test_a_joint_that_might_be_fast_already_is_braked_and_pushed_no_more(sign: float) -> None:
     joints, torque = stood(), sign * 1.5 * FRICTION
     pushes = [pushed(joints, torque) for _ in range(100)]
     states = 0.2 * INERTIA[J6] / (0.5 * FRICTION) / DT  # until it would be fast
     assert sum(push == torque for push in pushes) == pytest.approx(states, abs=1.0)
+    states = 0.2 * INERTIA[J6] / (2.5 * FRICTION) / DT  # until it would be at rest
+    assert sum(push == -torque for push in pushes) == pytest.approx(states, abs=1.0)
     assert set(pushes[-50:]) == {0.0}
     joints.suspects(HOME + 1e-4, HOME)  # it moves
     joints.suspects(HOME, HOME)

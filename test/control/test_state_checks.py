@@ -209,3 +209,11 @@ def test_positions_three_periods_apart_are_differentiated_and_later_ones_are_not
         states = checks()
         states.take(stamp, Q + 0.01, None, restart=False)
         assert states.last.qd.any() == moved
+
+
+def test_the_time_since_a_state_is_that_of_our_own_clock_where_there_is_one() -> None:
+    states = checks()
+    assert states.take(2 * MS, Q, ZERO, restart=False).dt == 0.002
+    assert states.take(3 * MS, Q, ZERO, restart=False, elapsed=0.0025).dt == 0.0025
+    assert states.take(5 * MS, Q, ZERO, restart=False, elapsed=1e-4).dt == 1e-4
+    assert states.take(7 * MS, Q, ZERO, restart=False, elapsed=5.0).dt == 0.004

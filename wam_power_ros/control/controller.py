@@ -29,7 +29,7 @@ from wam_power_ros.control.modes import (
 from wam_power_ros.control.plausibility import Bound, Estimate, Plausibility
 from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
-from wam_power_ros.control.state_checks import JointState, StateChecks
+from wam_power_ros.control.state_checks import STATES_LOST_AFTER, JointState, StateChecks
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
@@ -370,7 +370,9 @@ class Controller:
 
     # Every state
 
-    def step(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> np.ndarray:
+    def step(
+        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None, elapsed: float | None = None
+    ) -> np.ndarray:
         """The torque that answers one joint state.
 
         Finite, within the limits of size and, unless inactive, of change per second. The same
@@ -381,12 +383,14 @@ class Controller:
             stamp_ns: Stamp of the driver's header [ns].
             q: Joint positions [rad]. Shape (n,).
             qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
+            elapsed: Time since the last accepted state by a clock of the caller's, None to go by
+                the stamps [s]. It bounds the change of the torque, and the arm is braked by it.
 
         Returns:
             [N m], read-only. Shape (n,).
         """
         states = self._states
-        state = states.take(stamp_ns, q, qd, restart=self._mode in PASSIVE)
+        state = states.take(stamp_ns, q, qd, self._mode in PASSIVE, elapsed)
         if (fault := states.fault) is not None and not (
             fault.kind is FaultKind.JUMP and self._mode is Mode.GRAVITY_COMPENSATION
         ):  # while teaching nothing refers to a posture
@@ -402,11 +406,15 @@ class Controller:
         if (fault := self._states.fault) is not None:
             self.fault(fault)
 
-    def stale_torque(self) -> np.ndarray:
+    def stale_torque(self, elapsed: float | None = None) -> np.ndarray:
         """The torque to send when no state has come: brakes and carries the arm on its model alone.
 
-        The arm is taken to be where the model predicts it from the last state and the torques
-        since. Each call counts as one period. Without any state yet the torque is zero.
+        The arm is taken to be where the model predicts it from the states and torques before.
+        Without any state yet the torque is zero.
+
+        Args:
+            elapsed: Time since the last state or, after it, the last torque; one period if None
+                [s].
 
         Returns:
             [N m], read-only. Shape (n,).
@@ -414,11 +422,12 @@ class Controller:
         self.counters["stale"] += 1
         if (last := self._states.last) is None:
             return self._sent
-        period = self.settings.period
-        arm = self._estimate = self._estimate or Estimate(self.arm, last.q, last.qd)
-        arm.predict(self._acting_torque(arm.q), period)
+        dt = self.settings.period if elapsed is None else min(elapsed, STATES_LOST_AFTER)
+        arm = self._estimate = self._estimate or self._plausibility.estimate(last, lie=0)
+        arm.advance(self._acting_torque(arm.q), dt)
         state = last._replace(q=arm.q, qd=arm.qd)
-        return self._limited(self._with_springs(self._rest_torque(state), arm.q), arm.q, period)
+        tau = self._with_springs(self._rest_torque(state), arm.q)
+        return self._limited(tau, arm.q, min(dt, 2.0 * self.settings.period))
 
     def _acting_torque(self, q: np.ndarray) -> np.ndarray:
         """Torque that the motors give at a posture (n,) [rad]: the last one that was sent [N m]."""
@@ -462,7 +471,8 @@ class Controller:
             self._look_for_rest(state, motion)
             arm = self._estimate = self._estimate or plausibility.estimate(state)
             if mode is Mode.FAULT:
-                arm.follow(state, self._acting_torque(arm.q))
+                believed = plausibility.doubted_ns != state.stamp_ns
+                arm.follow(state, self._acting_torque(arm.q), believed)
             state = state._replace(q=arm.q, qd=arm.qd)
 
         sent = self._limited(self._torque(state, motion), state.q, state.dt)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.state_checks import Q_JUMP, JointState
+from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
 WINDOW = 0.015  # [s] time constant of the residual
@@ -30,15 +30,19 @@ SLIP_SHARE = 0.1  # of the motion within the window that may be added
 LAG = 0.008  # [s] by which a velocity may be late: between none and this, it is no slip
 _SLIP_AT_ONCE = 0.003  # [rad] what one state may add: one state alone is no fault
 SUSPECTS = 3  # states in a row beyond a bound that make a fault
+TORQUE_DELAY = 2  # states until a torque acts: 4 ms, of the 2 to 8 ms of drivers and motors
 REMEMBERED, STRIDE = 100, 4  # states, for the estimate that a fault begins with, and its step
 FRESH = 4  # strides that a lie may have lasted when it is found out
 FRICTION_SHARE = 2.0  # of a joint's Coulomb friction that may be unexplained
 STANDING = 30  # states of the same position, after which a joint stands
 FROZEN = 15  # states of the same position, after which it must have no velocity left
 STANDSTILL = 0.05  # [rad/s] slower than this a joint may be taken to stand still
-DIFFERENCED = 4  # states that a velocity is differenced over; even, for two drivers in turn
+DIFFERENCED = 4  # states whose rates make a velocity; even, for two drivers in turn
+SCATTER = 0.2  # [rad/s] by which these may differ and still be averaged: encoders count
+JUMPED = 0.01  # [rad] beside what a joint moves by its speed; more in one state is no motion
 FRICTION_STEPS, CREEP = 3, 0.005  # of the model; [rad/s] of a joint that friction holds
 FROZEN_SHARE = 0.3  # of the model's speed; a joint seen to move slower than that is not believed
+APPROACH = 0.5  # [rad/s] by which a joint that moves approaches where it is said to be
 FROZEN_SPEED = 0.1  # [rad/s] of the model, below which a joint may stand still
 
 
@@ -218,35 +222,39 @@ class Plausibility:
             fault = fault or self._torque.fault(last, state, same, tau, bound)
         if fault is not None:
             self.doubted_ns = state.stamp_ns
-        dt = (state.stamp_ns - last.stamp_ns) * 1e-9
-        self._past.append(_Past(last.q, last.qd, tau, dt))
+        self._past.append(_Past(last.q, last.qd, tau, state.dt))
         return fault
 
-    def estimate(self, last: JointState) -> Estimate:
+    def estimate(self, last: JointState, lie: int = FRESH * STRIDE) -> Estimate:
         """Where the arm is: what has been seen to move where it was seen, the rest by its model.
 
         Args:
-            last: Last state, for when none is remembered.
+            last: Last state.
+            lie: Number of the last states that may be false.
         """
-        past = list(self._past)
+        past = list(self._past)[len(self._past) % STRIDE :]
         first = past[0] if past else last
-        found = Estimate(self._arm, first.q, first.qd)
-        marks = np.array([each.q for each in past[::STRIDE]])
+        taus = [each.tau for each in past]
+        acting = taus[:1] * TORQUE_DELAY + taus
+        found = Estimate(self._arm, first.q, first.qd, acting[len(taus) :])
+        marks = np.array([each.q for each in past[::STRIDE]] + [last.q])
         moved = np.diff(marks, axis=0)
         for k in range(len(moved)):
-            some = past[k * STRIDE : (k + 1) * STRIDE]
-            dt = sum(each.dt for each in some)
-            fresh = k >= len(moved) - FRESH
+            some = slice(k * STRIDE, (k + 1) * STRIDE)
+            dt = sum(each.dt for each in past[some])
+            fresh = (len(moved) - k) * STRIDE <= lie
             if fresh and self._led:
                 found.q = found.q + dt * found.qd
                 continue
-            found.predict(np.mean([each.tau for each in some], axis=0), dt)
+            qd = found.qd
+            found.predict(np.mean(acting[some], axis=0), dt)
             if not fresh:
                 # Within the stride in which it froze a joint has moved too little.
-                goes_on = np.abs(moved[k + 1]) > 0.5 * np.abs(moved[k])
+                after = moved[min(k + 1, len(moved) - 1)]
+                goes_on = np.abs(after) > 0.5 * np.abs(moved[k])
                 seen = (np.abs(moved[k]) > STANDSTILL * dt) & goes_on
                 found.q = np.where(seen, marks[k + 1], found.q)
-                found.qd = np.where(seen, moved[k] / dt, found.qd)
+                found.correct(seen, moved[k] / dt - 0.5 * (qd + found.qd))
         return found
 
 
@@ -265,12 +273,22 @@ class Estimate:
         arm: Model of the arm.
         q: Positions to begin with [rad]. Shape (n,).
         qd: Speeds to begin with [rad/s]. Shape (n,).
+        sent: Torques that have been sent and do not act yet [N m], the oldest first. Shapes (n,).
     """
 
-    def __init__(self, arm: Arm, q: np.ndarray, qd: np.ndarray) -> None:
+    def __init__(
+        self, arm: Arm, q: np.ndarray, qd: np.ndarray, sent: Sequence[np.ndarray] = ()
+    ) -> None:
         self._arm = arm
         self.q, self.qd = q, qd
-        self._seen: deque[tuple[int, np.ndarray]] = deque(maxlen=DIFFERENCED + 1)
+        self._sent = deque(sent, maxlen=TORQUE_DELAY + 1)
+        self._previous: np.ndarray | None = None  # positions of the last state [rad]
+        self._rates: deque[np.ndarray] = deque(maxlen=DIFFERENCED)  # of positions [rad/s]
+
+    def advance(self, tau: np.ndarray, dt: float) -> None:
+        """Go on by a time [s] in which a torque (n,) [N m] was sent; it acts later."""
+        self._sent.append(tau)
+        self.predict(self._sent[0], dt)
 
     def predict(self, tau: np.ndarray, dt: float) -> None:
         """Let a torque (n,) [N m] act for a time [s]; friction never reverses a motion."""
@@ -285,23 +303,66 @@ class Estimate:
         self.qd = np.minimum(np.maximum(qd, -arm.qd_max), arm.qd_max)
         self.q = self.q + dt * self.qd
 
-    def follow(self, state: JointState, tau: np.ndarray) -> None:
-        """Go on to the next state, after a torque (n,) [N m]."""
-        seen = self._seen
-        before = self.q
-        self.predict(tau, state.dt)
-        if seen and state.stamp_ns <= seen[-1][0]:
-            seen.clear()
-        seen.append((state.stamp_ns, state.q))
-        if len(seen) <= DIFFERENCED:
+    def follow(self, state: JointState, tau: np.ndarray, believed: bool) -> None:
+        """Go on to the next state.
+
+        Args:
+            state: Next state.
+            tau: Torque that was sent before it [N m]. Shape (n,).
+            believed: Whether nothing contradicts the state; then a joint that moves is also where
+                it says, and not only as fast.
+        """
+        before, previous, dt = self.q, self._previous, state.dt
+        self._previous = state.q
+        self.advance(tau, dt)
+        if previous is None or dt == 0.0:
             return
-        (then_ns, then), (_, previous) = seen[0], seen[-2]
-        qd, moved = (state.q - then) / ((state.stamp_ns - then_ns) * 1e-9), state.q - previous
-        frozen = (np.abs(qd) < FROZEN_SHARE * np.abs(self.qd)) & (np.abs(self.qd) > FROZEN_SPEED)
-        jumped = (np.abs(moved) > Q_JUMP) | (np.abs(qd) > self._arm.qd_max)
-        trusted = ~frozen & ~jumped
-        self.q = np.where(trusted, before + moved, self.q)
-        self.qd = np.where(trusted, qd, self.qd)
+        moved = state.q - previous
+        self._rates.append(moved / dt)
+        if len(self._rates) < DIFFERENCED:
+            return
+        qd, speed = _velocity(np.array(self._rates)), np.abs(self.qd)
+        seen = (np.abs(qd) >= FROZEN_SHARE * speed) | (speed <= FROZEN_SPEED)
+        moved = np.where(np.abs(moved - dt * qd) > JUMPED, dt * qd, moved)
+        self.q = np.where(seen, before + moved, self.q)
+        self.correct(seen, qd - self.qd)
+        if believed:
+            most = dt * np.where(seen & (np.abs(qd) > STANDSTILL), APPROACH, 0.0)
+            self.q = self.q + np.minimum(np.maximum(state.q - self.q, -most), most)
+
+    def correct(self, seen: np.ndarray, error: np.ndarray) -> None:
+        """Correct the speeds of the joints that are seen to move, and so those of the others.
+
+        What is not seen keeps its momentum.
+
+        Args:
+            seen: Joints that are seen. Shape (n,).
+            error: Error of their speeds [rad/s]. Shape (n,).
+        """
+        change = np.where(seen, error, 0.0)
+        hidden = ~seen & (self.qd != 0.0)
+        if hidden.any():
+            mass = self._arm.mass_matrix(self.q)
+            coupled = mass[hidden].dot(change)
+            change[hidden] = -np.linalg.solve(mass[np.ix_(hidden, hidden)], coupled)
+        self.qd = self.qd + change
+
+
+def _velocity(rates: np.ndarray) -> np.ndarray:
+    """Speeds of joints whose positions changed at these rates; one change alone is none.
+
+    Args:
+        rates: Rates of change of as many states in a row [rad/s]. Shape (4, n).
+
+    Returns:
+        [rad/s]. Shape (n,).
+    """
+    mean = rates.mean(axis=0)
+    least, low, high, most = np.sort(rates, axis=0)
+    agreed = np.where(
+        low * high > 0.0, np.copysign(np.minimum(np.abs(low), np.abs(high)), low), 0.0
+    )
+    return np.where(most - least > SCATTER + 0.5 * np.abs(mean), agreed, mean)
 
 
 class _Past(NamedTuple):

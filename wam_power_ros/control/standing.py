@@ -23,7 +23,8 @@ class StandingJoints:
     """Bounds the push at joints that stand while their reference moves.
 
     Below what may hold a joint, it is pushed in full only until it would have become fast if it
-    were free; above, always, and then it must move.
+    were free, then as hard the other way until it would be at rest again, and no more. Above,
+    always, and then it must move.
 
     Args:
         arm: Model of the arm.
@@ -41,6 +42,7 @@ class StandingJoints:
         self._at: list[float] = [float("nan")] * n  # position since it stands [rad]
         self._since = [0.0] * n  # reference when it came to stand [rad]
         self._speed = [0.0] * n  # speed it would have, were it free [rad/s]
+        self._spent = [False] * n  # it has been pushed for long enough
         self._due = [0] * n  # states since it should have moved
 
     def suspects(self, q: np.ndarray, q_ref: np.ndarray) -> list[int]:
@@ -49,6 +51,7 @@ class StandingJoints:
         for i, (at, ref) in enumerate(zip(q.tolist(), q_ref.tolist(), strict=True)):
             if at != self._at[i]:
                 self._at[i], self._since[i], self._speed[i], self._due[i] = at, ref, 0.0, 0
+                self._spent[i] = False
             elif abs(ref - self._since[i]) > MOVED:
                 found.append(i)
         return found
@@ -76,8 +79,10 @@ class StandingJoints:
                     raise TrackingLost(f"joint {i + 1} stands, pushed with {push[i]:.1f} N m")
                 continue
             self._due[i] = 0
-            if self._speed[i] < SPEED:
+            if not self._spent[i]:
                 self._speed[i] = max(self._speed[i] + (size - friction) / inertia[i] * dt, 0.0)
-            else:
-                left[i] = 0.0
+                self._spent[i] = self._speed[i] >= SPEED
+                continue
+            left[i] = -push[i] if self._speed[i] > 0.0 else 0.0
+            self._speed[i] = max(self._speed[i] - (size + friction) / inertia[i] * dt, 0.0)
         return left

@@ -82,7 +82,7 @@ class StateChecks:
         self._refusals: deque[int] = deque(maxlen=_REFUSALS)  # counts at which states were refused
 
     def take(
-        self, stamp_ns: object, q: object, qd: object, restart: bool
+        self, stamp_ns: object, q: object, qd: object, restart: bool, elapsed: float | None = None
     ) -> JointState | Unanswered:
         """Check one joint state.
 
@@ -91,6 +91,8 @@ class StateChecks:
             q: Joint positions [rad]. Shape (n,).
             qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
             restart: Whether an older stamp means that the driver has started again.
+            elapsed: Time since the last accepted state by a clock of our own, None to go by the
+                stamps [s].
         """
         self._count += 1
         self.fault = None
@@ -113,7 +115,8 @@ class StateChecks:
             return self._refuse("rejected")
         self.counters["accepted"] += 1
         self.refused_in_row = 0
-        dt = self._check_continuity(last, stamp_ns, positions)
+        advanced = self._check_continuity(last, stamp_ns, positions)
+        dt = min(advanced if elapsed is None else elapsed, 2.0 * self._period)
         gap = last is None or stamp_ns - last.stamp_ns > self._gap_ns
         self.before = None if gap else last
         self.last = JointState(stamp_ns, positions, speeds, dt)
@@ -157,7 +160,7 @@ class StateChecks:
         return qd
 
     def _check_continuity(self, last: JointState | None, stamp_ns: int, q: np.ndarray) -> float:
-        """Look for a gap and for a jump; returns the `dt` of the state [s]."""
+        """Look for a gap and for a jump; returns the advance of the stamp [s]."""
         if last is None:
             return self._period
         dt = (stamp_ns - last.stamp_ns) * 1e-9
@@ -173,4 +176,4 @@ class StateChecks:
                 self.counters["jumps"] += 1
                 text = f"a joint jumped by {jump:.3f} rad from one state to the next"
                 self.fault = self.fault or Fault(FaultKind.JUMP, text)
-        return min(dt, 2.0 * self._period)
+        return dt

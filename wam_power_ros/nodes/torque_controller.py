@@ -271,7 +271,8 @@ class TorqueController(LifecycleNode):
                 qd = None  # it is differenced from the positions
                 age = (arrived_ns - self._qd_ns) * 1e-6
                 controller.fault(Fault(FaultKind.VELOCITY, f"no joint velocity for {age:.0f} ms"))
-        tau = controller.step(stamp_ns, q, qd)
+        elapsed = (arrived_ns - self._watchdog.arrived_ns) * 1e-9
+        tau = controller.step(stamp_ns, q, qd, elapsed if self._watchdog.enabled else None)
         if controller.fresh:
             self._watchdog.arrived(arrived_ns)
             self._stamp_ns = stamp_ns
@@ -327,7 +328,8 @@ class TorqueController(LifecycleNode):
         """Between callbacks: carry the arm when its states stay away (not in lockstep)."""
         if not self._active or not self._watchdog.enabled:
             return
-        silence = self._watchdog.check(time.monotonic_ns())
+        now_ns = time.monotonic_ns()
+        silence = self._watchdog.check(now_ns)
         if silence is None:
             return
         core = self._controller
@@ -336,7 +338,8 @@ class TorqueController(LifecycleNode):
         if silence.idle and self._params.idle_service:
             self._idle.call_async(Trigger.Request())
         label = core.mode.value if core.mode is Mode.FAULT else core.label
-        self._send(core.stale_torque(), label)
+        since_ns = max(self._watchdog.arrived_ns, self._watchdog.sent_ns)
+        self._send(core.stale_torque((now_ns - since_ns) * 1e-9), label)
 
     def _send(self, tau: np.ndarray, label: str) -> None:
         self._guard.publish(self._write(self._stamp_ns, label, tau))
