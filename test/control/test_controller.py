@@ -653,7 +653,7 @@ def test_without_states_the_arm_is_braked_on_its_model_alone(friction: float) ->
 
 
 @pytest.mark.requirement("S-41")
-@pytest.mark.parametrize("moment", [0.27, 0.4, 0.5])
+@pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
 def test_a_silence_noticed_late_is_braked_from_where_the_arm_is_then(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
@@ -662,11 +662,13 @@ def test_a_silence_noticed_late_is_braked_from_where_the_arm_is_then(moment: flo
         plant.step(tau)
     speeds, elapsed = [], 9 * 0.002
     for _ in range(500):
-        plant.step(controller.stale_torque(elapsed))
+        tau = controller.stale_torque(elapsed)
+        plant.step(tau)
         speeds.append(MODEL.motion(plant.q, plant.qd).tool_speed)
         elapsed = 0.002
-    assert max(speeds[100:]) < 0.2 * max(speeds)
-    assert max(speeds[250:]) < safety.REST_SPEED
+    assert max(speeds) > 0.5
+    assert max(speeds[60:]) < 0.02
+    assert np.abs(tau - MODEL.gravity(plant.q)).max() < 0.07
 
 
 @pytest.mark.requirement("S-04")

@@ -431,7 +431,8 @@ def test_a_torque_acts_on_the_estimate_as_late_as_on_the_arm() -> None:
     assert 0.0 < speeds[2] < speeds[3]
 
 
-def test_where_the_arm_was_before_a_lie_leads_to_where_it_is() -> None:
+@pytest.mark.parametrize("begun", [0, 75, 138])
+def test_where_the_arm_was_before_a_lie_leads_to_where_it_is(begun: int) -> None:
     """In a push that grows: what is late by a few states is wrong by a tenth of a radian/s."""
     plausibility, plant = Plausibility(MODEL), Plant(HOME, friction=1.0, delay=2)
     loose = Bound(np.full(7, 1e9), np.full(7, 1e9))
@@ -441,10 +442,11 @@ def test_where_the_arm_was_before_a_lie_leads_to_where_it_is() -> None:
         stamp, q, qd = plant.state()
         lie = lie or (q, qd) if k >= 130 else None
         state = JointState(stamp, *(lie or (q, qd)), PERIOD)
-        plausibility.fault(last, state, tau, loose)
-        last = state
+        if k >= begun:
+            plausibility.fault(last, state, tau, loose)
+            last = state
         plant.step(tau)
     estimate = plausibility.estimate(last)
     assert plant.qd[1] > 0.5
-    np.testing.assert_allclose(estimate.qd, plant.qd, atol=0.06)
+    np.testing.assert_allclose(estimate.qd, plant.qd, atol=0.045)
     np.testing.assert_allclose(estimate.q, plant.q, atol=0.01)

@@ -232,7 +232,7 @@ class Plausibility:
             last: Last state.
             lie: Number of the last states that may be false.
         """
-        past = list(self._past)[len(self._past) % STRIDE :]
+        past = list(self._past)
         first = past[0] if past else last
         taus = [each.tau for each in past]
         acting = taus[:1] * TORQUE_DELAY + taus
