@@ -431,7 +431,7 @@ def test_a_torque_acts_on_the_estimate_as_late_as_on_the_arm() -> None:
     assert 0.0 < speeds[2] < speeds[3]
 
 
-@pytest.mark.parametrize("begun", [0, 75, 138])
+@pytest.mark.parametrize("begun", [0, 75, 103])
 def test_where_the_arm_was_before_a_lie_leads_to_where_it_is(begun: int) -> None:
     """In a push that grows: what is late by a few states is wrong by a tenth of a radian/s."""
     plausibility, plant = Plausibility(MODEL), Plant(HOME, friction=1.0, delay=2)
