@@ -32,6 +32,7 @@ from wam_power_ros.tasks.reach.task import Reach
 from wam_power_ros.tasks.task import Task
 
 FILM_RATE = 25.0  # [Hz], real time
+UNITS = {"t_f": " s", "angle_deg": "°", "apex": " m"}
 ARM = ("peak_", "saturated")  # ground truth about the arm, which the report has elsewhere
 
 
@@ -94,7 +95,9 @@ def _caption(task: Task, executed: Policy, rollout: Rollout, truth: Truth) -> st
     outcome = task.outcome(Outcome(*seen, fault, truth))
     ret = "no return" if judged.ret is None else f"return {judged.ret:.3f}"
     known = ", ".join(
-        f"{name} {value:.3g}" if isinstance(value, float) else name
+        f"{name.removesuffix('_deg')} {value:.3g}{UNITS.get(name, '')}"
+        if isinstance(value, float)
+        else name.replace("_", " ")
         for name, value in truth.items()
         if value is True or (isinstance(value, float) and not name.startswith(ARM))
     )

@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 from html import escape
 from string import Template
 
-TEXT = re.compile(r"\W*[^\W\d]")  # a cell that does not begin with a number
+TEXT = re.compile(r"\W*[^\W\d]|.*[^\W\d]{4}")  # begins with no number, or has a word
 
 
 def page(title: str, body: Sequence[str]) -> str:
@@ -38,6 +38,11 @@ def paragraphs(text: Sequence[str]) -> str:
     return "".join(f"<p>{escape(part)}</p>" for part in text if part)
 
 
+def items(text: Sequence[str]) -> str:
+    """HTML of a list."""
+    return f"<ul>{''.join(f'<li>{escape(part)}</li>' for part in text)}</ul>"
+
+
 def image(data: bytes, kind: str = "image/svg+xml", alt: str = "", style: str = "") -> str:
     """HTML of a picture embedded in the page; style "drawn": its colours are inverted in the dark.
 
@@ -48,7 +53,8 @@ def image(data: bytes, kind: str = "image/svg+xml", alt: str = "", style: str = 
         style: Class of the element; "drawn" for lines and text on white.
     """
     coded = base64.b64encode(data).decode()
-    return f'<img alt="{escape(alt)}"{_class(style)} src="data:{kind};base64,{coded}">'
+    img = f'<img alt="{escape(alt)}"{_class(style)} src="data:{kind};base64,{coded}">'
+    return f'<div class="wide">{img}</div>' if style == "drawn" else img
 
 
 def figure(content: str, caption: str) -> str:
@@ -125,7 +131,9 @@ PAGE = Template("""<!doctype html>
   h1 { font-size: 1.7rem; line-height: 1.25; margin: 0 0 1.2rem; }
   h2 { font-size: 1.25rem; margin: 3rem 0 .5rem; }
   h3 { font-size: 1.02rem; margin: 2rem 0 .3rem; }
-  p { margin: .4rem 0 .8rem; max-width: 46rem; }
+  p, li { margin: .4rem 0 .8rem; max-width: 46rem; }
+  li { margin: .15rem 0; }
+  ul { padding-left: 1.2rem; }
   a { color: var(--blue); }
   img { display: block; max-width: 100%; height: auto; margin: .6rem 0; border-radius: .4rem; }
   figure { margin: 1.2rem 0 1.8rem; }
@@ -145,6 +153,7 @@ PAGE = Template("""<!doctype html>
   th:first-child, td:first-child { padding-left: .2rem; }
   th { color: var(--quiet); font-weight: 600; vertical-align: bottom; }
   .text { text-align: left; }
+  td.text:last-child { white-space: normal; min-width: 16rem; }
   .best { font-weight: 700; color: var(--green); }
   .good td { background: var(--good); }
   .claims { width: 100%; white-space: normal; font-size: .86rem; }
@@ -156,6 +165,7 @@ PAGE = Template("""<!doctype html>
   .reported { color: var(--quiet); white-space: nowrap; }
   @media (max-width: 46rem) {
     body { margin-top: 1.2rem; }
+    img.drawn { min-width: 34rem; }
     .claims thead { display: none; }
     .claims th[colspan] { display: block; border: 0; padding: .8rem 0 0; font-size: 1rem; }
     .claims tr { display: block; border-bottom: 1px solid var(--line); padding: .7rem 0; }

@@ -177,7 +177,7 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
     if decisions := [record.note for record in records if record.note]:
         text.append(f"Last decision: {decisions[-1]}.")
-    return html_page.paragraphs([" ".join(text)])
+    return html_page.items([line.strip() for line in text])
 
 
 def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
