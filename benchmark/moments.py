@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lies that begin at any moment, and end: false joint states in one process.
+
+    python -m benchmark.moments [--repeats 12] [--lies frozen ...] [--delay 2]
+
+The lies of `benchmark.lies`, to a controller that is connected by calls to the simulated arm, which
+keeps the last torque. Each begins at a random moment of a rollout, a move or a demonstration, is
+watched until 0.5 s after the fault and for 2 s more, and then gives way to the truth, which must
+move nothing and let the fault be reset.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmark.lies import FASTER, LIES, REST_TICKS, WATCHED, Lie, Reading, frozen, stamps
+from benchmark.nodes import JOINTS
+from benchmark.soak import taught
+from hardware_sim.demonstrator import Demonstrator
+from hardware_sim.scenes.flip import wrist_flick
+from hardware_sim.settings import WorldSettings
+from hardware_sim.world import PERIOD_NS, World
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.control.safety import REST_SPEED
+from wam_power_ros.learning.rollout import Fault, FaultKind
+
+PERIOD = PERIOD_NS * 1e-9
+UNNOTICED, LOST = 3, 10  # periods of silence until the model is gone by, and until it is a fault
+MOST = LIES | {
+    "joint 6 frozen": lambda: frozen(5),
+    "stamps at three times the speed": lambda: stamps(3.0),
+    "stamps at half the speed": lambda: stamps(0.5),
+}
+PHASES = ("rollout", "move", "teaching")
+
+
+class Loop:
+    """The arm and its controller, connected by calls.
+
+    Attributes:
+        lie: Function that falsifies a state; without its result there is silence.
+        speeds: Speed of the tool in every period [m/s].
+    """
+
+    def __init__(self, delay: int) -> None:
+        self._world = World(WorldSettings(watchdog=False, command_delay_ticks=delay), 0)
+        self._arm = Arm(self._world.urdf, JOINTS)
+        self.controller = Controller(Arm(self._world.urdf, JOINTS))
+        self.policy = taught()
+        self.controller.load(self.policy)
+        self._world.reset("moments", self.policy.q_start)
+        self._world.release()
+        self._tau: np.ndarray | None = None
+        self._stamp_ns, self._last_ns, self._silent = 10**15, 0, 0
+        self.lie: Lie = lambda state: state
+        self.speeds: list[float] = []
+        self.play(0.05)
+        self.controller.hold()
+        self.play(0.3)
+
+    def hand(self, seed: int | None) -> None:
+        """Let a hand take the pan, or none."""
+        flick = None if seed is None else wrist_flick(np.random.default_rng(seed))
+        self._world.attach(None if flick is None else Demonstrator(flick, *self._world.pan_pose))
+
+    def play(self, seconds: float, watch: Callable[[], None] = lambda: None) -> list[float]:
+        """Let the arm move for a time [s]; returns the speeds of the tool [m/s]."""
+        self.speeds = []
+        for _ in range(round(seconds / PERIOD)):
+            watch()
+            self._world.step(self._tau)
+            sample = self._world.joint_state()
+            self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
+            self._stamp_ns += PERIOD_NS
+            self._answer(self.lie(Reading(self._stamp_ns, sample.q, sample.qd)))
+        return self.speeds
+
+    def _answer(self, state: Reading | None) -> None:
+        core = self.controller
+        if state is not None and state.stamp_ns != self._last_ns:
+            self._silent, self._last_ns = 0, state.stamp_ns
+            self._tau = core.step(*state, PERIOD)
+            return
+        self._silent += 1
+        if self._silent > LOST:
+            core.fault(Fault(FaultKind.STATES_LOST, "silence"))
+        if self._silent >= UNNOTICED:
+            first = self._silent == UNNOTICED
+            self._tau = core.stale_torque(PERIOD * (UNNOTICED if first else 1))
+
+    def begin(self, phase: str, rng: np.random.Generator) -> None:
+        """Bring the arm to a random moment of a phase."""
+        core = self.controller
+        if phase == "rollout":
+            core.execute()
+            self.play(rng.uniform(0.02, 0.95 * self.policy.basis.duration))
+            return
+        core.set_gravity_compensation(True)
+        self.hand(int(rng.integers(100)))
+        self.play(rng.uniform(0.2, 1.2))
+        if phase == "move":
+            self.hand(None)
+            core.set_gravity_compensation(False)
+            self.play(1.0)
+            core.move_to_start()
+            self.play(rng.uniform(0.05, 0.4))
+
+
+class Outcome(NamedTuple):
+    """What became of one lie.
+
+    Attributes:
+        noticed: Periods until the fault, None without one.
+        peak: Largest speed of the tool in 1.2 s [m/s].
+        rest: Largest speed of the tool from 0.5 s after the fault on, in those and 2 s more [m/s].
+        truth: Largest speed of the tool when the lie has ended [m/s].
+        reset: Whether the fault could be reset then.
+    """
+
+    noticed: int | None
+    peak: float
+    rest: float
+    truth: float
+    reset: bool
+
+
+def tell(name: str, phase: str, rng: np.random.Generator, delay: int) -> Outcome:
+    """Tell one lie at a random moment."""
+    loop = Loop(delay)
+    core = loop.controller
+    loop.begin(phase, rng)
+    loop.lie = MOST[name]()
+    noticed: list[int] = []
+
+    def watch() -> None:
+        if not noticed and core.mode is Mode.FAULT:
+            noticed.append(len(loop.speeds))
+            loop.hand(None)
+
+    speeds = loop.play(WATCHED * PERIOD, watch)
+    later = loop.play(2.0) if noticed else []
+    calm = [*speeds[noticed[0] + REST_TICKS :], *later] if noticed else []
+    loop.hand(None)
+    loop.lie = lambda state: state
+    truth = loop.play(3.0)
+    try:
+        if core.mode is Mode.FAULT:
+            core.reset()
+    except ControllerError:
+        pass
+    peak, rest = max(speeds), max(calm, default=0.0)
+    at = noticed[0] if noticed else None
+    return Outcome(at, peak, rest, max(truth), core.mode is not Mode.FAULT)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print a row for each lie and phase; the exit status is 1 when one was not stopped."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=12)
+    parser.add_argument("--lies", nargs="+", choices=list(MOST), default=list(MOST))
+    parser.add_argument("--delay", type=int, default=2, help="periods until a torque acts")
+    given = parser.parse_args(arguments)
+    loop = Loop(given.delay)
+    loop.controller.execute()
+    most = max(loop.play(1.2)) + FASTER
+    print("| lie | in | noticed | after at most [ms] | peak [m/s] | rest | truth | reset | |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    failed = 0
+    for name in given.lies:
+        for phase in PHASES:
+            seeds = range(7000, 7000 + given.repeats)
+            found = [tell(name, phase, np.random.default_rng(k), given.delay) for k in seeds]
+            late = [each.noticed for each in found if each.noticed is not None]
+            good = [e.peak <= most and e.rest < REST_SPEED and e.truth < FASTER for e in found]
+            failed += len(found) - sum(good)
+            print(
+                f"| {name} | {phase} | {len(late)} of {len(found)} | {2 * max(late, default=0)} "
+                f"| {max(e.peak for e in found):.2f} | {max(e.rest for e in found):.3f} "
+                f"| {max(e.truth for e in found):.2f} | {sum(e.reset for e in found)} "
+                f"| {sum(good)} good |",
+                flush=True,
+            )
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
