@@ -15,6 +15,7 @@ import numpy as np
 from wam_power_ros.control import replay_trajectory, safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.doubted_arm import REST_NS, DoubtedArm
 from wam_power_ros.control.joint_control import JointControl
 from wam_power_ros.control.joint_references import JointTrajectory, Sampled
 from wam_power_ros.control.modes import (
@@ -26,7 +27,7 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
-from wam_power_ros.control.plausibility import Bound, Estimate, Plausibility
+from wam_power_ros.control.plausibility import Bound, Plausibility
 from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
 from wam_power_ros.control.state_checks import STATES_LOST_AFTER, JointState, StateChecks
@@ -37,7 +38,6 @@ from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
 INERTIAL_SHARE = 0.6  # of the torque that accelerates the arm: sensors and motors lag by up to 8 ms
 STANDING_SHARE = 0.05  # of a torque limit that may be unexplained at a standing joint in a rollout
-REST_NS = 200_000_000  # [ns] of rest after which a fault may be reset
 
 
 class Controller:
@@ -89,8 +89,7 @@ class Controller:
         self._finished: EndEffectorPath | None = None
         self._sent = np.zeros(arm.n)  # last torque
         self._plausibility = Plausibility(arm)
-        self._estimate: Estimate | None = None  # of the arm, in a fault and while no state comes
-        self._rest_ns: int | None = None  # stamp since which the arm rests in a fault
+        self._doubted = DoubtedArm(self._plausibility)
         touched = settings.contact_share * arm.tau_max
         contact = Bound(touched, touched, INERTIAL_SHARE)
         in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
@@ -263,7 +262,7 @@ class Controller:
             return
         self.latched = fault
         self.counters["faults"] += 1
-        self._rest_ns = None
+        self._doubted.faulted()
         self._enter(Mode.FAULT)
 
     def reset(self) -> None:
@@ -279,8 +278,8 @@ class Controller:
             text = "reset refused: the last joint state was not valid"
             raise ControllerError(Refusal.REFUSED, text)
         self._require_rest("reset")
-        last, rest_ns = self._states.last, self._rest_ns
-        if last is None or rest_ns is None or last.stamp_ns - rest_ns < REST_NS:
+        last = self._states.last
+        if last is None or not self._doubted.rested(last.stamp_ns):
             text = f"reset refused: the arm must be at rest for {REST_NS * 1e-9:.1f} s, in states"
             raise ControllerError(Refusal.BUSY, f"{text} that fit each other and the torques")
         self._enter(Mode.HOLD, reset=True)
@@ -423,11 +422,9 @@ class Controller:
         if (last := self._states.last) is None:
             return self._sent
         dt = self.settings.period if elapsed is None else min(elapsed, STATES_LOST_AFTER)
-        arm = self._estimate = self._estimate or self._plausibility.estimate(last, lie=0)
-        arm.advance(self._acting_torque(arm.q), dt)
-        state = last._replace(q=arm.q, qd=arm.qd)
-        tau = self._with_springs(self._rest_torque(state), arm.q)
-        return self._limited(tau, arm.q, min(dt, 2.0 * self.settings.period))
+        state = self._doubted.without_state(last, self._acting_torque, dt)
+        tau = self._with_springs(self._rest_torque(state), state.q)
+        return self._limited(tau, state.q, min(dt, 2.0 * self.settings.period))
 
     def _acting_torque(self, q: np.ndarray) -> np.ndarray:
         """Torque that the motors give at a posture (n,) [rad]: the last one that was sent [N m]."""
@@ -465,28 +462,16 @@ class Controller:
             self.fault(fault)
         if self.settings.hold_to_run and self._lacks_switch(self._mode):
             self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
-        if self._mode is not Mode.FAULT:
-            self._estimate = None
+        if self._mode is Mode.FAULT:
+            new = mode is not Mode.FAULT
+            state = self._doubted.after_fault(state, motion, self._acting_torque, new)
         else:
-            self._look_for_rest(state, motion)
-            arm = self._estimate = self._estimate or plausibility.estimate(state)
-            if mode is Mode.FAULT:
-                believed = plausibility.doubted_ns != state.stamp_ns
-                arm.follow(state, self._acting_torque(arm.q), believed)
-            state = state._replace(q=arm.q, qd=arm.qd)
+            self._doubted.trust()
 
         sent = self._limited(self._torque(state, motion), state.q, state.dt)
         rollout = self._rollout
         self._label = self._mode_label if rollout is None else f"rollout {rollout.id}"
         return sent
-
-    def _look_for_rest(self, state: JointState, motion: Motion | Speeds) -> None:
-        """Note since when the arm has been at rest in a fault, in states that can be believed."""
-        moving = not isinstance(motion, Motion) or safety.unrest(motion)
-        if moving or self._plausibility.doubted_ns == state.stamp_ns:
-            self._rest_ns = None
-        elif self._rest_ns is None:
-            self._rest_ns = state.stamp_ns
 
     def _torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         """The torque of the mode, before the limits; a fault when that cannot be computed."""
