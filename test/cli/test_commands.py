@@ -16,8 +16,9 @@ from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
-from wam_power_ros.cli.commands import _has_ended, given_options
+from wam_power_ros.cli.commands import _has_ended
 from wam_power_ros.cli.launcher import as_called, called, learner_at_work
+from wam_power_ros.cli.session_options import given_options
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset

@@ -17,7 +17,7 @@ from importlib import metadata
 from pathlib import Path
 
 from wam_power_ros import __version__
-from wam_power_ros.cli import bags_command, commands, score_command
+from wam_power_ros.cli import bags_command, commands, score_command, session_options
 from wam_power_ros.cli.launcher import UsageError, as_called
 from wam_power_ros.cli.parser import Parser, natural, positive
 from wam_power_ros.cli.processes import ProcessError
@@ -249,7 +249,9 @@ def _known(group: str) -> str:
 
 def _task_option(parser: argparse.ArgumentParser) -> None:
     known = _known("wam_power_ros.tasks")
-    parser.add_argument("--task", metavar="NAME", help=f"one of {known} (default: {commands.TASK})")
+    parser.add_argument(
+        "--task", metavar="NAME", help=f"one of {known} (default: {session_options.TASK})"
+    )
 
 
 def _skill_options(parser: argparse.ArgumentParser) -> None:

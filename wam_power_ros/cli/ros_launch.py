@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
-from wam_power_ros.cli.commands import TASK, check_names, session_folder
 from wam_power_ros.cli.launcher import reach, task_setup
+from wam_power_ros.cli.session_options import TASK, check_names, session_folder
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface

@@ -7,8 +7,8 @@ import argparse
 import signal
 from pathlib import Path
 
-from wam_power_ros.cli import commands
 from wam_power_ros.cli.launcher import UsageError, interrupt, session_environment
+from wam_power_ros.cli.session_options import existing_session
 from wam_power_ros.practice.session import Session
 
 
@@ -22,7 +22,7 @@ def view(options: argparse.Namespace) -> int:
         ) from None
     path: Path | None = options.path
     is_bag = path is not None and not Session.exists(path) and path.exists()
-    place = path.resolve() if is_bag else commands.existing_session(path)
+    place = path.resolve() if is_bag else existing_session(path)
     signal.signal(signal.SIGTERM, interrupt)
     server = guarded_server.open_server(options.address, options.port)
     try:

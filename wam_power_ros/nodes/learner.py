@@ -18,35 +18,28 @@ import math
 import signal
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path as FilePath
 from types import FrameType
 from typing import Annotated
 
-import numpy as np
 import rclpy
-from pydantic import Field
+from pydantic import Field, model_validator
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
+from typing_extensions import Self
 
 from wam_power_ros.arm_identity import refusal, remark
-from wam_power_ros.bags.reader import noted_arm, read_demonstration
-from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.feasibility import simulate_policy
-from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
-from wam_power_ros.learning.policy import Policy, to_json, with_id
-from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
 from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
+from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params
-from wam_power_ros.params.resources import share
-from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.feedback import RATING_MAX
-from wam_power_ros.practice.practice import Practice, reproduction_of
+from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Event, Record
 from wam_power_ros.practice.settings import SessionSettings, preset
@@ -92,48 +85,17 @@ class LearnerParams(Params):
         ge=1, le=1000, description="rollouts in a row; a person looks after the arm before"
     )
 
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        if len(self.model_joint_names) != len(self.joint_names):
+            raise ValueError(
+                f"model_joint_names {self.model_joint_names} must be as many as joint_names"
+            )
+        return self
+
 
 class SessionFailed(RuntimeError):
     """The session cannot go on; what was acknowledged is on disk."""
-
-
-class SimulatedArm:
-    """The model of the arm that the practice asks (`practice.ArmModel`); it remembers verdicts."""
-
-    def __init__(
-        self, params: LearnerParams, report: Callable[[str], object] = lambda text: None
-    ) -> None:
-        """Read the parameters of arm and controller; `report` receives a line per simulation.
-
-        Raises:
-            ValueError: A parameter is not acceptable.
-        """
-        if len(params.model_joint_names) != len(params.joint_names):
-            raise ValueError(
-                f"model_joint_names {params.model_joint_names} must be as many as joint_names"
-            )
-        urdf = share(params.urdf).read_text()
-        self.kinematics = Arm(urdf, params.model_joint_names, params.tool_frame)
-        self.identity = self.kinematics.identity()
-        own, *over = (share(file) for file in params.controller)
-        controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
-        self._controller = controller_params.controller(urdf)
-        self.obstacle = controller_params.obstacle
-        self._report = report
-        self._verdicts: dict[str, Fault | None] = {}  # movement -> fault that ends it
-
-    def infeasible(self, policy: Policy) -> Fault | None:
-        """Fault in which the simulated execution of a policy ends, None when there is none."""
-        movement = to_json(with_id(policy, "movement"))
-        if movement not in self._verdicts:
-            simulated = simulate_policy(self._controller.arm, self._controller.settings, policy)
-            self._report(f"{policy.id} simulated: {simulated}")
-            self._verdicts[movement] = simulated.fault
-        return self._verdicts[movement]
-
-    def tool_position(self, q: np.ndarray) -> np.ndarray:
-        """Position of the tool at joint angles q [m]. Shape (3,)."""
-        return self.kinematics.tool_pose(q)[0]
 
 
 class Learner(Node):
@@ -142,7 +104,10 @@ class Learner(Node):
     def __init__(self) -> None:
         super().__init__("learner", automatically_declare_parameters_from_overrides=True)
         self.params = LearnerParams.of(self)
-        self._arm = SimulatedArm(self.params, self.get_logger().info)
+        params, log = self.params, self.get_logger()
+        self._arm = SimulatedArm(
+            params.urdf, params.model_joint_names, params.tool_frame, params.controller, log.info
+        )
         self._session: Session | None = None
         self._practice: Practice | None = None
         self._paused = False
@@ -156,9 +121,10 @@ class Learner(Node):
             (SetBool, interface.LEARNER_PAUSE, self._on_pause),
         ):
             self.create_service(kind, name, answer)
-        task = self._task_type()
-        self._rollouts = RolloutClient(self, executor_for(self), self.params, task.body)
-        self._markers = Markers(self, task.body, self._arm.obstacle)
+        self._kind = self._task_type()
+        self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
+        self._rollouts = RolloutClient(self, executor_for(self), params, self._kind.body)
+        self._markers = Markers(self, self._kind.body, self._arm.obstacle)
 
     # A person's part
 
@@ -208,7 +174,8 @@ class Learner(Node):
         number = len(taken) + 1
         while f"demonstration-{number}" in taken:
             number += 1
-        policy = self._fit([self._demonstration(bag)], bag, f"demonstration-{number}")
+        read = self._demonstrations.read(bag)
+        policy = self._demonstrations.fit([read], bag, f"demonstration-{number}")
         return practice.add_demonstration(policy, bag, clock={"at": time.time()})
 
     # A session
@@ -271,10 +238,9 @@ class Learner(Node):
             self._check_arm(session)
         else:
             settings = self._settings()
-            bags, demonstrations, candidates = self._fit_all(settings)
-            context = plugins.task_type(settings.task).context_of(
-                demonstrations, self._arm.obstacle
-            )
+            named = list(filter(None, params.demonstrations))
+            bags, demonstrations, candidates = self._demonstrations.candidates(settings, named)
+            context = self._kind.context_of(demonstrations, self._arm.obstacle)
             session = Session.begin(
                 folder,
                 settings,
@@ -296,84 +262,6 @@ class Learner(Node):
                 raise SessionFailed(f"{session.folder}: policy {policy.id} {why}")
             if said := remark(policy.arm, self._arm.identity):
                 self.get_logger().info(f"{session.folder}: policy {policy.id} {said}")
-
-    def _fit_all(
-        self, settings: SessionSettings
-    ) -> tuple[list[str], list[Demonstration], list[Policy]]:
-        """Usable bags, their demonstrations, and the policies that are fitted to them.
-
-        Raises:
-            SessionFailed: Nothing can be learnt from any of them.
-        """
-        bags = list(filter(None, self.params.demonstrations))
-        if not bags:
-            raise SessionFailed("a new session needs demonstrations: name at least one bag")
-        together = plugins.task_type(settings.task).together
-        read: dict[int, Demonstration] = {}
-        candidates: dict[tuple[int, ...], Policy] = {}
-        refused = []
-
-        def leave_out(which: str, error: ValueError) -> None:
-            refused.append(str(error))
-            self.get_logger().warning(f"{which} left out: {error}")
-
-        for number, bag in enumerate(bags, start=1):
-            try:
-                read[number] = self._demonstration(bag)
-            except ValueError as error:
-                leave_out(f"demonstration {number}", error)
-        for group in [tuple(read)] if together and read else [(number,) for number in read]:
-            named = ", ".join(bags[number - 1] for number in group)
-            try:
-                movements = [read[number] for number in group]
-                candidates[group] = self._candidate(settings, movements, named, group[0])
-            except ValueError as error:
-                leave_out(f"demonstration {', '.join(map(str, group))}", error)
-        if not candidates:
-            raise SessionFailed(
-                f"nothing can be learnt from any of {len(bags)} demonstrations "
-                f"({'; '.join(refused)}). Teach others in a new session, or name other bags: "
-                "wam-power learn --session ... --bags ..."
-            )
-        used = [number for group in candidates for number in group]
-        return (
-            [bags[number - 1] for number in used],
-            [read[number] for number in used],
-            list(candidates.values()),
-        )
-
-    def _candidate(
-        self, settings: SessionSettings, group: list[Demonstration], bags: str, number: int
-    ) -> Policy:
-        """Policy of some demonstrations whose reproduction is feasible.
-
-        Raises:
-            ValueError: There is none; names the bags and the reason.
-        """
-        policy = self._fit(group, bags, f"demonstration-{number}")
-        kind = plugins.task_type(settings.task)
-        task = settings.make_task(kind.context_of(group, self._arm.obstacle))
-        if fault := self._arm.infeasible(reproduction_of(policy, task)):
-            raise ValueError(f"{bags}: would end in a fault: {fault.text}")
-        return policy
-
-    def _demonstration(self, bag: str) -> Demonstration:
-        """Movement in a bag; ValueError names the bag and the reason why there is none."""
-        try:
-            ours = self._arm.identity
-            stamps_ns, q = read_demonstration(FilePath(bag), self.params.joint_names, arm=ours)
-            if said := remark(noted_arm(FilePath(bag)), ours):
-                self.get_logger().info(f"{bag} {said}")
-            return from_joint_samples(self._arm.kinematics, stamps_ns, q)
-        except (ValueError, OSError) as error:
-            raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
-
-    def _fit(self, demonstrations: list[Demonstration], bag: str, policy_id: str) -> Policy:
-        try:
-            policy = self._task_type().policy_of(demonstrations, policy_id)
-            return replace(policy, arm=self._arm.identity)
-        except ValueError as error:
-            raise ValueError(f"{bag}: {error}") from error
 
     def _perform(self, practice: Practice, trial: Trial) -> Record:
         """Execute one trial and learn from it."""

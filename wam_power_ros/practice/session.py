@@ -17,108 +17,29 @@ Kill anything at any moment: `Session.open(folder).practice(arm)` goes on bit-id
 
 from __future__ import annotations
 
-import fcntl
-import hashlib
 import json
 import logging
 import os
-import platform
-import re
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
-from typing import Any, Literal
-
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from typing import Any
 
 from wam_power_ros import durable_files
 from wam_power_ros.learning import policy as policy_module
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.practice.log_file import LogFile, read_lines
 from wam_power_ros.practice.practice import ArmModel, Practice, check_candidates
-from wam_power_ros.practice.session_log import (
-    Line,
-    NewDemonstration,
-    Rating,
-    Record,
-    line_of,
-    with_ratings,
+from wam_power_ros.practice.session_files import (
+    SessionError,
+    SessionHeader,
+    lock,
+    read_head,
+    versions,
+    write_header,
 )
+from wam_power_ros.practice.session_log import Line, NewDemonstration, Record, with_ratings
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
-
-_PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
-ACKNOWLEDGED = "acknowledged.json"
-RESTORE = "Restore it from a backup; nothing was changed."
-_LINE_MAX = 1_000_000  # bytes of a record, far more than any has
-
-_log = logging.getLogger(__name__)
-
-
-class SessionError(ValueError):
-    """A session folder that cannot be used, and why."""
-
-
-class _Acknowledged(BaseModel):
-    """Contents of acknowledged.json.
-
-    Attributes:
-        rollouts: Number of rollouts in the log.
-        bytes: Size of the log [byte].
-        sha256: Digest of the log, hexadecimal.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    rollouts: int = Field(ge=0)
-    bytes: int = Field(ge=0)
-    sha256: str = Field(pattern="^[0-9a-f]{64}$")
-
-
-class SessionHeader(BaseModel):
-    """Contents of session.yaml.
-
-    Attributes:
-        schema_: Version of this layout ("schema" in YAML).
-        seed: Seed of the exploration (and of the stand-in, where there is one).
-        settings: Settings of practice, task and learner.
-        candidates: Ids of the candidate policies, in their order.
-        demonstrations: Bags they were fitted to, as given.
-        versions: Versions of the software that began it, see `versions`.
-        resumed: Other versions that it was resumed with, one entry a change, oldest first.
-        clock: Wall-clock figures, such as when it began.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
-
-    schema_: Literal["wam_power_ros/session/2"] = Field(
-        default="wam_power_ros/session/2", alias="schema"
-    )
-    seed: int = Field(ge=0)
-    settings: SessionSettings
-    candidates: list[str] = Field(min_length=1)
-    demonstrations: list[str]
-    versions: dict[str, str]
-    resumed: list[dict[str, str]] = Field(default_factory=list)
-    clock: dict[str, Any]
-
-    @field_validator("candidates")
-    @classmethod
-    def _are_ids(cls, candidates: list[str]) -> list[str]:
-        for id in candidates:
-            policy_module.check_id(id)  # they become file names
-        return candidates
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python, this package and what it computes with; what is missing is left out."""
-    found = {"python": platform.python_version()}
-    for name in ("wam_power_ros", *_PACKAGES):
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
 
 
 class Session:
@@ -132,18 +53,14 @@ class Session:
         bags: Folder for the recordings.
     """
 
-    def __init__(self, folder: Path, lock: int) -> None:
+    def __init__(self, folder: Path, held: int) -> None:
         """Use `begin` or `open`."""
         self.folder = folder
         self.bags = folder / "bags"
-        self._lock = lock
-        self.header, self.candidates, self.context = _read_head(folder)
-        self._log, data = _read_log(folder)
-        self._size, self._digest = len(data), hashlib.sha256(data)
-        self._file = self._open_log()
+        self._lock: int | None = held
+        self.header, self.candidates, self.context = read_head(folder)
+        self._log = LogFile(folder)
         self._compare_versions()
-        if self._log and _acknowledged(folder) != self._to_acknowledge():
-            self._acknowledge()  # of a session that was killed before it could, or has none
 
     @staticmethod
     def exists(folder: Path | str) -> bool:
@@ -157,7 +74,7 @@ class Session:
         Raises:
             SessionError: No session, or a malformed one.
         """
-        return _read_head(Path(folder))[0].settings.task
+        return read_head(Path(folder))[0].settings.task
 
     @classmethod
     def begin(
@@ -190,7 +107,7 @@ class Session:
         folder = Path(folder)
         new = [folder, *(parent for parent in folder.parents if not parent.exists())]
         folder.mkdir(parents=True, exist_ok=True)
-        lock = _lock(folder)
+        held = lock(folder)
         try:
             if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
                 raise SessionError(f"{folder} holds a session already; open it, or name another")
@@ -208,12 +125,12 @@ class Session:
                 path = folder / "candidates" / f"{policy.id}.json"
                 durable_files.replace(path, policy_module.to_json(policy))
             durable_files.replace(folder / "task.json", json.dumps(dict(context or {})) + "\n")
-            _write_header(folder, header)
+            write_header(folder, header)
             for each in new:
                 durable_files.sync(each.parent)
-            return cls(folder, lock)
+            return cls(folder, held)
         except BaseException:
-            os.close(lock)
+            os.close(held)
             raise
 
     @classmethod
@@ -229,11 +146,11 @@ class Session:
         folder = Path(folder)
         if not cls.exists(folder):
             raise SessionError(f"{folder} holds no session: there is no session.yaml")
-        lock = _lock(folder)
+        held = lock(folder)
         try:
-            return cls(folder, lock)
+            return cls(folder, held)
         except BaseException:
-            os.close(lock)
+            os.close(held)
             raise
 
     @property
@@ -249,12 +166,12 @@ class Session:
     @property
     def log(self) -> tuple[Line, ...]:
         """All lines on disk, oldest first."""
-        return tuple(self._log)
+        return tuple(self._log.lines)
 
     @property
     def records(self) -> tuple[Record, ...]:
         """The rollouts on disk, oldest first, with their ratings."""
-        return with_ratings(self._log)
+        return with_ratings(self._log.lines)
 
     def practice(self, arm: ArmModel) -> Practice:
         """The practice as it was after the last line on disk.
@@ -267,35 +184,14 @@ class Session:
         """
         try:
             return Practice.of(
-                self.settings, self.context, self.candidates, self.seed, arm, self._log
+                self.settings, self.context, self.candidates, self.seed, arm, self._log.lines
             )
         except ValueError as error:
             raise SessionError(f"{self.folder / 'rollouts.jsonl'}: {error}") from error
 
     def append(self, entry: Line) -> None:
-        """Put a rollout, or what a person did, on disk; when this returns, it is there to stay.
-
-        Raises:
-            SessionError: Not the next rollout, or something that takes effect at another time.
-            OSError: It could not be written; the log is as it was, as far as the disk allows.
-        """
-        if self._file is None:
-            raise SessionError(f"{self.folder} is closed")
-        if why := _out_of_place(entry, self._count):
-            raise SessionError(f"{why} in {self.folder}")
-        line = (entry.to_json() + "\n").encode()
-        if len(line) > _LINE_MAX:
-            raise SessionError(f"a line of {len(line)} bytes, over {_LINE_MAX}")
-        try:
-            _write_all(self._file, line)
-            os.fsync(self._file)
-        except OSError:
-            os.ftruncate(self._file, self._size)
-            raise
-        self._size += len(line)
-        self._digest.update(line)
+        """Put a rollout, or what a person did, on disk; see `LogFile.append`."""
         self._log.append(entry)
-        self._acknowledge()
 
     def save_policy(self, policy: Policy) -> None:
         """Replace policy.json, atomically: a reader sees the old or the new one, never a part."""
@@ -303,32 +199,16 @@ class Session:
 
     def close(self) -> None:
         """Release the folder. Closing twice is fine."""
-        if self._file is not None:
-            os.close(self._file)
+        self._log.close()
+        if self._lock is not None:
             os.close(self._lock)
-            self._file = None
+            self._lock = None
 
     def __enter__(self) -> Session:
         return self
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-    @property
-    def _count(self) -> int:
-        return sum(isinstance(line, Record) for line in self._log)
-
-    def _to_acknowledge(self) -> _Acknowledged:
-        digest = self._digest.hexdigest()
-        return _Acknowledged(rollouts=self._count, bytes=self._size, sha256=digest)
-
-    def _acknowledge(self) -> None:
-        """Note what the log holds, so that its loss is seen; the log itself is on disk already."""
-        path = self.folder / ACKNOWLEDGED
-        try:
-            durable_files.replace(path, self._to_acknowledge().model_dump_json() + "\n")
-        except OSError as error:
-            _log.warning("%s could not be written: %s", path, error)
 
     def _compare_versions(self) -> None:
         """Warn of other versions than those the session began with, and record them."""
@@ -339,7 +219,7 @@ class Session:
             if begun.get(name) != now.get(name)
         ]
         if changed:
-            _log.warning(
+            logging.getLogger(__name__).warning(
                 "%s was begun with other versions: %s. Its next policies may differ from those it "
                 "would have had",
                 self.folder,
@@ -348,24 +228,7 @@ class Session:
         if now != [begun, *self.header.resumed][-1]:
             resumed = [*self.header.resumed, now]
             self.header = self.header.model_copy(update={"resumed": resumed})
-            _write_header(self.folder, self.header)
-
-    def _open_log(self) -> int | None:
-        path = self.folder / "rollouts.jsonl"
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
-        torn = os.fstat(file).st_size - self._size
-        if torn:
-            _log.warning(
-                "%s: cut off %d bytes after line %d: a rollout was being written when the "
-                "session ended; it was never acknowledged and is run again",
-                path,
-                torn,
-                len(self._log),
-            )
-            os.ftruncate(file, self._size)
-        os.fsync(file)
-        durable_files.sync(self.folder)
-        return file
+            write_header(self.folder, self.header)
 
 
 def read_task(folder: Path | str) -> Task:
@@ -374,7 +237,7 @@ def read_task(folder: Path | str) -> Task:
     Raises:
         SessionError: As `read`, or its task or context is not acceptable.
     """
-    header, _, context = _read_head(Path(folder))
+    header, _, context = read_head(Path(folder))
     try:
         return header.settings.make_task(context)
     except (ValueError, KeyError) as error:
@@ -405,142 +268,5 @@ def read_log(folder: Path | str) -> tuple[Line, ...]:
 
 
 def _read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], list[Line]]:
-    folder = Path(folder)
-    if not Session.exists(folder):
-        raise SessionError(f"{folder} holds no session: there is no session.yaml")
-    header, candidates, _ = _read_head(folder)
-    log, _ = _read_log(folder)
-    return header, candidates, log
-
-
-def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str, Any]]:
-    path = folder / "session.yaml"
-    for needed in (path, folder / "task.json"):
-        _check_regular(needed)
-    try:
-        header = SessionHeader.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except (ValidationError, yaml.YAMLError, UnicodeDecodeError) as error:
-        raise SessionError(f"{path}: {_brief(error)}") from error
-    candidates = []
-    for id in header.candidates:
-        path = folder / "candidates" / f"{id}.json"
-        _check_regular(path)
-        try:
-            candidate = policy_module.from_json(path.read_text(encoding="utf-8"))
-        except (ValueError, OSError) as error:
-            raise SessionError(f"{path}: {error}") from error
-        if candidate.id != id:
-            raise SessionError(f"{path}: holds policy {candidate.id!r}, expected {id!r}")
-        candidates.append(candidate)
-    path = folder / "task.json"
-    try:
-        context = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError) as error:
-        raise SessionError(f"{path}: {_brief(error)}") from error
-    return header, tuple(candidates), context
-
-
-def _write_header(folder: Path, header: SessionHeader) -> None:
-    text = yaml.safe_dump(header.model_dump(mode="json", by_alias=True), sort_keys=False)
-    durable_files.replace(folder / "session.yaml", text)
-
-
-def _check_regular(path: Path) -> None:
-    try:
-        durable_files.check_regular(path)
-    except ValueError as error:
-        raise SessionError(str(error)) from None
-
-
-def _read_log(folder: Path) -> tuple[list[Line], bytes]:
-    """Complete lines of a log, and their bytes; they are at least what was acknowledged."""
-    path = folder / "rollouts.jsonl"
-    noted = _acknowledged(folder)  # first: a learner may be writing
-    data = b""
-    if path.is_symlink() or path.exists():
-        _check_regular(path)
-        data = path.read_bytes()
-    # A line without its end was never acknowledged, whatever is in it.
-    size = data.rfind(b"\n") + 1
-    log: list[Line] = []
-    count = 0
-    for number, text in enumerate(data[:size].split(b"\n")[:-1], start=1):
-        try:
-            line = line_of(text.decode())
-        except ValueError as error:
-            raise SessionError(f"{path}, line {number}: {_brief(error)}") from error
-        if why := _out_of_place(line, count):
-            raise SessionError(f"{path}, line {number}: {why}")
-        count += isinstance(line, Record)
-        log.append(line)
-    if noted is not None and (
-        len(data) < noted.bytes or hashlib.sha256(data[: noted.bytes]).hexdigest() != noted.sha256
-    ):
-        there = f"has {len(data)} bytes" if len(data) < noted.bytes else "has other contents"
-        raise SessionError(
-            f"{path} {there if path.exists() else 'is missing'}: {noted.rollouts} rollouts in "
-            f"{noted.bytes} bytes were acknowledged, and some of them are lost. {RESTORE} To go on "
-            f"with what is left, delete {folder / ACKNOWLEDGED}"
-        )
-    if len(data) - size > _LINE_MAX:
-        raise SessionError(f"{path}: {len(data) - size} bytes after line {len(log)} are no rollout")
-    if not count and noted is None and (folder / "policy.json").exists():
-        raise SessionError(
-            f"{path} has no rollout, but {folder / 'policy.json'} is the best of some: they are "
-            f"lost. {RESTORE} To begin again with the same demonstrations, delete policy.json"
-        )
-    return log, data[:size]
-
-
-def _acknowledged(folder: Path) -> _Acknowledged | None:
-    """What was acknowledged last; None for a session without a rollout, or of earlier versions."""
-    path = folder / ACKNOWLEDGED
-    if not (path.is_symlink() or path.exists()):
-        return None
-    _check_regular(path)
-    try:
-        return _Acknowledged.model_validate_json(path.read_bytes())
-    except ValidationError as error:
-        raise SessionError(f"{path}: {_brief(error)}") from None
-
-
-def _out_of_place(line: Line, count: int) -> str:
-    """Why a line cannot come after `count` rollouts, empty if it can."""
-    if isinstance(line, Record):
-        wrong = line.number != count + 1
-        return f"rollout {line.number} cannot follow {count}" if wrong else ""
-    if isinstance(line, Rating) and line.rollout > count:
-        return f"rollout {line.rollout} is rated before it is on record"
-    if line.after in (count, count + 1):
-        return ""
-    return f"what takes effect after rollout {line.after} cannot follow {count}"
-
-
-def _brief(error: Exception) -> str:
-    """First thing wrong, in one line."""
-    if isinstance(error, ValidationError):
-        first, *others = error.errors()
-        where = ".".join(str(part) for part in first["loc"]) or "file"
-        more = f" (and {len(others)} more)" if others else ""
-        rule = first["msg"].removeprefix("Value error, ")
-        return f"{where}: {rule}, got {str(first['input'])[:80]}{more}"
-    if isinstance(error, json.JSONDecodeError):
-        return f"not JSON: {error}"
-    return re.sub(r"\s+", " ", str(error))
-
-
-def _lock(folder: Path) -> int:
-    """Descriptor that holds the folder until it is closed, by whatever ends the process."""
-    file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        os.close(file)
-        raise SessionError(f"{folder} is being written by another learner") from error
-    return file
-
-
-def _write_all(file: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(file, view) :]
+    header, candidates, _ = read_head(Path(folder))
+    return header, candidates, read_lines(Path(folder))[0]

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bags become candidates where they can be read, fitted and executed; the rest is named."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.nodes.demonstrations import Demonstrations
+from wam_power_ros.nodes.learner import LearnerParams
+from wam_power_ros.nodes.simulated_arm import SimulatedArm
+from wam_power_ros.practice import plugins
+from wam_power_ros.practice.settings import preset
+
+PARAMS = LearnerParams.of_file(ROOT / "config/learner.yaml", "learner")
+BAG = str(min((ROOT / "bags").glob("demo_*")))
+SETTINGS = preset("flip")
+
+
+@pytest.fixture(scope="module")
+def arm() -> SimulatedArm:
+    return SimulatedArm(
+        PARAMS.urdf, PARAMS.model_joint_names, PARAMS.tool_frame, PARAMS.controller, str
+    )
+
+
+@pytest.fixture
+def demonstrations(arm: SimulatedArm) -> Demonstrations:
+    return Demonstrations(
+        plugins.task_type("flip"), arm, PARAMS.joint_names, logging.getLogger("test")
+    )
+
+
+def test_what_cannot_be_read_is_left_out_and_the_others_keep_their_numbers(
+    demonstrations: Demonstrations, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    nothing = str(tmp_path / "nothing")
+    bags, read, candidates = demonstrations.candidates(SETTINGS, [nothing, BAG])
+    assert bags == [BAG]
+    assert len(read) == 1
+    assert [policy.id for policy in candidates] == ["demonstration-2"]
+    assert [record.getMessage() for record in caplog.records if nothing in record.getMessage()]
+
+
+@pytest.mark.parametrize("bags", [[], ["nothing"]])
+def test_a_session_without_a_usable_bag_is_refused(
+    demonstrations: Demonstrations, bags: list[str]
+) -> None:
+    with pytest.raises(ValueError, match=bags[0] if bags else "at least one bag"):
+        demonstrations.candidates(SETTINGS, bags)
+
+
+def test_a_demonstration_whose_reproduction_ends_in_a_fault_is_no_candidate(
+    demonstrations: Demonstrations, arm: SimulatedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def infeasible(policy: Policy) -> Fault:
+        return Fault(FaultKind.JOINT_SPEED, f"{policy.id} is too fast")
+
+    monkeypatch.setattr(arm, "infeasible", infeasible)
+    with pytest.raises(ValueError, match="too fast"):
+        demonstrations.candidates(SETTINGS, [BAG])
+
+
+def test_a_movement_is_simulated_once_whatever_its_id(
+    demonstrations: Demonstrations, monkeypatch: pytest.MonkeyPatch, arm: SimulatedArm
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(arm, "_report", said.append)
+    monkeypatch.setattr(arm, "_verdicts", {})
+    for number in (1, 2):
+        policy = demonstrations.fit([demonstrations.read(BAG)], BAG, f"demonstration-{number}")
+        arm.infeasible(policy)
+    assert len(said) == 1

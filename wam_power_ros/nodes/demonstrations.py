@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From bags to policies: what is read of a demonstration, fitted to it and feasible."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from logging import Logger
+from pathlib import Path
+
+from wam_power_ros.arm_identity import remark
+from wam_power_ros.bags.reader import noted_arm, read_demonstration
+from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.nodes.simulated_arm import SimulatedArm
+from wam_power_ros.practice.practice import reproduction_of
+from wam_power_ros.practice.settings import SessionSettings
+from wam_power_ros.tasks.task import Task
+
+
+class Demonstrations:
+    """Reads the demonstrations of one task by one arm, and fits policies to them."""
+
+    def __init__(
+        self, kind: type[Task], arm: SimulatedArm, joint_names: Sequence[str], log: Logger
+    ) -> None:
+        """Fit for a task and an arm.
+
+        Args:
+            kind: Class of the task.
+            arm: Model that tells which policies are feasible.
+            joint_names: Names of the joints in the bags.
+            log: Receives what is remarked and left out.
+        """
+        self._kind, self._arm, self._joint_names, self._log = kind, arm, joint_names, log
+
+    def candidates(
+        self, settings: SessionSettings, bags: Sequence[str]
+    ) -> tuple[list[str], list[Demonstration], list[Policy]]:
+        """Usable bags, their demonstrations, and the policies that are fitted to them.
+
+        Args:
+            settings: Settings of the session.
+            bags: Bags that were named.
+
+        Raises:
+            ValueError: Nothing can be learnt from any of them.
+        """
+        if not bags:
+            raise ValueError("a new session needs demonstrations: name at least one bag")
+        read: dict[int, Demonstration] = {}
+        candidates: dict[tuple[int, ...], Policy] = {}
+        refused = []
+
+        def leave_out(which: str, error: ValueError) -> None:
+            refused.append(str(error))
+            self._log.warning(f"{which} left out: {error}")
+
+        for number, bag in enumerate(bags, start=1):
+            try:
+                read[number] = self.read(bag)
+            except ValueError as error:
+                leave_out(f"demonstration {number}", error)
+        groups = [tuple(read)] if self._kind.together and read else [(each,) for each in read]
+        for group in groups:
+            named = ", ".join(bags[number - 1] for number in group)
+            try:
+                movements = [read[number] for number in group]
+                candidates[group] = self._candidate(settings, movements, named, group[0])
+            except ValueError as error:
+                leave_out(f"demonstration {', '.join(map(str, group))}", error)
+        if not candidates:
+            raise ValueError(
+                f"nothing can be learnt from any of {len(bags)} demonstrations "
+                f"({'; '.join(refused)}). Teach others in a new session, or name other bags: "
+                "wam-power learn --session ... --bags ..."
+            )
+        used = [number for group in candidates for number in group]
+        return (
+            [bags[number - 1] for number in used],
+            [read[number] for number in used],
+            list(candidates.values()),
+        )
+
+    def _candidate(
+        self, settings: SessionSettings, group: list[Demonstration], bags: str, number: int
+    ) -> Policy:
+        """Policy of some demonstrations whose reproduction is feasible.
+
+        Raises:
+            ValueError: There is none; names the bags and the reason.
+        """
+        policy = self.fit(group, bags, f"demonstration-{number}")
+        task = settings.make_task(self._kind.context_of(group, self._arm.obstacle))
+        if fault := self._arm.infeasible(reproduction_of(policy, task)):
+            raise ValueError(f"{bags}: would end in a fault: {fault.text}")
+        return policy
+
+    def read(self, bag: str) -> Demonstration:
+        """Movement in a bag; ValueError names the bag and the reason why there is none."""
+        try:
+            ours = self._arm.identity
+            stamps_ns, q = read_demonstration(Path(bag), self._joint_names, arm=ours)
+            if said := remark(noted_arm(Path(bag)), ours):
+                self._log.info(f"{bag} {said}")
+            return from_joint_samples(self._arm.kinematics, stamps_ns, q)
+        except (ValueError, OSError) as error:
+            raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
+
+    def fit(self, demonstrations: list[Demonstration], bag: str, policy_id: str) -> Policy:
+        """Policy of demonstrations; ValueError names the bags and the reason why there is none."""
+        try:
+            policy = self._kind.policy_of(demonstrations, policy_id)
+            return replace(policy, arm=self._arm.identity)
+        except ValueError as error:
+            raise ValueError(f"{bag}: {error}") from error

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The arm as a session simulates it before a policy is sent: model, controller, its limits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.feasibility import simulate_policy
+from wam_power_ros.learning.policy import Policy, to_json, with_id
+from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.params.resources import share
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+
+
+class SimulatedArm:
+    """The model of the arm that the practice asks (`practice.ArmModel`); it remembers verdicts."""
+
+    def __init__(
+        self,
+        urdf: str,
+        joint_names: Sequence[str],
+        tool_frame: str,
+        controller: Sequence[str],
+        report: Callable[[str], object],
+    ) -> None:
+        """Read the arm and the parameters of its controller.
+
+        Args:
+            urdf: Path of the URDF, or a file of our share folder.
+            joint_names: Names of the joints in the URDF.
+            tool_frame: Frame of the tool in the URDF.
+            controller: Files of the controller's parameters, later ones over earlier ones.
+            report: Receives a line per simulation.
+
+        Raises:
+            ValueError: A parameter is not acceptable.
+        """
+        urdf = share(urdf).read_text()
+        self.kinematics = Arm(urdf, joint_names, tool_frame)
+        self.identity = self.kinematics.identity()
+        own, *over = (share(file) for file in controller)
+        controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
+        self._controller = controller_params.controller(urdf)
+        self.obstacle = controller_params.obstacle
+        self._report = report
+        self._verdicts: dict[str, Fault | None] = {}  # movement -> fault that ends it
+
+    def infeasible(self, policy: Policy) -> Fault | None:
+        """Fault in which the simulated execution of a policy ends, None when there is none."""
+        movement = to_json(with_id(policy, "movement"))
+        if movement not in self._verdicts:
+            simulated = simulate_policy(self._controller.arm, self._controller.settings, policy)
+            self._report(f"{policy.id} simulated: {simulated}")
+            self._verdicts[movement] = simulated.fault
+        return self._verdicts[movement]
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Position of the tool at joint angles q [m]. Shape (3,)."""
+        return self.kinematics.tool_pose(q)[0]
