@@ -13,7 +13,7 @@ from wam_power_ros.bags.reader import noted_arm, read_demonstration
 from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
-from wam_power_ros.practice.practice import reproduction_of
+from wam_power_ros.practice.course import reproduction_of
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
 

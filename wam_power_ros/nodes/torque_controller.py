@@ -36,6 +36,7 @@ from wam_power_ros.control.modes import MOVING, ControllerError, Mode
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.nodes.motion_requests import MotionRequests, attempt, fill
 from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -47,14 +48,11 @@ from wam_power_ros.ros import (
     scheduling,
     security,
 )
-from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.command_guard import SoleCommander
-from wam_power_ros.ros.deferred_service import LateTrigger
 from wam_power_ros.ros.diagnostics import FAULT_KIND, component
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-NOT_ACTIVE = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
 FRESH_NS = 1_000_000_000  # [ns] age of a joint state with which the arm may be activated
 VELOCITY_NS = 10_000_000  # [ns] age of a velocity of its own topic that is used
 REST_WITHIN = 0.5  # [s] in which the arm is brought to rest when this node ends
@@ -77,8 +75,6 @@ class TorqueController(LifecycleNode):
         self._active = False
         self._refused: Counter[str] = Counter()
         self._last_refusal, self._refused_lately = "", False  # for the diagnostics
-        self._movement: Sampled | ControllerError | None = None  # to be replayed, or why not
-        self._moved_for = ""  # policy to whose start the arm was sent last
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
         self._latched: Fault | None = None  # in a controller that was cleaned up
@@ -119,10 +115,9 @@ class TorqueController(LifecycleNode):
         serve(Trigger, interface.RESET, self._answering(lambda core, _: core.reset()))
         switch = self._answering(lambda core, asked: core.set_gravity_compensation(asked.data))
         serve(SetBool, interface.GRAVITY_COMPENSATION, switch)
-        self._under_way: list[LateTrigger] = []  # those whose movement has begun
-        self._execute = self._serve_in_order(interface.EXECUTE, self._begin_rollout)
-        self._move = self._serve_in_order(interface.MOVE_TO_START, self._begin_move)
-        self._replay = self._serve_in_order(interface.REPLAY, self._begin_replay)
+        self._requests = MotionRequests(
+            self, params.joint_names, self._commanded, self._preparation.when_read
+        )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._look_after, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
@@ -175,7 +170,7 @@ class TorqueController(LifecycleNode):
         """Forget the arm and the policy; a fault stays latched."""
         self._latched = None if self._controller is None else self._controller.latched
         self._controller = None
-        self._movement = None
+        self._requests.movement = None
         self._preparation.configure(None, ())
         self._await_description()
         return SUCCESS
@@ -206,10 +201,9 @@ class TorqueController(LifecycleNode):
         self._send(core.stale_torque(), "inactive")
         self._active = False
         self._controller.deactivate()
-        self._answer_moves()
+        self._requests.answer(core)
         self._preparation.forget_requests()
-        for service in (self._execute, self._move, self._replay):
-            service.finish(False, str(NOT_ACTIVE))
+        self._requests.refuse()
 
     def _answer_next(self) -> None:
         """Answer the next state without an executor, or do without one."""
@@ -291,8 +285,7 @@ class TorqueController(LifecycleNode):
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
             self._preparation.publish_path(path, start_ns, self._frame, controller.latched)
-        if self._under_way:
-            self._answer_moves()
+        self._requests.answer(controller)
         return None
 
     def _on_enable(self, message: Bool) -> None:
@@ -360,7 +353,7 @@ class TorqueController(LifecycleNode):
             self._refuse("policy", error)
 
     def _on_movement(self, movement: Sampled | ControllerError) -> None:
-        self._movement = movement
+        self._requests.movement = movement
 
     def _await_description(self) -> None:
         if not self._params.urdf:
@@ -371,102 +364,22 @@ class TorqueController(LifecycleNode):
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
 
+    def _commanded(self) -> Controller | None:
+        """The controller while it is active."""
+        return self._controller if self._active else None
+
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._preparation.forget_requests()
-        replayed = self._replay in self._under_way
-        for service in (self._execute, self._move, self._replay):
-            summary = self._replay_summary() if replayed and service is self._replay else ""
-            text = f"stopped\n{summary}".rstrip()
-            service.finish(False, str(Answer(Code.STOPPED, text)))
-        self._under_way.clear()
-        return _fill(response, self._try(Controller.stop))
+        self._requests.stop(self._controller)
+        return fill(response, attempt(self._commanded(), Controller.stop))
 
     def _answering(
         self, request: Callable[[Controller, Any], None]
     ) -> Callable[[Any, Trigger.Response], Trigger.Response]:
         """Service callback that makes a request to the controller."""
-        return lambda asked, response: _fill(response, self._try(lambda c: request(c, asked)))
-
-    def _try(self, request: Callable[[Controller], None]) -> Answer:
-        """Answer to a request: the id of the loaded policy, or why it was refused."""
-        if not self._active:
-            return NOT_ACTIVE
-        try:
-            request(self._controller)
-        except ControllerError as error:
-            return Answer(Code(error.refusal.value), str(error), error.values)
-        return _done(self._controller.policy_id)
-
-    def _serve_in_order(self, name: str, begin: Callable[[], Answer | None]) -> LateTrigger:
-        """Service whose request is made once the policies and movements before it have been read.
-
-        Args:
-            name: Name of the service.
-            begin: Makes the request; returns the answer, or None when `_answer_moves` will answer.
-        """
-
-        def called() -> str | None:
-            if not self._active:
-                return str(NOT_ACTIVE)
-            if service.pending:
-                return str(Answer(Code.BUSY, "refused: the request before it is under way"))
-            self._preparation.when_read(ready)
-            return None
-
-        def ready(unread: str | None) -> None:
-            answer = begin() if unread is None else Answer(Code.BUSY, f"refused: {unread}")
-            if answer is None:
-                self._under_way.append(service)
-            else:
-                service.finish(answer.success, str(answer))
-
-        service = LateTrigger(self, name, called)
-        return service
-
-    def _begin_rollout(self) -> Answer:
-        return self._try(Controller.execute)
-
-    def _begin_move(self) -> Answer | None:
-        answer = self._try(Controller.move_to_start)
-        self._moved_for = answer.values.get("policy", "")
-        return None if answer.success else answer
-
-    def _begin_replay(self) -> Answer | None:
-        movement = self._movement
-        if movement is None:
-            text = f"refused: nothing valid has come on {interface.REPLAY_TRAJECTORY}"
-            return Answer(Code.NOTHING, text)
-
-        def start(core: Controller) -> None:
-            if isinstance(movement, ControllerError):
-                raise movement
-            core.start_sampled(movement)
-
-        answer = self._try(start)
-        return None if answer.success else answer
-
-    def _answer_moves(self) -> None:
-        """Answer the requests for a movement, once the arm rests or the movement was aborted."""
-        core, mode = self._controller, self._controller.mode
-        if mode in (Mode.MOVE_TO_START, Mode.REPLAY) or (mode is Mode.HOLD and not core.at_rest):
-            return
-        if core.latched is not None:
-            failed = Answer(Code.FAULT, f"failed: {core.latched.text}")
-        else:
-            failed = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
-        # Another policy may have come since; its start is near, but nobody has moved there.
-        if self._move in self._under_way:
-            answer = _done(self._moved_for) if core.ready else failed
-            self._move.finish(answer.success, str(answer))
-        if self._replay in self._under_way:
-            answer = Answer(Code.DONE, self._replay_summary()) if mode is Mode.HOLD else failed
-            self._replay.finish(answer.success, str(answer))
-        self._under_way.clear()
-
-    def _replay_summary(self) -> str:
-        """Tracking error of the last replay, as text."""
-        error = None if self._controller is None else self._controller.replay_error
-        return "" if error is None or not error.count else error.text(self._params.joint_names)
+        return lambda asked, response: fill(
+            response, attempt(self._commanded(), lambda core: request(core, asked))
+        )
 
     # Ten times and once a second
 
@@ -510,8 +423,8 @@ class TorqueController(LifecycleNode):
             self._autostart = self.trigger_activate() is not SUCCESS
         if self._active and (intruder := self._guard.intruder()):
             self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
-        if self._under_way:
-            self._answer_moves()
+        if self._active:
+            self._requests.answer(self._controller)
         self._log_changes()
         if self._controller is None or self._controller.mode not in MOVING:
             self._preparation.tend()
@@ -560,15 +473,6 @@ class TorqueController(LifecycleNode):
         self._refused[what] += 1
         self._last_refusal, self._refused_lately = f"{what} refused: {reason}", True
         self._preparation.log("warning", self._last_refusal)
-
-
-def _done(policy_id: str | None) -> Answer:
-    return Answer(Code.DONE, values={"policy": policy_id} if policy_id else {})
-
-
-def _fill(response: Trigger.Response, answer: Answer) -> Trigger.Response:
-    response.success, response.message = answer.success, str(answer)
-    return response
 
 
 def main() -> int:

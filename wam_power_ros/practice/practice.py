@@ -11,7 +11,6 @@ from its arguments and its log, and every line of the log, live or replayed, goe
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -20,10 +19,10 @@ from wam_power_ros.learning.learner import Learner, generator_state
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy, check_id
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.practice.best_policy import Best, choose_best
-from wam_power_ros.practice.choose_demonstration import choose_demonstration
+from wam_power_ros.practice.best_policy import Best
+from wam_power_ros.practice.course import Course, reproduction_of
 from wam_power_ros.practice.feedback import make_demonstration, make_rating
-from wam_power_ros.practice.improvement import ArmModel, Improvement, LearnerFactory
+from wam_power_ros.practice.improvement import ArmModel, LearnerFactory
 from wam_power_ros.practice.session_log import (
     Event,
     Line,
@@ -33,58 +32,21 @@ from wam_power_ros.practice.session_log import (
     plain,
 )
 from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
-from wam_power_ros.practice.trial import Draw, Trial
+from wam_power_ros.practice.trial import Trial, check_record
 from wam_power_ros.tasks.task import Assessment, Task
 
-RECENT = 5  # rollouts whose mean return a demonstration added later has to exceed
 L = TypeVar("L", bound=Line)
-
-
-def reproduction_of(candidate: Policy, task: Task) -> Policy:
-    """The policy that reproduces a demonstration: the candidate at z = 0 of its parametrization."""
-    parametrization = task.parametrization(candidate)
-    return parametrization.policy(np.zeros(parametrization.size), candidate.id)[0]
-
-
-def check_candidates(candidates: Sequence[Policy], settings: PracticeSettings) -> None:
-    """Check what a session begins with.
-
-    Raises:
-        ValueError: No candidates, two of the same id, or a budget that leaves no practice.
-    """
-    ids = [policy.id for policy in candidates]
-    if not ids:
-        raise ValueError("no candidate: a session needs at least one demonstration")
-    if len(set(ids)) != len(ids):
-        raise ValueError(f"candidates must have different ids, got {ids}")
-    if settings.budget <= len(ids):
-        raise ValueError(
-            f"a budget of {settings.budget} rollouts leaves none to practise "
-            f"after {len(ids)} reproductions"
-        )
 
 
 class Practice:
     """A session from its first reproduction to its last re-test.
 
     Call `next_trial`, execute it, call `learn` with its rollout, make the record durable, and so on
-    until `next_trial` has none. The rules:
+    until `next_trial` has none. `Course` has the rules of what is tried next. While it learns:
 
-    * Each candidate is reproduced once; `choose_demonstration` chooses one; the learner is given
-      its reproduction as z = 0.
-    * A rollout without a return says nothing about its policy: it is not learnt from and the same z
-      is tried again, up to `attempts` times, so that a passing failure leaves the course of
-      learning as it would have been. Then it is dropped.
-    * A rollout ended by a limit of motion is learnt from with return 0: the policy caused it.
-    * An infeasible policy is not tried, see `FeasibleSampler`.
-    * A mean that succeeds is run again, unchanged, until it fails or has succeeded `confirm` times
-      in a row; all these runs are learnt from. Returns are noisy and an elite keeps its lucky
-      rollouts for ever; running the mean again separates luck from skill.
-    * The session stops at that, or when the budget is used. Its answer is the confirmed mean or
-      the last one; it is re-tested and not changed any more.
-    * A person may add to the return of any usable rollout until then (`rate`): the learner is given
+    * A person may add to the return of any usable rollout (`rate`): the learner is given
       everything again, with `Record.rated_return`. A punished rollout is no success.
-    * A person may add a demonstration until then (`add_demonstration`). It is reproduced next. If
+    * A person may add a demonstration (`add_demonstration`). It is reproduced next. If
       its return exceeds the mean of the last five rollouts, it is learnt from instead, from the
       beginning and with what is left of the budget; if not, learning goes on as it was. The two
       are not mixed: a weighted mean of different demonstrations smooths out the peaks of
@@ -116,27 +78,15 @@ class Practice:
         Raises:
             ValueError: No candidates, two of the same id, or a budget that leaves no practice.
         """
-        check_candidates(candidates, settings)
         self.settings = settings
         self.task = task
-        self.seed = seed
-        self._make_learner = learner
         self._arm = arm
-        self._candidates = list(candidates)
-        self._parametrizations = {p.id: task.parametrization(p) for p in candidates}
         self._rng = np.random.Generator(np.random.PCG64(seed))
+        self._course = Course(candidates, settings, task, learner, self._rng, arm)
         self._records: list[Record] = []
         self._log: list[Line] = []
         self._waiting: list[Event] = []  # for the end of the trial under way
         self._pending: Trial | None = None
-        self._retry: Draw | None = None
-        self._reproductions: list[int] = []  # numbers of the rollouts, one a candidate
-        self._improvement: Improvement | None = None  # of the chosen demonstration
-        self._choice = ""
-        self._used = 0  # usable rollouts, of the budget
-        self._stopped = ""
-        self._answer: np.ndarray | None = None
-        self._retested = 0
 
     @classmethod
     def of(
@@ -173,27 +123,29 @@ class Practice:
     def candidates(self) -> tuple[Policy, ...]:
         """Policies of all demonstrations, those added later included."""
         waiting = [e.candidate() for e in self._waiting if isinstance(e, NewDemonstration)]
-        return (*self._candidates, *waiting)
+        return (*self._course.candidates, *waiting)
 
     @property
     def parametrization(self) -> Parametrization | None:
         """Parametrization of the chosen demonstration, None before the choice."""
-        return None if self._improvement is None else self._improvement.parametrization
+        improvement = self._course.improvement
+        return None if improvement is None else improvement.parametrization
 
     @property
     def learner(self) -> Learner | None:
         """The learner, None before the choice; to be read only."""
-        return None if self._improvement is None else self._improvement.learner
+        improvement = self._course.improvement
+        return None if improvement is None else improvement.learner
 
     @property
     def choice(self) -> str:
         """Demonstration that is learnt from and why, empty before the choice."""
-        return self._choice
+        return self._course.choice
 
     @property
     def used(self) -> int:
         """Number of rollouts used of the budget."""
-        return self._used
+        return self._course.used
 
     @property
     def unusable_in_a_row(self) -> int:
@@ -208,32 +160,17 @@ class Practice:
     @property
     def stopped(self) -> str:
         """Reason why nothing more is learnt, empty while learning; re-tests may be outstanding."""
-        return self._stopped
+        return self._course.stopped
 
     @property
     def finished(self) -> bool:
         """Whether there is nothing more to execute."""
-        if self._pending is not None or self._retry is not None:
-            return False
-        return bool(self._stopped) and (
-            self._answer is None or self._retested >= self.settings.retests
-        )
+        return self._pending is None and self._course.finished
 
     @property
     def best(self) -> Best | None:
         """The policy to save as the best so far, see `choose_best`."""
-        chosen = choose_best(
-            self._records,
-            None if self._improvement is None else self._improvement.demonstration,
-            self._answer,
-            self._stopped,
-            self.settings.return_noise,
-        )
-        if chosen is None:
-            return None
-        runs, why = chosen
-        policy, _ = self._parametrizations[runs.demonstration].policy(runs.z, runs.id)
-        return Best(policy, tuple(runs.returns), runs.successes, why)
+        return self._course.best(self._records)
 
     def next_trial(self) -> Trial | None:
         """Rollout to execute now, the same until it is on record; None when finished."""
@@ -376,7 +313,9 @@ class Practice:
         """
         if isinstance(line, Record):
             self._check_is_due(line)
-            note = self._advance(line)
+            self._pending = None
+            self._records.append(line)
+            note = self._course.advance(self._records)
             line = line if line.note else line.model_copy(update={"note": note})
             self._records[-1] = line
             self._log.append(line)
@@ -403,10 +342,10 @@ class Practice:
     def _next_trial(self, rejections: int | None) -> Trial | None:
         """The next trial; `rejections` is known when it is replayed."""
         if self._pending is None and not self.finished:
-            draw = self._draw(rejections)
+            draw = self._course.draw(self._records, rejections)
             number = len(self._records) + 1
             trial_id = f"trial-{number:04d}"
-            parametrization = self._parametrizations[draw.demonstration]
+            parametrization = self._course.parametrizations[draw.demonstration]
             policy, z = parametrization.policy(draw.z, trial_id)
             theta = parametrization.theta(z)
             z.setflags(write=False)
@@ -416,25 +355,9 @@ class Practice:
             )
         return self._pending
 
-    def _draw(self, rejections: int | None) -> Draw:
-        if self._retry is not None:
-            return self._retry
-        if len(self._reproductions) < len(self._candidates):
-            candidate = self._candidates[len(self._reproductions)]
-            zero = np.zeros(self._parametrizations[candidate.id].size)
-            return Draw("reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}")
-        if self._improvement is None:
-            raise ValueError("a session that never chose a demonstration is over")
-        if self._answer is None:
-            return self._improvement.draw(self._records, rejections)
-        draw = self._improvement.draw_feasible(self._answer, self._records, rejections)
-        self._answer = draw.z
-        purpose = f"re-test {self._retested + 1} of {self.settings.retests}"
-        return replace(draw, kind="retest", purpose=purpose)
-
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates a rollout is learnt from at: corrected, but not to where it is infeasible."""
-        parametrization = self._parametrizations[trial.demonstration]
+        parametrization = self._course.parametrizations[trial.demonstration]
 
         def feasible(z: np.ndarray) -> bool:
             return self._arm.infeasible(parametrization.policy(z, "corrected")[0]) is None
@@ -455,19 +378,7 @@ class Practice:
         trial = self._next_trial(record.rejections)
         if trial is None:
             raise ValueError(f"record {record.number} ({record.id}) comes after the session's end")
-        for name in ("number", "id", "kind", "demonstration", "attempt"):
-            wanted, got = getattr(trial, name), getattr(record, name)
-            if wanted != got:
-                raise ValueError(
-                    f"record {len(self._records) + 1}: {name} is {got!r}, "
-                    f"this session's was {wanted!r}: other settings, seed or candidates?"
-                )
-        same_z = len(record.z) == len(trial.z) and np.allclose(record.z, trial.z, rtol=0, atol=1e-6)
-        if not same_z or record.generator != generator_state(self._rng):
-            raise ValueError(
-                f"record {record.number}: {'the generator' if same_z else 'z'} is not this "
-                "session's: other settings, seed or candidates?"
-            )
+        check_record(trial, record, generator_state(self._rng))
 
     @property
     def _effective(self) -> int:
@@ -475,109 +386,17 @@ class Practice:
         return len(self._records) + (self._pending is not None)
 
     def _check_still_learning(self) -> None:
-        if self._stopped:
-            raise ValueError(f"nothing is learnt any more: {self._stopped}")
+        if self.stopped:
+            raise ValueError(f"nothing is learnt any more: {self.stopped}")
 
     def _take_effect(self, event: Event) -> None:
-        if self._stopped:  # by the very rollout that was under way when it came
+        if self.stopped:  # by the very rollout that was under way when it came
             return
         if isinstance(event, NewDemonstration):
-            policy = event.candidate()
-            self._parametrizations[policy.id] = self.task.parametrization(policy)
-            self._candidates.append(policy)
+            self._course.add_candidate(event.candidate())
             return
         record = self._records[event.rollout - 1]
         total = (record.adjustment or 0.0) + event.amount
         record = record.model_copy(update={"adjustment": total})
         self._records[event.rollout - 1] = record
-        if self._improvement is not None:
-            self._improvement.learn_again(self._records)
-            if not record.succeeded:
-                self._improvement.forget_success(record)
-
-    def _advance(self, record: Record) -> str:
-        """Bring everything up to date with a record; returns the decision for its note."""
-        self._pending = None
-        self._records.append(record)
-        z = np.array(record.z)
-        if record.ret is None and record.attempt < self.settings.attempts:
-            attempt = record.attempt + 1
-            purpose = f"attempt {attempt}: {record.why}"
-            self._retry = Draw(record.kind, record.demonstration, z, attempt, 0, purpose)
-            return f"not learnt from ({record.why}), tried again"
-        self._retry = None
-        if record.kind == "retest":
-            self._retested += 1
-            return "" if record.ret is not None else "dropped"
-        self._used += record.ret is not None
-        if record.kind == "reproduction":
-            note = self._advance_reproduction(record)
-        else:
-            note = self._advance_practice(record, z)
-        if self._improvement is not None and not self._stopped:
-            answer = self._improvement.answer
-            limit = 3 * self.settings.budget
-            if self._used >= self.settings.budget:
-                self._stop(answer, f"budget of {self.settings.budget} rollouts used")
-            elif len(self._records) >= limit:
-                self._stop(answer, f"{limit} rollouts, of which only {self._used} were usable")
-        return "; ".join(part for part in (note, self._stopped) if part)
-
-    def _advance_reproduction(self, record: Record) -> str:
-        self._reproductions.append(record.number)
-        if self._improvement is not None:
-            return self._compare(record, self._improvement)
-        if len(self._reproductions) < len(self._candidates):
-            return ""
-        reproductions = [self._records[number - 1] for number in self._reproductions]
-        try:
-            index, why = choose_demonstration(reproductions)
-        except ValueError as error:
-            self._stopped = str(error)
-            return ""
-        self._learn_from(reproductions[index].demonstration, why)
-        return self._choice
-
-    def _compare(self, record: Record, present: Improvement) -> str:
-        """Learn from a demonstration that was added later, if it is the better one."""
-        recent = [
-            float(other.rated_return)
-            for other in self._records
-            if other.demonstration == present.demonstration and other.rated_return is not None
-        ][-RECENT:]
-        level = float(np.mean(recent))
-        if record.ret is None or record.fault:
-            return f"goes on with {present.demonstration}: {record.why}"
-        compared = f"return {record.ret:.3f} against {level:.3f} of the last {len(recent)}"
-        if record.ret <= level:
-            return f"goes on with {present.demonstration}: {compared}"
-        why = f"{compared}, from {present.demonstration}"
-        self._learn_from(record.demonstration, why, present.practised)
-        return self._choice
-
-    def _learn_from(self, demonstration: str, why: str, practised: int = 0) -> None:
-        self._choice = f"learns from {demonstration}: {why}"
-        self._improvement = Improvement(
-            self._parametrizations[demonstration],
-            self.settings,
-            self.task,
-            self._make_learner,
-            self._rng,
-            self._arm,
-            self._records,
-            practised,
-        )
-
-    def _advance_practice(self, record: Record, z: np.ndarray) -> str:
-        """Take up a trial that explored or ran the mean."""
-        if self._improvement is None:
-            raise ValueError(f"record {record.number}: {record.kind} before the choice")
-        note = self._improvement.add(record)
-        if self._improvement.confirmed:
-            self._stop(z, f"a mean succeeded {self.settings.confirm} times in a row")
-        return note
-
-    def _stop(self, answer: np.ndarray, why: str) -> None:
-        if self._improvement is not None:
-            self._answer = self._improvement.parametrization.clip(answer)
-        self._stopped = why
+        self._course.rated(record, self._records)

@@ -27,8 +27,10 @@ from typing import Any
 from wam_power_ros import durable_files
 from wam_power_ros.learning import policy as policy_module
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.practice.course import check_candidates
+from wam_power_ros.practice.improvement import ArmModel
 from wam_power_ros.practice.log_file import LogFile, read_lines
-from wam_power_ros.practice.practice import ArmModel, Practice, check_candidates
+from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_files import (
     SessionError,
     SessionHeader,

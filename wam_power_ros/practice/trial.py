@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.practice.session_log import Kind
+from wam_power_ros.practice.session_log import Kind, Record
 
 
 @dataclass(frozen=True)
@@ -48,3 +49,29 @@ class Trial(Draw):
     id: str
     policy: Policy
     theta: np.ndarray
+
+
+def check_record(trial: Trial, record: Record, generator: dict[str, Any]) -> None:
+    """Check that a record is of a trial.
+
+    Args:
+        trial: Trial that is due.
+        record: Its record, as it was logged.
+        generator: State of the session's generator after the trial was drawn.
+
+    Raises:
+        ValueError: It is of another one; names the first difference.
+    """
+    for name in ("number", "id", "kind", "demonstration", "attempt"):
+        wanted, got = getattr(trial, name), getattr(record, name)
+        if wanted != got:
+            raise ValueError(
+                f"record {trial.number}: {name} is {got!r}, "
+                f"this session's was {wanted!r}: other settings, seed or candidates?"
+            )
+    same_z = len(record.z) == len(trial.z) and np.allclose(record.z, trial.z, rtol=0, atol=1e-6)
+    if not same_z or record.generator != generator:
+        raise ValueError(
+            f"record {record.number}: {'the generator' if same_z else 'z'} is not this "
+            "session's: other settings, seed or candidates?"
+        )
