@@ -19,6 +19,7 @@ from wam_power_ros.cli.launcher import (
     Launcher,
     UsageError,
     arm_of,
+    as_called,
     called,
     interrupt,
     launch,
@@ -126,9 +127,10 @@ def learn(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         to_resume(f"\nStopped. The session is in {short_path(folder)}.")
         return INTERRUPTED
-    except ProcessError:
+    except ProcessError as error:  # what to do comes last, below the tail of a log
+        print(f"wam-power: {as_called(str(error))}", file=sys.stderr, flush=True)
         to_resume(f"\nThe session is in {short_path(folder)}.")
-        raise
+        return 2
     print(terminal.summary(practised, session.read_task(folder)))
     return report(argparse.Namespace(session=folder))
 
