@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
-from wam_power_ros.tracking.tracker import ClockOffset, Tracker, TrackerSettings, Validity, falling
+from wam_power_ros.tracking.tracker import Tracker, TrackerSettings, Validity
 
 SETTINGS = TrackerSettings(
     rate=30.0,
@@ -330,60 +329,6 @@ def test_markers_give_the_state_of_the_pose() -> None:
     assert by_markers.add_markers(stamp(4), points[:2]) is None
     assert by_markers.fault == "markers not clear"
     assert by_markers.latest_ns == stamp(4)
-
-
-def flight(axes: np.ndarray) -> BodyPath:
-    """Carried, thrown, caught, at 30 Hz with noise; then seen through `axes` (3, 3)."""
-    t = np.arange(45) / 30.0
-    free = np.clip(t - 0.5, 0.0, 0.6)
-    position = PAN + np.stack([0.3 * free, 0.0 * t, 2.9 * free - 0.5 * 9.81 * free**2], axis=1)
-    position += np.random.default_rng(0).normal(0.0, 0.0005, position.shape)
-    quat = np.repeat(LEVEL[None], len(t), axis=0)
-    return BodyPath(id="a", t=t, position=position @ axes.T, quat_xyzw=quat)
-
-
-def test_a_free_fall_shows_the_direction_of_gravity() -> None:
-    down = falling(flight(np.eye(3)))
-    assert down[2] < -9.0
-    assert np.linalg.norm(down[:2]) < 0.5
-    swapped = falling(flight(np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])))
-    assert swapped[1] < -9.0
-    for gravity, found in ((8.7, False), (8.9, True), (10.7, True), (10.9, False)):
-        t = np.arange(45) / 30.0
-        position = PAN + np.outer(4.0 * t - 0.5 * gravity * t**2, [0.0, 0.0, 1.0])
-        thrown = BodyPath("a", t, position, np.repeat(LEVEL[None], 45, axis=0))
-        assert (falling(thrown) is not None) == found
-        if found:
-            np.testing.assert_allclose(falling(thrown), [0.0, 0.0, -gravity], atol=1e-6)
-    still = BodyPath(
-        id="a",
-        t=np.arange(45) / 30.0,
-        position=np.repeat(PAN[None], 45, axis=0),
-        quat_xyzw=np.repeat(LEVEL[None], 45, axis=0),
-    )
-    assert falling(still) is None
-
-
-def test_the_offset_of_two_clocks_is_the_age_that_jitter_cannot_lower() -> None:
-    offset = ClockOffset()
-    assert offset.seconds == 0.0
-    for jitter in (7_000_000, 0, 3_000_000):
-        offset.add(START, START + 250_000_000 + jitter)
-    assert offset.seconds == pytest.approx(0.25)
-    for index in range(240):  # two seconds of frames at once, to a tracker that could not run
-        offset.add(START + index * 8_333_333, START + 2_500_000_000 + index * 100_000)
-    assert offset.seconds == pytest.approx(0.25)
-    for index in range(20):  # but when all are late for long, it is the clocks
-        now_ns = START + (5 + index) * 1_000_000_000
-        offset.add(now_ns - 600_000_000, now_ns)
-    assert offset.seconds == pytest.approx(0.6)
-    recent = ClockOffset()
-    for second, age in ((0.0, 0.1), (5.0, 0.3), (5.1, 0.3)):
-        recent.add(START + round((second - age) * 1e9), START + round(second * 1e9))
-        assert recent.seconds == pytest.approx(0.1 if second <= 5.0 else 0.3)
-    behind = ClockOffset()
-    behind.add(START, START - 40_000_000)
-    assert behind.seconds == pytest.approx(-0.04)
 
 
 @pytest.mark.parametrize(

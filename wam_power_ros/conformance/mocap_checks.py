@@ -19,13 +19,13 @@ from wam_power_ros import rotations
 from wam_power_ros.conformance.topic_checks import FAIL, OK, PAIR, UNCHECKED, WARN, Row
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
+from wam_power_ros.tracking.free_fall import falling
 from wam_power_ros.tracking.tracker import (
     FROZEN_COUNT,
     FROZEN_TIME,
     Y_UP,
     Tracker,
     TrackerSettings,
-    falling,
 )
 
 USABLE = 0.9  # share of frames that the tracker must accept

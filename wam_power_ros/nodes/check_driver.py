@@ -14,8 +14,6 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
 import argparse
 import json
-import os
-import select
 import sys
 import time
 from collections import Counter
@@ -32,8 +30,6 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -44,6 +40,7 @@ from wam_power_ros.conformance.mocap_checks import CloudSample, FrameSample
 from wam_power_ros.conformance.topic_checks import Endpoint, Row, Verdict
 from wam_power_ros.conformance.watchdog_check import CommandCheck
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.nodes import check_console
 from wam_power_ros.params import overlay
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
@@ -61,31 +58,6 @@ DISCOVERY_TIMEOUT = 5.0  # [s] for the first message, and for discovery
 DROP_ATTEMPTS = 3  # with the stand-in, for a busy machine may miss frames of a fall
 FALL_TIME = 2.0  # [s] within which a body that was let go has fallen
 STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
-COLOURS = {
-    Verdict.OK: "green",
-    Verdict.WARN: "yellow",
-    Verdict.FAIL: "bold red",
-    Verdict.UNCHECKED: "dim",
-}
-
-
-class Keyboard:
-    """Lines of standard input without waiting; a closed one counts as skipping everything."""
-
-    def __init__(self) -> None:
-        self._text = b""
-        self.closed = False
-
-    def line(self) -> str | None:
-        """Next line, None when none has been typed."""
-        if b"\n" not in self._text and not self.closed and select.select([0], [], [], 0.0)[0]:
-            read = os.read(0, 4096)
-            self.closed = not read
-            self._text += read
-        if b"\n" not in self._text:
-            return None
-        line, _, self._text = self._text.partition(b"\n")
-        return line.decode(errors="replace").strip()
 
 
 class CheckDriver(Node):
@@ -96,7 +68,7 @@ class CheckDriver(Node):
     ) -> None:
         super().__init__("check_driver")
         self._arm_params, self._mocap, self._console = arm, mocap, console
-        self._keyboard = Keyboard()
+        self._keyboard = check_console.Keyboard()
         self._read = joint_messages.JointStateReader(arm.joint_names)
         self.states: list[StateSample] = []
         self.velocities: list[tuple[int, np.ndarray]] = []
@@ -376,20 +348,6 @@ def _ends(infos: Sequence[TopicEndpointInfo], but: Collection[str] = OURS) -> li
     ]
 
 
-def _table(rows: Sequence[Row]) -> Table:
-    """Table of the findings, with requirement and advice where these differ."""
-    table = Table("", "", "found")
-    for row in rows:
-        verdict, lines = row.verdict, [escape(row.found)]
-        if verdict is not Verdict.OK:
-            lines.append(f"[dim]expected: {escape(row.expected)}[/dim]")
-        if row.advice:
-            lines.append(f"[italic]{escape(row.advice)}[/italic]")
-        mark = f"[{COLOURS[verdict]}]{verdict.value}[/{COLOURS[verdict]}]"
-        table.add_row(row.name, mark, "\n".join(lines))
-    return table
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="check_driver",
@@ -435,8 +393,8 @@ def main() -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     result, sentence = topic_checks.verdict(rows)
-    console.print(_table(rows))
-    console.print(sentence, style=COLOURS[result])
+    console.print(check_console.table(rows))
+    console.print(sentence, style=check_console.COLOURS[result])
     if options.json is not None:
         table = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
         text = {"verdict": result.value, "said": sentence, "config": options.config, "rows": table}

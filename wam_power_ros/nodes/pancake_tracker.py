@@ -27,13 +27,13 @@ from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
+from wam_power_ros.tracking.clock_offset import ClockOffset
+from wam_power_ros.tracking.free_fall import falling
 from wam_power_ros.tracking.tracker import (
     REPEATED,
-    ClockOffset,
     TrackedState,
     Tracker,
     Validity,
-    falling,
 )
 
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # every other is an error

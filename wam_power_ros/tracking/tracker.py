@@ -32,8 +32,6 @@ REACQUIRE_COUNT = 5  # frames that agree with each other after which the body is
 SET_BACK_COUNT = 10  # frames in a row from the past after which the clock was set back
 COAST_TIME = SECOND // 10  # extrapolation of a hidden body at constant velocity [ns]
 VELOCITY_WINDOW = SECOND // 10  # [ns], or two periods if that is longer
-OFFSET_WINDOW = 5 * SECOND  # frames from which the offset of two clocks is estimated [ns]
-FALL_SPAN = 0.2  # time over which a parabola is fitted [s]
 UNIT_TOLERANCE = 1e-3  # deviation of a quaternion's length from 1 [1]
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # (x, y, z) -> (x, -z, y)
 
@@ -358,53 +356,3 @@ def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> str:
     if abs(math.hypot(*turn) - 1.0) > UNIT_TOLERANCE:
         return "quaternion not of unit length"
     return ""
-
-
-class ClockOffset:
-    """Delay of frames after their stamps: their latency, and the offset between two clocks.
-
-    Estimated over the frames of the last 5 s at any rate: a tracker that was not scheduled finds
-    seconds of frames that are all late, which must not count as an offset of the clocks.
-    """
-
-    def __init__(self) -> None:
-        self._frames: deque[tuple[int, int]] = deque()  # receipt, age [ns]
-
-    def add(self, stamp_ns: int, received_ns: int) -> None:
-        """Add a frame with its stamp and its time of receipt by this machine's clock [ns]."""
-        frames = self._frames
-        frames.append((received_ns, received_ns - stamp_ns))
-        while not 0 <= received_ns - frames[0][0] <= OFFSET_WINDOW:
-            frames.popleft()
-
-    @property
-    def seconds(self) -> float:
-        """Age nearest to 0 on receipt, which jitter does not change [s]."""
-        return min((age for _, age in self._frames), key=abs, default=0) * 1e-9
-
-
-def falling(path: BodyPath) -> np.ndarray | None:
-    """Acceleration of a body where its path is clearly a free fall.
-
-    It must be along -z: if not, `up_axis` or `world_to_base` is wrong.
-
-    Args:
-        path: Path of a rollout.
-
-    Returns:
-        Mean over all fitted parabolas with an acceleration within 1 m/s^2 of gravity and an rms
-        residual below 2 mm [m/s^2], shape (3,); None if there are fewer than two.
-    """
-    found = []
-    for start in path.t:
-        inside = (path.t >= start) & (path.t <= start + FALL_SPAN + 1e-6)
-        t = path.t[inside] - start
-        if len(t) < 5 or t[-1] < 0.8 * FALL_SPAN or np.diff(t).max() > 0.5 * FALL_SPAN:
-            continue
-        terms = np.stack([np.ones_like(t), t, 0.5 * t**2], axis=1)  # (m, 3)
-        solution, *_ = np.linalg.lstsq(terms, path.position[inside], rcond=None)
-        error = path.position[inside] - terms @ solution
-        rms = np.sqrt(np.mean(np.sum(error**2, axis=1)))
-        if rms < 2e-3 and abs(np.linalg.norm(solution[2]) - GRAVITY) < 1.0:
-            found.append(solution[2])
-    return np.mean(found, axis=0) if len(found) >= 2 else None
