@@ -76,7 +76,8 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
     if arm is None:
         raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
     task = _task(name, options.preset, json.loads((folder / "task.json").read_text()))
-    print(f"{folder}: logged return, return under {name}, preset {options.preset or 'first'}")
+    chosen = options.preset or "first"
+    print(f"{folder}: logged return; return and success under {name}, preset {chosen}")
     by_kind: dict[str, list[tuple[float, float]]] = {}
     for record in records:
         logged = "–" if record.ret is None else f"{record.ret:.3f}"
@@ -92,6 +93,8 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
                 told = str(error)
             else:
                 told = _told(assessed)
+                if name == header.settings.task:  # a return alone may call a dropped one a success
+                    told += f"; {task.outcome(record)}"
                 if record.ret is not None and assessed.ret is not None:
                     by_kind.setdefault(record.kind, []).append((record.ret, assessed.ret))
         print(f"{record.number:4d}  {record.kind:12}  {logged:>6}  {told}", flush=True)
