@@ -131,7 +131,7 @@ def learn(options: argparse.Namespace) -> int:
         print(f"wam-power: {as_called(str(error))}", file=sys.stderr, flush=True)
         to_resume(f"\nThe session is in {short_path(folder)}.")
         return 2
-    print(terminal.summary(practised, session.read_task(folder)))
+    print(terminal.wrapped(terminal.summary(practised, session.read_task(folder))))
     return report(argparse.Namespace(session=folder))
 
 
@@ -149,7 +149,7 @@ def _tell_ended(
     from wam_power_ros.reporting import terminal
 
     print(f"{short_path(folder)} has ended: all its re-tests are on record. Nothing is started.")
-    print(terminal.summary(records, session.read_task(folder)))
+    print(terminal.wrapped(terminal.summary(records, session.read_task(folder))))
     settings = header.settings
     words = ["learn", "--task", settings.task, "--trials", str(2 * settings.practice.budget)]
     bags = map(str, map(short_path, map(Path, header.demonstrations)))

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import shutil
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -108,6 +110,13 @@ def summary(records: Sequence[Record], task: Task) -> str:
     if notes := [record.note for record in records if record.note]:
         lines.append(f"last decision: {notes[-1]}")
     return "\n".join(lines)
+
+
+def wrapped(text: str) -> str:
+    """Lines broken between words to fit a terminal; as they are where the output is a file."""
+    width = shutil.get_terminal_size((10_000, 0)).columns
+    lines = text.splitlines()
+    return "\n".join(textwrap.fill(line, width, subsequent_indent="    ") for line in lines)
 
 
 def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
