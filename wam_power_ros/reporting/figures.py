@@ -80,7 +80,9 @@ def learning_curve(
     explored = of_kind == "explore"
     if explored.any():
         means = _running_mean(values[explored], 5)
-        axes.plot(rollout[explored], means, color=PAN, lw=2, label="mean of five explorations")
+        axes.plot(
+            rollout[explored], means, color=PAN, lw=2, label="mean of up to five explorations"
+        )
     top = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
     for number, text in (marks or {}).items():
         axes.axvline(number, color=ACCENT, lw=0.8, ls=":")
