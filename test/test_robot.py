@@ -8,9 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
+from rclpy.node import Node
 from test_docs import blocks
 
 from wam_power_ros import robot
+from wam_power_ros.params import overlay
+from wam_power_ros.ros import interface
+from wam_power_ros.view.live import View
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +71,30 @@ def test_an_interrupt_stops_the_arm() -> None:
     with pytest.raises(KeyboardInterrupt), moving._stopping():
         raise KeyboardInterrupt
     assert stopped == [True]
+
+
+def names(node: Node) -> set[str]:
+    """Topics and services of a node, without those that every node has."""
+    of = (node.get_name(), node.get_namespace())
+    found = [
+        *node.get_publisher_names_and_types_by_node(*of),
+        *node.get_subscriber_names_and_types_by_node(*of),
+        *node.get_client_names_and_types_by_node(*of),
+    ]
+    return {name for name, _ in found} - {"/rosout", "/parameter_events", interface.DIAGNOSTICS}
+
+
+def test_robot_and_page_use_the_names_of_their_namespace(domain_id: int) -> None:
+    setup = overlay.setup()
+    rclpy.init(domain_id=domain_id)
+    try:
+        node = rclpy.create_node("robot", namespace="left")
+        robot.Robot(node, setup)
+        of_listener = node.get_subscriber_names_and_types_by_node("robot_states", "/left")
+        listener = {name for name, _ in of_listener}
+        page = View(setup["torque_controller"], "pancake", "/left")
+        used = names(node) | listener | names(page)
+        assert {"/left/controller/stop", "/left/joint_states", "/left/learner/reward"} <= used
+        assert {name for name in used if not name.startswith("/left/")} == set()
+    finally:
+        rclpy.shutdown()

@@ -44,7 +44,7 @@ from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
 CONTROLLER, RECORDER = "torque_controller", "demonstration_recorder"  # nodes
-STATE_TIMEOUT = 10.0  # [s of wall time] for a joint state, or for a message to be received
+STATE_TIMEOUT = 60.0  # [s of wall time] for a joint state of nodes that may start now, or a receipt
 MOVE_TIMEOUT = 3600.0  # [s of wall time]
 REPORTS = 8  # callbacks at most for reports that have come meanwhile
 REST = np.linspace(0.0, 0.1, 6)  # times of the movement that rests at a place [s]
@@ -105,7 +105,9 @@ class Robot:
         )
         # Spun by `state` alone: a callback for each of 500 states a second would cost a core.
         newest = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
-        listener = rclpy.create_node("robot_states", context=node.context)
+        listener = rclpy.create_node(
+            "robot_states", namespace=node.get_namespace(), context=node.context
+        )
         listener.create_subscription(JointState, self._state_topic, self._on_state, newest)
         self._listening = SingleThreadedExecutor(context=node.context)
         self._listening.add_node(listener)
@@ -263,8 +265,12 @@ class Robot:
 
 
 @contextmanager
-def connect(*config: str) -> Iterator[Robot]:
-    """Arm whose nodes run in this DDS domain, under the set-ups they were started with.
+def connect(*config: str, namespace: str = "") -> Iterator[Robot]:
+    """Arm whose nodes run in this DDS domain.
+
+    Args:
+        config: Set-ups that they were started with.
+        namespace: Namespace that they are in, such as `left`.
 
     Raises:
         ValueError: A set-up is not known, or names no URDF.
@@ -272,7 +278,8 @@ def connect(*config: str) -> Iterator[Robot]:
     setup = overlay.setup(config)
     if not setup[CONTROLLER]["urdf"]:
         raise ValueError(f"set-ups {list(config)} must name a urdf")
-    with participant(lambda: rclpy.create_node("robot"), SignalHandlerOptions.NO) as node:
+    make = lambda: rclpy.create_node("robot", namespace=namespace)  # noqa: E731
+    with participant(make, SignalHandlerOptions.NO) as node:
         yield Robot(node, setup)
 
 

@@ -178,3 +178,12 @@ VALUES = st.one_of(
 def test_what_is_written_is_what_is_read(values: dict[str, Any]) -> None:
     text = overlay.text({"node": values})
     assert yaml.safe_load(text) == {"/**/node": {"ros__parameters": values}}
+
+
+@pytest.mark.parametrize("namespace", ["", "/left", "/lab/left"])
+def test_a_file_for_a_namespace_says_which(namespace: str, tmp_path: Path) -> None:
+    file = tmp_path / "parameters.yaml"
+    assert parameter_file.namespace(file) == ""  # there is none
+    file.write_text(overlay.text(overlay.setup(), namespace))
+    assert parameter_file.namespace(file) == namespace
+    assert parameter_file.of_nodes(file) == overlay.setup()

@@ -41,7 +41,7 @@ from wam_power_ros.cli.session_options import (
     session_folder,
 )
 from wam_power_ros.console import prompt
-from wam_power_ros.params import overlay
+from wam_power_ros.params import overlay, parameter_file
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
@@ -285,7 +285,8 @@ def feedback(options: argparse.Namespace) -> int:
     os.environ |= session_environment(folder)
     from wam_power_ros.console.feedback import give
 
-    accepted, answer = give(options.kind, options.bag)
+    namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
+    accepted, answer = give(options.kind, options.bag, namespace)
     print(answer if accepted else f"refused: {answer}")
     return 0 if accepted else 2
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
-from wam_power_ros.cli.launcher import reach, task_setup
+from wam_power_ros.cli.launcher import DOMAIN, reach, task_setup
 from wam_power_ros.cli.session_options import TASK, check_names, session_folder
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
@@ -154,11 +154,12 @@ def parameter_file(launched: Launched) -> Path:
     if launched.session is not None:
         folder = launched.session / "logs"
         folder.mkdir(parents=True, exist_ok=True)
+        (folder / DOMAIN).unlink(missing_ok=True)  # of `wam-power learn`, which began the session
     else:
         folder = Path(tempfile.mkdtemp(prefix="wam_power_ros_"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
     file = folder / "parameters.yaml"
-    file.write_text(overlay.text(launched.setup), encoding="utf-8")
+    file.write_text(overlay.text(launched.setup, launched.namespace), encoding="utf-8")
     return file
 
 

@@ -34,18 +34,20 @@ REQUESTS = {
 }
 
 
-def give(kind: str, bag: Path | None = None) -> tuple[bool, str]:
+def give(kind: str, bag: Path | None = None, namespace: str = "") -> tuple[bool, str]:
     """Give feedback to the learner of this DDS domain.
 
     Args:
         kind: One of `REQUESTS`.
         bag: Bag of the demonstration, for the kind "demonstration".
+        namespace: Namespace of the learner.
 
     Returns:
         Whether the learner accepted it, and its answer.
     """
     try:
-        with participant(lambda: rclpy.create_node("feedback"), SignalHandlerOptions.NO) as node:
+        make = lambda: rclpy.create_node("feedback", namespace=namespace)  # noqa: E731
+        with participant(make, SignalHandlerOptions.NO) as node:
             calls = ServiceClient(node, None, APPEAR_TIMEOUT, LOG_AFTER)
             return _call(calls, node, kind, bag)
     except ServiceError as error:

@@ -100,9 +100,15 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     return whole
 
 
-def text(setup: Setup) -> str:
-    """A set-up as the text of a parameter file for every node, in whatever namespace it is."""
-    nodes = {f"/**/{node}": {"ros__parameters": values} for node, values in setup.items()}
+def text(setup: Setup, namespace: str = "") -> str:
+    """A set-up as the text of a parameter file for every node.
+
+    Args:
+        setup: Parameters by node.
+        namespace: Namespace of the nodes, such as `/left`; empty for whatever they are in.
+    """
+    above = namespace or "/**"
+    nodes = {f"{above}/{node}": {"ros__parameters": values} for node, values in setup.items()}
     return yaml.dump(nodes, Dumper=_Plain, sort_keys=False, width=1000)
 
 

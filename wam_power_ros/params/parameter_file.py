@@ -105,6 +105,18 @@ def of_nodes(file: Path) -> dict[str, dict[str, Any]]:
     return found
 
 
+def namespace(file: Path) -> str:
+    """Namespace that the nodes of a file are in, such as `/left`; empty for none, or for no file.
+
+    Raises:
+        ValueError: As `read`.
+    """
+    if not file.is_file():
+        return ""
+    above = {path.rpartition("/")[0] for path in read(file)} - {"", "/**"}
+    return above.pop() if len(above) == 1 else ""
+
+
 def comments(file: Path) -> dict[str, str]:
     """Comments of the parameters in a file of ours: beside a value, and in the lines below it."""
     found: dict[str, str] = {}

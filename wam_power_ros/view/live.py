@@ -67,10 +67,11 @@ class View(Node):
     Args:
         arm: Parameters of the controller.
         body: Name of the tracked body, empty for none.
+        namespace: Namespace of the nodes of the session.
     """
 
-    def __init__(self, arm: Mapping[str, Any], body: str) -> None:
-        super().__init__("view")
+    def __init__(self, arm: Mapping[str, Any], body: str, namespace: str = "") -> None:
+        super().__init__("view", namespace=namespace)
         self.seen = Seen(diagnoses={})
         self._body = body
         self._urdf = share(arm["urdf"]).read_text() if arm["urdf"] else ""

@@ -12,6 +12,7 @@ from pathlib import Path
 import viser
 from rclpy.signals import SignalHandlerOptions
 
+from wam_power_ros.params import parameter_file
 from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.view import recorded
 from wam_power_ros.view.live import View
@@ -76,7 +77,9 @@ def of_session(
             _tick(page, LOOK_PERIOD, lambda: running(folder))
         os.environ |= environment(folder)
         setup = parameters(folder)
-        make = partial(View, setup["torque_controller"], setup["pancake_tracker"]["body"])
+        namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
+        whose = setup["pancake_tracker"]["body"], namespace
+        make = partial(View, setup["torque_controller"], *whose)
         with participant(make, SignalHandlerOptions.NO) as node:
             page.connect(node)
             _tick(page, LIVE_PERIOD, lambda: not running(folder))
