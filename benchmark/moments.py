@@ -178,7 +178,10 @@ def main(arguments: list[str] | None = None) -> int:
             seeds = range(7000, 7000 + given.repeats)
             found = [tell(name, phase, np.random.default_rng(k), given.delay) for k in seeds]
             late = [each.noticed for each in found if each.noticed is not None]
-            good = [e.peak <= most and e.rest < REST_SPEED and e.truth < FASTER for e in found]
+            led = phase == "teaching"  # as fast as the hand that leads the arm
+            good = [
+                (led or e.peak <= most) and e.rest < REST_SPEED and e.truth < FASTER for e in found
+            ]
             failed += len(found) - sum(good)
             print(
                 f"| {name} | {phase} | {len(late)} of {len(found)} | {2 * max(late, default=0)} "
