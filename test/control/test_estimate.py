@@ -59,8 +59,13 @@ def test_a_joint_that_jumps_once_or_to_and_fro_has_no_speed() -> None:
 def test_a_joint_that_moves_has_the_speed_at_which_its_position_changes() -> None:
     for rate in (0.1, 1.0, -2.0):
         assert moved([rate] * 8).qd[3] == pytest.approx(rate)
-    unsteady = moved([1.0, 1.3, 0.9, 1.1])
-    assert 0.9 < unsteady.qd[3] < 1.3
+    assert moved([4.0, 5.2, 3.6, 4.4]).qd[3] == pytest.approx(4.3)
+
+
+def test_a_jump_of_a_joint_that_moves_is_no_part_of_its_way() -> None:
+    jumped = moved([3.0] * 8 + [60.0] + [3.0] * 8)
+    assert jumped.qd[3] == pytest.approx(3.0)
+    assert jumped.q[3] == pytest.approx(moved([3.0] * 17).q[3], abs=1e-9)
 
 
 def test_where_a_joint_is_said_to_be_counts_once_it_moves_and_is_believed() -> None:
