@@ -121,7 +121,7 @@ class Outcome(NamedTuple):
         peak: Largest speed of the tool in 1.2 s [m/s].
         rest: Largest speed of the tool from 0.5 s after the fault on, in those and 2 s more [m/s].
         truth: Largest speed of the tool when the lie has ended [m/s].
-        reset: Whether the fault could be reset then.
+        reset: True when the fault could be reset then.
     """
 
     noticed: int | None

@@ -40,7 +40,7 @@ def moved(rates: list[float], believed: bool = False, joint: int = 3) -> Estimat
     estimate, q, carried = Estimate(MODEL, HOME, np.zeros(7)), HOME, MODEL.gravity(HOME)
     for k, rate in enumerate([0.0] * 8 + rates):
         q = q + rate * PERIOD * np.eye(7)[joint]
-        state = JointState(k * PERIOD_NS, q, np.zeros(7), PERIOD)
+        state = JointState(k * PERIOD_NS, q, np.zeros(7), PERIOD, PERIOD)
         estimate.follow(state, carried, believed)
     return estimate
 
@@ -110,7 +110,7 @@ def test_where_the_arm_was_before_a_lie_leads_to_where_it_is(begun: int) -> None
         tau = MODEL.gravity(HOME) + min(k, 60) * np.array([0.0, 0.3, 0.0, 0.05, 0.0, 0.0, 0.0])
         stamp, q, qd = plant.state()
         lie = lie or (q, qd) if k >= 130 else None
-        state = JointState(stamp, *(lie or (q, qd)), PERIOD)
+        state = JointState(stamp, *(lie or (q, qd)), PERIOD, PERIOD)
         if k >= begun:
             plausibility.fault(last, state, tau, loose)
             last = state

@@ -156,6 +156,27 @@ def test_the_truth_after_a_lie_moves_nothing_and_can_be_reset(name: str, moment:
 
 
 @pytest.mark.requirement("S-91")
+@pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
+def test_states_that_come_all_at_once_in_a_fault_do_not_look_fast(moment: float) -> None:
+    controller, plant = begin(friction=1.0, delay=2, sensing=True)
+    controller.execute()
+    tau = run(controller, plant, moment)[-1]
+    controller.fault(_a_fault())
+    speeds = []
+    for pause in [8, *[1] * 30, 8, *[1] * 300]:  # periods: the process is held up twice
+        late = []
+        for _ in range(pause):
+            plant.step(tau)
+            speeds.append(tool_speed(plant))
+            late.append(plant.state())
+        elapsed = pause * PERIOD
+        for state in late:
+            tau, elapsed = controller.step(*state, elapsed), 5e-5
+    assert max(speeds) < speeds[0] + 0.3
+    assert max(speeds[150:]) < 0.02
+
+
+@pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("name", LIES)
 def test_a_false_state_in_a_move_ends_in_a_stop(name: str) -> None:
     controller, plant = begin(START, controller=make(move_speed=1.0), friction=1.0, delay=2)
@@ -252,7 +273,7 @@ def test_a_velocity_that_a_filter_delays_is_no_lie_and_one_that_is_too_small_is(
             q = 100.0 * min(time, 0.04) ** 2 + 8.0 * max(time - 0.04, 0.0)
             filtered += (1.0 - np.exp(-dt / lag)) * (speed - filtered)
             qd = scale * filtered
-            state = JointState(k * PERIOD_NS, np.full(7, q), np.full(7, qd), dt)
+            state = JointState(k * PERIOD_NS, np.full(7, q), np.full(7, qd), dt, dt)
             if last is not None and check.fault(last, state, [0] * 7) is not None:
                 return k
             last = state

@@ -217,3 +217,11 @@ def test_the_time_since_a_state_is_that_of_our_own_clock_where_there_is_one() ->
     assert states.take(3 * MS, Q, ZERO, restart=False, elapsed=0.0025).dt == 0.0025
     assert states.take(5 * MS, Q, ZERO, restart=False, elapsed=1e-4).dt == 1e-4
     assert states.take(7 * MS, Q, ZERO, restart=False, elapsed=5.0).dt == 0.004
+
+
+def test_the_arm_moved_for_as_long_as_the_longer_of_stamps_and_our_own_clock_says() -> None:
+    states = checks()
+    at_once = states.take(2 * MS, Q, ZERO, restart=False, elapsed=5e-5)
+    slow_stamps = states.take(2 * MS + 200_000, Q, ZERO, restart=False, elapsed=0.002)
+    late = states.take(4 * MS, Q, ZERO, restart=False, elapsed=1.0)
+    assert [state.span for state in (at_once, slow_stamps, late)] == [0.002, 0.002, 0.004]

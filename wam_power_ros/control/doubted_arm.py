@@ -59,7 +59,7 @@ class DoubtedArm:
             state: State that has come.
             motion: Its kinematics.
             acting: Torque that the motors have been sent, by posture.
-            new: Whether this state gave rise to the fault.
+            new: True for the state in which the fault was found.
         """
         believed = self._plausibility.doubted_ns != state.stamp_ns
         if not isinstance(motion, Motion) or safety.unrest(motion) or not believed:

@@ -74,13 +74,13 @@ class Estimate:
         Args:
             state: Next state.
             tau: Torque that was sent before it [N m]. Shape (n,).
-            believed: Whether nothing contradicts the state; then a joint that moves is also where
-                it says, and not only as fast.
+            believed: True for a state that nothing contradicts: a joint that moves is also where it
+                says then, and not only as fast.
         """
-        before, previous, dt = self.q, self._previous, state.dt
+        before, previous, dt = self.q, self._previous, state.span
         self._previous = state.q
         self.advance(tau, dt)
-        if previous is None or dt == 0.0:
+        if previous is None:
             return
         moved = state.q - previous
         self._rates.append(moved / dt)

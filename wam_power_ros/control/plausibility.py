@@ -212,7 +212,7 @@ class Plausibility:
             fault = fault or self._torque.fault(last, state, same, tau, bound)
         if fault is not None:
             self.doubted_ns = state.stamp_ns
-        self._past.append(_Past(last.q, last.qd, tau, state.dt))
+        self._past.append(_Past(last.q, last.qd, tau, state.span))
         return fault
 
     def estimate(self, last: JointState, lie: int = FRESH * STRIDE) -> Estimate:

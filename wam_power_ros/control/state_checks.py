@@ -32,13 +32,17 @@ class JointState(NamedTuple):
         stamp_ns: Stamp of the driver's header [ns].
         q: Joint positions [rad]. Shape (n,).
         qd: Joint speeds [rad/s]. Shape (n,).
-        dt: Time since the state before, at most twice the period [s].
+        dt: Time since the state before came, by our own clock where there is one; at most twice the
+            period [s].
+        span: Time in which the arm moved from there: stamps may be too slow, and states that were
+            held up come at once, so the longer one counts; at most twice the period [s].
     """
 
     stamp_ns: int
     q: np.ndarray
     qd: np.ndarray
     dt: float
+    span: float
 
 
 def plausible(values: list[float], bound: float) -> bool:
@@ -116,10 +120,11 @@ class StateChecks:
         self.counters["accepted"] += 1
         self.refused_in_row = 0
         advanced = self._check_continuity(last, stamp_ns, positions)
-        dt = min(advanced if elapsed is None else elapsed, 2.0 * self._period)
+        dt, most = advanced if elapsed is None else elapsed, 2.0 * self._period
+        span = min(max(advanced, dt), most)
         gap = last is None or stamp_ns - last.stamp_ns > self._gap_ns
         self.before = None if gap else last
-        self.last = JointState(stamp_ns, positions, speeds, dt)
+        self.last = JointState(stamp_ns, positions, speeds, min(dt, most), span)
         return self.last
 
     def refuse(self) -> None:

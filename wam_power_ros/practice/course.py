@@ -64,7 +64,7 @@ class Course:
         settings: Settings of the course.
         candidates: Policies of the demonstrations that have taken effect.
         parametrizations: Their parametrizations, by id.
-        improvement: Of the chosen demonstration, None before the choice.
+        improvement: Practice of the chosen demonstration, None before the choice.
         choice: Demonstration that is learnt from and why, empty before the choice.
         used: Number of rollouts used of the budget.
         stopped: Reason why nothing more is learnt, empty while learning.
