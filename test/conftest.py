@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
+import forked
 import numpy as np
 import pytest
 import rclpy
@@ -31,6 +33,7 @@ network.confine(os.environ)  # this process, too
 settings.register_profile("any machine", deadline=None)  # however busy it is
 settings.load_profile("any machine")
 T = TypeVar("T")
+Process = subprocess.Popen[bytes] | forked.Forked
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -132,6 +135,11 @@ def probe(domain_id: int) -> Iterator[Probe]:
     probe.close()
 
 
+@functools.cache
+def _server() -> forked.Server:
+    return forked.Server()
+
+
 class Processes:
     """Starts node processes in the private domain of the test, with their output in files."""
 
@@ -142,11 +150,9 @@ class Processes:
             "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
             "PYTHONUNBUFFERED": "1",
         }
-        self.started: list[tuple[subprocess.Popen[bytes], Path]] = []
+        self.started: list[tuple[Process, Path]] = []
 
-    def node(
-        self, module: str, *configs: str | Path, **parameters: object
-    ) -> subprocess.Popen[bytes]:
+    def node(self, module: str, *configs: str | Path, **parameters: object) -> Process:
         """Start `python -m module` with parameter files of `config/` and overrides."""
         command = [sys.executable, "-m", module, "--ros-args"]
         for config in configs:
@@ -156,25 +162,26 @@ class Processes:
             command += ["-p", f"{name}:={text}"]
         return self.start(command)
 
-    def start(self, command: list[str], **environment: str) -> subprocess.Popen[bytes]:
+    def start(self, command: list[str], **environment: str) -> Process:
         """Start a command in the repository's folder."""
         log = self._folder / f"process_{len(self.started)}.log"
-        with log.open("wb") as output:
-            process = subprocess.Popen(
-                command,
-                cwd=ROOT,
-                env=self.environment | environment,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-            )
+        environment = self.environment | environment
+        process: Process
+        if command[:2] == [sys.executable, "-m"] and command[2] in forked.MODULES:
+            process = _server().fork(command, ROOT, environment, log)
+        else:
+            with log.open("wb") as output:
+                process = subprocess.Popen(
+                    command, cwd=ROOT, env=environment, stdout=output, stderr=subprocess.STDOUT
+                )
         self.started.append((process, log))
         return process
 
-    def output(self, process: subprocess.Popen[bytes]) -> str:
+    def output(self, process: Process) -> str:
         """What a process has printed."""
         return next(log for other, log in self.started if other is process).read_text()
 
-    def end(self, process: subprocess.Popen[bytes], how: int = signal.SIGINT) -> int:
+    def end(self, process: Process, how: int = signal.SIGINT) -> int:
         """Signal a process, wait for it, and return its exit status."""
         if process.poll() is None:
             process.send_signal(how)

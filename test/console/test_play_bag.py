@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
 
 import pytest
 from bag_samples import NAMES, QOS, START, joint_state, random_q
-from conftest import ROOT, Probe, Processes
+from conftest import ROOT, Probe, Process, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from sensor_msgs.msg import JointState
@@ -28,7 +27,7 @@ REACH = min((ROOT / "bags").glob("reach_*"))
 RECORDER = "wam_power_ros.nodes.demonstration_recorder"
 
 
-def playing(processes: Processes, *arguments: object) -> subprocess.Popen[bytes]:
+def playing(processes: Processes, *arguments: object) -> Process:
     command = [sys.executable, "-m", "wam_power_ros.cli", "play", *map(str, arguments)]
     return processes.start(command)
 

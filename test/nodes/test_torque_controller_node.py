@@ -6,13 +6,12 @@ from __future__ import annotations
 import math
 import os
 import signal
-import subprocess
 import sys
 import time
 
 import numpy as np
 import pytest
-from conftest import ROOT, Probe, Processes, diagnosis, lift
+from conftest import ROOT, Probe, Process, Processes, diagnosis, lift
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from played_arm import HOME, MODULE, NAMES, TICK, PlayedArm
@@ -414,7 +413,7 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
 
 @pytest.mark.requirement("S-18")
 def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -> None:
-    process: subprocess.Popen[bytes] = processes.node(MODULE, autostart=True)
+    process: Process = processes.node(MODULE, autostart=True)
     assert process.wait(60.0) == 2
     assert "joint_names" in processes.output(process)
 

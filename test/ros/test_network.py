@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import Processes
+from conftest import Process, Processes
 
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import network
@@ -97,7 +97,7 @@ def test_a_profile_in_the_working_directory_wins_and_is_named(
     assert network.PROFILE_HERE in (asked(environment) or "")
 
 
-def served(processes: Processes, *before: str, **environment: str) -> subprocess.Popen[bytes]:
+def served(processes: Processes, *before: str, **environment: str) -> Process:
     """A node of ours that has started, or ended."""
     process = processes.start([*before, sys.executable, "-c", SERVE], **environment)
     while "serving" not in processes.output(process) and process.poll() is None:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from conftest import ROOT, Probe, Processes
+from conftest import ROOT, Probe, Process, Processes
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from sensor_msgs.msg import JointState
@@ -63,7 +63,7 @@ class Lab:
         (folder / "my_lab.yaml").write_text(yaml.safe_dump(mine))
         steps = {"wam_sim": {"ros__parameters": {"pace": "lockstep"}}}  # however busy the machine
         (folder / "lockstep.yaml").write_text(yaml.safe_dump(steps))
-        self._running: list[subprocess.Popen[bytes]] = []
+        self._running: list[Process] = []
         names = ["geodude", "natnet_ros2", str(folder / "my_lab.yaml")]
         self._setup = overlay.setup(names, simulated=True)
         self._start("hardware_sim.main", self._setup)

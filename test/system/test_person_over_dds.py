@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
-from conftest import ROOT, Probe, Processes
+from conftest import ROOT, Probe, Process, Processes
 from std_srvs.srv import SetBool, Trigger
 from test_session_over_dds import JOINTS, SEED, learnt, lines
 from toss_task import practice_of
@@ -56,7 +55,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     processes.node(controller, "torque_controller.yaml", **sim, **quick)
     processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **sim)
 
-    def learner() -> subprocess.Popen[bytes]:
+    def learner() -> Process:
         node, given = "wam_power_ros.nodes.learner", {"session": folder, "record_rollouts": False}
         return processes.node(node, "learner.yaml", **sim, **given)
 

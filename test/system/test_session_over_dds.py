@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT, Probe, Processes
+from conftest import ROOT, Probe, Process, Processes
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import Path as PathMessage
@@ -250,7 +250,7 @@ def test_a_session_taken_up_under_lower_limits_sends_nothing_that_breaks_them(
 SIM = {"use_sim_time": True}
 
 
-def all_but_the_learner(processes: Processes, folder: Path) -> subprocess.Popen[bytes]:
+def all_but_the_learner(processes: Processes, folder: Path) -> Process:
     """Start the nodes of a session; returns the controller."""
     processes.node(
         "hardware_sim.main", "wam_sim.yaml", "optitrack_sim.yaml", **{"wam_sim:seed": SEED}
@@ -264,7 +264,7 @@ def all_but_the_learner(processes: Processes, folder: Path) -> subprocess.Popen[
     return processes.node(f"wam_power_ros.nodes.{controller}", f"{controller}.yaml", **SIM, **quick)
 
 
-def learner(processes: Processes, folder: Path) -> subprocess.Popen[bytes]:
+def learner(processes: Processes, folder: Path) -> Process:
     node = "wam_power_ros.nodes.learner"
     return processes.node(node, "learner.yaml", **SIM, session=folder)
 

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
-from conftest import ROOT, Probe, Processes
+from conftest import ROOT, Probe, Process, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 
 from wam_power_ros.bags import layout, reader
@@ -22,7 +21,7 @@ PATIENCE = 300.0  # [s of wall time]
 ARMS = {"left": 5, "right": 6}  # namespace -> seed
 
 
-def start(processes: Processes, launched: ros_launch.Launched) -> subprocess.Popen[bytes]:
+def start(processes: Processes, launched: ros_launch.Launched) -> Process:
     """The processes that a launch file would start; returns the learner."""
     file = ros_launch.parameter_file(launched)
     remaps = [("__ns", launched.namespace), *launched.remappings]
