@@ -18,7 +18,7 @@ from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_TEMPO, TURN_OF_VIGOUR
 
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text()
@@ -145,6 +145,9 @@ def test_the_method_states_the_numbers_of_the_presets(name: str) -> None:
             f"{settings.turn_limit} at most",
             f"like the flick, by {settings.vigour_gain} of what was missing",
             f"divided by {TURN_OF_VIGOUR:.0f} rad, {settings.vigour_limit} at most",
+            f"tempo by {settings.tempo_gain} of it divided by {TURN_OF_TEMPO:.0f} rad",
+            f"{settings.tempo_limit} at most",
+            f"landed at most {100 * settings.confirm_landing:.0f} cm from the pan's centre",
             f"exp((R_k − R_max)/({power.sharpness} ",
             f"at least {math.degrees(settings.success_angle):.0f} degrees",
             f"{math.degrees(settings.success_angle + settings.confirm_margin):.0f} degrees (ending",

@@ -19,7 +19,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line, Record
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.settings import FlipSettings
 from wam_power_ros.tasks.task import Assessment
 
@@ -104,20 +104,22 @@ def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:
     """Outcome of a trial: a function of its id and policy alone, like one of the stand-in.
 
     Turning grows along one direction of z and landing moves away with it; the catch shift (or the
-    last attractor) brings the pan under the pancake again. Vigour and flick turn it further.
+    last attractor) brings the pan under the pancake again. Vigour, flick and tempo turn it further.
     """
     rng = np.random.default_rng(zlib.crc32(trial.id.encode()))
     z = trial.z
     along = np.sin(np.arange(len(z)) + 1.0) / math.sqrt(len(z))
-    along[-1] = 0.0
+    shift = -2 if task.variant == "planar" else -1  # catch shift, or the last attractor
+    along[shift] = 0.0
     strength = float(along @ z)
     further = 0.0
     if task.variant == "planar":
-        strength -= float(along[-3:-1] @ z[-3:-1])
-        further = TURN_OF_VIGOUR * task.noise.vigour * z[-3]
-        further += TURN_OF_FLICK * task.noise.flick * z[-2]
+        strength -= float(along[-4:] @ z[-4:])
+        further = TURN_OF_VIGOUR * task.noise.vigour * z[-4]
+        further += TURN_OF_FLICK * task.noise.flick * z[-3]
+        further += TURN_OF_TEMPO * task.noise.tempo * z[-1]
     angle = 1.6 + 0.5 * strength + further + 0.3 * noise * rng.normal()
-    error = 0.12 + 0.05 * strength - 0.016 * z[-1] + 0.1 * noise * rng.normal()
+    error = 0.12 + 0.05 * strength - 0.016 * z[shift] + 0.1 * noise * rng.normal()
     caught = abs(error) < 0.05 and angle > 1.2
     flipped = math.pi / 2 < angle < 1.5 * math.pi
     rotation = max(0.0, 1.0 - abs(angle - math.pi) / math.pi)

@@ -203,7 +203,7 @@ def test_a_torque_within_its_limits_is_handed_on_as_it_is() -> None:
 def test_an_arm_without_limits_of_its_own_has_those_of_its_urdf_and_the_defaults() -> None:
     for name, expected in (
         ("torque", ARM.tau_max),
-        ("torque_rate", np.full(7, 1000.0)),
+        ("torque_rate", np.full(7, 2000.0)),
         ("q_min", ARM.q_min),
         ("q_max", ARM.q_max),
         ("qd_max", ARM.qd_max),

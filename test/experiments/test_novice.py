@@ -25,7 +25,7 @@ def test_rows_differ_in_the_learner_and_what_it_is_told_alone() -> None:
         assert settings.practice.budget == plain.practice.budget
         assert settings.practice.retests == plain.practice.retests
         task = settings.task_settings
-        blind = task.landing_gain == task.turn_gain == task.vigour_gain == 0.0
+        blind = not any((task.landing_gain, task.turn_gain, task.vigour_gain, task.tempo_gain))
         assert ("rotation" in novice.ROWS[job.study.removeprefix("novice-")].told) == (not blind)
 
 

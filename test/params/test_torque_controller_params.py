@@ -103,7 +103,7 @@ def test_a_value_out_of_range_is_refused_with_its_name(
         ("state_timeout", 0.0, 0.005),
         ("state_timeout", 0.021, 0.02),
         ("stiffness_max", 2801.0, 2800.0),
-        ("torque_rate_max", 1001.0, 1000.0),
+        ("torque_rate_max", 2001.0, 2000.0),
     ],
 )
 def test_a_real_arm_has_stricter_bounds_than_a_simulation(

@@ -17,7 +17,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record, line_of
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.task import Assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
@@ -209,21 +209,24 @@ def test_a_toss_is_learnt_as_moved_by_what_turn_and_landing_missed() -> None:
     settings = practice.task.settings
     for record in run(practice, rollouts=12):
         moved = np.subtract(record.learnt_as, record.z)
-        assert not moved[:-3].any()
+        assert not moved[:-4].any()
         error = record.observation["landing_error"][0]
-        assert moved[-1] == pytest.approx(settings.landing_gain * error / 0.016)
+        assert moved[-2] == pytest.approx(settings.landing_gain * error / 0.016)
         missing = math.pi - record.observation["angle"]
         flick = settings.turn_gain * missing / TURN_OF_FLICK
         flick = np.clip(flick, -settings.turn_limit, settings.turn_limit)
-        assert moved[-2] == pytest.approx(flick / settings.noise.flick)
+        assert moved[-3] == pytest.approx(flick / settings.noise.flick)
         vigour = settings.vigour_gain * missing / TURN_OF_VIGOUR
         assert abs(vigour) < settings.vigour_limit
-        assert moved[-3] == pytest.approx(vigour / settings.noise.vigour)
+        assert moved[-4] == pytest.approx(vigour / settings.noise.vigour)
+        tempo = settings.tempo_gain * missing / TURN_OF_TEMPO
+        assert abs(tempo) < settings.tempo_limit
+        assert moved[-1] == pytest.approx(tempo / settings.noise.tempo)
     trial = practice.next_trial()
     assessment = toss(trial, settings)
     far = {**assessment.observation, "landing_error": [9.0, 0.0, 0.0]}
     limited = practice.learn_assessed(trial, replace(assessment, observation=far))
-    assert limited.learnt_as[-1] - limited.z[-1] == pytest.approx(0.25 / 0.016)
+    assert limited.learnt_as[-2] - limited.z[-2] == pytest.approx(0.25 / 0.016)
     trial = practice.next_trial()
     unseen = replace(assessment, observation={**far, "seen": False})
     record = practice.learn_assessed(trial, unseen)
@@ -239,11 +242,11 @@ def test_a_pancake_that_was_not_thrown_lacks_the_whole_half_turn(seen: bool) -> 
     weak = {"tossed": False, "seen": seen, "angle": 0.0, "landing_error": [0.0, 0.0, 0.0]}
     record = practice.learn_assessed(trial, Assessment(0.05, observation=weak))
     moved = np.subtract(record.learnt_as, record.z)
-    stronger = [settings.vigour_limit, settings.turn_limit, 0.0]
+    stronger = [settings.vigour_limit, settings.turn_limit, 0.0, settings.tempo_limit]
     noise = settings.noise
-    stronger /= np.array([noise.vigour, noise.flick, noise.catch_shift])
-    np.testing.assert_allclose(moved[-3:], stronger)
-    assert not moved[:-3].any()
+    stronger /= np.array([noise.vigour, noise.flick, noise.catch_shift, noise.tempo])
+    np.testing.assert_allclose(moved[-4:], stronger)
+    assert not moved[:-4].any()
 
 
 def test_without_landing_gain_a_trial_is_learnt_as_it_was_executed() -> None:
@@ -433,8 +436,9 @@ def test_settings_and_candidates_that_cannot_be_are_refused() -> None:
         preset("flip", learner={"name": "genetic"})
     with pytest.raises(ValueError, match="sigmma"):
         preset("flip", learner={"sigmma": 3})
-    for name in ("landing_gain", "turn_gain", "vigour_gain"):
-        off = {"landing_gain": 0.0, "turn_gain": 0.0, "vigour_gain": 0.0, name: 0.5}
+    for name in ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"):
+        off = {"landing_gain": 0.0, "turn_gain": 0.0, "vigour_gain": 0.0, "tempo_gain": 0.0}
+        off[name] = 0.5
         with pytest.raises(ValueError, match=f"{name} 0.5 needs a parameter .* 'planar'"):
             preset("flip", variant="full", **off)
     with pytest.raises(ValueError, match="a success needs"):
@@ -568,8 +572,8 @@ def test_a_correction_that_the_arm_cannot_follow_keeps_no_other_back() -> None:
     settings = practice.task.settings
     flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
     record = practice.learn_assessed(practice.next_trial(), Assessment(0.5, observation=flight))
-    vigour, flick, shift = np.array(record.learnt_as)[-3:]
-    assert vigour == 0.0
+    vigour, flick, shift, tempo = np.array(record.learnt_as)[-4:]
+    assert vigour == 0.0 < tempo
     assert flick == pytest.approx(settings.turn_limit / settings.noise.flick)
     assert shift == pytest.approx(settings.landing_gain * 0.1 / settings.noise.catch_shift)
 

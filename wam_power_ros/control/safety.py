@@ -43,9 +43,10 @@ class Limits:
 
     Attributes:
         torque: Largest torque [N m]. Shape (n,).
-        torque_rate: Largest change of a torque per second [N m/s]; 1000 by default, as libfranka
-            has it. At 500 a hold that a person pushes with 40 N swings up until it faults.
-            Shape (n,).
+        torque_rate: Largest change of a torque per second [N m/s]; 2000 by default. A limit that
+            acts in a movement makes its torques late, and the arm swings up: at 500 a hold that
+            a person pushes with 40 N until it faults, at 1000 (libfranka's, of smaller motors)
+            joint 2 in a fast toss. Shape (n,).
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
         qd_max: Largest joint speed [rad/s]. Shape (n,).
@@ -131,7 +132,7 @@ def limits_of(arm: Arm, **overrides: object) -> Limits:
         raise ValueError(f"limits {unknown} do not exist; known: {sorted(known)}")
     values: dict[str, Any] = {
         "torque": arm.tau_max,
-        "torque_rate": np.full(arm.n, 1000.0),
+        "torque_rate": np.full(arm.n, 2000.0),
         "q_min": arm.q_min,
         "q_max": arm.q_max,
         "qd_max": arm.qd_max,

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from wam_power_ros.learning.dmp import positive_definite
-from wam_power_ros.learning.policy import Policy, read_only, symmetric_part
+from wam_power_ros.learning.policy import Policy, faster, read_only, symmetric_part
 
 FLOOR = 0.1  # smallest stiffness of a sample, as a fraction of the smallest one demonstrated [1]
 _XZ = np.ix_((0, 2), (0, 2))
@@ -96,7 +96,8 @@ class Parametrization:
         attractors: mu_i, 3 n.
         planar: A movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, and the rotation
             attractor about y (pitch), 6 n.
-    Each direction is one more parameter. Everything else stays as it is in `policy0`.
+    Each direction is one more parameter, and so is the logarithm of the tempo, see `faster`.
+    Everything else stays as it is in `policy0`.
 
     Attributes:
         size: Number of parameters.
@@ -105,7 +106,7 @@ class Parametrization:
         theta0: Parameters of that policy [1/s^2, m, rad, units of the directions]. Shape (size,).
         scale: Standard deviation of the exploration noise, in the units of theta. Shape (size,).
         groups: Slice of each group in theta and z: "stiffness", "attractors", "rotation", and the
-            directions by name; a group without parameters is missing.
+            directions by name, "tempo"; a group without parameters is missing.
         stiffness_min: Smallest eigenvalue of the symmetric part of a sampled K_i [1/s^2].
     """
 
@@ -115,8 +116,17 @@ class Parametrization:
         variant: str,
         noise: NoiseScales,
         directions: Sequence[Direction] = (),
+        tempo: float = 0.0,
     ) -> None:
-        """Take the parameters of `variant`, then the directions, around `policy0`.
+        """Take the parameters of `variant`, the directions and the tempo, around `policy0`.
+
+        Args:
+            policy0: Policy at z = 0.
+            variant: Name of the variant.
+            noise: Standard deviation of the exploration noise of the variant's parameters.
+            directions: Further parameters that move all attractors together.
+            tempo: Standard deviation of the exploration noise of the tempo's logarithm; 0 leaves
+                the tempo as it is.
 
         Raises:
             ValueError: If the variant is unknown, a pattern is not that of n spring-dampers, or the
@@ -154,6 +164,8 @@ class Parametrization:
             blocks.append(("rotation", value, noise.rotation))
         for direction in directions:
             blocks.append((direction.name, np.zeros(1), direction.scale))
+        if tempo:
+            blocks.append(("tempo", np.zeros(1), tempo))
 
         self.theta0 = np.concatenate([value for _, value, _ in blocks])
         self.scale = np.concatenate([np.full(len(value), scale) for _, value, scale in blocks])
@@ -193,10 +205,19 @@ class Parametrization:
             attractors=attractors,
             rotation_attractors=rotation,
         )
-        return policy, z
+        return (faster(policy, float(self.tempo(z))) if "tempo" in self.groups else policy), z
+
+    def tempo(self, z: np.ndarray) -> np.ndarray:
+        """Tempo at z (..., size) as a share of that of `policy0` [1]. Shape (...)."""
+        if "tempo" not in self.groups:
+            return np.ones(z.shape[:-1])
+        index = self.groups["tempo"].start
+        return np.exp(self.scale[index] * z[..., index])
 
     def arrays(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Arrays of the policies at many z at once; those of `policy` up to rounding.
+        """Arrays of the policies at many z at once, in the time of `policy0`.
+
+        At a tempo of one they are those of `policy` up to rounding.
 
         Args:
             z: Requested coordinates. Shape (B, size).

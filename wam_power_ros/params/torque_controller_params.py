@@ -34,7 +34,7 @@ Speed = Annotated[float, Field(ge=0.05, le=6.0)]
 # Where no stand-in is meant. A limit lies lower than in simulation, where nobody is hurt.
 STATE_TIMEOUT_MAX = 0.02  # [s] libfranka and Universal Robots stop after as long
 STIFFNESS_MAX = 2800.0  # [1/s^2] stable with 8 ms of delay and a damping of 32 1/s
-TORQUE_RATE_MAX = 1000.0  # [N m/s] libfranka's
+TORQUE_RATE_MAX = 2000.0  # [N m/s] no toss needs more; see `safety.Limits`
 
 
 class TorqueControllerParams(Params):

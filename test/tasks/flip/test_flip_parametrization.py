@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vigour, flick and catch shift of a toss."""
+"""Vigour, flick, catch shift and tempo of a toss."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -66,12 +67,36 @@ def test_the_vigour_enlarges_the_demonstrated_movement_in_the_same_time() -> Non
     np.testing.assert_array_equal(new[:, [0, 2]], old[:, [0, 2]])
 
 
+def test_the_tempo_makes_the_same_movement_faster() -> None:
+    before, after = moved("tempo", 5.0)  # noise .03 by default
+    tempo = math.exp(0.15)
+    assert after.basis.duration == pytest.approx(before.basis.duration / tempo)
+    paths = [
+        reproduce_many(
+            policy.basis,
+            policy.stiffness[np.newaxis],
+            policy.attractors[np.newaxis],
+            policy.damping,
+            policy.attractors[0],
+            np.zeros(3),
+            600,
+            0.002 / share,
+        )[0]
+        for policy, share in ((before, 1.0), (after, tempo))
+    ]
+    np.testing.assert_allclose(paths[1], paths[0], atol=1e-9)
+    assert after.rotation_stiffness == pytest.approx(before.rotation_stiffness * tempo**2)
+    assert after.rotation_damping == pytest.approx(before.rotation_damping * tempo)
+    np.testing.assert_array_equal(after.attractors, before.attractors)
+    np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
+
+
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_only_the_planar_variant_has_a_vigour_a_flick_and_a_catch_shift(variant: str) -> None:
+def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own(variant: str) -> None:
     policy = demonstrated_policy()
     noise = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
     p, plain = flip_parametrization(policy, variant, NOISE), Parametrization(policy, variant, noise)
-    extra = ["vigour", "flick", "catch_shift"] if variant == "planar" else []
+    extra = ["vigour", "flick", "catch_shift", "tempo"] if variant == "planar" else []
     assert list(p.groups) == [*plain.groups, *extra]
     assert p.size == plain.size + len(extra)
     same = [q.policy(np.zeros(q.size), "a")[0] for q in (p, plain)]

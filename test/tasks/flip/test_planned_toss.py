@@ -55,6 +55,19 @@ def test_a_pan_moved_towards_the_landing_reduces_the_miss_and_beyond_it_reverses
     np.testing.assert_allclose(tosses.landing_error[:, 1], 0.0, atol=1e-9)
 
 
+def test_a_faster_toss_is_planned_as_that_of_the_faster_policy() -> None:
+    p = flip_parametrization(demonstrated_policy(), "planar", NOISE)
+    start, z = np.array([0.6, 0.0, 0.5]), np.zeros((2, p.size))
+    z[1, p.groups["tempo"]] = 0.2 / NOISE.tempo
+    faster = flip_parametrization(p.policy(z[1], "faster")[0], "planar", NOISE)
+    planned = plan_tosses(p, z, start)
+    alone = plan_tosses(faster, z[:1], start)
+    assert planned.apex[1] > planned.apex[0] + 0.02
+    assert planned.apex[1] == pytest.approx(alone.apex[0], abs=0.003)  # of other steps in time
+    assert planned.tossed[1] == alone.tossed[0]
+    assert planned.angle[1] == pytest.approx(alone.angle[0], abs=0.05)
+
+
 def test_policies_are_planned_as_if_alone() -> None:
     p = flip_parametrization(demonstrated_policy(), "planar", NOISE)
     start, z = np.array([0.6, 0.0, 0.5]), some(6, p.size)

@@ -27,7 +27,9 @@ RETESTS = 30  # of the answer
 SOLVED = 27  # true flips among them
 CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
 HELD_OUT = range(3001, 3031)  # seeds without any tuning
-_BLIND = {"landing_gain": 0.0, "turn_gain": 0.0, "vigour_gain": 0.0}  # without corrections
+_BLIND = dict.fromkeys(
+    ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"), 0.0
+)  # without corrections
 
 
 class Row(NamedTuple):

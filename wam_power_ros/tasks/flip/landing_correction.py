@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from wam_power_ros.learning.parametrization import Parametrization
-from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_VIGOUR
+from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.settings import FlipSettings
 from wam_power_ros.tasks.task import Assessment
 
@@ -16,10 +16,10 @@ from wam_power_ros.tasks.task import Assessment
 def landing_correction(
     assessment: Assessment, parametrization: Parametrization, settings: FlipSettings
 ) -> list[np.ndarray]:
-    """Shifts of the catch shift, the flick and the vigour by what landing and rotation missed.
+    """Shifts of catch shift, flick, vigour and tempo by what landing and rotation missed.
 
-    The catch shift goes to where the pancake came down, vigour and flick to where it would have
-    made half a turn. A pancake that was not thrown made none of it, so all of it is missing.
+    The catch shift goes to where the pancake came down, the others to where it would have made half
+    a turn. A pancake that was not thrown made none of it, so all of it is missing.
 
     Args:
         assessment: Assessment of a rollout, with its flight as the observation.
@@ -39,6 +39,7 @@ def landing_correction(
         ("catch_shift", settings.landing_gain, error, settings.landing_limit),
         ("flick", settings.turn_gain, missing / TURN_OF_FLICK, settings.turn_limit),
         ("vigour", settings.vigour_gain, missing / TURN_OF_VIGOUR, settings.vigour_limit),
+        ("tempo", settings.tempo_gain, missing / TURN_OF_TEMPO, settings.tempo_limit),
     ):
         if gain and wanted:
             index = parametrization.groups[group]

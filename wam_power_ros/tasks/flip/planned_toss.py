@@ -51,19 +51,21 @@ def plan_tosses(
         parameters: Parametrization of the policies.
         z: Coordinates. Shape (B, size).
         start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
-        tail: Time after the movement that is predicted as well [s].
+        tail: Time after the movement, in that of the demonstration, that is predicted as well [s].
     """
     position, velocity, rotation, omega = _movement(parameters, z, start, tail)
+    tempo = parameters.tempo(z)  # (B,); the movement is in the time of the demonstration
+    velocity, omega, period = velocity * tempo, omega * tempo, PERIOD / tempo
     steps = len(position)
     normal = _normals(rotation, parameters.policy0.orientation_reference)  # (T, 3, B)
-    acceleration = np.gradient(velocity, PERIOD, axis=0)
+    acceleration = np.gradient(velocity, axis=0) / period
     acceleration[:, 2] += GRAVITY
     free = (acceleration * normal).sum(axis=1) < 0.0  # (T, B)
     left = free.any(axis=0)
     release = np.where(left, free.argmax(axis=0), steps - 1)  # (B,)
     everyone = np.arange(len(release))
 
-    t = np.maximum(np.arange(steps)[:, None] - release, 0) * PERIOD  # (T, B) of the flight
+    t = np.maximum(np.arange(steps)[:, None] - release, 0) * period  # (T, B) of the flight
     at = position[release, :, everyone].T  # (3, B)
     flying = at + velocity[release, :, everyone].T * t[:, None]  # (T, 3, B)
     flying[:, 2] -= 0.5 * GRAVITY * t**2

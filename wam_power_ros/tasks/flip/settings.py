@@ -34,12 +34,16 @@ class FlipSettings(BaseModel):
         turn_limit: Largest correction of the flick for one rollout [1].
         vigour_gain: The same for the vigour, of which more throws higher, too.
         vigour_limit: Largest correction of the vigour for one rollout [1].
+        tempo_gain: The same for the logarithm of the tempo: a faster toss spins faster and flies
+            longer, in the same range of the joints.
+        tempo_limit: Largest correction of that logarithm for one rollout [1].
         success_return: Least return of a success; 0 when the return does not matter.
         success_angle: Least rotation in the air of a success, which must also be caught and
             flipped [rad]; 0 when the flip does not matter.
         confirm_margin: Rotation beyond `success_angle` that a success must have to count towards
             the stopping rule [rad]: stopping at the first streak selects policies that barely
             succeed.
+        confirm_landing: Largest landing error of a success that counts towards it [m].
         delta_h: Height above the pan at which a falling pancake is judged [m].
         settle_time: Time a rollout goes on after the movement [s].
     """
@@ -57,15 +61,18 @@ class FlipSettings(BaseModel):
     turn_limit: float = Field(default=0.1, gt=0.0, le=1.0)
     vigour_gain: float = Field(default=0.0, ge=0.0, le=1.0)
     vigour_limit: float = Field(default=0.3, gt=0.0, le=1.0)
+    tempo_gain: float = Field(default=0.0, ge=0.0, le=1.0)
+    tempo_limit: float = Field(default=0.15, gt=0.0, le=1.0)
     success_return: float = Field(ge=0.0, allow_inf_nan=False)
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
+    confirm_landing: float = Field(default=1.0, gt=0.0, le=1.0)
     delta_h: float = Field(default=0.12, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
     @model_validator(mode="after")
     def _fit_together(self) -> FlipSettings:
-        for name in ("landing_gain", "turn_gain", "vigour_gain"):
+        for name in ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"):
             if getattr(self, name) > 0.0 and self.variant != "planar":
                 raise ValueError(
                     f"{name} {getattr(self, name)} needs a parameter that only the variant "
@@ -86,11 +93,13 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "mean_every": 5,
         "landing_gain": 0.7,
         "turn_gain": 0.5,
-        "vigour_gain": 0.5,
+        "vigour_gain": 0.3,
+        "tempo_gain": 0.3,
         "success_return": 0.0,
         "success_angle": math.radians(150.0),
         "confirm": 8,
         "confirm_margin": math.radians(10.0),
+        "confirm_landing": 0.12,
         "retests": 10,
     },
     "paper": {

@@ -78,16 +78,20 @@ class Flip:
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
     ) -> Sequence[np.ndarray]:
-        """Correct the catch shift, the flick and the vigour; see `landing_correction`."""
+        """Correct catch shift, flick, vigour and tempo; see `landing_correction`."""
         return landing_correction(assessment, parametrization, self.settings)
 
     def confirms(self, record: Judged) -> bool:
-        """Whether the pancake turned further than a success needs, by `confirm_margin`."""
-        settings = self.settings
-        if settings.success_angle == 0.0 or settings.confirm_margin == 0.0:
+        """Whether the pancake turned by `confirm_margin` further than it must, and fell well in."""
+        settings, flight = self.settings, record.observation
+        if settings.success_angle == 0.0:
             return True
-        turned = abs((record.observation or {}).get("angle", 0.0))
-        return turned >= settings.success_angle + settings.confirm_margin
+        if flight is None:
+            return False
+        miss = math.hypot(*flight["landing_error"][:2])  # not how high it was judged
+        turned = abs(flight["angle"])
+        least = settings.success_angle + settings.confirm_margin
+        return turned >= least and miss <= settings.confirm_landing
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """The toss that a policy plans, corrected by what rollouts returned."""
