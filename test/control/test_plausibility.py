@@ -10,7 +10,7 @@ from rigid_arm import HOME, MODEL, PERIOD_NS, POLICY, Plant, begin, check, make,
 from wam_power_ros.control import safety
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.plausibility import VelocityCheck
+from wam_power_ros.control.plausibility import Bound, TorqueCheck, VelocityCheck
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import FaultKind
 
@@ -19,6 +19,7 @@ Lie = Callable[[State], State]
 PERIOD = PERIOD_NS * 1e-9
 LONGEST = 15  # states until a lie about a moving arm is a fault: 30 ms
 NOTICED = 0.5  # [rad/s] of a velocity that is wrong; a smaller lie may be noticed later
+ELBOW = np.eye(7)[3]
 START = HOME + np.array([0.3, -0.2, 0.2, -0.3, 0.2, 0.2, 0.3])
 BEGUN = {"early": 0.12, "upwards": 0.33, "late": 0.55}  # [s] of the rollout
 
@@ -185,7 +186,7 @@ def test_a_false_state_in_a_move_ends_in_a_stop(name: str) -> None:
     faulted, speeds, size = lied_to(controller, plant, LIES[name]())
     assert faulted is not None
     assert faulted <= LONGEST or size < NOTICED, (faulted, size)
-    assert max(speeds) < speeds[0] + 0.2
+    assert max(speeds) < speeds[0] + 0.3
     assert max(speeds[faulted + 250 :]) < safety.REST_SPEED
 
 
@@ -321,7 +322,7 @@ def test_states_at_a_flood_of_tiny_stamps_change_the_torque_no_faster() -> None:
     first = tau = controller.step(stamp, q, np.zeros(7))
     for k in range(1, 101):  # 0.1 ms in all
         tau = controller.step(stamp + 1000 * k, q - 1e-6 * k, np.zeros(7))
-    assert np.all(np.abs(tau - first) <= 1000.0 * 1e-4 + 1e-9)
+    assert np.all(np.abs(tau - first) <= controller.limits.torque_rate * 1e-4 + 1e-9)
 
 
 def test_stamps_that_hurry_change_the_torque_no_faster_than_time_passes() -> None:
@@ -334,7 +335,7 @@ def test_stamps_that_hurry_change_the_torque_no_faster_than_time_passes() -> Non
             tau = controller.step(*plant.state(), elapsed)
         return float(np.abs(tau - first).max())
 
-    assert changed(1e-5) <= 1000.0 * 1e-4 + 1e-9
+    assert changed(1e-5) <= 10 * 1e-5 * safety.limits_of(MODEL).torque_rate.max() + 1e-9
     assert changed(None) > 1.0
 
 
@@ -367,3 +368,21 @@ def test_the_state_before_a_gap_is_not_compared_with() -> None:
     run_on = [controller.step(stamp + k * PERIOD_NS, q + 0.02, np.zeros(7)) for k in range(8, 30)]
     assert len(run_on) == 22
     assert controller.latched is None or controller.latched.kind is not FaultKind.VELOCITY
+
+
+@pytest.mark.parametrize("delay", [0, 2, 4])
+@pytest.mark.parametrize("foreign", [0.0, 15.0])
+def test_a_torque_that_changes_fast_is_ours_whenever_it_acts(delay: int, foreign: float) -> None:
+    plant = Plant(HOME, delay=delay, sensing=True, push=lambda *_: foreign * ELBOW)
+    torques = TorqueCheck(MODEL)
+    bound = Bound(moving=np.full(7, 4.0), standing=np.full(7, 4.0))
+    last, tau, faults = None, np.zeros(7), []
+    for k in range(60):
+        stamp, q, qd = plant.state()
+        state = JointState(stamp, q, qd, 0.002, 0.002)
+        if last is not None:
+            faults.append(torques.fault(last, state, [0] * 7, tau, bound))
+        tau = MODEL.gravity(q) + (10.0 if k // 10 % 2 else -10.0) * ELBOW
+        plant.step(tau)
+        last = state
+    assert any(faults) == (foreign != 0.0)

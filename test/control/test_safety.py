@@ -192,8 +192,8 @@ def test_the_springs_are_linear_over_a_tenth_of_a_radian_and_on_to_twice_their_t
 def test_a_torque_within_its_limits_is_handed_on_as_it_is() -> None:
     previous = 0.5 * LIMITS.torque
     for part in (-1.0, 0.0, 1.0):
-        wanted = previous + part * LIMITS.torque_rate * 2.0**-11
-        assert safety.limit_torque(wanted, previous, 2.0**-11, LIMITS) is wanted
+        wanted = previous + part * LIMITS.torque_rate * 2.0**-12
+        assert safety.limit_torque(wanted, previous, 2.0**-12, LIMITS) is wanted
     for at in (LIMITS.torque, -LIMITS.torque):
         assert safety.limit_torque(at, at.copy(), 0.001, LIMITS) is at
         beyond = safety.limit_torque(1.001 * at, at, 0.001, LIMITS)

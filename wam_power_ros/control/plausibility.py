@@ -28,6 +28,7 @@ SLIP_WINDOWS = ((0.02, 0.003), (0.1, 0.008))  # [s], [rad] that position and vel
 SLIP_SHARE = 0.1  # of the motion within the window that may be added
 LAG = 0.008  # [s] by which a velocity may be late: between none and this, it is no slip
 _SLIP_AT_ONCE = 0.003  # [rad] what one state may add: one state alone is no fault
+LATE = 7  # states until a torque shows in the velocities: 8 ms of delay, 6 ms of a driver's filter
 SUSPECTS = 3  # states in a row beyond a bound that make a fault
 REMEMBERED, STRIDE = 100, 4  # states, for the estimate that a fault begins with, and its step
 FRESH = 4  # strides that a lie may have lasted when it is found out
@@ -123,6 +124,7 @@ class TorqueCheck:
     def begin(self) -> None:
         """Begin anew: nothing is unexplained."""
         self.residual = np.zeros(self._arm.n)
+        self._sent: deque[np.ndarray] = deque(maxlen=LATE)
         self._inertial = np.zeros(self._arm.n)  # torque that the motion takes, low-passed [N m]
         self._in_row = 0
 
@@ -140,14 +142,18 @@ class TorqueCheck:
             last: State before.
             state: Present state.
             same: States for which a position has stayed the same, a joint each.
-            tau: Torque at the joints between the two [N m]. Shape (n,).
+            tau: Torque at the joints between the two, if it acts at once [N m]. Shape (n,).
             bound: Largest unexplained torque beside friction.
         """
         arm = self._arm
         dt = (state.stamp_ns - last.stamp_ns) * 1e-9
         keep = math.exp(-dt / WINDOW)
         inertial = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
-        unexplained = inertial + arm.bias(state.q, state.qd) + arm.resistance(state.qd) - tau
+        needed = inertial + arm.bias(state.q, state.qd) + arm.resistance(state.qd)
+        # When a torque acts is not known, so any between those sent lately explains a motion.
+        self._sent.append(tau)
+        sent = np.array(self._sent)
+        unexplained = needed - np.minimum(np.maximum(needed, sent.min(axis=0)), sent.max(axis=0))
         self.residual = keep * self.residual + (1.0 - keep) * unexplained
         self._inertial = keep * self._inertial + (1.0 - keep) * np.abs(inertial)
         excess = np.abs(self.residual) - bound.inertial * self._inertial
