@@ -57,6 +57,7 @@ class SceneSettings:
         body_mass: Mass of the body, as a share of its own.
         body_size: Radius of the body, as a share of its own.
         pitch_rate: Intended pitch rate of the demonstrator of a toss at the release [rad/s].
+        level: A demonstrator of a toss begins with the pan level, the body in its middle.
 
     Raises:
         ValueError: A value out of range.
@@ -68,6 +69,7 @@ class SceneSettings:
     body_mass: float = 1.0
     body_size: float = 1.0
     pitch_rate: float = PITCH_RATE
+    level: bool = False
 
     def __post_init__(self) -> None:
         check_range(self, 0.0, 10.0, "friction", "body_offset_sd")

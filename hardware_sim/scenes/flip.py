@@ -24,7 +24,9 @@ BODY = "pancake"
 HALF_HEIGHT = 0.0025  # [m] of the pancake
 MASS = 0.026  # [kg] of the pancake, the paper's
 HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
+LEVEL = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -52.0, 0.0])  # [rad] the same, the pan level
 HOME.setflags(write=False)
+LEVEL.setflags(write=False)
 WRIST_TO_PAN = 0.34  # [m] from the wrist to the pan's centre
 
 
@@ -32,11 +34,11 @@ class Flip:
     """Scene of pancake flipping, see `Scene`."""
 
     body = BODY
-    home = HOME
     home_sd = 0.0
 
     def __init__(self, settings: SceneSettings) -> None:
         self._settings = settings
+        self.home = LEVEL if settings.level else HOME
 
     def build(self, spec: mujoco.MjSpec) -> None:
         """Add the pancake, white above and yellow below as the paper's."""

@@ -115,16 +115,16 @@ def test_a_policy_that_the_delay_of_the_loop_makes_swing_is_infeasible(
     assert simulate_policy(arm, SETTINGS, policy).fault is None
 
 
-@pytest.mark.parametrize(("q_max", "kind"), [(0.66, None), (0.645, FaultKind.JOINT_POSITION)])
+@pytest.mark.parametrize(("q_max", "kind"), [(0.72, None), (0.67, FaultKind.JOINT_POSITION)])
 def test_a_margin_to_the_limits_of_position_is_kept(
     arm: Arm, q_max: float, kind: FaultKind | None
 ) -> None:
-    # Lowering the pan takes joint 2 to 0.640 rad against the springs of either limit.
+    # Lowering the pan takes joint 2 to 0.64 or 0.65 rad against the springs of the limit.
     limits = limits_of(arm, q_max=np.where(np.arange(7) == 1, q_max, arm.q_max))
     fault = simulate_policy(arm, ControllerSettings(limits=limits), lift(arm, -0.2)).fault
     assert (fault and fault.kind) is kind
     if fault is not None:
-        assert re.search(r"joint 2 comes within 0\.0\d+ rad of a limit; 0.02 must rem", fault.text)
+        assert re.search(r"joint 2 comes within 0\.0\d+ rad of a limit; 0.05 must rem", fault.text)
 
 
 def test_the_fastest_of_the_guarded_points_is_reported(arm: Arm, free: Feasibility) -> None:

@@ -55,7 +55,7 @@ def run(practice: Practice, rollouts: int, judge: Callable[[Trial], Assessment])
 
 
 def worth(ret: float | None, success: bool = False) -> Callable[[Trial], Assessment]:
-    flight = {"tossed": True, "seen": False, "angle": 3.0}
+    flight = {"tossed": True, "seen": False, "angle": 3.0, "landing_error": [0.0, 0.0, 0.0]}
     return lambda trial: Assessment(ret, observation=flight, success=success, why="so it was")
 
 
@@ -245,7 +245,7 @@ def test_a_demonstration_given_while_a_mean_is_confirmed_does_not_end_that() -> 
     practice.add_demonstration(demonstrated_policy("flick-10", seed=10))
     run(practice, 2, worth(0.95, success=True))
     assert practice.choice.startswith("learns from flick-10")
-    assert practice.next_trial().kind != "mean" or practice.next_trial().z.tolist() == [0.0] * 50
+    assert practice.next_trial().kind != "mean" or not practice.next_trial().z.any()
 
 
 def test_demonstrations_that_do_not_fit_are_refused_with_a_reason() -> None:

@@ -24,7 +24,7 @@ from wam_power_ros.learning.rollout import Fault, FaultKind
 
 _STILL_TICKS = 60  # control periods at rest, in which a controller comes to its fixed point
 _SUBSTEPS = 2  # of the model in a control period
-POSITION_MARGIN = 0.02  # [rad] to a limit of position
+POSITION_MARGIN = 0.05  # [rad] to a limit of position
 _STICTION_SPEED = 0.01  # [rad/s] below it friction is not yet all there
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Literal
 from xml.etree import ElementTree
 
@@ -61,6 +62,7 @@ def stand_in(
     *,
     friction: float | None = None,
     believed_pan: float = 1.0,
+    level: bool = False,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
     """Environment with sensors and motors of the stand-in, in its own or in another condition.
@@ -69,9 +71,12 @@ def stand_in(
         seed: Seed of all noise.
         friction: Friction between pancake and pan; None for that of the stand-in.
         believed_pan: Mass of the pan in the controller's model, as a share of its mass.
+        level: Demonstrations begin with the pan level, the pancake in its middle.
         **world: Fields of `WorldSettings`.
     """
-    scene = SceneSettings() if friction is None else SceneSettings(friction=friction)
+    scene = SceneSettings(level=level)
+    if friction is not None:
+        scene = replace(scene, friction=friction)
     world_ = World(WorldSettings(scene=scene, **world), seed)
     return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pancake taught by a novice with one demonstration: learners and baselines side by side.
 
-    python -m wam_power_ros.experiments.studies.novice [--seeds N] [--only ROW ...] [--unknown]
+    python -m wam_power_ros.experiments.studies.novice [--seeds N] [--only ROW ...] [--case CASE]
 
 prints a row for each. The reproduction of such a demonstration is never caught as a true flip, so
 the task tells learners apart, which that of a practised demonstrator (`flip_sessions`) does not.
@@ -26,7 +26,7 @@ BUDGET = 60  # rollouts
 RETESTS = 30  # of the answer
 SOLVED = 27  # true flips among them
 CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
-HELD_OUT = range(3001, 3031)  # seeds without any tuning
+HELD_OUT = range(7001, 7031)  # seeds without any tuning
 _BLIND = dict.fromkeys(
     ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"), 0.0
 )  # without corrections
@@ -50,32 +50,39 @@ ROWS = {
         "landing error, rotation", {"learner": {"name": "corrections_only"}, "mean_every": 1}
     ),
     "power": Row("return", _BLIND),
+    "cma_es": Row("return", {**_BLIND, "learner": {"name": "cma_es"}}),
+    "pi2_bb": Row("return", {**_BLIND, "learner": {"name": "pi2_bb"}}),
     "random": Row("return", {**_BLIND, "learner": {"name": "random"}}),
+}
+# Arguments of a session by what is asked of it; "unknown": in worlds drawn from the seed.
+CASES: Mapping[str, Mapping[str, Any]] = {
+    "novice": {"pitch_rate": NOVICE},
+    "weak": {"pitch_rate": 4.0},
+    "level": {"pitch_rate": NOVICE, "condition": {"level": True}},
+    "unknown": {"pitch_rate": NOVICE, "condition": {"unknown": True}},
 }
 
 
-def study(row: str, unknown: bool) -> str:
-    """Name of the study of a row, in the world as it is described or in unknown ones."""
-    return f"novice-unknown-{row}" if unknown else f"novice-{row}"
+def study(row: str, case: str) -> str:
+    """Name of the study of a row in a case."""
+    return f"{case}-{row}"
 
 
 def jobs(
-    seeds: Sequence[int], rows: Sequence[str] = tuple(ROWS), unknown: bool = False
+    seeds: Sequence[int], rows: Sequence[str] = tuple(ROWS), case: str = "novice"
 ) -> list[Job]:
     """Sessions of every row, those of a seed together."""
-    condition = {"condition": {"unknown": True}} if unknown else {}
     return [
         Job(
-            study(name, unknown),
+            study(name, case),
             f"seed-{seed}",
             session,
             {
                 "seed": seed,
                 "name": "flip",
                 "demonstrations": 1,
-                "pitch_rate": NOVICE,
                 "changes": {"budget": BUDGET, "retests": RETESTS, **ROWS[name].changes},
-                **condition,
+                **CASES[case],
             },
         )
         for seed in seeds
@@ -111,13 +118,13 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("novice"))
     parser.add_argument("--seeds", type=int, default=len(HELD_OUT), help="of each row, at most 30")
     parser.add_argument("--only", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
-    parser.add_argument("--unknown", action="store_true", help="in worlds drawn from the seed")
+    parser.add_argument("--case", choices=CASES, default="novice")
     parser.add_argument("--workers", type=int, default=1)
     args = parser.parse_args()
-    wanted = jobs(HELD_OUT[: args.seeds], args.only, args.unknown)
+    wanted = jobs(HELD_OUT[: args.seeds], args.only, args.case)
     results = job_cache.run(wanted, args.folder, workers=args.workers)
     for name in args.only:
-        found = line(list(results[study(name, args.unknown)].values()))
+        found = line(list(results[study(name, args.case)].values()))
         sys.stdout.write(f"{name} (told {ROWS[name].told}): {found}\n")
 
 

@@ -97,9 +97,9 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "tempo_gain": 0.3,
         "success_return": 0.0,
         "success_angle": math.radians(150.0),
-        "confirm": 8,
+        "confirm": 10,
         "confirm_margin": math.radians(10.0),
-        "confirm_landing": 0.12,
+        "confirm_landing": 0.06,
         "retests": 10,
     },
     "paper": {
