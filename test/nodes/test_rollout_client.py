@@ -7,9 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import rclpy
 from conftest import Probe, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
+from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -188,3 +191,30 @@ def test_a_fault_that_comes_again_and_again_ends_it_by_name(
     cell.answers[interface.EXECUTE] = [Answer(Code.FAULT, "no rollout")] * 10
     with pytest.raises(RolloutError, match="no rollout"):
         client.execute(POLICY, WHOLE, lambda state: "")
+
+
+@pytest.mark.parametrize("step", [10_000_000, 0, 2_000_000_000])
+def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overdue_is_not(
+    step: int, client: RolloutClient, probe: Probe
+) -> None:
+    limit, ticks, now_ns = 1.0, 0, 10**9
+    probe.node.set_parameters([Parameter("use_sim_time", value=True)])
+    clock = probe.publisher(Clock, "/clock", 1)
+
+    def tick() -> None:
+        nonlocal ticks, now_ns
+        ticks, now_ns = ticks + 1, now_ns + step
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(now_ns, 10**9)
+        clock.publish(message)
+
+    timer = probe.node.create_timer(0.05, tick, clock=rclpy.clock.Clock())
+    probe.until(lambda: probe.node.get_clock().now().nanoseconds, "the simulated clock")
+    begun = ticks
+    late = lambda: ticks > begun + 50  # noqa: E731 - after two limits of wall time and a half
+    if step == 10_000_000:
+        client.until(late, "slow", limit)
+    else:
+        with pytest.raises(RolloutError, match="not within 1 s: overdue"):
+            client.until(late, "overdue", limit)
+    probe.node.destroy_timer(timer)

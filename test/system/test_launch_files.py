@@ -32,6 +32,7 @@ mv "$0.part" "$0.called"
 while :; do sleep 0.1; done
 """
 BAGS = [str(bag) for bag in sorted((ROOT / "bags").glob("reach_*"))]
+SHORT = {"demonstrations": " ".join(BAGS), "task": "reach", "trials": "2", "seed": "5"}
 CLI = "import sys; from ros2cli.cli import main; sys.exit(main())"
 
 
@@ -126,9 +127,7 @@ def second(installed: Path, processes: Processes, tmp_path: Path) -> Launch:
 def test_ctrl_c_ends_a_launch_cleanly_at_any_moment(
     moment: str, launch: Launch, tmp_path: Path
 ) -> None:
-    session, bags = str(tmp_path / "session"), " ".join(BAGS)
-    asked = {"task": "reach", "trials": "2", "seed": "5"}
-    launch.start("sim.launch.py", session=session, demonstrations=bags, **asked)
+    launch.start("sim.launch.py", session=str(tmp_path / "session"), **SHORT)
     launch.until(lambda: moment in launch.output, moment)
     launch.interrupt()
     launch.has_ended_well()
@@ -157,10 +156,7 @@ def test_two_arms_are_launched_into_one_graph_and_learn_side_by_side(
             "sim.launch.py",
             namespace=name,
             session=str(tmp_path / name),
-            demonstrations=" ".join(BAGS),
-            task="reach",
-            trials="2",
-            seed=seed,
+            **SHORT | {"seed": seed},
         )
     for each, name in ((launch, "left"), (second, "right")):
         each.has_ended_well()
@@ -171,8 +167,7 @@ def test_a_launched_session_has_its_bags_and_its_report_and_then_ends(
     launch: Launch, tmp_path: Path
 ) -> None:
     session = tmp_path / "session"
-    asked = {"task": "reach", "trials": "2", "seed": "5"}
-    launch.start("sim.launch.py", session=str(session), demonstrations=" ".join(BAGS), **asked)
+    launch.start("sim.launch.py", session=str(session), **SHORT)
     launch.has_ended_well()
     assert (session / "report.html").is_file()
     header = yaml.safe_load((session / "session.yaml").read_text())
@@ -245,8 +240,7 @@ def test_a_recorder_that_was_killed_is_started_again_and_the_session_goes_on(
     launch: Launch, tmp_path: Path
 ) -> None:
     session = tmp_path / "session"
-    asked = {"task": "reach", "trials": "2", "seed": "5"}
-    launch.start("sim.launch.py", session=str(session), demonstrations=" ".join(BAGS), **asked)
+    launch.start("sim.launch.py", session=str(session), **SHORT)
     launch.until(lambda: "recording" in launch.output, "the first recording")
     recorder = r"demonstration_recorder-\d+\]: process started with pid \[(\d+)\]"
     os.kill(int(re.findall(recorder, launch.output)[0]), signal.SIGKILL)

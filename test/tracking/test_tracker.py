@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from wam_power_ros import rotations
 from wam_power_ros.tracking import marker_fit
-from wam_power_ros.tracking.tracker import Tracker, TrackerSettings, Validity
+from wam_power_ros.tracking.tracker import FrameFault, Tracker, TrackerSettings, Validity
 
 SETTINGS = TrackerSettings(
     rate=30.0,
@@ -88,24 +88,24 @@ def test_the_angular_velocity_is_in_the_base_frame_and_extrapolates_the_orientat
 @pytest.mark.parametrize(
     ("position", "quat_xyzw", "fault"),
     [
-        ([np.nan, 0.0, 0.6], LEVEL, "not finite"),
-        ([0.8, 0.0, 0.6], [0.0, 0.0, np.inf, 1.0], "not finite"),
-        ([0.0, 0.0, 0.0], LEVEL, "zero pose"),
-        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 0.0], "quaternion not of unit length"),
-        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.01, 1.01], "quaternion not of unit length"),
-        ([0.8, 0.0, 60.0], LEVEL, "out of workspace"),
-        ([0.8, 1.0, 0.6], LEVEL, "jump"),
+        ([np.nan, 0.0, 0.6], LEVEL, FrameFault.NOT_FINITE),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, np.inf, 1.0], FrameFault.NOT_FINITE),
+        ([0.0, 0.0, 0.0], LEVEL, FrameFault.ZERO),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 0.0], FrameFault.NOT_UNIT),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.01, 1.01], FrameFault.NOT_UNIT),
+        ([0.8, 0.0, 60.0], LEVEL, FrameFault.OUTSIDE),
+        ([0.8, 1.0, 0.6], LEVEL, FrameFault.JUMP),
     ],
 )
 def test_a_bad_pose_is_refused_by_its_name_and_changes_nothing(
-    position: list[float], quat_xyzw: list[float], fault: str
+    position: list[float], quat_xyzw: list[float], fault: FrameFault
 ) -> None:
     tracker = Tracker(SETTINGS)
     seen(tracker)
     before = tracker.path("a", stamp(0), stamp(99))
     assert tracker.add(stamp(10), np.array(position), np.array(quat_xyzw)) is None
-    assert tracker.fault == fault
-    assert tracker.counts[fault] == 1
+    assert tracker.fault is fault
+    assert tracker.counts[fault.value] == 1
     after = tracker.path("a", stamp(0), stamp(99))
     np.testing.assert_array_equal(after.position, before.position)
 
@@ -122,7 +122,7 @@ def test_a_pose_that_repeats_bit_for_bit_never_enters_and_is_called_frozen() -> 
     held = PAN + 0.001
     tracker.add(stamp(10), held, LEVEL)
     tracker.add(stamp(11), held, LEVEL)
-    assert tracker.fault == "pose repeated"
+    assert tracker.fault is FrameFault.POSE_REPEATED
     assert tracker.validity is Validity.OK  # one repeat is a hidden frame, not a frozen system
     for index in range(12, 40):
         tracker.add(stamp(index), held, LEVEL)
@@ -223,11 +223,11 @@ def test_stamps_that_repeat_or_go_back_are_refused() -> None:
     tracker = Tracker(SETTINGS)
     seen(tracker, 5)
     for when, fault in [
-        (stamp(4), "stamp repeated"),
-        (stamp(3), "stamp goes back"),
+        (stamp(4), FrameFault.STAMP_REPEATED),
+        (stamp(3), FrameFault.STAMP_BACK),
     ]:
         assert tracker.add(when, PAN + 1e-4, LEVEL) is None
-        assert tracker.fault == fault
+        assert tracker.fault is fault
     assert len(tracker.path("a", stamp(0), stamp(99)).t) == 5
 
 
@@ -327,7 +327,7 @@ def test_markers_give_the_state_of_the_pose() -> None:
     np.testing.assert_allclose(same.position, pose.position, atol=1e-9)
     np.testing.assert_allclose(same.angular_velocity, pose.angular_velocity, atol=1e-5)
     assert by_markers.add_markers(stamp(4), points[:2]) is None
-    assert by_markers.fault == "markers not clear"
+    assert by_markers.fault is FrameFault.MARKERS
     assert by_markers.latest_ns == stamp(4)
 
 

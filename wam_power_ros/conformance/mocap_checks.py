@@ -24,6 +24,7 @@ from wam_power_ros.tracking.tracker import (
     FROZEN_COUNT,
     FROZEN_TIME,
     Y_UP,
+    FrameFault,
     Tracker,
     TrackerSettings,
 )
@@ -101,7 +102,7 @@ def usable(
     good = counts.pop("accepted", 0)
     counts.pop("found again", 0)
     if frozen.verdict is FAIL:
-        good += counts.pop("pose repeated", 0)  # reported by the other row
+        good += counts.pop(FrameFault.POSE_REPEATED.value, 0)  # reported by the other row
     counts.update(refused)
     total = len(frames) + sum(refused.values())
     if not total:

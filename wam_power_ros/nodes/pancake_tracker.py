@@ -30,7 +30,7 @@ from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.tracking.clock_offset import ClockOffset
 from wam_power_ros.tracking.free_fall import falling
 from wam_power_ros.tracking.tracker import (
-    REPEATED,
+    FrameFault,
     TrackedState,
     Tracker,
     Validity,
@@ -104,8 +104,10 @@ class PancakeTracker(Node):
         if state is not None:
             self._publish(state)
         elif self._tracker.fault:
-            self._trouble = self._tracker.fault
-            if self._trouble == REPEATED:  # a habit of some drivers; diagnostics count them
+            self._trouble = self._tracker.fault.value
+            if (
+                self._tracker.fault is FrameFault.POSE_REPEATED
+            ):  # a habit of some drivers; diagnostics count them
                 self.get_logger().warning("repeated poses are refused; said once", once=True)
             else:
                 self.get_logger().warning(f"refused: {self._trouble}", throttle_duration_sec=1.0)
@@ -126,7 +128,7 @@ class PancakeTracker(Node):
         self._answer_if_complete()
 
     def _refuse(self, error: ValueError) -> None:
-        self._tracker.refuse("message not valid")
+        self._tracker.refuse(FrameFault.MESSAGE)
         self._trouble = str(error)
         self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
 

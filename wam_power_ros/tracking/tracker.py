@@ -21,7 +21,6 @@ from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
 
 SECOND = 1_000_000_000  # [ns]
-REPEATED = "pose repeated"
 GRAVITY = 9.81  # [m/s^2]
 HISTORY = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
 INTERVAL_MIN = SECOND // 1000  # frames stamped closer together were stamped on delivery [ns]
@@ -34,6 +33,21 @@ COAST_TIME = SECOND // 10  # extrapolation of a hidden body at constant velocity
 VELOCITY_WINDOW = SECOND // 10  # [ns], or two periods if that is longer
 UNIT_TOLERANCE = 1e-3  # deviation of a quaternion's length from 1 [1]
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # (x, y, z) -> (x, -z, y)
+
+
+class FrameFault(Enum):
+    """Why a frame was refused, in words for people."""
+
+    MESSAGE = "message not valid"
+    NOT_FINITE = "not finite"
+    ZERO = "zero pose"
+    NOT_UNIT = "quaternion not of unit length"
+    STAMP_BACK = "stamp goes back"
+    STAMP_REPEATED = "stamp repeated"
+    POSE_REPEATED = "pose repeated"
+    OUTSIDE = "out of workspace"
+    JUMP = "jump"
+    MARKERS = "markers not clear"
 
 
 class Validity(Enum):
@@ -131,7 +145,7 @@ class Tracker:
     Attributes:
         validity: Validity of the state.
         counts: Number of frames by outcome: "accepted", or the fault they were refused for.
-        fault: Fault of the newest frame, "" if it was accepted.
+        fault: Fault of the newest frame, None if it was accepted.
         latest_ns: Newest stamp of any frame, less the latency offset; 0 before the first [ns].
     """
 
@@ -144,7 +158,7 @@ class Tracker:
         self._patience = round(2e9 / settings.rate)  # time without a frame before an occlusion [ns]
         self._window = max(VELOCITY_WINDOW, self._patience) + INTERVAL_MIN
         self.counts: Counter[str] = Counter()
-        self.fault = ""
+        self.fault: FrameFault | None = None
         self._restart()
 
     def _restart(self) -> None:
@@ -184,12 +198,12 @@ class Tracker:
         if self._is_repeated(frame.stamp_ns, position.tobytes() + quat_xyzw.tobytes()):
             held = frame.stamp_ns - self._raw_since
             frozen = self._repeats >= FROZEN_COUNT and held >= FROZEN_TIME
-            self.refuse(REPEATED, Validity.FROZEN if frozen else None)
+            self.refuse(FrameFault.POSE_REPEATED, Validity.FROZEN if frozen else None)
             return None
         low, high = self._settings.workspace_low, self._settings.workspace_high
         bounds = zip(low, frame.position.tolist(), high, strict=True)
         if not all(least <= x <= most for least, x, most in bounds):
-            self.refuse("out of workspace")
+            self.refuse(FrameFault.OUTSIDE)
             return None
         # Of frames delivered together only the stamp of the last one is right.
         pair = self._frames and frame.stamp_ns - self._frames[-1].stamp_ns < INTERVAL_MIN
@@ -198,7 +212,7 @@ class Tracker:
             self._frames.extend(older)
             self._jumps += 1
             lost = self._jumps >= JUMP_COUNT
-            self.refuse("jump", Validity.LOST if lost else Validity.JUMP)
+            self.refuse(FrameFault.JUMP, Validity.LOST if lost else Validity.JUMP)
             return None
         if older:
             self.counts["accepted"] -= 1
@@ -211,13 +225,13 @@ class Tracker:
             pose = marker_fit.fit(points)
         except ValueError:
             self.latest_ns = max(self.latest_ns, stamp_ns - self._latency)
-            self.refuse("markers not clear")
+            self.refuse(FrameFault.MARKERS)
             return None
         return self.add(stamp_ns, pose.position, pose.quat_xyzw)
 
-    def refuse(self, fault: str, validity: Validity | None = None) -> None:
+    def refuse(self, fault: FrameFault, validity: Validity | None = None) -> None:
         """Count a refused frame under its fault; `validity` stays as it is if omitted."""
-        self.counts[fault] += 1
+        self.counts[fault.value] += 1
         self.fault = fault
         if validity is not None:
             self.validity = validity
@@ -263,17 +277,17 @@ class Tracker:
         quat = rotations.normalised(rotations.multiply(self._quat, quat_xyzw))
         return _Frame(stamp_ns, self._rotation @ position + self._origin, quat)
 
-    def _stamp_fault(self, stamp_ns: int) -> str:
-        """Fault of a stamp, or ""; restarts the track when the clock was set back."""
+    def _stamp_fault(self, stamp_ns: int) -> FrameFault | None:
+        """Fault of a stamp, if any; restarts the track when the clock was set back."""
         if stamp_ns < self.latest_ns:
             self._behind += 1
             if self._behind < SET_BACK_COUNT:
-                return "stamp goes back"
+                return FrameFault.STAMP_BACK
             self.counts["clock set back"] += 1
             self._restart()
-            return ""
+            return None
         self._behind = 0
-        return "stamp repeated" if stamp_ns == self.latest_ns else ""
+        return FrameFault.STAMP_REPEATED if stamp_ns == self.latest_ns else None
 
     def _is_repeated(self, stamp_ns: int, raw: bytes) -> bool:
         """Whether a pose is the last one bit for bit, which no measurement with noise is."""
@@ -310,7 +324,7 @@ class Tracker:
         self._frames.append(frame)
         while frame.stamp_ns - self._frames[0].stamp_ns > HISTORY:
             self._frames.popleft()
-        self.validity, self.fault = Validity.OK, ""
+        self.validity, self.fault = Validity.OK, None
         self.counts["accepted"] += 1
         self._state = self._estimate(frame)
         return self._state
@@ -344,15 +358,15 @@ class Tracker:
         )
 
 
-def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> str:
-    """Fault of a pose, or ""."""
+def _pose_fault(position: np.ndarray, quat_xyzw: np.ndarray) -> FrameFault | None:
+    """Fault of a pose, if any."""
     if position.shape != (3,) or quat_xyzw.shape != (4,):
         raise ValueError(f"pose of shapes {position.shape}, {quat_xyzw.shape}, not (3,), (4,)")
     place, turn = position.tolist(), quat_xyzw.tolist()
     if not all(map(math.isfinite, place + turn)):
-        return "not finite"
+        return FrameFault.NOT_FINITE
     if not any(place):
-        return "zero pose"
+        return FrameFault.ZERO
     if abs(math.hypot(*turn) - 1.0) > UNIT_TOLERANCE:
-        return "quaternion not of unit length"
-    return ""
+        return FrameFault.NOT_UNIT
+    return None
