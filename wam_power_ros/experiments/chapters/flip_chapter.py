@@ -3,91 +3,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.stats import mannwhitneyu
 
 from wam_power_ros.experiments import filmstrip
+from wam_power_ros.experiments.chapters.flip_statistics import (
+    RELIABLE,
+    Row,
+    Sessions,
+    outcome_cells,
+    quantile_cells,
+    share,
+    share_cell,
+    values,
+)
 from wam_power_ros.experiments.jobs import Results
 from wam_power_ros.experiments.studies.flip_sessions import ABLATION, DEFAULT, LEARNT, LONG, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.reporting import figures, flip_figures, study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
-Row = Mapping[str, Any]  # a rollout as the study keeps it
-RELIABLE = 0.9  # share of an answer's re-tests
 THEIRS = "paper's settings"
 BLOCK = 10  # rollouts averaged in the ablation
 OPEN = "how often a success has to be repeated, and how the answer was tested"
-
-
-@dataclass(frozen=True)
-class Sessions:
-    """Sessions held under one condition, results of `flip_sessions.session`, and statistics."""
-
-    runs: Sequence[Mapping[str, Any]]
-
-    def __len__(self) -> int:
-        return len(self.runs)
-
-    @property
-    def retests(self) -> list[Row]:
-        """Re-tests of all answers."""
-        return [row for run in self.runs for row in run["retests"]]
-
-    @property
-    def used(self) -> np.ndarray:
-        """Rollouts each session used. Shape (n,)."""
-        return np.array([run["used"] for run in self.runs])
-
-    @property
-    def landed(self) -> np.ndarray:
-        """Share of each session's re-tests that landed. Shape (n,)."""
-        return np.array([share(run["retests"], "landed") for run in self.runs])
-
-    @property
-    def true_flips(self) -> np.ndarray:
-        """Share of each session's re-tests that were true flips. Shape (n,)."""
-        return np.array([share(run["retests"], "true_flip") for run in self.runs])
-
-    @property
-    def reproduced(self) -> int:
-        """Number of sessions whose demonstration was a true flip when it was reproduced.
-
-        Of several reproductions that of the highest return is learnt from.
-        """
-        count = 0
-        for run in self.runs:
-            first = [trial for trial in run["trials"] if trial["kind"] == "reproduction"]
-            best = max(first, key=lambda trial: trial["ret"] or 0.0, default=None)
-            count += best is not None and bool(best["true_flip"])
-        return count
-
-    @property
-    def curves(self) -> list[list[float]]:
-        """Returns of the rollouts of each session that could be judged."""
-        return [[ret for ret in run["curve"] if ret is not None] for run in self.runs]
-
-    @property
-    def gain(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean return of the first and of the last five rollouts of each session. Shapes (n,)."""
-        return study_figures.first_and_last_five(self.curves)
-
-    def means(self, name: str, form: str) -> list[str]:
-        """Cells: quantiles of the sessions' mean of a quantity over the re-tests, if any."""
-        tested = [run["retests"] for run in self.runs if run["retests"]]
-        return _quantiles(np.array([values(rows, name).mean() for rows in tested]), form)
-
-    def stiffness(self, which: str) -> np.ndarray:
-        """K33 profile of each policy, "learnt" or "demonstrated". Shape (<= n, T)."""
-        return np.array([run["k33"][which] for run in self.runs if run["k33"]])
-
-    def reliable(self, shares: np.ndarray) -> str:
-        """Number of sessions in which a share of the re-tests is at least RELIABLE."""
-        return f"{int((shares >= RELIABLE).sum())} of {len(self)} sessions"
 
 
 def chapter(results: Results) -> Chapter:
@@ -177,10 +117,10 @@ def _default(sessions: Sessions) -> Chapter:
         ),
     ]
     rows = [
-        ["landed, share of re-tests", *_quantiles(landed, ".0%")],
-        ["true flips, share of re-tests", *_quantiles(true, ".0%")],
+        ["landed, share of re-tests", *quantile_cells(landed, ".0%")],
+        ["true flips, share of re-tests", *quantile_cells(true, ".0%")],
         ["angle at t_f, mean [degrees]", *sessions.means("angle_deg", ".0f")],
-        ["rollouts until the answer", *_quantiles(used, ".0f")],
+        ["rollouts until the answer", *quantile_cells(used, ".0f")],
         ["miss at t_f, mean [m]", *sessions.means("miss", ".3f")],
         ["apex, mean [m]", *sessions.means("apex", ".2f")],
     ]
@@ -217,7 +157,7 @@ def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> Chapter:
     for name, others in learnt.items():
         back = [row for run in others.runs for row in next(iter(run["carried"].values()), [])]
         cells = [name, f"{len(others)}", f"{np.median(others.used):.0f}"]
-        again.append([*cells, *_outcomes(others.retests), _percent(back, "landed")])
+        again.append([*cells, *outcome_cells(others.retests), share_cell(back, "landed")])
     outcomes = ("landed", "true flips", "angle at t_f", "beyond no-load speed")
     return Chapter(
         "Robustness against other conditions",
@@ -226,7 +166,7 @@ def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> Chapter:
             Table(
                 "Answers of the default, run in other conditions.",
                 ("condition", "runs", *outcomes),
-                [[name, f"{len(r)}", *_outcomes(r)] for name, r in conditions.items()],
+                [[name, f"{len(r)}", *outcome_cells(r)] for name, r in conditions.items()],
             ),
             Table(
                 "Sessions of the default held in such conditions from the first demonstration on; "
@@ -288,7 +228,7 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
     for name, some in (("50", sessions), ("50, the first six sessions", six), ("100", long)):
         means = [f"{returns.mean():.2f}" for returns in some.gain]
         apex = f"{values(some.retests, 'apex').mean():.2f}"
-        rows.append([name, f"{len(some)}", *means, *_outcomes(some.retests)[:3], apex])
+        rows.append([name, f"{len(some)}", *means, *outcome_cells(some.retests)[:3], apex])
     returns = ("sessions", "first five", "last five")
     curves = {"first six": six.curves, "all": sessions.curves}
     return Chapter(
@@ -406,37 +346,12 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
     )
 
 
-def values(rows: Iterable[Row], name: str) -> np.ndarray:
-    """A quantity of all rows. Shape (n,)."""
-    return np.array([row[name] for row in rows], dtype=float)
-
-
-def share(rows: Sequence[Row], name: str) -> float:
-    """Share of the rows of which something holds; 0 where there is no row."""
-    return float(values(rows, name).mean()) if rows else 0.0
-
-
-def _percent(rows: Sequence[Row], name: str) -> str:
-    return f"{share(rows, name):.0%}" if rows else ""
-
-
-def _outcomes(rows: Sequence[Row]) -> list[str]:
-    """Cells: landed, true flips, median angle, number beyond a motor's no-load speed."""
-    angle = f"{np.median(values(rows, 'angle_deg')):.0f}°" if rows else ""
-    beyond = f"{sum(row['beyond_no_load'] for row in rows)}"
-    return [_percent(rows, "landed"), _percent(rows, "true_flip"), angle, beyond]
-
-
 def _variation(profiles: np.ndarray) -> np.ndarray:
     return np.ptp(profiles, axis=1) / profiles.mean(axis=1)
 
 
 def _p(one: np.ndarray, other: np.ndarray) -> float:
     return float(mannwhitneyu(one, other, alternative="two-sided").pvalue)
-
-
-def _quantiles(sample: np.ndarray, form: str) -> list[str]:
-    return [f"{value:{form}}" for value in np.quantile(sample, (0.0, 0.25, 0.5, 0.75, 1.0))]
 
 
 def _flights(sessions: Sessions, name: str, whose: str) -> list[Figure]:
