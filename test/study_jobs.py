@@ -13,6 +13,8 @@ from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.reporting import figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
+SECONDS = 0.0  # that a run of the study takes
+
 
 def draw(seed: int, seconds: float = 0.0) -> dict[str, Any]:
     """Numbers with all their digits, after a while [s]."""
@@ -40,7 +42,10 @@ def give(what: str) -> dict[str, Any]:
 def jobs(scale: str) -> list[Job]:
     """As every study has them."""
     count = {"full": 12, "quick": 3}[scale]
-    return [Job("draws", f"seed-{seed}", draw, {"seed": seed}) for seed in range(1, 1 + count)]
+    return [
+        Job("draws", f"seed-{seed}", draw, {"seed": seed, "seconds": SECONDS})
+        for seed in range(1, 1 + count)
+    ]
 
 
 def chapter(results: dict[str, dict[str, dict[str, Any]]]) -> Chapter:

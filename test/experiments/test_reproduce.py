@@ -21,6 +21,18 @@ from wam_power_ros.experiments import reproduce
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHONPATH = os.pathsep.join([str(ROOT), str(ROOT / "test"), os.environ.get("PYTHONPATH", "")])
+SLOW = """
+import sys
+
+import study_jobs
+from wam_power_ros.cli import main
+from wam_power_ros.experiments import reproduce
+
+reproduce.STUDIES = {"draws": ("draws", "draws")}
+sys.modules["wam_power_ros.experiments.draws"] = study_jobs
+study_jobs.SECONDS = 0.2
+raise SystemExit(main.main())
+"""  # `wam-power` with a study that takes a while
 
 
 @pytest.fixture
@@ -86,8 +98,8 @@ def test_stopped_by_ctrl_c_and_begun_again_a_reproduction_ends_with_the_same_num
     tmp_path: Path,
 ) -> None:
     def begin(folder: Path, workers: int) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "wam_power_ros.cli", "reproduce", "--quick"]
-        command += ["--only", "reaching", "--folder", str(folder), "--jobs", str(workers)]
+        command = [sys.executable, "-c", SLOW, "reproduce", "--quick"]
+        command += ["--folder", str(folder), "--jobs", str(workers)]
         environment = os.environ | {"PYTHONPATH": PYTHONPATH}
         return subprocess.Popen(
             command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -50,7 +50,7 @@ def test_it_is_taught_practised_and_reported_through_its_entry_points(
         *("--trials", "2", "--session", "s"),
     )
     rows = [json.loads(line) for line in (tmp_path / "s/rollouts.jsonl").read_text().splitlines()]
-    assert [row["kind"] for row in rows] == ["reproduction", "explore", "retest"]
+    assert [row["kind"] for row in rows] == ["reproduction", "explore"]
     assert all(0.0 < row["ret"] < 1.0 and set(row["terms"]) == {"calm", "goal"} for row in rows)
     assert all(row["truth"]["off"] < 0.2 for row in rows)  # of its own scene
     assert "mm off" in output and "calm in" in output

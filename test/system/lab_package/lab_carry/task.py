@@ -29,7 +29,7 @@ class CarrySettings(BaseModel):
     """Settings: what is learnt, and the time a rollout goes on after the movement [s]."""
 
     noise: NoiseScales = NoiseScales(stiffness=0.2, attractor=0.01, rotation=0.05)
-    settle_time: float = 1.0
+    settle_time: float = 0.5
 
 
 class Carry:
@@ -45,7 +45,7 @@ class Carry:
             "budget": 6,
             "mean_every": 3,
             "confirm": 0,
-            "retests": 1,
+            "retests": 0,
         }
     }
 
