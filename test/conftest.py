@@ -165,6 +165,7 @@ class Processes:
     def start(self, command: list[str], **environment: str) -> Process:
         """Start a command in the repository's folder."""
         log = self._folder / f"process_{len(self.started)}.log"
+        log.touch()
         environment = self.environment | environment
         process: Process
         if command[:2] == [sys.executable, "-m"] and command[2] in forked.MODULES:

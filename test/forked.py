@@ -21,20 +21,14 @@ import sys
 import time
 from pathlib import Path
 
-MODULES = {  # name after `python -m` -> module of its `main`
-    "wam_power_ros.cli": "wam_power_ros.cli.main",
-    **{
-        name: name
-        for name in (
-            "wam_power_ros.nodes.torque_controller",
-            "wam_power_ros.nodes.pancake_tracker",
-            "wam_power_ros.nodes.demonstration_recorder",
-            "wam_power_ros.nodes.learner",
-            "wam_power_ros.nodes.check_driver",
-            "hardware_sim.main",
-        )
-    },
-}
+MODULES = (
+    "wam_power_ros.nodes.torque_controller",
+    "wam_power_ros.nodes.pancake_tracker",
+    "wam_power_ros.nodes.demonstration_recorder",
+    "wam_power_ros.nodes.learner",
+    "wam_power_ros.nodes.check_driver",
+    "hardware_sim.main",
+)
 LATER = ("scipy.interpolate", "scipy.linalg.lapack", "scipy.signal")  # imported when needed
 REQUEST_MAX = 1 << 17  # [byte], an environment above all
 
@@ -130,7 +124,7 @@ class Server:
 def serve(requests: socket.socket) -> int:
     """Fork on request until nobody is there to ask; in a forked process, run its `main`."""
     interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the forked
-    for module in (*MODULES.values(), *LATER):
+    for module in (*MODULES, *LATER):
         importlib.import_module(module)
     gc.freeze()
     running: dict[int, int] = {}  # descriptor -> process id
@@ -168,9 +162,8 @@ def become(words: list[str], folder: str, environment: dict[str, str], log: str)
     os.environ.clear()
     os.environ.update(environment)
     os.chdir(folder)
-    module = importlib.import_module(MODULES[words[0]])
-    sys.argv = ["__main__.py", *words[1:]]
-    status: int = module.main()
+    sys.argv = words
+    status: int = importlib.import_module(words[0]).main()
     return status
 
 
