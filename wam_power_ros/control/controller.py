@@ -36,7 +36,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
-INERTIAL_SHARE = 0.6  # of the torque that accelerates the arm: sensors and motors lag by up to 8 ms
+INERTIAL_SHARE = 0.3  # of the torque that accelerates the arm: sensors and motors lag
 STANDING_SHARE = 0.05  # of a torque limit that may be unexplained at a standing joint in a rollout
 
 
