@@ -88,7 +88,8 @@ def test_a_task_without_a_body_has_no_tracker(tmp_path: Path) -> None:
     [
         ({"task": "flop"}, "'flop' is not one of"),
         ({"learner": "luck"}, "'luck'"),
-        ({"trials": "few"}, "few"),
+        ({"trials": "few"}, "trials 'few' must be a whole number"),
+        ({"seed": "-1"}, "seed '-1' must be a whole number"),
         ({"trials": 5, "demonstrations": BAGS[0], "task": "reach"}, "demonstration of flip"),
     ],
 )

@@ -88,17 +88,18 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
     bags = [Path(bag).expanduser().resolve() for bag in given["demonstrations"].split()]
     names = given["config"].split()
     simulated = stand_ins and (bool(names) or given["pace"] == "real_time")
-    session, task, seed = None, given["task"] or TASK, int(given["seed"] or 0)
+    session, task, asked = None, given["task"] or TASK, _whole(given, "seed")
+    seed = asked or 0
     learner: dict[str, object] = {"session": ""}
     if given["session"]:
         options = argparse.Namespace(
             session=Path(given["session"]).expanduser(),
             resume=False,
-            seed=int(given["seed"]) if given["seed"] else None,
+            seed=asked,
             task=given["task"] or None,
             learner=given["learner"],
             preset=given["preset"],
-            trials=int(given["trials"]) if given["trials"] else None,
+            trials=_whole(given, "trials"),
             bags=bags,
             demonstrations=0,
             config=names,
@@ -133,6 +134,18 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
     if session is not None:
         executables.append("learner")
     return Launched(setup, tuple(executables), session, _namespace(given["namespace"]))
+
+
+def _whole(given: Mapping[str, str], name: str) -> int | None:
+    """Whole number of a launch argument, None where it is not given.
+
+    Raises:
+        ValueError: It is none, or is negative.
+    """
+    text = given[name].strip()
+    if text and not text.isdecimal():
+        raise ValueError(f"{name} {text!r} must be a whole number, not negative")
+    return int(text) if text else None
 
 
 def _namespace(text: str) -> str:
