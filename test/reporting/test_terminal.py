@@ -136,3 +136,13 @@ def test_lines_are_broken_between_words(monkeypatch: pytest.MonkeyPatch) -> None
     text = "22 rollouts; return 0.945 over the last 5, best 0.963 in rollout 18"
     lines = terminal.wrapped(text).splitlines()
     assert max(map(len, lines)) <= 40 and " ".join(map(str.strip, lines)) == text
+
+
+def test_one_of_a_thing_is_told_in_the_singular(practice: Practice) -> None:
+    told = [terminal.counted(number, "take") for number in (0, 1, 2)]
+    assert told == ["0 takes", "1 take", "2 takes"]
+    record = practice.records[0]
+    task = practice.task
+    assert terminal.summary([record], task).startswith("1 rollout; return ")
+    unusable = record.model_copy(update={"ret": None})
+    assert terminal.summary([unusable], task) == "1 rollout, none usable"

@@ -27,7 +27,7 @@ from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session import SessionHeader
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.reporting import figures, flip_figures, html_page, reach_figures
-from wam_power_ros.reporting.terminal import before_and_after, number, returned, term_names
+from wam_power_ros.reporting.terminal import before_and_after, counted, number, returned, term_names
 from wam_power_ros.tasks.task import Task
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
@@ -144,7 +144,8 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
     settings = header.settings
     text = [
         f"The session has seed {header.seed}, practises the task {settings.task!r} with the "
-        f"learner {settings.learner!r} and may use {settings.practice.budget} rollouts."
+        f"learner {settings.learner!r} and may use "
+        f"{counted(settings.practice.budget, 'rollout')}."
     ]
     first = next((record.number for record in records if _good(task, record)), None)
     what = "flipped and caught" if task.name == "flip" else "a success"
@@ -155,14 +156,14 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
     if ratings := [record.adjustment for record in records if record.adjustment is not None]:
         rewarded = sum(rating > 0.0 for rating in ratings)
         text.append(
-            f"A person rewarded {rewarded} rollouts and punished {len(ratings) - rewarded}; the "
-            "table has the amounts behind the returns."
+            f"A person rewarded {counted(rewarded, 'rollout')} and punished "
+            f"{len(ratings) - rewarded}; the table has the amounts behind the returns."
         )
     begun = header.candidates
     if later := dict.fromkeys(r.demonstration for r in records if r.demonstration not in begun):
         text.append(f"Given in the middle of learning: {', '.join(later)}.")
     if unusable := sum(record.ret is None for record in records):
-        text.append(f"{unusable} rollouts could not be judged and were not learnt from.")
+        text.append(f"Not judged, and therefore not learnt from: {counted(unusable, 'rollout')}.")
     if task.name in AGREEMENT:
         question, true, seen = AGREEMENT[task.name]
         pairs = [(r.truth, r.observation) for r in records if r.truth and r.observation]
@@ -171,7 +172,7 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
             agree = sum(bool(one) == bool(other) for one, other in judged)
             text.append(
                 f"On {question}, the observation agreed with the simulator in {agree} of "
-                f"{len(judged)} rollouts."
+                f"{counted(len(judged), 'rollout')}."
             )
     lines = [*before_and_after(records, task), *task.summary(records)]
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]

@@ -97,11 +97,11 @@ def summary(records: Sequence[Record], task: Task) -> str:
     """A session in a few lines: rollouts, returns, outcomes, speeds, the last decision."""
     returns = [record.ret for record in records if record.ret is not None]
     if not returns:
-        return f"{len(records)} rollouts, none of them usable"
+        return f"{counted(len(records), 'rollout')}, none usable"
     best, last = max(records, key=lambda record: record.ret or 0.0), returns[-5:]
     lines = [
-        f"{len(records)} rollouts; return {sum(last) / len(last):.3f} over the last {len(last)}, "
-        f"best {best.ret:.3f} in rollout {best.number} ({task.outcome(best)})",
+        f"{counted(len(records), 'rollout')}; return {sum(last) / len(last):.3f} over the last "
+        f"{len(last)}, best {best.ret:.3f} in rollout {best.number} ({task.outcome(best)})",
         *before_and_after(records, task),
         *task.summary(records),
         *_angles(records),
@@ -110,6 +110,11 @@ def summary(records: Sequence[Record], task: Task) -> str:
     if notes := [record.note for record in records if record.note]:
         lines.append(f"last decision: {notes[-1]}")
     return "\n".join(lines)
+
+
+def counted(number: int, noun: str) -> str:
+    """A number and its noun, with an s unless it is one."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def wrapped(text: str) -> str:
@@ -202,7 +207,7 @@ class Display:
         self._outcome, self._log = outcome, log
         count = sum(isinstance(entry, Record) for entry in log)
         most = max(most, count)
-        text = f"{count} of at most {most} rollouts"
+        text = f"{count} of at most {counted(most, 'rollout')}"
         self._progress.update(self._task, completed=count, total=most, description=text)
         if not self._console.is_terminal:
             for entry in new:
