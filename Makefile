@@ -60,7 +60,7 @@ reproduce: $(READY)
 
 # In the order of test/conftest.py: the slow folders first. Three workers on two cores: many tests wait for a clock.
 test: $(READY)
-	$(BIN)/python -m pytest -n 4 --dist loadfile --no-loadscope-reorder $(ARGS)
+	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .
