@@ -12,7 +12,6 @@ session is; simulations of other namespaces may be there. (`wam-power learn` tak
 own.)
 """
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -22,9 +21,6 @@ from launch.actions import DeclareLaunchArgument
 from launch import LaunchDescription
 from wam_power_ros.cli import ros_launch
 from wam_power_ros.entry import INTERRUPTED
-from wam_power_ros.ros.domain import exported, hold
-
-HELD = []  # the lock of the domain, until the launch ends
 
 
 def check_domain(launched: ros_launch.Launched, parameters: Path) -> bool:
@@ -36,7 +32,6 @@ def check_domain(launched: ros_launch.Launched, parameters: Path) -> bool:
     Raises:
         RuntimeError: A driver, another stand-in or another session is there.
     """
-    HELD.append(hold(exported(os.environ), launched.namespace))
     command = [sys.executable, "-m", "hardware_sim.driver_watch", "--ros-args"]
     command += ["--params-file", str(parameters), "-r", f"__ns:={launched.namespace or '/'}"]
     for old, new in launched.remappings:

@@ -51,6 +51,7 @@ class Launch:
 
     def __init__(self, installed: Path, processes: Processes, folder: Path) -> None:
         self._installed, self._processes, self._folder = installed, processes, folder
+        self.temporary = folder / "temporary"
 
     def start(self, file: str, prefix: Path | None = None, **arguments: str) -> None:
         """Begin; `output` then tells what it has printed.
@@ -63,7 +64,7 @@ class Launch:
         given = [f"{name}:={value}" for name, value in arguments.items()]
         words = [sys.executable, "-c", CLI, "launch", "wam_power_ros", file, *given]
         script = f". {self._installed}/install/local_setup.sh && exec setsid {shlex.join(words)}"
-        temporary = self._folder / "temporary"
+        temporary = self.temporary
         temporary.mkdir(parents=True, exist_ok=True)
         self.process = self._processes.start(
             ["sh", "-c", script],
@@ -71,7 +72,6 @@ class Launch:
             ROS_LOG_DIR=str(self._folder / "log"),
             AMENT_PREFIX_PATH=str(prefix or os.environ.get("AMENT_PREFIX_PATH", "")),
         )
-        self.temporary = temporary
 
     @property
     def output(self) -> str:
@@ -146,6 +146,28 @@ def test_a_second_launch_in_the_same_domain_is_refused_in_one_line_and_the_first
     assert launch.process.poll() is None
     launch.interrupt()
     launch.has_ended_well()
+
+
+def test_hardware_is_not_launched_beside_a_simulation(launch: Launch, second: Launch) -> None:
+    launch.start("sim.launch.py")
+    launch.until(lambda: "mode hold" in launch.output, "the arm is held")
+    second.temporary = launch.temporary  # where the locks of domains are
+    second.start("hardware.launch.py", config="geodude natnet_ros2")
+    assert second.process.wait(PATIENCE) == 1
+    assert re.search(r"DDS domain \d+ is in use on this machine by process", second.output)
+    assert "process started" not in second.output
+    launch.interrupt()
+    launch.has_ended_well()
+
+
+def test_a_launch_whose_simulation_dies_ends_with_status_1(launch: Launch) -> None:
+    launch.start("sim.launch.py")
+    launch.until(lambda: "mode hold" in launch.output, "the arm is held")
+    started = r"wam_sim-\d+\]: process started with pid \[(\d+)\]"
+    os.kill(int(re.findall(started, launch.output)[0]), signal.SIGKILL)
+    assert launch.process.wait(PATIENCE) == 1
+    assert "wam_sim-1 ended with status -9" in launch.output
+    assert launch.output.count("finished cleanly") == 3
 
 
 def test_two_arms_are_launched_into_one_graph_and_learn_side_by_side(
@@ -257,6 +279,6 @@ def test_a_recorder_that_refuses_its_parameters_ends_the_launch(
     wrong = tmp_path / "wrong.yaml"
     wrong.write_text("demonstration_recorder: {ros__parameters: {stem: 'no good'}}")
     launch.start("sim.launch.py", config=str(wrong))
-    launch.process.wait(PATIENCE)
-    assert "process[demonstration_recorder-3] was required" in launch.output
+    assert launch.process.wait(PATIENCE) == 1
+    assert "demonstration_recorder-3 ended with status 2" in launch.output
     assert launch.output.count("demonstration_recorder-3]: process started") == 1

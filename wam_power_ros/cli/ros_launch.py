@@ -2,9 +2,9 @@
 """What the launch files of launch/ share: arguments, parameters, nodes, the end of a session.
 
 A launch ends when its learner has ended, after the report of the session, or when a node ends
-without which nothing can go on (`NEEDED`), or refuses its parameters. The others are started again.
-`launch` is imported where it is used: a machine
-without ROS has none.
+without which nothing can go on (`NEEDED`), or refuses its parameters; with status 1 unless that
+node ended by itself with status 0. The others are started again. It holds its DDS domain.
+`launch` is imported where it is used: a machine without ROS has none.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -27,6 +28,7 @@ from wam_power_ros.cli.session_options import TASK, check_names, session_folder
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.domain import exported, hold
 
 if TYPE_CHECKING:
     from launch.actions import DeclareLaunchArgument
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 PATIENCE = "30.0"  # [s] for a node to end: a bag is closed, an arm brought to rest
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 NEEDED = ("wam_sim", "torque_controller")
+HELD: list[ExitStack | None] = []  # the locks of the domain, until the launch ends
 RESPAWN_DELAY = 1.0  # [s], within which Ctrl-C of the terminal has reached launch as well
 SHARED = {  # launch argument -> default and description
     "namespace": ("", "of the nodes of one arm, and of its topics, services and frames"),
@@ -242,6 +245,7 @@ def description(
     def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         values = {each.name: LaunchConfiguration(each.name).perform(context) for each in arguments}
         launched = prepare(values, stand_ins)
+        HELD.append(hold(exported(os.environ), launched.namespace))
         file = parameter_file(launched)
         if not check(launched, file):
             return []
@@ -265,24 +269,27 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
 
     from wam_power_ros.ros.node_runner import REFUSED
 
+    def needed(event: ProcessExited, context: LaunchContext) -> list[LaunchDescriptionEntity]:
+        if context.is_shutdown:
+            return []
+        _check(event)
+        return [Shutdown(reason=f"{event.process_name} has ended")]
+
     def after_learner(
         event: ProcessExited, context: LaunchContext
-    ) -> list[LaunchDescriptionEntity] | None:
+    ) -> list[LaunchDescriptionEntity]:
         if context.is_shutdown:
-            return None
-        if event.returncode:
-            return [Shutdown(reason=f"the learner ended with status {event.returncode}")]
+            return []
+        _check(event)
         command = [sys.executable, "-m", "wam_power_ros.cli", "report", str(launched.session)]
         ended = Shutdown(reason="the session has ended")
         return [ExecuteProcess(cmd=command, name="report", output="screen", on_exit=[ended])]
 
-    def refused(event: ProcessExited, _: LaunchContext) -> list[LaunchDescriptionEntity] | None:
-        if event.returncode != REFUSED:
-            return None
-        return [Shutdown(reason=f"{event.process_name} refused its parameters")]
+    def started_again(event: ProcessExited, context: LaunchContext) -> None:
+        if event.returncode == REFUSED and not context.is_shutdown:
+            _check(event)
 
-    ends = {name: [Shutdown(reason=f"{name} has ended")] for name in NEEDED}
-    ends["learner"] = after_learner
+    ends = {name: needed for name in NEEDED} | {"learner": after_learner}
     return [
         Node(
             package="wam_power_ros",
@@ -294,12 +301,18 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
             ros_arguments=["--enclave", f"{launched.namespace}/{name}"] if secure else [],
             sigterm_timeout=PATIENCE,
             sigkill_timeout=PATIENCE,
-            on_exit=ends.get(name, refused),
+            on_exit=ends.get(name, started_again),
             respawn=name not in ends,
             respawn_delay=RESPAWN_DELAY,
         )
         for name in launched.executables
     ]
+
+
+def _check(event: ProcessExited) -> None:
+    """Raises: RuntimeError, which ends the launch with status 1: a process has failed."""
+    if event.returncode:
+        raise RuntimeError(f"{event.process_name} ended with status {event.returncode}, see above")
 
 
 def _shown(
