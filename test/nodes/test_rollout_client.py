@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import rclpy
-from conftest import Probe, lift
+from conftest import Probe, Processes, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
@@ -23,6 +25,7 @@ from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
 
 POLICY = lift("trial-0002")
+RECORDER = "demonstration_recorder.yaml"
 WHOLE = 0.5  # [s]
 PARAMS = SimpleNamespace(
     scene_reset=False,
@@ -106,6 +109,26 @@ def test_a_rollout_is_executed_from_its_start(client: RolloutClient, cell: Cell)
     assert cell.requests == [interface.MOVE_TO_START, interface.EXECUTE]
     assert executed.rollout.tool.id == POLICY.id and executed.rollout.body is None
     assert executed.rollout.fault is None and (executed.bag, executed.truth) == ("", None)
+
+
+def test_the_arm_is_not_asked_to_move_before_all_readers_have_the_policy(
+    client: RolloutClient, cell: Cell, processes: Processes
+) -> None:
+    reader = processes.node("wam_power_ros.nodes.demonstration_recorder", RECORDER)
+    client.until(client._policies.get_subscription_count, "a reader of the policy", 60.0)
+    reader.send_signal(signal.SIGSTOP)
+    asked: list[str] = []
+
+    def go_on() -> None:
+        asked.extend(cell.requests)
+        reader.send_signal(signal.SIGCONT)
+
+    waking = threading.Timer(1.0, go_on)
+    waking.start()
+    client.execute(POLICY, WHOLE, lambda state: "")
+    waking.join()
+    assert asked == []
+    assert cell.requests == [interface.MOVE_TO_START, interface.EXECUTE]
 
 
 def test_the_path_of_another_rollout_is_not_taken(client: RolloutClient, cell: Cell) -> None:

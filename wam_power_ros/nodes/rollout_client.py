@@ -19,6 +19,7 @@ from typing import Any, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import Odometry, Path
+from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -36,6 +37,7 @@ from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 T = TypeVar("T")
 STARTS_MAX = 5  # attempts to begin one rollout
 ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
+RECEIPT_TIMEOUT = 2.0  # longest wait until all readers have a policy; one that hangs never has [s]
 CLOCKS_APART = 0.2  # clocks of arm and motion capture at most; the tracker allows no more [s]
 END_TOLERANCE = 0.05  # by which a whole rollout may be shorter: no fault cut it short [s]
 READY_STATES = 3  # states of the body in a row that must be ready
@@ -293,6 +295,8 @@ class RolloutClient:
         while True:  # the policy each time: during a rollout, a killed learner's, it is refused
             self._services.wait_for(Trigger, interface.MOVE_TO_START)
             self._policies.publish(String(data=policies.to_json(policy)))
+            # Not ordered with services: asked earlier, the arm moves to the last policy's start.
+            self._policies.wait_for_all_acked(Duration(seconds=RECEIPT_TIMEOUT))
             answer = self._call(interface.MOVE_TO_START)
             if answer is not None and answer.success and _is_about(answer, policy.id):
                 return
