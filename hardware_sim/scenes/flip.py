@@ -23,7 +23,9 @@ from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
 BODY = "pancake"
 HALF_HEIGHT = 0.0025  # [m] of the pancake
 MASS = 0.026  # [kg] of the pancake, the paper's
-HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan 25 degrees front down
+TILT = math.radians(25.0)  # of the pan at HOME, front down [rad]
+DIP = 0.3  # [s] from a level pan to that tilt
+HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan tilted by TILT
 LEVEL = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -52.0, 0.0])  # [rad] the same, the pan level
 HOME.setflags(write=False)
 LEVEL.setflags(write=False)
@@ -75,7 +77,8 @@ class Flip:
 
     def script(self, rng: np.random.Generator) -> TossScript:
         """Draw a toss."""
-        return wrist_flick(rng, pitch_rate=self._settings.pitch_rate)
+        settings = self._settings
+        return wrist_flick(rng, pitch_rate=settings.pitch_rate, level=settings.level)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a toss.
@@ -201,18 +204,22 @@ class TossScript:
 
 
 def wrist_flick(
-    rng: np.random.Generator, spread: float = 1.0, pitch_rate: float = PITCH_RATE
+    rng: np.random.Generator,
+    spread: float = 1.0,
+    pitch_rate: float = PITCH_RATE,
+    level: bool = False,
 ) -> TossScript:
     """A toss from the wrist: flick the front edge up, follow under the pancake, cushion its fall.
 
     It begins at `HOME`, the pan tilted forward and the pancake slid against the front of the rim,
-    as a cook does: from there a flick throws it the same way every time. Out of a level pan, the
-    pancake would slide or not slide to the rim on the way, and throws scatter by 15 cm.
+    as a cook does: from there a flick throws it the same way every time. From a level pan the front
+    edge is dipped first, and the pancake slides there.
 
     Args:
         rng: Generator of the differences between demonstrations.
         spread: Scale of these differences: 0 for the intended toss, 1 for a person's.
         pitch_rate: Intended pitch rate at the release [rad/s].
+        level: Whether it begins at `LEVEL`, the pan level and the pancake in its middle.
     """
 
     def scatter(sd: float, *shape: int) -> np.ndarray:
@@ -221,13 +228,15 @@ def wrist_flick(
     durations = np.array([0.22, 0.30, 0.35]) * (1.0 + scatter(0.06, 3))  # rise, under, cushion [s]
     wrist = np.array([[0.03, 0.02], [0.03, 0.08], [0.0, 0.02]]) + scatter(0.012, 3, 2)
     wrist_speed = np.array([0.75, 0.3]) + scatter(0.15, 2)
-    pitch = np.deg2rad([35.0, 30.0, 22.0]) + scatter(np.deg2rad(4.0), 3)
+    pitch = np.deg2rad([35.0, 30.0, 22.0]) + scatter(np.deg2rad(4.0), 3)  # from the tilted pan
     rate = pitch_rate * (1.0 + float(scatter(0.08)))
-    still = np.zeros((2, 2))
+    dips, tilt = ([DIP], TILT) if level else ([], 0.0)
+    begin = 1 + len(dips)  # keys before the toss, less one: all at rest
+    still = np.zeros((begin + 1, 2))
     return TossScript(
-        np.concatenate([[0.0], PAUSE + np.concatenate([[0.0], np.cumsum(durations)])]),
+        np.concatenate([[0.0], PAUSE + np.concatenate([[0.0], np.cumsum([*dips, *durations])])]),
         np.vstack([still, wrist]),
-        np.vstack([still, wrist_speed, still]),
-        np.concatenate([[0.0, 0.0], pitch]),
-        np.array([0.0, 0.0, rate, 0.0, 0.0]),
+        np.vstack([still, wrist_speed, np.zeros((2, 2))]),
+        np.concatenate([np.zeros(begin), [-tilt], pitch - tilt]),
+        np.concatenate([np.zeros(begin + 1), [rate, 0.0, 0.0]]),
     )

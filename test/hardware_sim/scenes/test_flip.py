@@ -15,8 +15,10 @@ from simulated import CALM, begin, holding_torque, run
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import Truth
 from hardware_sim.scenes.flip import (
+    DIP,
     HALF_HEIGHT,
     HOME,
+    TILT,
     WRIST_TO_PAN,
     TossScript,
     wrist_flick,
@@ -138,8 +140,8 @@ def test_a_pancake_beside_the_pan_is_not_caught_and_lies_on_the_ground(calm: Wor
 # The script
 
 
-def script(seed: int, spread: float = 1.0) -> TossScript:
-    return wrist_flick(np.random.default_rng(seed), spread)
+def script(seed: int, spread: float = 1.0, level: bool = False) -> TossScript:
+    return wrist_flick(np.random.default_rng(seed), spread, level=level)
 
 
 def test_no_two_demonstrations_are_alike_and_the_seed_decides() -> None:
@@ -152,9 +154,11 @@ def test_no_two_demonstrations_are_alike_and_the_seed_decides() -> None:
         np.testing.assert_array_equal(one, other)  # without scatter, the intended toss
 
 
-@given(st.integers(0, 10_000))
-def test_every_script_begins_at_rest_where_it_takes_the_pan_and_ends_at_rest(seed: int) -> None:
-    drawn = script(seed)
+@given(st.integers(0, 10_000), st.booleans())
+def test_every_script_begins_at_rest_where_it_takes_the_pan_and_ends_at_rest(
+    seed: int, level: bool
+) -> None:
+    drawn = script(seed, level=level)
     assert (np.diff(drawn.t) > 0.0).all()
     for values in (
         drawn.wrist[0],
@@ -168,6 +172,19 @@ def test_every_script_begins_at_rest_where_it_takes_the_pan_and_ends_at_rest(see
     np.testing.assert_allclose(rotation, ROTATION, atol=1e-12)
     assert not velocity.any()
     assert not omega.any()
+
+
+@given(st.integers(0, 10_000))
+def test_from_a_level_pan_the_same_toss_follows_a_dip_to_the_tilt_it_begins_at(seed: int) -> None:
+    tilted, level = script(seed), script(seed, level=True)
+    angles = np.cumsum([0.1, 0.2, 0.3])
+    begin, lower = tilted.t[1], level.t[1] + DIP
+    for t in (*angles, tilted.end - begin):
+        dipped = level.target(lower + t, POSITION, ROTATION)
+        from_tilt = tilted.target(begin + t, POSITION, ROTATION)
+        down = rotations.exp(np.array([0.0, TILT, 0.0]))
+        np.testing.assert_allclose(dipped.rotation, down @ from_tilt.rotation, atol=1e-9)
+        np.testing.assert_allclose(dipped.omega, from_tilt.omega, atol=1e-9)
 
 
 def test_the_target_passes_through_the_keys_of_its_script() -> None:

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hardware_sim.ground_truth import Truth
-from hardware_sim.scenes.flip import wrist_flick
+from hardware_sim.scenes.flip import TossScript, wrist_flick
 from hardware_sim.settings import PITCH_RATE, SceneSettings, WorldSettings
 from hardware_sim.world import World
 from wam_power_ros import rotations
@@ -113,11 +113,17 @@ def teach(
     """
     policies = []
     for number in range(count):
-        script = wrist_flick(np.random.default_rng([seed, number]), pitch_rate=pitch_rate)
+        script = _script(environment, seed, number, pitch_rate)
         stamps_ns, q = environment.demonstrate(script, f"demonstration-{number}")
         demonstration = from_joint_samples(environment.arm, stamps_ns, q)
         policies.append(fit([demonstration], settings, f"demonstration-{number + 1}"))
     return policies
+
+
+def _script(environment: Environment, seed: int, number: int, pitch_rate: float) -> TossScript:
+    rng = np.random.default_rng([seed, number])
+    level = environment.world.settings.scene.level
+    return wrist_flick(rng, pitch_rate=pitch_rate, level=level)
 
 
 def practise(
@@ -271,7 +277,7 @@ def _figure_paths(
     """Paths of demonstration, reproduction and answer for the figures, and the answer's trace."""
     number = int(demonstrated.id.rpartition("-")[2]) - 1  # as `teach` named it
     world = environment.world
-    script = wrist_flick(np.random.default_rng([seed, number]), pitch_rate=pitch_rate)
+    script = _script(environment, seed, number, pitch_rate)
     world.trace = []
     environment.demonstrate(script, f"demonstration-{number}")
     shown = {"demonstration": _traced(environment, world.trace)}
