@@ -53,7 +53,7 @@ def test_plugins_of_ros_that_this_pytest_cannot_load_are_left_out(tmp_path: Path
     (tmp_path / "a_plugin_for_another_pytest.py").write_text("raise RuntimeError('was loaded')")
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     command = (sys.executable, "-m", "pytest", "--collect-only", "-q", "test/test_rotations.py")
-    assert "tests collected" in run(*command, folder=ROOT, PYTHONPATH=path)
+    assert "test_rotations" in run(*command, folder=ROOT, PYTHONPATH=path)
 
 
 def test_make_runs_colcon_by_the_python_that_the_executables_start_with() -> None:

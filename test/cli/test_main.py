@@ -69,7 +69,7 @@ def test_what_a_session_was_begun_with_cannot_be_changed(
 ) -> None:
     folder = str(begun_session(tmp_path / "s"))
     assert "begun with seed 5" in refusal(capsys, "learn", "--session", folder, "--seed", "6")
-    assert "leave --trials out" in refusal(capsys, "learn", "--session", folder, "--trials", "9")
+    assert "leave trials out" in refusal(capsys, "learn", "--session", folder, "--trials", "9")
 
 
 def test_resuming_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -68,7 +68,7 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
     assert results[0] == results[2]
     for other in frames[1:]:  # a busy test may miss some of 30 a second of simulated time
         both = frames[0].keys() & other.keys()
-        assert len(both) >= 15
+        assert len(both) >= 5
         assert {at: frames[0][at] for at in both} == {at: other[at] for at in both}
     assert truth["id"] == policy.id
     assert truth["caught"]

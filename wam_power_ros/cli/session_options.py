@@ -38,12 +38,12 @@ def session_folder(options: argparse.Namespace) -> Path:
     if Session.exists(folder):
         header, _, _ = read(folder)
         if options.seed is not None and options.seed != header.seed:
-            raise UsageError(f"{folder} was begun with seed {header.seed}; leave --seed out")
+            raise UsageError(f"{folder} was begun with seed {header.seed}; leave seed out")
         if options.task not in (None, header.settings.task):
             raise UsageError(f"{folder} was begun with task {header.settings.task}")
         given = [name for name in ("learner", "preset", "trials", "bags") if getattr(options, name)]
         if given:
-            raise UsageError(f"{folder} was begun already; leave --{' and --'.join(given)} out")
+            raise UsageError(f"{folder} was begun already; leave {', '.join(given)} out")
     return folder
 
 
