@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 
 import pytest
 import rclpy
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
@@ -33,7 +35,7 @@ class Recorder:
 
     def publish(
         self, text: str, reliability: ReliabilityPolicy, durability: DurabilityPolicy
-    ) -> None:
+    ) -> Publisher:
         """Publish from a new publisher until the text is received, for 10 s at most."""
         qos = QoSProfile(depth=1, reliability=reliability, durability=durability)
         publisher = self.sender.create_publisher(String, "notes", qos)
@@ -41,7 +43,7 @@ class Recorder:
             publisher.publish(String(data=text))
             self._executor.spin_once(timeout_sec=0.05)
             if ("/notes", text) in self.received:
-                return
+                return publisher
         pytest.fail(f"{text} was not received")
 
 
@@ -61,6 +63,20 @@ def test_without_a_publisher_there_is_no_subscription(recorder: Recorder) -> Non
     recorder.topics.look()
     assert recorder.topics.names == ["/notes"]
     assert recorder.node.count_subscribers("/notes") == 0
+
+
+def test_what_has_arrived_is_passed_on_before_it_is_dispatched(recorder: Recorder) -> None:
+    publisher = recorder.publish("first", RELIABLE, VOLATILE)
+    publisher.publish(String(data="last"))
+    for _ in range(200):
+        recorder.topics.take()
+        if ("/notes", "last") in recorder.received:
+            break
+        time.sleep(0.05)
+    else:
+        pytest.fail("not passed on")
+    recorder.publish("next", RELIABLE, VOLATILE)  # dispatched as ever
+    assert [text for _, text in recorder.received].count("last") == 1
 
 
 def test_a_subscription_follows_publishers_that_offer_less(recorder: Recorder) -> None:

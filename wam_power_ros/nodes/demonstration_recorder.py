@@ -189,6 +189,7 @@ class DemonstrationRecorder(Node):
         recording = self._recording
         if recording is None:
             return Answer(Code.NOTHING, "not recording")
+        self._topics.take()  # a busy recorder hears of the end before it has dispatched the rest
         try:
             states = recording.close(reason, self._notes, self._state_topic)
         except OSError as error:

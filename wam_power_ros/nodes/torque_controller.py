@@ -56,6 +56,7 @@ SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FA
 FRESH_NS = 1_000_000_000  # [ns] age of a joint state with which the arm may be activated
 VELOCITY_NS = 10_000_000  # [ns] age of a velocity of its own topic that is used
 REST_WITHIN = 0.5  # [s] in which the arm is brought to rest when this node ends
+RESTED = 0.05  # [s] at rest, before that: slower than REST_SPEED the arm still coasts
 RELEASE_WITHIN = 0.05  # [s] after it, in which the torque becomes the one that carries the arm
 ENABLE_NS = 100_000_000  # [ns] after which the enabling switch counts as released
 
@@ -191,9 +192,11 @@ class TorqueController(LifecycleNode):
             return
         core = self._controller
         core.stop()
-        begun = time.monotonic()
-        while not core.at_rest and time.monotonic() - begun < REST_WITHIN:
+        begun = moved = time.monotonic()
+        while moved - begun < REST_WITHIN and time.monotonic() - moved < RESTED:
             self._answer_next()
+            if not core.at_rest:
+                moved = time.monotonic()
         core.release()
         begun = time.monotonic()
         while time.monotonic() - begun < RELEASE_WITHIN:

@@ -76,6 +76,14 @@ class RawTopics:
             if infos:
                 self._fit(name, infos)
 
+    def take(self) -> None:
+        """Pass on what has arrived and was not dispatched yet."""
+        for name, known in self._subscribed.items():
+            handle = known.subscription.handle
+            with handle:
+                while (taken := handle.take_message(known.subscription.msg_type, True)) is not None:
+                    self._on_message(name, taken[0])
+
     def _fit(self, name: str, infos: list[TopicEndpointInfo]) -> None:
         msgtype = infos[0].topic_type
         reliable, latched = all(map(_is_reliable, infos)), all(map(_is_latched, infos))
