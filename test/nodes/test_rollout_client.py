@@ -208,6 +208,14 @@ def test_an_answer_for_another_policy_is_asked_again(client: RolloutClient, cell
     assert cell.requests == [interface.MOVE_TO_START] * 2 + [interface.EXECUTE]
 
 
+def test_the_enabling_switch_is_waited_for(probe: Probe, cell: Cell) -> None:
+    impatient = SimpleNamespace(**vars(PARAMS) | {"service_timeout": 1.0})
+    client = RolloutClient(probe.node, probe._executor, impatient, "")
+    cell.answers[interface.EXECUTE] = [Answer(Code.SWITCH, "not held") for _ in range(30)]
+    client.execute(POLICY, WHOLE, lambda state: "")
+    assert cell.requests == [interface.MOVE_TO_START, *[interface.EXECUTE] * 31]
+
+
 def test_a_fault_that_comes_again_and_again_ends_it_by_name(
     client: RolloutClient, cell: Cell
 ) -> None:

@@ -327,7 +327,7 @@ class Controller:
     def _require_switch(self, mode: Mode) -> None:
         if self._lacks_switch(mode):
             text = f"{mode.value} refused: the enabling switch is not held"
-            raise ControllerError(Refusal.REFUSED, text)
+            raise ControllerError(Refusal.SWITCH, text)
 
     def _require_rest(self, request: str) -> None:
         if unrest := self._unrest():

@@ -46,6 +46,7 @@ class Refusal(str, enum.Enum):
     BUSY = "busy"  # not from this mode, or the arm moves
     NOTHING = "nothing"  # no policy, or no joint state, has come yet
     NOT_AT_START = "not_at_start"  # value `policy`: the arm is not at the start of this policy
+    SWITCH = "switch"  # the enabling switch is not held
     TOO_FAST = "too_fast"  # value `speed`: at which the replay would be possible
     REFUSED = "refused"  # anything else, which only a person can mend
 

@@ -40,6 +40,7 @@ ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
 RECEIPT_TIMEOUT = 2.0  # longest wait until all readers have a policy; one that hangs never has [s]
 CLOCKS_APART = 0.2  # clocks of arm and motion capture at most; the tracker allows no more [s]
 END_TOLERANCE = 0.05  # by which a whole rollout may be shorter: no fault cut it short [s]
+WAITING_PERIOD = 5.0  # between two lines that say what a person is waited for [s]
 READY_STATES = 3  # states of the body in a row that must be ready
 NOT_ACTIVE = ("", "unconfigured", Mode.INACTIVE.value)  # modes, the first before any is known
 Ready = Callable[[StateReading | None], str]  # what is missing before a rollout; empty for nothing
@@ -324,7 +325,8 @@ class RolloutClient:
         """Call a service until it has done it for this policy.
 
         Topics and services are not ordered: it may be asked before the policy has come, and then
-        refuses, or answers for the last one.
+        refuses, or answers for the last one. A person may hold the enabling switch at any time:
+        this is waited for without a limit.
         """
         end = time.monotonic() + self._params.service_timeout
         while True:
@@ -340,7 +342,10 @@ class RolloutClient:
                 raise NotBegunError(f"{name}: {answer.text}")
             if answer.code is Code.NOT_AT_START and _is_about(answer, policy_id):
                 raise NotBegunError(f"{name}: {answer.text}")  # a call that seemed lost moved it
-            if time.monotonic() > end:
+            if answer.code is Code.SWITCH:
+                text = f"waiting for the enabling switch to be held: first run of {policy_id}"
+                self._log.info(text, throttle_duration_sec=WAITING_PERIOD)
+            elif time.monotonic() > end:
                 raise RolloutError(f"{name} for {policy_id} refused: {answer}")
             self._services.until(lambda: False, timeout=0.05)
 

@@ -28,6 +28,7 @@ class Code(str, enum.Enum):
     BUSY = "busy"  # something else is under way
     NOTHING = "nothing"  # what the request is about has not come yet: a policy, a bag, ...
     NOT_AT_START = "not_at_start"  # value `policy`: the arm is not where a rollout of it begins
+    SWITCH = "switch"  # the enabling switch is not held
     TOO_FAST = "too_fast"  # value `speed`: at which the replay would be possible
     STOPPED = "stopped"  # a person, or another request, ended it
     UNKNOWN = "unknown"  # an answer that is not of this form: another package's service
