@@ -11,6 +11,7 @@ import numpy as np
 
 from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes import Scene
+from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import WAM_GUARDED, Guarded
 from wam_power_ros.tasks.flip.frames import PAN_RADIUS
 
@@ -28,6 +29,7 @@ def build(
     friction: float,
     tool: str = "pan",
     guarded: Sequence[Guarded] = WAM_GUARDED,
+    joints: Sequence[str] = JOINTS,
 ) -> mujoco.MjModel:
     """Compile the model of an arm in a scene.
 
@@ -37,6 +39,7 @@ def build(
         friction: Sliding friction of pan and ground.
         tool: Link that holds the pan: z normal to the pan, origin on its floor.
         guarded: Points of the arm whose speeds are logged.
+        joints: Names of the arm's joints.
 
     Returns:
         A model whose first degrees of freedom are the arm's joints, those of the scene after them;
@@ -45,7 +48,7 @@ def build(
     Raises:
         ValueError: The text is no URDF.
     """
-    spec = arm(urdf)
+    spec = arm(urdf, joints)
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -63,11 +66,14 @@ def build(
     return model
 
 
-def arm(urdf: str) -> mujoco.MjSpec:
+def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
     """Model of the arm alone as the URDF has it, with rotors and friction; shapes are only drawn.
+
+    Other joints, such as a gripper's, are locked at zero; meshes are left out.
 
     Args:
         urdf: Text of the URDF.
+        joints: Names of the arm's joints.
 
     Raises:
         ValueError: The text is no URDF.
@@ -76,6 +82,13 @@ def arm(urdf: str) -> mujoco.MjSpec:
         tree = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
         raise ValueError(f"the robot description is no URDF: {error}") from None
+    for other in tree.iterfind("./joint"):
+        if other.get("name") not in joints:
+            other.set("type", "fixed")
+    for link in tree.iterfind("./link"):
+        for shape in [*link.iterfind("visual"), *link.iterfind("collision")]:
+            if shape.find("./geometry/mesh") is not None:
+                link.remove(shape)
     extension = ElementTree.SubElement(tree, "mujoco")
     ElementTree.SubElement(extension, "compiler", discardvisual="false", fusestatic="false")
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(tree, encoding="unicode"))

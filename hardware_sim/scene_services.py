@@ -39,7 +39,7 @@ class SceneServices:
         world: World they act on.
         seed: Seed of the demonstrations.
         lockstep: The world steps in lockstep; a reset is then done within one tick.
-        demonstrates: The scene's postures are meant for this arm, so it can be led.
+        home: Posture in which demonstrations begin [rad], shape (7,); None for the scene's.
         overridden: Whether the driver moves the arm by itself.
         counters: Counters of the node, for refused policies.
     """
@@ -50,13 +50,14 @@ class SceneServices:
         world: World,
         seed: int,
         lockstep: bool,
-        demonstrates: bool,
+        home: np.ndarray | None,
         overridden: Callable[[], bool],
         counters: Counter[str],
     ) -> None:
         self.label = ""
         self._node, self._world, self._seed = node, world, seed
-        self._lockstep, self._demonstrates, self._overridden = lockstep, demonstrates, overridden
+        self._lockstep, self._overridden = lockstep, overridden
+        self._home = world.scene.home if home is None else home
         self._counters = counters
         self._policy: policies.Policy | None = None
         self._demonstrations = 0  # that have been given
@@ -121,7 +122,7 @@ class SceneServices:
         While teaching, the arm is led back to where demonstrations begin as well.
         """
         policy, world = self._policy, self._world
-        if self.label == "gravity_compensation" and not world.pulled and self._demonstrates:
+        if self.label == "gravity_compensation" and not world.pulled:
             self._put_back(*self._next_demonstration())
             return None
         if policy is None or len(policy.q_start) != N:
@@ -145,8 +146,6 @@ class SceneServices:
 
     def _begin_demonstration(self) -> str | None:
         self._ticks_left = WAIT_TICKS
-        if not self._demonstrates:
-            return str(Answer(Code.REFUSED, "the demonstrator knows postures of the WAM only"))
         if self._world.pulled:
             return str(Answer(Code.BUSY, "a demonstration is under way"))
         return None
@@ -167,7 +166,7 @@ class SceneServices:
         """Id and start posture (7,) [rad] of the next demonstration."""
         scene, number = self._world.scene, self._demonstrations
         rng = np.random.default_rng((self._seed, number, 1))
-        home = scene.home + scene.home_sd * rng.standard_normal(len(scene.home))
+        home = self._home + scene.home_sd * rng.standard_normal(N)
         return f"demonstration-{number}", home
 
     def _on_drop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -133,11 +133,12 @@ class WamSim(Node):
         self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
         arm = Arm(world.urdf, params.model_joint_names, params.tool_frame, guarded=())
         self._control = PositionControl(arm, params.driver_compensates_gravity, PERIOD)
-        is_wam = params.drives == "wam"
-        home = FOLDED if is_wam else np.array(params.home)
+        own_home = None if params.drives == "wam" else np.array(params.home)
+        home = FOLDED if own_home is None else own_home
         self._barrett = BarrettServices(self, world, self._control, home, lockstep)
+        engaged = lambda: self._control.engaged  # noqa: E731
         self._scene = SceneServices(
-            self, world, params.seed, lockstep, is_wam, lambda: self._control.engaged, self.counters
+            self, world, params.seed, lockstep, own_home, engaged, self.counters
         )
         self._description.publish(String(data=world.urdf))
 

@@ -82,7 +82,7 @@ class World:
         self.scene = make_scene(settings.scene)
         self.urdf = share(arm.urdf).read_text()
         self.model = model = scene.build(
-            self.urdf, self.scene, settings.scene.friction, arm.tool, arm.guarded
+            self.urdf, self.scene, settings.scene.friction, arm.tool, arm.guarded, arm.joints
         )
         self.data = data = mujoco.MjData(model)
         self._pan = model.body(arm.tool).id

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wam_power_ros.bags import quality
+from wam_power_ros.bags import layout, quality
 from wam_power_ros.bags.quality import Grade, Limits
 
 T = np.arange(0.0, 2.0, 0.01)
@@ -75,6 +75,12 @@ def test_without_limits_none_is_asked() -> None:
 
 def test_missing_messages_are_named_from_a_share_on() -> None:
     counts = {"/joint_states": 900, "/pose": 50}
-    assert quality.completeness_remarks(counts, {"/joint_states": 10, "/pose": 2}) == []
-    (found,) = quality.completeness_remarks(counts, {"/joint_states": 100, "/pose": 0})
+    assert quality.completeness_remarks(counts, {"/joint_states": 10, "/pose": 2}, "") == []
+    (found,) = quality.completeness_remarks(counts, {"/joint_states": 100, "/pose": 0}, "")
     assert found.text == "100 of 1000 messages missing on /joint_states"
+
+
+def test_a_recording_that_nobody_asked_to_end_is_named() -> None:
+    assert quality.completeness_remarks({}, {}, layout.ASKED) == []
+    (found,) = quality.completeness_remarks({}, {}, "shutdown")
+    assert (found.grade, found.text) == (Grade.FAIR, "cut short: shutdown")

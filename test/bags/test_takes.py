@@ -40,6 +40,11 @@ def test_a_take_is_of_the_kind_that_was_noted_whatever_its_name(tmp_path: Path) 
     writer = BagWriter(tmp_path / "demo_1")
     writer.event("start", "reach", START)
     writer.add("/joint_states", layout.JOINT_STATE, QOS)
-    writer.write("/joint_states", START, joint_state(START, NAMES, np.zeros(3)))
-    assert takes.kind_of(writer.close({})) == "reach"
+    for index in range(5):
+        stamp = START + 2_000_000 * index
+        writer.write("/joint_states", stamp, joint_state(stamp, NAMES, np.zeros(3)))
+    writer.event("stop", "shutdown", START + 10_000_000)
+    path = writer.close({})
+    assert takes.kind_of(path) == "reach"
+    assert takes.read(path, NAMES).ended == "shutdown"
     assert takes.kind_of(demonstration(tmp_path / "stack_1", random_q(5))) == "stack"

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
+from pathlib import Path
 
 import pytest
 
-from wam_power_ros.console.prompt import ask, show
+from wam_power_ros.console.prompt import ask, cue, show
 
 
 @pytest.mark.parametrize(("typed", "answered"), [("\n", True), ("yes\n", True), ("", False)])
@@ -35,3 +37,19 @@ def test_a_line_is_written_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     show("one of three")
     assert terminal.getvalue() == "one of three\n"
     assert terminal.flushed == len("one of three\n")
+
+
+def test_a_cue_rings_and_is_spoken_where_a_speech_program_is_installed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    cue(True, "recording")
+    assert capsys.readouterr().err == "\a"
+    spoken = tmp_path / "spoken"
+    os.mkfifo(spoken)
+    speaker = tmp_path / "espeak"
+    speaker.write_text(f'#!/bin/sh\necho "$1" > {spoken}\n')
+    speaker.chmod(0o755)
+    cue(False, "nothing")
+    cue(True, "recorded")
+    assert spoken.read_text() == "recorded\n"

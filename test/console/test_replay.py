@@ -68,8 +68,10 @@ def test_what_is_no_bag_is_refused_before_anything_starts(
 ) -> None:
     assert main.main(["replay", str(tmp_path / "none"), "--folder", str(tmp_path / "r")]) == 2
     assert "is not a bag" in capsys.readouterr().err
-    assert main.main(["replay", str(REACH), "--speed", "0", "--folder", str(tmp_path / "r")]) == 2
-    assert "speed 0.0 must be positive" in capsys.readouterr().err
+    for speed in ("0", "9"):
+        asked = ["replay", str(REACH), "--speed", speed, "--folder", str(tmp_path / "r")]
+        assert main.main(asked) == 2
+        assert f"speed {speed}.0 of a replay must be from 0.01 to 5" in capsys.readouterr().err
     assert not (tmp_path / "r").exists()
 
 

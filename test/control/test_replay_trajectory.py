@@ -80,7 +80,7 @@ def test_a_recording_shorter_than_its_easing_goes_from_rest_to_rest_too() -> Non
     assert speed(0.2, 1) == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("speed", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("speed", [0.0, -1.0, 5.1, np.nan, np.inf])
 def test_a_speed_that_is_none_is_refused(speed: float) -> None:
     with pytest.raises(ValueError, match="speed"):
         movement(*recording(), speed)

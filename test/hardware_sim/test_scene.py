@@ -47,6 +47,17 @@ def test_mujoco_and_pinocchio_agree_on_the_arm_of_the_urdf(arm: Arm) -> None:
         np.testing.assert_allclose(data.body("pan").xmat.reshape(3, 3), rotation, atol=1e-9)
 
 
+def test_a_gripper_is_locked_and_meshes_are_left_out() -> None:
+    finger = """<link name="finger"><inertial><mass value="0.1"/>
+        <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial>
+        <visual><geometry><mesh filename="package://lab/finger.dae"/></geometry></visual></link>
+        <joint name="finger" type="prismatic"><parent link="pan"/><child link="finger"/>
+        <axis xyz="0 1 0"/><limit lower="0" upper="0.04" effort="20" velocity="0.2"/></joint>"""
+    model = scene.arm(URDF.replace("</robot>", f"{finger}</robot>")).compile()
+    assert (model.nq, model.nmesh) == (7, 0)
+    assert model.body("finger").mass == pytest.approx(0.1)
+
+
 def test_the_arm_keeps_its_figures_in_the_scene(arm: Arm, world: World) -> None:
     model = world.model
     assert model.body_mass[1 : model.body("pancake").id].sum() == pytest.approx(

@@ -96,3 +96,16 @@ def test_a_scene_without_a_body_is_reset_taught_and_practised_in(
     assert truth["touched"]
     assert -0.0201 < truth["clearance"] < -0.015
     assert truth["goal_distance"] > 0.1
+
+
+def test_an_arm_that_is_no_wam_is_led_from_its_own_home(probe: Probe, processes: Processes) -> None:
+    home = np.add(HOME, [0.3, -0.1, 0.0, 0.1, 0.0, 0.0, 0.0])
+    own = {"drives": "direct", "home": home.tolist()}
+    hardware = Hardware(probe, processes, "lockstep", body="", scene="reach", **own)
+    hardware.control()
+    hardware.free()
+    assert hardware.insist(hardware.reset_service) == "demonstration-0"
+    probe.until(lambda: np.abs(hardware.state().q - home).max() < 0.05, "the arm at home")
+    assert hardware.ask(interface.DEMONSTRATE).code is Code.DONE
+    tool = arm_model().tool_pose(hardware.state().q)[0]
+    assert np.linalg.norm(tool - GOAL) < 0.1

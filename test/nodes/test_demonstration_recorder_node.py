@@ -14,6 +14,7 @@ import yaml
 from conftest import Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path as NavPath
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rosbags.rosbag2 import Reader
@@ -222,6 +223,26 @@ def test_a_rollout_is_named_after_the_policy_that_came_for_it(
     assert names[2].startswith("demo_")
     with Reader(tmp_path / names[0]) as bag:
         assert bag.topics["/policy"].msgcount == 1  # as it was at the start
+
+
+def test_the_path_of_a_body_is_waited_for_when_its_rollout_has_finished(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path)
+    paths = probe.publisher(NavPath, interface.rollout_topic("pancake"), interface.LATCHED)
+    finished = probe.publisher(String, interface.ROLLOUT_FINISHED, interface.LATCHED)
+    bench.start()
+    bench.send(20)
+    finished.publish(String(data="{}"))
+    probe.spin(0.2)
+
+    def once() -> None:
+        timer.cancel()
+        paths.publish(NavPath())
+
+    timer = probe.node.create_timer(0.2, once)  # while the recorder is asked to end
+    with Reader(bench.stop()) as bag:
+        assert bag.topics["/rollout/pancake"].msgcount == 1
 
 
 def test_a_best_effort_driver_that_comes_later_is_heard_too(

@@ -20,6 +20,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
 STATES = "/joint_states"
 EVENT = "/recorder/event"  # start and stop of the recording, in the bag only
+ASKED = "asked to"  # reason of a stop that no trouble has brought about
 UNFINISHED = ".unfinished"
 INFINITE = QosTime(9223372036, 854775807)  # how rosbag2 writes a duration without end
 

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wam_power_ros.bags import layout
+
 # Spectral arc length [Balasubramanian2012]
 CUTOFF_MAX = 10.0  # [Hz]
 AMPLITUDE_MIN = 0.05  # of the spectrum's largest, below which it ends
@@ -105,14 +107,18 @@ def movement_remarks(
     return found
 
 
-def completeness_remarks(counts: Mapping[str, int], missing: Mapping[str, int]) -> list[Remark]:
-    """Remarks on messages that are missing by their stamps.
+def completeness_remarks(
+    counts: Mapping[str, int], missing: Mapping[str, int], ended: str
+) -> list[Remark]:
+    """Remarks on messages that are missing by their stamps, and on an end nobody asked for.
 
     Args:
         counts: Number of messages by topic.
         missing: Number of missing messages by topic.
+        ended: Reason why the recording ended, empty if it is not known.
     """
-    return [
+    cut = [] if ended in ("", layout.ASKED) else [Remark(Grade.FAIR, f"cut short: {ended}")]
+    return cut + [
         Remark(Grade.FAIR, f"{lost} of {lost + counts[topic]} messages missing on {topic}")
         for topic, lost in missing.items()
         if lost > MISSING_SHARE * (lost + counts[topic])

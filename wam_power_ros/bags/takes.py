@@ -27,6 +27,7 @@ class Take:
         kind: Stem of a task, "rollout" or "replay", as noted or by its name.
         counts: Number of messages by topic.
         missing: Number of messages missing by their stamps, by topic.
+        ended: Reason why the recording ended, such as `layout.ASKED`; empty if it is not noted.
         stamps: Stamps of the joint states [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, n).
     """
@@ -35,6 +36,7 @@ class Take:
     kind: str
     counts: dict[str, int]
     missing: dict[str, int]
+    ended: str
     stamps: np.ndarray
     q: np.ndarray
 
@@ -66,14 +68,17 @@ def kind_of(path: Path) -> str:
     Raises:
         ValueError: It is no bag, or damaged.
     """
-    for _, _, cdr in reader.messages(path, [layout.EVENT]):
-        try:
-            event = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data)
-            if event["event"] == "start":
-                return str(event["reason"])
-        except Exception:  # whatever bytes make the decoder raise
-            break
-    return path.resolve().name.partition("_")[0]
+    first = next((cdr for _, _, cdr in reader.messages(path, [layout.EVENT])), b"")
+    return _reason(first, "start") or path.resolve().name.partition("_")[0]
+
+
+def _reason(cdr: bytes, of: str) -> str:
+    """Reason in an event of a recording; empty if it is another event, or not readable."""
+    try:
+        event = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data)
+        return str(event["reason"]) if event["event"] == of else ""
+    except Exception:  # whatever bytes make the decoder raise
+        return ""
 
 
 def read(path: Path, joint_names: Sequence[str]) -> Take:
@@ -86,10 +91,13 @@ def read(path: Path, joint_names: Sequence[str]) -> Take:
     topics = reader.topics(path)
     counts = dict.fromkeys(topics, 0)
     gaps: dict[str, GapCounter] = {}
+    ended = ""
     for name, _, cdr in reader.messages(path, topics):
         counts[name] += 1
+        if name == layout.EVENT:
+            ended = _reason(cdr, "stop") or ended
         msgtype = topics[name].msgtype
         if msgtype in layout.TYPES.fielddefs and has_header(msgtype):
             gaps.setdefault(name, GapCounter()).add(header_stamp(cdr))
     missing = {name: counter.gaps().missing for name, counter in gaps.items() if counts[name] > 2}
-    return Take(path, kind_of(path), counts, missing, stamps, q)
+    return Take(path, kind_of(path), counts, missing, ended, stamps, q)

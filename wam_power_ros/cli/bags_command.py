@@ -200,7 +200,8 @@ def look(path: Path, names: Sequence[str], arm: Arm | None) -> Looked:
     take = takes.read(path, names)
     t, q = smooth_joints(take.stamps, take.q)
     remarks = quality.movement_remarks(t, q, names, None if arm is None else _limits(arm))
-    return Looked(take, t, q, remarks + quality.completeness_remarks(take.counts, take.missing))
+    remarks += quality.completeness_remarks(take.counts, take.missing, take.ended)
+    return Looked(take, t, q, remarks)
 
 
 def _limits(arm: Arm) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

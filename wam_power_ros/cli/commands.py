@@ -58,6 +58,7 @@ def teach(options: argparse.Namespace) -> int:
     """Record a series of demonstrations, added to those of the folder."""
     from wam_power_ros.bags import series
     from wam_power_ros.practice import plugins
+    from wam_power_ros.reporting.terminal import counted
 
     task = options.task or TASK
     plugins.task_type(task)  # refuses an unknown name before anything starts
@@ -65,7 +66,7 @@ def teach(options: argparse.Namespace) -> int:
     file = folder / series.FILE
     before = len(series.read(file))
     if before:
-        print(f"{short_path(folder)} has {before} demonstrations; these are added to them.")
+        print(f"{short_path(folder)} has {counted(before, 'demonstration')}; these are added.")
     seed = before if options.seed is None else options.seed  # other movements than those before
     status = 0
     try:
@@ -78,7 +79,10 @@ def teach(options: argparse.Namespace) -> int:
     if bags := series.read(file):
         of_task = ["--task", task] if options.task else []
         words = ["learn", "--bags", *map(str, map(short_path, bags)), *of_task]
-        _paste(f"To learn from these {len(bags)}:", [*words, *setup_options(options)])
+        _paste(
+            f"To learn from {counted(len(bags), 'demonstration')}:",
+            [*words, *setup_options(options)],
+        )
     return status
 
 
@@ -227,9 +231,11 @@ def _teach(
     launcher: Launcher, file: Path, count: int, options: argparse.Namespace, review: bool
 ) -> None:
     """Record demonstrations and add them to a series."""
+    from wam_power_ros.reporting.terminal import counted
+
     person = not simulated(options)
     teacher = "a person" if person else "the simulated demonstrator"
-    print(f"Teaching: {count} demonstrations by {teacher}")
+    print(f"Teaching: {counted(count, 'demonstration')} by {teacher}")
     teaching = launcher.script(
         "teach",
         demonstrations=count,
@@ -266,7 +272,7 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
                 display.show(log, settings.budget + settings.retests, outcome)
             for said in logs.new():
                 display.say(said.text, said.severity in TROUBLE)
-                prompt.ring(bell and said.severity == "ERROR")
+                prompt.cue(bell and said.severity == "ERROR", "fault")
             display.tick(time.monotonic())
             time.sleep(0.2)
     return with_ratings(log)

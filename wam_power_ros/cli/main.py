@@ -264,7 +264,9 @@ def _skill_options(parser: argparse.ArgumentParser) -> None:
 
 def _arm_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--bell", action="store_true", help="ring the terminal's bell at start, end and fault"
+        "--bell",
+        action="store_true",
+        help="ring the terminal's bell at start, end and fault; with spd-say or espeak also spoken",
     )
     parser.add_argument(
         "--config",

@@ -85,7 +85,8 @@ def _check_bags(task: str, options: argparse.Namespace) -> None:
         reader.read_demonstration(bag, names, arm=arm and arm.identity())
         of_bag = tasks.get(takes.kind_of(bag), {task})
         if task not in of_bag:
-            raise UsageError(f"{bag} is a demonstration of {', '.join(of_bag)}, not of {task}")
+            known = ", ".join(of_bag)
+            raise UsageError(f"{bag} is a demonstration of {known}, not of {task}: give --task")
 
 
 def given_options(options: argparse.Namespace) -> list[str]:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 import sys
 from collections.abc import Mapping
 
@@ -40,8 +42,12 @@ def choose(otherwise: str, keys: Mapping[str, str]) -> str:
             return keys[said]
 
 
-def ring(wanted: bool = True) -> None:
-    """Ring the bell of the terminal."""
-    if wanted:
-        sys.stderr.write("\a")
-        sys.stderr.flush()
+def cue(wanted: bool, word: str) -> None:
+    """Ring the bell of the terminal, and say a word where a speech program is installed."""
+    if not wanted:
+        return
+    sys.stderr.write("\a")
+    sys.stderr.flush()
+    if speaker := shutil.which("spd-say") or shutil.which("espeak"):
+        quiet = subprocess.DEVNULL
+        subprocess.Popen([speaker, word], stdin=quiet, stdout=quiet, stderr=quiet)

@@ -52,7 +52,9 @@ class ReplayParams(Params):
 
     bag: str
     speed: float = Field(
-        ge=0.01, le=5.0, description="below, a replay lasts for ever; the joints allow no more"
+        ge=replay_trajectory.SPEED_MIN,
+        le=replay_trajectory.SPEED_MAX,
+        description="below, a replay lasts for ever; the joints allow no more",
     )
     joint_names: tuple[str, ...] = Field(min_length=1, max_length=16)
     arm: str

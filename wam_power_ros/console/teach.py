@@ -21,7 +21,7 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.bags import series
-from wam_power_ros.console.prompt import ask, choose, ring, show
+from wam_power_ros.console.prompt import ask, choose, cue, show
 from wam_power_ros.params.node_params import Params
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import run_script
@@ -40,7 +40,7 @@ class TeachParams(Params):
         series: File with the list of bags, to which they are added.
         person: Whether a person leads the arm; otherwise the demonstrator of the stand-in does.
         review: True to ask a person after each take to keep, repeat or discard it.
-        bell: True to ring the terminal's bell as a recording begins and ends.
+        bell: True for a cue, see `prompt.cue`, as a recording begins and ends.
         body: Name of the tracked body; empty for none.
         state_topic: Topic of the joint states, to which the recorder subscribes.
     """
@@ -95,13 +95,13 @@ class Teach(Node):
         else:  # arm and body back to the start
             insist(Trigger, interface.body_topic(params.body, "reset"))
         insist(SetBool, interface.RECORD, SetBool.Request(data=True))
-        ring(params.bell)
+        cue(params.bell, "recording")
         if params.person:
             self._ask("press Enter when the movement is over ")
         else:
             insist(Trigger, interface.DEMONSTRATE)
         bag = Path(insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text)
-        ring(params.bell)
+        cue(params.bell, "recorded")
         return bag
 
     def _wait_for_recorder(self) -> None:

@@ -15,6 +15,7 @@ from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.demonstration import smooth_joints
 
 EASE = 0.3  # [s] in which a replay reaches its speed, and ends
+SPEED_MIN, SPEED_MAX = 0.01, 5.0  # relative to the recording
 KNOT_PERIOD = 0.01  # [s] between two postures of a replay
 
 
@@ -32,11 +33,11 @@ def movement(
         Times from 0 [s], shape (N,), and joint angles [rad], shape (N, n).
 
     Raises:
-        ValueError: The speed is not positive, the stamps do not increase or have a gap, a value is
+        ValueError: The speed is out of bounds, the stamps do not increase or have a gap, a value is
             not finite, or the recording is too short.
     """
-    if not 0.0 < speed < math.inf:
-        raise ValueError(f"speed {speed} must be positive")
+    if not SPEED_MIN <= speed <= SPEED_MAX:
+        raise ValueError(f"speed {speed} of a replay must be from {SPEED_MIN:g} to {SPEED_MAX:g}")
     t, smooth = smooth_joints(stamps_ns, q)
     whole = float(t[-1]) / speed
     ease = min(EASE, whole)

