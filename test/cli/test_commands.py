@@ -167,6 +167,29 @@ def test_the_obstacle_of_reaching_is_half_way_of_the_nominal_demonstration() -> 
     assert setup["wam_sim"]["obstacle"] == setup["torque_controller"]["obstacle"]
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        "model_joint_names: [j1, j2, j3, j4, j5, j6, j7]",
+        "tool_frame: typo",
+        "guarded_links: [typo, wam_link4]",
+        "urdf: urdf/cobot7.urdf",
+    ],
+)
+@pytest.mark.parametrize("command", ["learn --session", "teach --folder", "replay bag --folder"])
+def test_an_arm_that_its_urdf_is_not_is_refused_before_anything_starts(
+    command: str, wrong: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, folder = tmp_path / "my_arm.yaml", tmp_path / "folder"
+    file.write_text(f"torque_controller:\n  ros__parameters:\n    {wrong}\n")
+    words = [*command.split(), str(folder), "--config", str(file), "--simulate"]
+    assert main.main(words) == 2
+    said = capsys.readouterr().err
+    assert "in the robot description" in said
+    assert "(torque_controller: urdf, model_joint_names, tool_frame, guarded_links)" in said
+    assert not folder.exists()
+
+
 @pytest.mark.requirement("S-59")
 def test_a_bag_of_another_arm_is_not_replayed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -14,6 +14,7 @@ from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
+from wam_power_ros.params import overlay
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.settings import preset
 
@@ -34,6 +35,12 @@ def demonstrations(arm: SimulatedArm) -> Demonstrations:
     return Demonstrations(
         plugins.task_type("flip"), arm, PARAMS.joint_names, logging.getLogger("test")
     )
+
+
+def test_an_arm_without_the_links_of_the_wam_is_simulated_by_its_own_set_up() -> None:
+    cobot = overlay.setup(["cobot"], simulated=True)["learner"]
+    given = (cobot["urdf"], cobot["model_joint_names"], cobot["tool_frame"], cobot["controller"])
+    assert SimulatedArm(*given, str).kinematics.name == "cobot7"
 
 
 def test_what_cannot_be_read_is_left_out_and_the_others_keep_their_numbers(

@@ -90,11 +90,13 @@ def launch(
 
     Raises:
         UsageError: Another launcher is at work in the folder, or its disk is nearly full.
+        ValueError: The URDF has not the joints or links that the set-up names.
         DomainError: Another session holds the robot's domain, or ROS_DOMAIN_ID is none.
     """
     setup = overlay.setup(options.config, options.simulate, task_setup(task) if task else "")
     for node, values in (changes or {}).items():
         setup[node] |= values
+    arm_of(setup)
     check_space(folder, setup["demonstration_recorder"]["free_to_start"])
     logs = folder / "logs"
     with ExitStack() as stack:
@@ -241,8 +243,12 @@ def _confirm_activation() -> None:
 
 
 def arm_of(setup: overlay.Setup) -> tuple[list[str], Arm | None]:
-    """Joint names of the driver of a set-up, and model of its arm; None without a URDF file."""
-    from wam_power_ros.control.arm import Arm
+    """Joint names of the driver of a set-up, and model of its arm; None without a URDF file.
+
+    Raises:
+        ValueError: The URDF has not the joints or links that the set-up names.
+    """
+    from wam_power_ros.control.arm import Arm, guarded_points
     from wam_power_ros.params.resources import share
 
     controller = setup["torque_controller"]
@@ -250,7 +256,12 @@ def arm_of(setup: overlay.Setup) -> tuple[list[str], Arm | None]:
         return controller["joint_names"], None
     urdf = share(controller["urdf"]).read_text()
     names, tool = controller["model_joint_names"], controller["tool_frame"]
-    return controller["joint_names"], Arm(urdf, names, tool, guarded=())
+    points = (controller[f"guarded_{part}"] for part in ("names", "links", "points"))
+    try:
+        return controller["joint_names"], Arm(urdf, names, tool, guarded_points(*points))
+    except ValueError as error:
+        where = "torque_controller: urdf, model_joint_names, tool_frame, guarded_links"
+        raise ValueError(f"{controller['urdf']}: {error} ({where})") from None
 
 
 def called() -> str:

@@ -71,17 +71,16 @@ def check_names(task: str, options: argparse.Namespace) -> None:
             f"a budget of {budget} rollouts leaves none to practise after "
             f"{reproductions} reproductions of demonstrations; raise --trials"
         )
-    if options.bags:
-        _check_bags(task, options)
+    _check_arm_and_bags(task, options)
 
 
-def _check_bags(task: str, options: argparse.Namespace) -> None:
-    """Refuse bags that cannot be read as demonstrations of a task by this arm."""
+def _check_arm_and_bags(task: str, options: argparse.Namespace) -> None:
+    """Refuse an arm that its URDF is not, and bags that are no demonstrations of a task by it."""
     from wam_power_ros.bags import reader, takes
 
     names, arm = arm_of(overlay.setup(options.config, options.simulate, task_setup(task)))
     tasks = task_stems()
-    for bag in options.bags:
+    for bag in options.bags or []:
         reader.read_demonstration(bag, names, arm=arm and arm.identity())
         of_bag = tasks.get(takes.kind_of(bag), {task})
         if task not in of_bag:

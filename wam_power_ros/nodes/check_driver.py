@@ -173,7 +173,8 @@ class CheckDriver(Node):
             raise ValueError(
                 f"no message on {self.resolve_topic_name(interface.ROBOT_DESCRIPTION)}"
             )
-        arm = Arm(self._urdf, self._arm_params.model_joint_names, self._arm_params.tool_frame)
+        names, tool = self._arm_params.model_joint_names, self._arm_params.tool_frame
+        arm = Arm(self._urdf, names, tool, guarded=())
         rows, record = self._arm_rows(arm, seconds)
         path = self._command_path()
         mocap = self._mocap_rows(arm, record, seconds)

@@ -39,7 +39,7 @@ class SimulatedArm:
             ValueError: A parameter is not acceptable.
         """
         urdf = share(urdf).read_text()
-        self.kinematics = Arm(urdf, joint_names, tool_frame)
+        self.kinematics = Arm(urdf, joint_names, tool_frame, guarded=())
         self.identity = self.kinematics.identity()
         own, *over = (share(file) for file in controller)
         controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
