@@ -29,6 +29,15 @@ def test_reaching_is_drawn_along_the_movement_with_the_obstacle_half_way() -> No
     assert ["executed" in names for names in labels] == [False, True, False, True]
 
 
+def test_no_path_leaves_the_view() -> None:
+    away = a_panel().learnt + np.array([0.3, 0.5, 0.4])
+    for axes in reach_figures.paths({"full": a_panel(executed=away)}).axes:
+        executed = next(line for line in axes.lines if line.get_label() == "executed")
+        assert executed.get_xdata().max() < axes.get_xlim()[1]
+        assert axes.get_ylim()[0] < executed.get_ydata().min()
+        assert executed.get_ydata().max() < axes.get_ylim()[1]
+
+
 def test_a_panel_without_a_learnt_path_shows_the_demonstrations() -> None:
     bare = dataclasses.replace(a_panel(), learnt=None, rollouts=[])
     labels = {line.get_label() for line in reach_figures.paths({"": bare}).axes[0].lines}

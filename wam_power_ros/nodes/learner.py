@@ -46,7 +46,13 @@ from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.node_runner import end, executor_for, init, number_by_process
+from wam_power_ros.ros.node_runner import (
+    end,
+    executor_for,
+    init,
+    number_by_process,
+    without_file,
+)
 from wam_power_ros.tasks.task import Pose, Task
 
 Timeout = Annotated[
@@ -304,7 +310,8 @@ def main() -> int:
             node = Learner()
         node.practise()
     except (SessionFailed, RolloutError, ValueError, OSError) as error:
-        (node.get_logger() if node else rclpy.logging.get_logger("learner")).fatal(str(error))
+        log = node.get_logger() if node else rclpy.logging.get_logger("learner")
+        log.fatal(str(error) if node else f"{error}{without_file()}")
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -67,8 +67,8 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     boxes = []  # of each panel and view: lowest and highest drawn coordinates
     for panel in panels.values():
         corners = panel.obstacle + panel.radius * np.array([[-1.0] * 3, [1.0] * 3])
-        learnt = [] if panel.learnt is None else [panel.learnt]
-        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *learnt, corners])
+        other = [path for path in (panel.learnt, panel.executed) if path is not None]
+        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other, corners])
         for view in _views(panel):
             seen = (drawn - panel.start) @ view.T
             boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))

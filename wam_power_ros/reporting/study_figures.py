@@ -114,7 +114,7 @@ def learner_curves(
         style = {"lw": 2.3} if strong else {"lw": 1.1, "ls": ("-", "--", "-.", ":")[place % 4]}
         axes.plot(x, middle, color=color, zorder=3 if strong else 2, **style)
         if len(stacked) > 1:
-            alpha = 0.14 if strong else 0.05
+            alpha = 0.14 if strong else 0.07
             axes.fill_between(x, low, high, color=color, alpha=alpha, lw=0)
         ends.append((float(middle[-1]), int(x[-1]), name, color, strong))
     for text, value in (marks or {}).items():

@@ -177,7 +177,7 @@ def run(
     except (ValueError, RCLError) as error:
         if node is not None:
             raise
-        get_logger("wam_power_ros").fatal(f"{error}{_without_file()}")
+        get_logger("wam_power_ros").fatal(f"{error}{without_file()}")
         return REFUSED
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -188,7 +188,7 @@ def run(
     return 0
 
 
-def _without_file() -> str:
+def without_file() -> str:
     """Where to get a parameter file, for a node that was started without one."""
     if parameter_file.given(sys.argv):
         return ""
