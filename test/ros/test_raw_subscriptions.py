@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
-from wam_power_ros.ros import node_runner
+from wam_power_ros.ros import interface, node_runner
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
@@ -77,6 +77,23 @@ def test_what_has_arrived_is_passed_on_before_it_is_dispatched(recorder: Recorde
         pytest.fail("not passed on")
     recorder.publish("next", RELIABLE, VOLATILE)  # dispatched as ever
     assert [text for _, text in recorder.received].count("last") == 1
+
+
+def test_what_arrives_faster_than_it_is_passed_on_keeps_nobody(recorder: Recorder) -> None:
+    publisher = recorder.publish("first", RELIABLE, VOLATILE)
+    message = recorder.received.append
+
+    def answered(name: str, cdr: bytes) -> None:
+        message((name, "again"))
+        assert len(recorder.received) <= 1 + interface.STATE_RECORD.depth
+        for _ in range(2):
+            publisher.publish(String(data="again"))
+
+    recorder.topics._on_message = answered
+    publisher.publish(String(data="again"))
+    time.sleep(0.2)
+    recorder.topics.take()
+    assert len(recorder.received) > 1
 
 
 def test_a_subscription_follows_publishers_that_offer_less(recorder: Recorder) -> None:

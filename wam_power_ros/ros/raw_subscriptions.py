@@ -77,11 +77,16 @@ class RawTopics:
                 self._fit(name, infos)
 
     def take(self) -> None:
-        """Pass on what has arrived and was not dispatched yet."""
+        """Pass on what has arrived and was not dispatched yet.
+
+        No more than a queue of each: a reader that is slower than its publisher would never end.
+        """
         for name, known in self._subscribed.items():
             handle = known.subscription.handle
             with handle:
-                while (taken := handle.take_message(known.subscription.msg_type, True)) is not None:
+                for _ in range(interface.STATE_RECORD.depth):
+                    if (taken := handle.take_message(known.subscription.msg_type, True)) is None:
+                        break
                     self._on_message(name, taken[0])
 
     def _fit(self, name: str, infos: list[TopicEndpointInfo]) -> None:
