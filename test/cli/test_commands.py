@@ -110,6 +110,22 @@ def test_a_session_that_has_ended_says_so_and_how_to_go_on_and_starts_nothing(
     assert "learn --task flip --trials 6 --bags a b" in said
 
 
+def test_a_session_whose_answer_cannot_be_shown_has_a_report_without_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, policies = preset("flip", budget=3, confirm=0), [demonstrated_policy()]
+    practice, folder = practice_of(policies, settings, seed=0), tmp_path / "s"
+    with Session.begin(folder, settings, 0, policies) as session:
+        trial = practice.next_trial()
+        record = practice.learn_assessed(trial, toss(trial, practice.task.settings))
+        session.append(record.model_copy(update={"truth": {"caught": True}}))
+    why = "policy answer-quiet is of another arm"
+    monkeypatch.setattr("wam_power_ros.cli.commands._last_error", lambda command, gl: why)
+    assert main.main(["report", str(folder)]) == 0
+    assert f"No film in the report: {why}" in capsys.readouterr().out
+    assert "Learning curve" in (folder / "report.html").read_text()
+
+
 def test_a_session_that_was_not_begun_is_resumed_with_all_it_was_asked_for() -> None:
     words = ["--task", "reach", "--preset", "full", "--trials", "9", "--demonstrations", "2"]
     options = main._parser().parse_args(["learn", *words, "--bags", "a b", "c"])
