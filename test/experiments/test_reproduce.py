@@ -18,6 +18,7 @@ from benchmark.cluster import local_cluster
 from wam_power_ros.cli import main
 from wam_power_ros.experiments import jobs as job_cache
 from wam_power_ros.experiments import reproduce
+from wam_power_ros.reporting.chapter import Chapter, Claim
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHONPATH = os.pathsep.join([str(ROOT), str(ROOT / "test"), os.environ.get("PYTHONPATH", "")])
@@ -155,3 +156,10 @@ def test_without_dask_a_scheduler_is_refused_with_the_extra_to_install(
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ValueError, match=r"wam_power_ros\[cluster\]"):
         job_cache.run(draws(1), tmp_path, scheduler="tcp://127.0.0.1:1")
+
+
+def test_without_a_verdict_no_share_of_claims_is_counted() -> None:
+    few = Claim("ours ahead", "", "1.0", "", "2 runs", met=True, runs=2)
+    html = reproduce.render("quick", [Chapter("chapter", claims=[few])], [], "", Path())
+    assert "No claim has the 5 runs that a verdict takes." in html
+    assert "0 of 0" not in html

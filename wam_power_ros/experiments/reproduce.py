@@ -27,7 +27,7 @@ from wam_power_ros.experiments import jobs as job_cache
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.reporting import chapter as chapter_html
 from wam_power_ros.reporting import html_page
-from wam_power_ros.reporting.chapter import Chapter, Claim
+from wam_power_ros.reporting.chapter import RUNS_MIN, Chapter, Claim
 
 STUDIES = {  # name -> modules of its jobs and of its chapter, in the order of the paper
     "reaching": ("studies.reaching", "chapters.reaching_chapter"),
@@ -84,7 +84,9 @@ def run(
         for (_, module), some in zip(modules, wanted, strict=True)
     ]
     took = time.monotonic() - began
-    here = f"{workers} processes" if scheduler is None else f"the Dask cluster at {scheduler}"
+    here = f"the Dask cluster at {scheduler}"
+    if scheduler is None:
+        here = "one process" if workers == 1 else f"{workers} processes"
     wall, cpu = job_cache.spent(jobs, kept)
     time_it_took = (
         f"The {len(jobs)} runs took {duration(cpu)} of processor time, {duration(wall)} one after "
@@ -142,7 +144,7 @@ def render(
         )
     sections = [chapter.title for chapter in chapters] + [MACHINE]
     links = [f'<a href="#{html_page.anchor(title)}">{escape(title)}</a>' for title in sections]
-    values = [("claims with a criterion met", f"{met} of {len(judged)}")]
+    values = [("claims with a criterion met", f"{met} of {len(judged)}")] if judged else []
     values += [("runs", str(len(jobs))), ("processor time", duration(cpu))]
     return html_page.page(
         "Flipping pancakes: the paper reproduced",
@@ -160,7 +162,9 @@ def render(
 def _verdicts(judged: Sequence[Claim]) -> list[str]:
     missed = [claim for claim in judged if not claim.holds]
     if not missed:
-        return [f"All {len(judged)} claims with a criterion are met."] if judged else []
+        if not judged:
+            return [f"No claim has the {RUNS_MIN} runs that a verdict takes."]
+        return [f"All {len(judged)} claims with a criterion are met."]
     names = "; ".join(f"{claim.what}: {claim.ours}" for claim in missed)
     return [f"Not met, of {len(judged)} claims with a criterion: {names}."]
 

@@ -21,6 +21,7 @@ from wam_power_ros.experiments.studies.extensions import (
     SIGMA,
 )
 from wam_power_ros.reporting.chapter import Chapter, Claim, Table
+from wam_power_ros.reporting.terminal import counted
 
 LEVEL = 0.05  # of significance
 MARGIN = 0.03  # difference of mean returns that does not matter, as in the claims of reaching
@@ -67,11 +68,12 @@ def _sigma(results: Results) -> Chapter:
         low, high = _interval(auto, best_fixed)
         what = f"Automatic elite at most {MARGIN} worse than the best fixed one: {task}"
         measured = f"{np.mean(auto) - np.mean(best_fixed):+.3f} against σ = {good}"
-        spread = (
-            f"90 % interval {low:+.3f} to {high:+.3f}; against the worst, σ = {bad}: "
-            f"{np.mean(auto) - np.mean(values[bad]):+.3f}"
-        )
-        over = f"{len(auto)} runs each"
+        interval = "no interval of one run"
+        if math.isfinite(low):
+            interval = f"90 % interval {low:+.3f} to {high:+.3f}"
+        worst = np.mean(auto) - np.mean(values[bad])
+        spread = f"{interval}; against the worst, σ = {bad}: {worst:+.3f}"
+        over = f"{counted(len(auto), 'run')} each"
         few = min(len(auto), len(best_fixed))
         claims.append(Claim(what, "proposed", measured, spread, over, low > -MARGIN, runs=few))
         chosen = np.array([size for size in sizes[task] if size is not None])
@@ -146,7 +148,7 @@ def _compared(
         if key in ("landed", "true_flip"):
             means = f"mean {np.mean(with_):.0%} against {np.mean(without):.0%} without"
             met = bool(np.mean(with_) > np.mean(without) and p < LEVEL)
-            over = f"{len(with_)} sessions each"
+            over = f"{counted(len(with_), 'session')} each"
             few = min(len(with_), len(without))
             claim = Claim(f"{what}: {name}", "proposed", means, f"p = {p:.2g}", over, met, runs=few)
             claims.append(claim)
