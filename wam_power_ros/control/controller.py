@@ -15,7 +15,6 @@ import numpy as np
 from wam_power_ros.control import replay_trajectory, safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.doubted_arm import REST_NS, DoubtedArm
 from wam_power_ros.control.joint_control import JointControl
 from wam_power_ros.control.joint_references import JointTrajectory, Sampled
 from wam_power_ros.control.modes import (
@@ -27,17 +26,16 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
-from wam_power_ros.control.plausibility import Bound, Plausibility
-from wam_power_ros.control.policy_execution import Execution
 from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
+from wam_power_ros.control.rollouts import Rollouts
 from wam_power_ros.control.state_checks import STATES_LOST_AFTER, JointState, StateChecks
+from wam_power_ros.control.supervision import REST_NS, Supervision
+from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
-INERTIAL_SHARE = 0.3  # of the torque that accelerates the arm: sensors and motors lag
-STANDING_SHARE = 0.05  # of a torque limit that may be unexplained at a standing joint in a rollout
 
 
 class Controller:
@@ -50,7 +48,6 @@ class Controller:
         counters: Number of states `accepted`, `repeated`, `older`, `rejected`; of `gaps`, `jumps`;
             of torques `limited` and `stale`; of `faults`.
         latched: Fault that is latched, None without.
-        rollout_stamp_ns: Stamp of the first state of the last rollout that ended, or None [ns].
         fresh: True when the last state was accepted as a new one.
         enabled: Whether a person holds the enabling switch, where `hold_to_run` asks for one; set
             from outside, before every state.
@@ -76,31 +73,15 @@ class Controller:
         if (n := self.limits.torque.size) != arm.n:
             raise ValueError(f"limits are for {n} joints, the arm has {arm.n}")
         self.latched = latched
-        self.rollout_stamp_ns: int | None = None
         self.enabled = self.fresh = False
 
         self._states = StateChecks(arm.n, settings.period, settings.velocity_cutoff)
         self.counters: Counter[str] = self._states.counters
-        self._motion = safety.MotionCheck(self.limits, arm.guarded)
+        compensated = settings.driver_compensates_gravity
+        self._output = TorqueOutput(arm, self.limits, compensated, self.counters)
+        self._supervision = Supervision(arm, self.limits, settings, self._output.acting)
         self._joints = JointControl(arm, self.limits)
-        self._policy: PreparedPolicy | None = None
-        self._tried: set[str] = set()  # contents of policies that have run to their end once
-        self._rollout: Execution | None = None
-        self._finished: EndEffectorPath | None = None
-        self._sent = np.zeros(arm.n)  # last torque
-        self._plausibility = Plausibility(arm)
-        self._doubted = DoubtedArm(self._plausibility)
-        touched = settings.contact_share * arm.tau_max
-        contact = Bound(touched, touched, INERTIAL_SHARE)
-        in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
-        self._unexplained: dict[Mode, Bound | None] = {
-            Mode.GRAVITY_COMPENSATION: None,
-            Mode.HOLD: contact,
-            Mode.MOVE_TO_START: contact,
-            Mode.ROLLOUT: in_rollout,
-            Mode.REPLAY: contact,
-            Mode.FAULT: in_rollout,
-        }
+        self._rollouts = Rollouts(arm, settings)
         self._laws: dict[Mode, Law] = {
             Mode.INACTIVE: self._rest_torque,
             Mode.GRAVITY_COMPENSATION: self._teaching_torque,
@@ -134,7 +115,12 @@ class Controller:
     @property
     def policy_id(self) -> str | None:
         """Id of the policy that is loaded."""
-        return None if self._policy is None else self._policy.id
+        return None if self._rollouts.policy is None else self._rollouts.policy.id
+
+    @property
+    def rollout_stamp_ns(self) -> int | None:
+        """Stamp of the first state of the last rollout that ended, None before it [ns]."""
+        return self._rollouts.start_ns
 
     @property
     def at_rest(self) -> bool:
@@ -145,7 +131,7 @@ class Controller:
     def ready(self) -> bool:
         """Whether `execute` would begin: holding at the policy's start, at rest."""
         try:
-            self._ready_policy()
+            self._require_ready()
         except ControllerError:
             return False
         return True
@@ -157,8 +143,7 @@ class Controller:
 
     def take_finished(self) -> EndEffectorPath | None:
         """Return the path of the rollout that has ended, once; shorter when it was cut short."""
-        path, self._finished = self._finished, None
-        return path
+        return self._rollouts.take_path()
 
     # Requests
 
@@ -178,7 +163,7 @@ class Controller:
         """
         if self._mode is Mode.ROLLOUT:
             raise ControllerError(Refusal.BUSY, f"policy {policy.id} refused during a rollout")
-        self._policy = policy
+        self._rollouts.policy = policy
 
     def hold(self) -> None:
         """Come to rest and hold the posture; aborts what is under way.
@@ -217,9 +202,7 @@ class Controller:
         Raises:
             ControllerError: Without a policy, while moving, or in a mode that does not allow it.
         """
-        if self._policy is None:
-            raise ControllerError(Refusal.NOTHING, "move_to_start refused: no policy is loaded")
-        self._move(Mode.MOVE_TO_START, self._policy.q_start)
+        self._move(Mode.MOVE_TO_START, self._rollouts.loaded("move_to_start").q_start)
 
     def start_replay(self, trajectory: JointTrajectory, speed: float = 1.0) -> None:
         """Move to the start of a recorded joint movement, then follow it, then hold.
@@ -250,11 +233,10 @@ class Controller:
         Raises:
             ControllerError: The arm is not ready, with the reason.
         """
-        policy = self._ready_policy()
+        self._require_ready()
         self._require_switch(Mode.ROLLOUT)
         self._enter(Mode.ROLLOUT)
-        self._finished = self.rollout_stamp_ns = None
-        self._rollout = Execution(policy, self.arm, self.settings)
+        self._rollouts.begin()
 
     def fault(self, fault: Fault) -> None:
         """Latch a fault and abort what is under way; without effect when inactive or in a fault."""
@@ -262,7 +244,7 @@ class Controller:
             return
         self.latched = fault
         self.counters["faults"] += 1
-        self._doubted.faulted()
+        self._supervision.faulted()
         self._enter(Mode.FAULT)
 
     def reset(self) -> None:
@@ -279,12 +261,12 @@ class Controller:
             raise ControllerError(Refusal.REFUSED, text)
         self._require_rest("reset")
         last = self._states.last
-        if last is None or not self._doubted.rested(last.stamp_ns):
+        if last is None or not self._supervision.rested(last.stamp_ns):
             text = f"reset refused: the arm must be at rest for {REST_NS * 1e-9:.1f} s, in states"
             raise ControllerError(Refusal.BUSY, f"{text} that fit each other and the torques")
         self._enter(Mode.HOLD, reset=True)
         self.latched = None
-        self._plausibility.begin()
+        self._supervision.begin()
 
     def deactivate(self) -> None:
         """Abort what is under way; nothing may be sent any more. A fault stays latched."""
@@ -297,14 +279,14 @@ class Controller:
         if self._states.last is None and mode is not Mode.INACTIVE:
             text = f"{mode.value} refused: no joint state has come yet"
             raise ControllerError(Refusal.NOTHING, text)
-        self._end_rollout()
+        self._rollouts.end(self._states.last)
         if self._mode is Mode.INACTIVE:
-            self._plausibility.begin()
+            self._supervision.begin()
         if mode not in REFERENCED:
             self._joints.release()
         self._set(mode)
         self._joints.begin()
-        self._motion.begin()
+        self._supervision.mode_changed()
 
     def _set(self, mode: Mode) -> None:
         self._mode, self._law, self._mode_label = mode, self._laws[mode], mode.value
@@ -320,9 +302,7 @@ class Controller:
         """Whether the enabling switch must be held in this mode, and is not."""
         if self.enabled or not self.settings.hold_to_run or mode not in HELD:
             return False
-        if mode is not Mode.ROLLOUT:
-            return True
-        return self._policy is None or self._policy.content not in self._tried
+        return mode is not Mode.ROLLOUT or not self._rollouts.tried
 
     def _require_switch(self, mode: Mode) -> None:
         if self._lacks_switch(mode):
@@ -340,32 +320,22 @@ class Controller:
             return "no joint state has come yet"
         return safety.unrest(self.arm.motion(last.q, last.qd))
 
-    def _ready_policy(self) -> PreparedPolicy:
-        """The loaded policy, when a rollout of it can begin.
+    def _require_ready(self) -> None:
+        """Refuse a rollout that cannot begin.
 
         Raises:
-            ControllerError: It cannot, with the reason.
+            ControllerError: The arm is not ready, with the reason.
         """
-
-        def refused(refusal: Refusal, text: str, **values: str) -> ControllerError:
-            return ControllerError(refusal, f"rollout refused: {text}", values)
-
-        last, prepared = self._states.last, self._policy
         if self.latched is not None:
-            raise refused(Refusal.FAULT, f"fault ({self.latched.text}); reset first")
-        if prepared is None:
-            raise refused(Refusal.NOTHING, "no policy is loaded")
+            text = f"rollout refused: fault ({self.latched.text}); reset first"
+            raise ControllerError(Refusal.FAULT, text)
+        self._rollouts.loaded("rollout")
+        last = self._states.last
         if self._mode is not Mode.HOLD or last is None:
-            raise refused(Refusal.BUSY, f"mode is {self._mode.value}, not hold")
-        if unrest := self._unrest():
-            raise refused(Refusal.BUSY, unrest)
-        error = np.abs(last.q - prepared.q_start)
-        worst = int(np.argmax(error))
-        if error[worst] > self.settings.start_tolerance:
-            joint, policy = self.arm.joint_names[worst], prepared.id
-            text = f"{joint} is {error[worst]:.3f} rad from the start of policy {policy}"
-            raise refused(Refusal.NOT_AT_START, text, policy=policy)
-        return prepared
+            text = f"rollout refused: mode is {self._mode.value}, not hold"
+            raise ControllerError(Refusal.BUSY, text)
+        self._require_rest("rollout")
+        self._rollouts.require_start(last.q)
 
     # Every state
 
@@ -397,7 +367,7 @@ class Controller:
         self.fresh = isinstance(state, JointState)
         if isinstance(state, JointState):
             return self._answer(state)
-        return self._sent
+        return self._output.sent
 
     def refuse_state(self) -> None:
         """Count a joint state that could not be read, as `step` counts those it refuses."""
@@ -420,57 +390,36 @@ class Controller:
         """
         self.counters["stale"] += 1
         if (last := self._states.last) is None:
-            return self._sent
+            return self._output.sent
         dt = self.settings.period if elapsed is None else min(elapsed, STATES_LOST_AFTER)
-        state = self._doubted.without_state(last, self._acting_torque, dt)
+        state = self._supervision.without_state(last, dt)
         tau = self._with_springs(self._rest_torque(state), state.q)
-        return self._limited(tau, state.q, min(dt, 2.0 * self.settings.period))
+        return self._send(tau, state.q, min(dt, 2.0 * self.settings.period))
 
-    def _acting_torque(self, q: np.ndarray) -> np.ndarray:
-        """Torque that the motors give at a posture (n,) [rad]: the last one that was sent [N m]."""
-        compensated = self.settings.driver_compensates_gravity
-        return self._sent + self.arm.gravity(q) if compensated else self._sent
-
-    def _limited(self, tau: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
-        """What is sent for a torque of the motors, within the limits of size and of change."""
-        if self.settings.driver_compensates_gravity:  # what the motors give is limited
-            tau = np.minimum(np.maximum(tau, -self.limits.torque), self.limits.torque)
-            tau = tau - self.arm.gravity(q)
-        if self._mode is Mode.INACTIVE:  # nothing is sent, so nothing jumps
-            sent = np.minimum(np.maximum(tau, -self.limits.torque), self.limits.torque)
-        else:
-            sent = safety.limit_torque(tau, self._sent, dt, self.limits)
-            if sent is not tau:
-                self.counters["limited"] += 1
-        sent.setflags(write=False)
-        self._sent = sent
-        return sent
+    def _send(self, tau: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
+        return self._output.send(tau, q, None if self._mode is Mode.INACTIVE else dt)
 
     def _answer(self, state: JointState) -> np.ndarray:
         """The torque for a state that has been accepted."""
-        mode, plausibility = self._mode, self._plausibility
-        if mode is not Mode.INACTIVE:
-            acting = self._acting_torque(state.q)
-            bound = self._unexplained[mode]
-            if (doubt := plausibility.fault(self._states.before, state, acting, bound)) is not None:
-                self.fault(doubt)
+        mode, supervision = self._mode, self._supervision
+        if (fault := supervision.doubt(mode, self._states.before, state)) is not None:
+            self.fault(fault)
         # The position of the tool is not needed to hold.
         motion = (self.arm.speeds if self._mode is Mode.HOLD else self.arm.motion)(
             state.q, state.qd
         )
-        if (fault := self._motion.fault(self._mode, state.q, state.qd, motion)) is not None:
+        if (fault := supervision.exceeded(self._mode, state, motion)) is not None:
             self.fault(fault)
         if self.settings.hold_to_run and self._lacks_switch(self._mode):
             self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
         if self._mode is Mode.FAULT:
-            new = mode is not Mode.FAULT
-            state = self._doubted.after_fault(state, motion, self._acting_torque, new)
+            state = supervision.after_fault(state, motion, new=mode is not Mode.FAULT)
         else:
-            self._doubted.trust()
+            supervision.trust()
 
-        sent = self._limited(self._torque(state, motion), state.q, state.dt)
-        rollout = self._rollout
-        self._label = self._mode_label if rollout is None else f"rollout {rollout.id}"
+        sent = self._send(self._torque(state, motion), state.q, state.dt)
+        rollout = self._rollouts.present
+        self._label = self._mode_label if rollout is None else f"rollout {rollout}"
         return sent
 
     def _torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
@@ -512,20 +461,10 @@ class Controller:
         return tau
 
     def _rollout_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        rollout = self._rollout
-        if rollout is None or not isinstance(motion, Motion):
-            raise RuntimeError("no rollout is under way")
-        tau = rollout.torque(state.stamp_ns, state.q, state.qd, motion)
+        if not isinstance(motion, Motion):
+            raise TypeError("a rollout needs the position of the tool")
+        tau = self._rollouts.torque(state, motion)
         if tau is not None:
             return tau
-        if rollout.complete and self._policy is not None:
-            self._tried.add(self._policy.content)
         self._enter(Mode.HOLD)
         return self._joint_torque(state, motion)
-
-    def _end_rollout(self) -> None:
-        """Finish the path of a rollout that is over, complete or not."""
-        rollout, self._rollout = self._rollout, None
-        if rollout is not None and (last := self._states.last) is not None:
-            self._finished = rollout.path(last.q, last.qd)
-            self.rollout_stamp_ns = rollout.start_ns

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The supervision of the arm: doubt, limits, and the arm while its states are not believed."""
+
+import numpy as np
+from rigid_arm import HOME, LIMITS, MODEL, PERIOD_NS
+
+from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.control.state_checks import JointState
+from wam_power_ros.control.supervision import REST_NS, Supervision
+from wam_power_ros.learning.rollout import FaultKind
+
+STILL = np.zeros(7)
+GRAVITY = MODEL.gravity(HOME)
+
+
+def supervision(tau: np.ndarray = GRAVITY) -> Supervision:
+    return Supervision(MODEL, LIMITS, ControllerSettings(), lambda q: tau)
+
+
+def state(tick: int, q: np.ndarray = HOME, qd: np.ndarray = STILL) -> JointState:
+    return JointState(10**12 + tick * PERIOD_NS, q, qd, 0.002, 0.002)
+
+
+def doubts(watch: Supervision, mode: Mode, ticks: int = 60) -> FaultKind | None:
+    for tick in range(1, ticks):
+        if fault := watch.doubt(mode, state(tick - 1), state(tick)):
+            return fault.kind
+    return None
+
+
+def test_an_arm_that_stands_under_a_torque_that_should_move_it_is_doubted() -> None:
+    strong = GRAVITY + 0.2 * MODEL.tau_max
+    for mode in (Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY, Mode.ROLLOUT, Mode.FAULT):
+        assert doubts(supervision(strong), mode) is FaultKind.EXTERNAL_TORQUE, mode
+        assert doubts(supervision(), mode) is None, mode
+
+
+def test_a_person_may_push_with_any_force_while_teaching_and_before_activation() -> None:
+    strong = GRAVITY + 0.2 * MODEL.tau_max
+    assert doubts(supervision(strong), Mode.GRAVITY_COMPENSATION) is None
+    assert doubts(supervision(strong), Mode.INACTIVE) is None
+
+
+def test_limits_count_anew_when_the_mode_changes() -> None:
+    watch, fast = supervision(), np.full(7, 100.0)
+    moving = state(0, qd=fast)
+    motion = MODEL.motion(HOME, fast)
+    seen = [watch.exceeded(Mode.ROLLOUT, moving, motion) for _ in range(2)]
+    watch.mode_changed()
+    seen += [watch.exceeded(Mode.REPLAY, moving, motion) for _ in range(2)]
+    assert seen == [None] * 4
+    fault = watch.exceeded(Mode.REPLAY, moving, motion)
+    assert fault is not None and fault.kind is FaultKind.JOINT_SPEED
+
+
+def test_a_faulted_arm_has_rested_only_after_a_stated_time_without_motion() -> None:
+    watch, motion = supervision(), MODEL.motion(HOME, STILL)
+    watch.faulted()
+    ticks = REST_NS // PERIOD_NS
+    for tick in range(ticks):
+        watch.after_fault(state(tick), motion, new=tick == 0)
+        assert not watch.rested(state(tick).stamp_ns)
+    watch.after_fault(state(ticks), motion, new=False)
+    assert watch.rested(state(ticks).stamp_ns)
+    moved = MODEL.motion(HOME, np.full(7, 0.2))
+    watch.after_fault(state(ticks + 1), moved, new=False)
+    assert not watch.rested(state(ticks + 1).stamp_ns)
+
+
+def test_without_states_the_arm_goes_on_as_its_model_says_until_one_is_trusted() -> None:
+    watch, qd = supervision(), np.zeros(7)
+    qd[1] = 0.5
+    last = state(0, qd=qd)
+    first = watch.without_state(last, 0.002)
+    second = watch.without_state(last, 0.002)
+    assert HOME[1] < first.q[1] < second.q[1]
+    watch.trust()
+    np.testing.assert_array_equal(watch.without_state(last, 0.002).q, first.q)
