@@ -19,10 +19,9 @@ STILL = np.zeros(7)
 MOTION = MODEL.motion(HOME, STILL)
 
 
-def rollouts(loaded: bool = True) -> Rollouts:
-    found = Rollouts(MODEL, SETTINGS)
-    if loaded:
-        found.policy = prepare(POLICY, MODEL.n, LIMITS, SETTINGS)
+def rollouts(settings: ControllerSettings = SETTINGS) -> Rollouts:
+    found = Rollouts(MODEL, settings)
+    found.policy = prepare(POLICY, MODEL.n, LIMITS, settings)
     return found
 
 
@@ -40,7 +39,7 @@ def run(them: Rollouts, ticks: int) -> int:
 
 
 def test_nothing_can_begin_without_a_policy() -> None:
-    them = rollouts(loaded=False)
+    them = Rollouts(MODEL, SETTINGS)
     for request in (them.begin, lambda: them.require_start(HOME)):
         with pytest.raises(ControllerError, match="no policy is loaded") as refused:
             request()
@@ -73,6 +72,13 @@ def test_a_policy_counts_as_tried_only_after_a_whole_rollout_whatever_its_id() -
     assert them.tried
     other = dataclasses.replace(same, damping=POLICY.damping + 1.0)
     them.policy = prepare(other, MODEL.n, LIMITS, SETTINGS)
+    assert not them.tried
+
+
+def test_a_rollout_that_ends_in_the_obstacle_does_not_count_as_tried() -> None:
+    them = rollouts(dataclasses.replace(SETTINGS, obstacle=(*MOTION.position.tolist(), 0.01)))
+    assert run(them, 1000) == 0
+    them.end(state(0))
     assert not them.tried
 
 
