@@ -18,6 +18,7 @@ State = tuple[int, np.ndarray, np.ndarray]
 Lie = Callable[[State], State]
 PERIOD = PERIOD_NS * 1e-9
 LONGEST = 15  # states until a lie about a moving arm is a fault: 30 ms
+FROZEN = 20  # states until a frozen arm without velocities is a fault: it must have stood for 15
 NOTICED = 0.5  # [rad/s] of a velocity that is wrong; a smaller lie may be noticed later
 ELBOW = np.eye(7)[3]
 START = HOME + np.array([0.3, -0.2, 0.2, -0.3, 0.2, 0.2, 0.3])
@@ -134,6 +135,16 @@ def test_a_false_state_in_a_rollout_ends_in_a_stop(name: str, moment: str, nomin
     assert faulted <= LONGEST or size < NOTICED, (faulted, size)
     assert not controller.latched.kind.of_policy
     assert max(speeds[faulted + 250 :], default=0.0) < safety.REST_SPEED
+
+
+@pytest.mark.requirement("S-91")
+@pytest.mark.parametrize("moment", [0.22, 0.27, 0.33, 0.4, 0.48, 0.6])
+def test_an_arm_frozen_with_velocities_zero_is_noticed_once_it_has_stood(moment: float) -> None:
+    controller, plant = begin(friction=1.0, delay=2, sensing=True)
+    controller.execute()
+    run(controller, plant, moment)
+    faulted, _, _ = lied_to(controller, plant, LIES["all frozen, velocities zero"]())
+    assert faulted is not None and faulted <= FROZEN
 
 
 @pytest.mark.requirement("S-91")

@@ -33,8 +33,7 @@ SUSPECTS = 3  # states in a row beyond a bound that make a fault
 REMEMBERED, STRIDE = 100, 4  # states, for the estimate that a fault begins with, and its step
 FRESH = 4  # strides that a lie may have lasted when it is found out
 FRICTION_SHARE = 2.0  # of a joint's Coulomb friction that may be unexplained
-STANDING = 30  # states of the same position, after which a joint stands
-FROZEN = 15  # states of the same position, after which it must have no velocity left
+STANDING = 15  # states of the same position, after which a joint stands, without a velocity
 
 
 class Bound(NamedTuple):
@@ -93,7 +92,7 @@ class VelocityCheck:
             slip = max(min(moved, late) - said, said - max(moved, late), 0.0)
             seen = min(abs(moved), abs(said))
             gained.append(min(slip, _SLIP_AT_ONCE) - SLIP_SHARE * seen)
-            if still >= FROZEN and abs(qd) > STANDSTILL:
+            if still >= STANDING and abs(qd) > STANDSTILL:
                 joint, at = i, slip
         self._lagged = lagged
         for k, (window, bound) in enumerate(SLIP_WINDOWS):
