@@ -12,7 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wam_power_ros.arm_identity import ArmIdentity
-from wam_power_ros.learning.policy import SIZE_MAX, Basis, Policy, from_json, to_json, with_id
+from wam_power_ros.learning.dmp import acceleration, tabulate
+from wam_power_ros.learning.policy import (
+    SIZE_MAX,
+    Basis,
+    Policy,
+    faster,
+    from_json,
+    to_json,
+    with_id,
+)
 
 
 def make(seed: int = 0, count: int = 8) -> Policy:
@@ -52,6 +61,34 @@ def test_another_id_changes_nothing_else() -> None:
     policy = make()
     assert to_json(with_id(policy, "trial-0007")) == to_json(policy)
     assert with_id(policy, "mean").id == "mean"
+
+
+def followed(policy: Policy, dt: float) -> np.ndarray:
+    """Position and rotation vector at every tick, from rest. Shape (T, 6)."""
+    tables = tabulate(policy, dt)
+    path, twist = np.full((tables.rows, 6), 0.1), np.zeros(6)
+    for k in range(tables.rows - 1):
+        twist = twist + dt * acceleration(tables, k, path[k, :3], path[k, 3:], twist)
+        path[k + 1] = path[k] + dt * twist
+    return path
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.5, 2.0), st.integers(0, 2**32))
+def test_a_faster_policy_moves_and_turns_along_the_same_path_in_the_new_time(
+    tempo: float, seed: int
+) -> None:
+    policy = make(seed)
+    quick = faster(policy, tempo)
+    assert quick.basis.duration == pytest.approx(policy.basis.duration / tempo)
+    path = followed(policy, 0.005)
+    np.testing.assert_allclose(followed(quick, 0.005 / tempo), path, atol=1e-9)
+    assert np.ptp(path, axis=0).min() > 0.01
+
+
+def test_whole_numbers_are_the_same_text_as_the_floats_they_equal() -> None:
+    whole = replace(make(), basis=Basis(8, 1, 1), damping=32)
+    assert to_json(whole) == to_json(replace(make(), basis=Basis(8, 1.0, 1.0)))
 
 
 def test_the_arrays_are_copies_and_cannot_be_written() -> None:

@@ -9,8 +9,8 @@ import numpy as np
 from conftest import lift
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.policy import symmetric_part
-from wam_power_ros.learning.policy_shapes import ELLIPSOID, ellipsoids, plan
+from wam_power_ros.learning.policy import PERIOD, symmetric_part
+from wam_power_ros.learning.policy_shapes import ELLIPSOID, PLAN_STEP, ellipsoids, plan
 
 POLICY = lift("lift")
 COUNT = POLICY.basis.count
@@ -35,4 +35,5 @@ def test_a_plan_begins_at_the_start_and_goes_where_the_attractors_are() -> None:
     still = np.broadcast_to(POLICY.attractors[0], (COUNT, 3))
     path = plan(replace(POLICY, attractors=still), start)
     np.testing.assert_array_equal(path[0], start)
+    assert (len(path) - 1) * PLAN_STEP * PERIOD == POLICY.basis.duration  # to the end
     assert np.linalg.norm(path[-1] - still[0]) < 0.5 * np.linalg.norm(start - still[0])
