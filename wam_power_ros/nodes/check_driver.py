@@ -45,7 +45,14 @@ from wam_power_ros.params import overlay
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages, scheduling
+from wam_power_ros.ros import (
+    interface,
+    interrupts,
+    joint_messages,
+    node_runner,
+    pose_messages,
+    scheduling,
+)
 from wam_power_ros.ros.node_runner import init, number_by_process
 from wam_power_ros.ros.stamps import nanoseconds
 
@@ -140,7 +147,7 @@ class CheckDriver(Node):
         """Dispatch callbacks for some time [s], or until a condition holds."""
         end = time.monotonic() + seconds
         while not until() and (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(timeout_sec=min(left, 0.05))
+            interrupts.spin_once(self._executor, min(left, 0.05))
 
     def ask(self, question: str) -> str | None:
         """Answer of a person, spinning meanwhile; None when nobody is at the keyboard."""
@@ -376,6 +383,7 @@ def main() -> int:
     options = _parser().parse_args(remove_ros_args(sys.argv)[1:])
     console, errors = Console(), Console(stderr=True)
     node = None
+    interrupts.install()
     try:
         init(sys.argv, SignalHandlerOptions.NO)
         setup = overlay.setup(options.config)

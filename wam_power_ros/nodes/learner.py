@@ -15,11 +15,9 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
 import json
 import math
-import signal
 import time
 from collections.abc import Callable
 from pathlib import Path as FilePath
-from types import FrameType
 from typing import Annotated
 
 import rclpy
@@ -44,7 +42,7 @@ from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Event, Record
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, interrupts
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.node_runner import (
     end,
@@ -302,8 +300,7 @@ def _line(record: Record) -> str:
 def main() -> int:
     """Entry point of `ros2 run wam_power_ros learner`."""
     node = None
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    interrupts.install()
     try:
         init(signals=SignalHandlerOptions.NO)
         with number_by_process():
@@ -318,10 +315,3 @@ def main() -> int:
     finally:
         end()
     return 0
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Signal handler that acts as Ctrl-C does, once."""
-    for each in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(each, signal.SIG_IGN)
-    raise KeyboardInterrupt

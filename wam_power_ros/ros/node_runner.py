@@ -33,7 +33,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import parameter_file
-from wam_power_ros.ros import network, security, shared_memory
+from wam_power_ros.ros import interrupts, network, security, shared_memory
 from wam_power_ros.ros.domain import FIRST, PER_DOMAIN, PER_PARTICIPANT, exported
 from wam_power_ros.ros.service_client import ServiceError
 
@@ -104,7 +104,7 @@ def executor_for(node: Node, patience: float = 1.0) -> Executor:
     timer = node.create_timer(1e-3, lambda: called.append(True), clock=steady)
     start = steady.now()
     while not called and (steady.now() - start).nanoseconds < patience * 1e9:
-        executor.spin_once(timeout_sec=0.05)
+        interrupts.spin_once(executor, 0.05)
     node.destroy_timer(timer)
     if called:
         return executor

@@ -12,7 +12,7 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.node import Node
 from rclpy.task import Future
 
-from wam_power_ros.ros import answers
+from wam_power_ros.ros import answers, interrupts
 from wam_power_ros.ros.answers import Answer
 
 TIMEOUT = 60.0  # [s of wall time] for a service to appear, to answer and to agree
@@ -86,7 +86,7 @@ class ServiceClient:
             if waited > log_at:
                 self._node.get_logger().info(f"waiting: {what}, since {waited:.0f} s")
                 log_at = waited + self._log_period
-            self._executor.spin_once(timeout_sec=min(0.05, timeout - waited))
+            interrupts.spin_once(self._executor, min(0.05, timeout - waited))
         return True
 
     def wait_for(self, kind: type, name: str) -> None:
