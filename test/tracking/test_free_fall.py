@@ -2,6 +2,7 @@
 """A free fall is found where there is one, and shows the direction of gravity."""
 
 import numpy as np
+import pytest
 
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking.free_fall import falling
@@ -40,3 +41,11 @@ def test_a_free_fall_shows_the_direction_of_gravity() -> None:
         quat_xyzw=np.repeat(LEVEL[None], 45, axis=0),
     )
     assert falling(still) is None
+
+
+@pytest.mark.parametrize(("frames", "found"), [(6, False), (7, True)])
+def test_two_parabolas_are_needed(frames: int, found: bool) -> None:
+    t = np.arange(frames) / 30.0  # one is fitted from each frame that 0.16 s follow
+    position = PAN + np.outer(2.0 * t - 0.5 * 9.81 * t**2, [0.0, 0.0, 1.0])
+    path = BodyPath("a", t, position, np.repeat(LEVEL[None], frames, axis=0))
+    assert (falling(path) is not None) == found

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a flip may begin, when it counts towards stopping, and what a table says of it."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from wam_power_ros import rotations
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.task import Flip
+from wam_power_ros.tasks.task import Pose
+
+FLIP = Flip(preset("flip").task_settings, {})
+PAN = Pose(np.array([0.6, -0.1, 0.9]), rotations.exp(np.array([0.3, 0.2, 0.0])))  # tilted
+
+
+def ready(in_pan: list[float], speed: float = 0.0) -> str:
+    position = PAN.position + PAN.rotation @ np.array(in_pan)
+    return FLIP.ready(SimpleNamespace(position=position, velocity=np.array([0.0, speed, 0.0])), PAN)
+
+
+@pytest.mark.parametrize(
+    ("in_pan", "speed", "words"),
+    [
+        ([0.09, 0.0, 0.003], 0.0, ""),
+        ([0.0, -0.09, -0.009], 0.0, ""),
+        ([0.0, 0.0, 0.029], 0.049, ""),
+        ([0.08, 0.08, 0.003], 0.0, "not in the pan: 0.080, 0.080, 0.003 m"),
+        ([-0.11, 0.0, 0.003], 0.0, "not in the pan"),
+        ([0.0, 0.0, -0.011], 0.0, "not in the pan"),
+        ([0.0, 0.0, 0.031], 0.0, "not in the pan"),
+        ([0.0, 0.0, 0.003], 0.06, "moves at 0.06 m/s"),
+    ],
+)
+def test_a_rollout_begins_when_the_pancake_rests_in_the_tilted_pan(
+    in_pan: list[float], speed: float, words: str
+) -> None:
+    answer = ready(in_pan, speed)
+    assert words in answer and bool(words) == bool(answer)
+
+
+def test_a_rollout_does_not_begin_while_the_pancake_is_not_seen() -> None:
+    assert FLIP.ready(None, PAN) == "the pancake is not seen"
+
+
+def judged(observation: dict[str, Any] | None, **fields: object) -> SimpleNamespace:
+    rest = {"kind": "retest", "fault": "", "why": "", "truth": None, "observation": observation}
+    return SimpleNamespace(**(rest | fields))
+
+
+@pytest.mark.parametrize(
+    ("degrees", "error", "counts"),
+    [
+        (161.0, [0.05, 0.0, 0.5], True),
+        (-161.0, [0.0, -0.05, -0.5], True),
+        (159.0, [0.0, 0.0, 0.0], False),
+        (-159.0, [0.0, 0.0, 0.0], False),
+        (180.0, [0.05, 0.05, 0.0], False),
+    ],
+)
+def test_a_flip_counts_that_turned_further_than_it_must_and_fell_well_into_the_pan(
+    degrees: float, error: list[float], counts: bool
+) -> None:
+    flight = {"angle": np.deg2rad(degrees), "landing_error": error}
+    assert FLIP.confirms(judged(flight)) == counts
+
+
+def test_a_success_not_seen_counts_only_where_the_flip_does_not_matter() -> None:
+    assert not FLIP.confirms(judged(None))
+    assert Flip(preset("flip", "paper").task_settings, {}).confirms(judged(None))
+
+
+@pytest.mark.parametrize(
+    ("record", "cell"),
+    [
+        (judged(None), "not seen"),
+        (judged(None, why="lost from view"), "lost from view"),
+        (judged({"tossed": True}, fault="stopped"), "fault: stopped"),
+        (judged({"tossed": False, "resting": True}), "not tossed"),
+        (judged({"tossed": False, "resting": False}), "not tossed, dropped"),
+        (judged({"tossed": True, "angle": -2.0, "flipped": False}), "115° dropped"),
+        (judged({"tossed": True, "angle": 3.0, "flipped": True, "resting": True}), "172° flipped,"),
+    ],
+)
+def test_a_table_says_how_far_the_pancake_turned_and_where_it_ended(
+    record: SimpleNamespace, cell: str
+) -> None:
+    assert FLIP.outcome(record).startswith(cell)
+
+
+def test_a_summary_counts_the_re_tests_and_the_truth_of_those_that_have_one() -> None:
+    caught, dropped = {"flipped": True, "resting": True}, {"flipped": True, "resting": False}
+    truth = {"caught": True, "flipped": True, "true_flip": False}
+    records = [judged(caught, truth=truth), judged(dropped, truth={**truth, "caught": False})]
+    records += [judged(caught, kind="trial", truth=truth), judged(None)]
+    seen, true = FLIP.summary(records)
+    assert seen.startswith("re-tests of the answer: 1 of 3 flipped and caught")
+    assert "1 of 2 flipped and caught, 0 by a true flip" in true
+    assert FLIP.summary(records[2:3]) == []

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a toss missed corrects its own coordinates, each by its share and up to its limit."""
+
+import math
+
+import numpy as np
+import pytest
+from conftest import lift
+
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.landing_correction import landing_correction
+from wam_power_ros.tasks.flip.parametrization import flip_parametrization
+from wam_power_ros.tasks.task import Assessment
+
+SETTINGS = preset("flip").task_settings
+PLANAR = flip_parametrization(lift("lift"), "planar", SETTINGS.noise)
+GAINS = ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain")
+
+
+def shifts(
+    angle: float, error: float = 0.0, tossed: bool = True, seen: bool = True
+) -> dict[str, float]:
+    """What is corrected by, in the units of its parameter; one shift for each parameter."""
+    flight = {"tossed": tossed, "seen": seen, "angle": angle, "landing_error": [error, 9.0, 9.0]}
+    found = landing_correction(Assessment(0.5, observation=flight), PLANAR, SETTINGS)
+    names = {
+        PLANAR.groups[name].start: name for name in ("catch_shift", "flick", "vigour", "tempo")
+    }
+    corrected = {}
+    for shift in found:
+        (at,) = np.flatnonzero(shift)
+        corrected[names[at]] = shift[at] * PLANAR.scale[at]
+    assert len(corrected) == len(found)
+    return corrected
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_catch_goes_to_where_the_pancake_came_down_up_to_a_limit(sign: float) -> None:
+    assert shifts(math.pi, sign * 0.1) == pytest.approx({"catch_shift": sign * 0.7 * 0.1})
+    assert shifts(math.pi, sign * 0.9) == pytest.approx({"catch_shift": sign * 0.25})
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_missing_turn_is_added_and_one_too_many_taken_away_up_to_a_limit(sign: float) -> None:
+    few = {"flick": 0.5 * 0.06 / 2.0, "vigour": 0.3 * 0.06 / 3.0, "tempo": 0.3 * 0.06 / 6.0}
+    most = {"flick": 0.1, "vigour": 0.3, "tempo": 0.15}
+    for missing, expected in ((0.06, few), (9.0, most)):
+        wanted = {name: sign * value for name, value in expected.items()}
+        assert shifts(math.pi - sign * missing) == pytest.approx(wanted)
+
+
+def test_a_pancake_that_was_not_thrown_misses_all_of_the_turn_and_one_not_seen_tells_nothing() -> (
+    None
+):
+    assert shifts(0.0, tossed=False, seen=False) == shifts(0.0) != {}
+    assert shifts(0.0, 0.1, seen=False) == {}
+    assert landing_correction(Assessment(0.5), PLANAR, SETTINGS) == []
+
+
+@pytest.mark.parametrize("kept", GAINS)
+def test_only_what_has_a_gain_is_corrected(kept: str) -> None:
+    off = dict.fromkeys(set(GAINS) - {kept}, 0.0)
+    flight = {"tossed": True, "seen": True, "angle": 2.0, "landing_error": [0.1, 0.0, 0.0]}
+    settings = SETTINGS.model_copy(update=off)
+    (shift,) = landing_correction(Assessment(0.5, observation=flight), PLANAR, settings)
+    assert np.count_nonzero(shift) == 1
