@@ -58,9 +58,10 @@ def test_a_success_rests_in_the_pan_the_other_side_up_having_turned_far_enough(
     )
     assert assessment.observation["tossed"] and assessment.observation["seen"]
     assert assessment.success is success
-    beyond = {**update, "success_return": assessment.ret + 1e-6}
-    rated = assess(POLICY, Rollout(*toss(half_turns, aside)), SETTINGS.model_copy(update=beyond))
-    assert rated.success is False  # whatever it did, its return is too low
+    # Beyond its own return nothing is a success, whatever it did.
+    for least, met in ((assessment.ret, success), (assessment.ret + 1e-6, False)):
+        asked = SETTINGS.model_copy(update={**update, "success_return": least})
+        assert assess(POLICY, Rollout(*toss(half_turns, aside)), asked).success is met
 
 
 @pytest.mark.requirement("S-47")
@@ -83,6 +84,17 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
         why(fault=Fault(FaultKind.STATES_LOST, "no joint state for 12 ms"))
         == "no joint state for 12 ms"
     )
+
+
+@pytest.mark.parametrize(("depth", "judged"), [(0.04, False), (0.06, True)])
+def test_a_pancake_last_seen_under_the_pan_was_dropped_and_not_lost(
+    depth: float, judged: bool
+) -> None:
+    pan, pancake = paths(1.86, np.arange(0.01, 1.3, 1 / 30))
+    position = pancake.position.copy()
+    position[-1, 2] -= 0.003 + depth
+    dropped = BodyPath(POLICY.id, pancake.t, position, pancake.quat_xyzw)
+    assert (assess(POLICY, Rollout(pan, dropped), SETTINGS).ret is not None) == judged
 
 
 @pytest.mark.parametrize("name", ["paper", "flip"])

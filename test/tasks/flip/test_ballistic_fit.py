@@ -134,6 +134,9 @@ def test_the_covariance_grows_with_the_scatter_of_the_frames() -> None:
     calm = arc_through(truth, capture(truth, np.random.default_rng(1)))
     noisy = arc_through(truth, capture(truth, np.random.default_rng(1), noise=20.0))
     assert noisy.covariance[0, 0] > 10.0 * calm.covariance[0, 0]
+    exact = arc_through(truth, capture(truth, np.random.default_rng(1), noise=0.0))
+    # The noise of the cameras is expected: it is no scatter.
+    assert calm.covariance[0, 0] == pytest.approx(exact.covariance[0, 0], rel=0.3)
 
 
 def test_the_release_is_found_between_two_frames() -> None:

@@ -161,6 +161,19 @@ def test_a_low_toss_is_no_toss() -> None:
     assert np.array_equal(flight.landing_error, np.zeros(3))
 
 
+@pytest.mark.parametrize(("vz", "tossed"), [(1.3, False), (2.4, True)])
+def test_the_apex_is_over_where_the_pan_began(vz: float, tossed: bool) -> None:
+    rng = np.random.default_rng(1)
+    truth = toss(rng, vz=vz, half_turns=0.2)
+    path = capture(truth, rng)
+    began = truth.pan.position.copy()
+    began[0, 2] -= 0.1
+    flight = observe_flight(truth.pan, path)
+    lower = observe_flight(replace(truth.pan, position=began), path)
+    assert flight.tossed == lower.tossed == tossed
+    assert lower.apex == pytest.approx(flight.apex + 0.1, abs=1e-3)
+
+
 def test_losing_the_view_is_reported_and_never_breaks_the_numbers() -> None:
     rng = np.random.default_rng(12)
     for vz in (0.8, 2.3):
@@ -217,5 +230,6 @@ def test_paths_of_different_rollouts_and_a_height_that_is_not_positive_are_refus
     path = capture(truth, rng)
     with pytest.raises(ValueError, match="one rollout"):
         observe_flight(truth.pan, replace(path, id="other"))
-    with pytest.raises(ValueError, match="delta_h"):
-        observe_flight(truth.pan, path, delta_h=math.nan)
+    for wrong in (math.nan, 0.0, math.inf):
+        with pytest.raises(ValueError, match="delta_h"):
+            observe_flight(truth.pan, path, delta_h=wrong)

@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import lift
 
 from wam_power_ros import rotations
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.tasks.flip.planned_toss import plan_tosses, planned_terms
 from wam_power_ros.tasks.flip.task import Flip
 from wam_power_ros.tasks.task import Pose
 
@@ -70,6 +72,18 @@ def test_a_flip_counts_that_turned_further_than_it_must_and_fell_well_into_the_p
 def test_a_success_not_seen_counts_only_where_the_flip_does_not_matter() -> None:
     assert not FLIP.confirms(judged(None))
     assert Flip(preset("flip", "paper").task_settings, {}).confirms(judged(None))
+
+
+@pytest.mark.parametrize("name", ["flip", "paper"])
+def test_the_model_predicts_the_return_that_is_learnt_from(name: str) -> None:
+    settings = preset("flip", name).task_settings
+    task, start = Flip(settings, {}), np.array([0.6, 0.0, 0.5])
+    parametrization = task.parametrization(lift("lift"))
+    z = np.zeros((1, parametrization.size))
+    weights = settings.landing_weights if name == "flip" else settings.pancake_weights
+    terms = planned_terms(plan_tosses(parametrization, z, start), weights)
+    predicted = task.model(parametrization, start).predict(z)
+    np.testing.assert_allclose(predicted, terms.sum(axis=1), rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 """The toss as planned, against the tosses of the stand-in."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,14 @@ from wam_power_ros.experiments.studies.flip_sessions import teach
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
-from wam_power_ros.tasks.flip.planned_toss import TossModel, plan_tosses, planned_terms
-from wam_power_ros.tasks.flip.returns import PancakeWeights
+from wam_power_ros.tasks.flip.planned_toss import (
+    CATCH_RADIUS,
+    Tosses,
+    TossModel,
+    plan_tosses,
+    planned_terms,
+)
+from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights, landing_return
 
 NOISE = FlipNoise(stiffness=0.1, attractor=0.01, rotation=0.05, flick=0.03, catch_shift=0.02)
 
@@ -87,6 +94,27 @@ def test_what_rises_more_than_delta_h_is_tossed_and_every_number_is_finite() -> 
         assert np.isfinite(values).all()
     terms = planned_terms(tosses, PancakeWeights())
     assert (terms >= 0.0).all() and (terms[:, :2] <= 0.5).all()
+
+
+def test_a_planned_toss_is_worth_what_one_seen_like_it_is() -> None:
+    angle, apex = np.array([2.0, 4.0, 0.0, 7.0]), np.array([0.3, 0.9, 0.05, 0.4])
+    miss = np.array([[0.03, 0.04], [-0.1, 0.0], [0.0, 0.0], [0.0, 0.2]])
+    planned = Tosses(angle > 0.0, angle, apex, miss)
+    terms = planned_terms(planned, LandingWeights())
+    for k in range(len(angle)):
+        seen = SimpleNamespace(
+            tossed=angle[k] > 0.0,
+            seen=True,
+            angle=angle[k],
+            apex=apex[k],
+            landing_error=[*miss[k], 0.1],
+            resting=True,
+        )
+        # Whether it is caught is not planned: it is likely near the middle of the pan.
+        likely = np.exp(-((np.linalg.norm(miss[k]) / CATCH_RADIUS) ** 2))
+        expected = landing_return(seen).terms
+        expected["caught"] *= likely
+        np.testing.assert_allclose(terms[k], list(expected.values()), rtol=1e-12)
 
 
 def test_a_model_learns_what_the_plan_misses() -> None:

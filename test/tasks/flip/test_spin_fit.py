@@ -13,6 +13,7 @@ from wam_power_ros.tasks.flip.ballistic_fit import fit_arc
 from wam_power_ros.tasks.flip.frames import frames_from_pan
 from wam_power_ros.tasks.flip.spin_fit import (
     Spin,
+    _spin_guesses,
     _SpinProblem,
     angle_between,
     axis_between,
@@ -145,6 +146,20 @@ def test_frames_too_far_apart_to_count_the_turns_are_reported_as_ambiguous() -> 
         truth = toss(rng, vz=3.2, half_turns=1.2)
         assert fitted(truth, capture(truth, rng, rate=5.0)).ambiguous
         assert not fitted(truth, capture(truth, rng, rate=20.0)).ambiguous
+
+
+def test_rare_frames_of_a_pancake_that_does_not_turn_have_no_spin() -> None:
+    guesses = _spin_guesses(np.arange(6) * 0.2, np.tile(UP, (6, 1)))
+    assert [guess.tolist() for guess in guesses] == [[0.0, 0.0, 0.0]]
+
+
+def test_frequent_frames_show_one_spin_and_rare_ones_may_hide_a_turn_more_or_less() -> None:
+    for gap, whole_turns in ((0.05, [0.0]), (0.1, [0.0, -1.0, 1.0])):
+        t = np.arange(6) * gap
+        vectors = np.outer(t, [0.0, 4.0, 0.0])
+        guesses = _spin_guesses(t, rotations.exp(vectors) @ UP)
+        expected = [4.0 + turns * 2.0 * math.pi / gap for turns in whole_turns]
+        np.testing.assert_allclose([guess[1] for guess in guesses], expected, rtol=1e-9)
 
 
 def test_one_normal_far_off_changes_the_spin_little() -> None:

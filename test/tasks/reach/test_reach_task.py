@@ -62,13 +62,14 @@ def cut(whole: EndEffectorPath, end: float) -> EndEffectorPath:
 def test_a_path_around_the_obstacle_is_worth_equation_4_and_a_success() -> None:
     assessment = task().assess(POLICY, Rollout(around()))
     assert assessment.success and not assessment.observation["touched"]
-    assert assessment.observation["clearance"] > 0.0
     assert sum(assessment.terms.values()) == pytest.approx(assessment.ret)
     t = np.linspace(0.0, POLICY.basis.duration, 200)
     sampled = np.stack([np.interp(t, around().t, x) for x in around().position.T], axis=1)
     demonstrated = stretched(DEMONSTRATIONS).mean(axis=0)
     expected = reaching_return(sampled[np.newaxis], demonstrated, demonstrated[-1])
     assert assessment.ret == pytest.approx(float(expected[0]))
+    nearest = float(np.linalg.norm(sampled - OBSTACLE[:3], axis=1).min())
+    assert assessment.observation["clearance"] == pytest.approx(nearest - RADIUS) != 0.0
 
 
 def test_a_path_into_the_obstacle_is_worth_what_it_is_when_it_stays_there() -> None:
@@ -85,6 +86,15 @@ def test_a_path_into_the_obstacle_is_worth_what_it_is_when_it_stays_there() -> N
 def test_a_rollout_that_somebody_stopped_says_nothing() -> None:
     early = task().assess(POLICY, Rollout(cut(straight(), 0.1 * POLICY.basis.duration)))
     assert early.ret is None and early.why.startswith("cut short")
+
+
+def test_one_that_was_stopped_within_a_centimetre_of_the_obstacle_has_touched_it() -> None:
+    for away, touched in ((0.006, True), (0.014, False)):
+        share = (0.25 - RADIUS - away) / 0.5  # of the way, on which the obstacle is in the middle
+        stopped = Rollout(cut(straight(), share * POLICY.basis.duration))
+        assert (task().assess(POLICY, stopped).ret is not None) == touched
+        free = task([*OBSTACLE[:3], 0.0]).assess(POLICY, stopped)
+        assert free.ret is None and free.why.startswith("cut short")
 
 
 @pytest.mark.parametrize(
@@ -111,6 +121,12 @@ def test_a_table_names_the_distance_and_the_contact() -> None:
     assert task().outcome(row) == "touched the obstacle, 23 cm from the goal"
     row.observation = {**seen, "touched": False, "goal_distance": 0.012}
     assert task().outcome(row) == "12 mm from the goal"
-    assert task().summary([row]) == [
+    unseen = SimpleNamespace(kind="retest", fault="", why="", observation=None)
+    assert task().outcome(unseen) == "not seen"
+    unseen.why = "cut short"
+    assert task().outcome(unseen) == "cut short"
+    unseen.fault = "stopped"
+    assert task().outcome(unseen) == "fault: stopped"
+    assert task().summary([row, unseen]) == [
         "re-tests of the answer: 1 of 1 passed the obstacle, least clearance -10 mm"
     ]

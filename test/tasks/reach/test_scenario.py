@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A reach past an obstacle: where paths stop, and what they return (Sec. III-A, Eq. 4)."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -112,3 +114,9 @@ def test_a_return_is_that_of_the_policy_alone_and_of_equation_1_as_written() -> 
 def test_a_scenario_out_of_range_is_refused(change: dict) -> None:
     with pytest.raises(ValueError, match=next(iter(change))):
         synthetic(**change)
+
+
+@pytest.mark.parametrize("period", [0.0, -0.01, np.inf, np.nan])
+def test_a_period_that_is_not_positive_and_finite_is_refused(period: float) -> None:
+    with pytest.raises(ValueError, match=f"period = {period}"):
+        dataclasses.replace(SCENARIO, period=period)
