@@ -42,6 +42,15 @@ def test_a_person_may_push_with_any_force_while_teaching_and_before_activation()
     assert doubts(supervision(strong), Mode.INACTIVE) is None
 
 
+def test_doubt_that_began_before_an_activation_does_not_count_after_it() -> None:
+    strong = GRAVITY + 0.2 * MODEL.tau_max
+    most = next(n for n in range(60) if doubts(supervision(strong), Mode.HOLD, n + 1))
+    watch = supervision(strong)
+    assert doubts(watch, Mode.HOLD, most) is None
+    watch.begin()
+    assert doubts(watch, Mode.HOLD, most) is None
+
+
 def test_limits_count_anew_when_the_mode_changes() -> None:
     watch, fast = supervision(), np.full(7, 100.0)
     moving = state(0, qd=fast)
@@ -66,6 +75,17 @@ def test_a_faulted_arm_has_rested_only_after_a_stated_time_without_motion() -> N
     moved = MODEL.motion(HOME, np.full(7, 0.2))
     watch.after_fault(state(ticks + 1), moved, new=False)
     assert not watch.rested(state(ticks + 1).stamp_ns)
+
+
+def test_the_arm_is_estimated_from_the_state_of_the_fault_and_follows_those_after_it() -> None:
+    strong, motion = GRAVITY + 0.2 * MODEL.tau_max, MODEL.motion(HOME, STILL)
+    watch = supervision(strong)
+    watch.faulted()
+    first = watch.after_fault(state(0), motion, new=True)
+    np.testing.assert_array_equal(first.q, HOME)
+    np.testing.assert_array_equal(first.qd, STILL)
+    second = watch.after_fault(state(1), motion, new=False)
+    assert not np.array_equal(second.qd, STILL)
 
 
 def test_without_states_the_arm_goes_on_as_its_model_says_until_one_is_trusted() -> None:
