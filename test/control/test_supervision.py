@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The supervision of the arm: doubt, limits, and the arm while its states are not believed."""
 
+from itertools import pairwise
+
 import numpy as np
 from rigid_arm import HOME, LIMITS, MODEL, PERIOD_NS
 
@@ -97,3 +99,14 @@ def test_without_states_the_arm_goes_on_as_its_model_says_until_one_is_trusted()
     assert HOME[1] < first.q[1] < second.q[1]
     watch.trust()
     np.testing.assert_array_equal(watch.without_state(last, 0.002).q, first.q)
+
+
+def test_the_last_of_the_states_before_a_silence_is_believed_with_its_motion() -> None:
+    watch, qd = supervision(), np.zeros(7)
+    qd[0] = 0.5
+    states = [state(tick, HOME + tick * 0.002 * qd, qd) for tick in range(100)]
+    for before, after in pairwise(states):
+        watch.doubt(Mode.GRAVITY_COMPENSATION, before, after)
+    silent = watch.without_state(states[-1], 0.002)
+    np.testing.assert_allclose(silent.q, states[-1].q + 0.002 * qd, atol=5e-4)
+    np.testing.assert_allclose(silent.qd, qd, atol=0.05)
