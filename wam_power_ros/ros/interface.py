@@ -91,7 +91,6 @@ def _checked(body: str) -> str:
 
 # Frames
 BASE_FRAME = "wam_base"
-MOCAP_FRAME = "world"
 
 
 def frame(namespace: str, name: str) -> str:

@@ -125,7 +125,8 @@ def _demonstration(results: Results) -> Chapter:
         [
             "Sessions of the shipped default begin with demonstrations of a hand that hardly turns "
             "the pancake; in half of them the usual hand gives one more after some rollouts. "
-            f"It was learnt from in {taken} of {len(helped)} sessions and refused in {refused}."
+            f"It was learnt from in {taken} of {counted(len(helped), 'session')} "
+            f"and refused in {refused}."
         ],
         *_compared("A later demonstration", alone, helped),
     )

@@ -210,7 +210,7 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
             "Paper's preset: rollout of the third return in a row of at least 0.9",
             f"mean curve first reaches 0.9 at {int(np.argmax(fig5 >= 0.9)) + 1}",
             f"median {np.median(fired):.0f}" if fired else "never",
-            f"{len(fired)} of {len(sessions)} sessions within their rollouts",
+            f"{len(fired)} of {counted(len(sessions), 'session')} within their rollouts",
             over,
             None,
             "what makes a return reproducible",

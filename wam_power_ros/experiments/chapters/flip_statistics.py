@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from wam_power_ros.reporting import study_figures
+from wam_power_ros.reporting.terminal import counted
 
 Row = Mapping[str, Any]  # a rollout as the study keeps it
 RELIABLE = 0.9  # share of an answer's re-tests
@@ -78,7 +79,7 @@ class Sessions:
 
     def reliable(self, shares: np.ndarray) -> str:
         """Number of sessions in which a share of the re-tests is at least RELIABLE."""
-        return f"{int((shares >= RELIABLE).sum())} of {len(self)} sessions"
+        return f"{int((shares >= RELIABLE).sum())} of {counted(len(self), 'session')}"
 
 
 def values(rows: Iterable[Row], name: str) -> np.ndarray:
