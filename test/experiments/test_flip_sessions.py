@@ -124,6 +124,7 @@ def test_a_claim_of_the_chapter_is_met_only_if_the_sessions_meet_it() -> None:
     assert claim(chapter, "gain of the mean return").ours == "0.45"
     assert {figure.name for figure in chapter.all_figures()} >= {"fig5-learning-curve"}
     bad = flip_chapter._default(flip_chapter.Sessions([*good[:5], *[held(9, landed=False)] * 5]))
+    assert flip_chapter.Sessions(good[:1]).reliable(np.ones(1)) == "1 of 1 session"
     assert claim(bad, landed).met is False
     assert claim(bad, true).met is False
 

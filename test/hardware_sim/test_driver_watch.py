@@ -103,10 +103,10 @@ def test_a_second_simulation_is_refused_and_the_first_goes_on(
 def test_a_domain_that_another_session_holds_is_refused_at_once(
     processes: Processes, domain_id: int, tmp_path: Path
 ) -> None:
-    hold = "import sys; from wam_power_ros.ros.domain import hold; lock = hold(int(sys.argv[1])); "
+    hold = "import signal, sys; from wam_power_ros.ros.domain import hold; "
     free = next(number for number in range(102, 232) if number != domain_id)
-    hold += "print('held', flush=True); sys.stdin.read()"
-    session = processes.start(["sh", "-c", f'sleep 60 | {sys.executable} -c "{hold}" {free}'])
+    hold += "lock = hold(int(sys.argv[1])); print('held', flush=True); signal.pause()"
+    session = processes.start([sys.executable, "-c", hold, str(free)])
     while "held" not in processes.output(session):
         time.sleep(0.02)
     command = [sys.executable, "-m", SIM, "--ros-args"]
