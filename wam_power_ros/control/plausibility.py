@@ -33,7 +33,7 @@ SUSPECTS = 3  # states in a row beyond a bound that make a fault
 REMEMBERED, STRIDE = 100, 4  # states, for the estimate that a fault begins with, and its step
 FRESH = 4  # strides that a lie may have lasted when it is found out
 FRICTION_SHARE = 2.0  # of a joint's Coulomb friction that may be unexplained
-STANDING = 15  # states of the same position, after which a joint stands, without a velocity
+STANDING = 12  # states of the same position, after which a joint stands, without a velocity
 
 
 class Bound(NamedTuple):
