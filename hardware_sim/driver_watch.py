@@ -68,7 +68,9 @@ class DriverWatch:
         self._clock = node.resolve_topic_name(interface.CLOCK) if lockstep else ""
         self._listeners = (*TOOLS, *filter(None, listeners))
         self._begun = self._looked = time.monotonic()
-        self._unnamed = 0.0  # when a listener without a name was first seen [s], 0 for none
+        own = node.resolve_topic_name(interface.JOINT_STATES)
+        self._at_once = {f"publishes {topic}" for topic in (own, self._clock)}
+        self._unnamed = 0.0  # when somebody without a name was first seen [s], 0 for nobody
 
     def check(self) -> None:
         """Wait until those who are there have been discovered.
@@ -101,8 +103,9 @@ class DriverWatch:
             return ""
         self._looked = now
         name, what = self._robot()
-        if name == UNNAMED and what.startswith(HEARS) and now < (self._unnamed or now) + DISCOVERY:
-            self._unnamed = self._unnamed or now  # its name may be on its way
+        patient = name == UNNAMED and what not in self._at_once
+        if patient and now < (self._unnamed or now) + DISCOVERY:
+            self._unnamed = self._unnamed or now  # its name, such as ours, may be on its way
             return ""
         self._unnamed = 0.0
         return f"{_named(name)} {what}" if name else ""

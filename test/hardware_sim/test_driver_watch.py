@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from conftest import ROOT, Probe, Processes
@@ -14,6 +15,7 @@ from sensor_msgs.msg import JointState
 from stand_ins import CONFIGS, NAMES
 from std_msgs.msg import Float64MultiArray, String
 
+from hardware_sim import driver_watch
 from hardware_sim.wam import FOLDED
 from wam_power_ros.ros import interface, joint_messages
 
@@ -139,3 +141,36 @@ def test_a_plot_may_listen_when_it_is_named(probe: Probe, processes: Processes) 
     write = joint_messages.TorqueWriter(NAMES, "multiarray")
     publisher.publish(write(0, "hold", FOLDED))
     probe.until(lambda: torques, "a torque at the plot")
+
+
+def graph(topic: str) -> SimpleNamespace:
+    """A node that sees one publisher of joint states, whose name is not known."""
+    unnamed = driver_watch.UNNAMED
+    seen = SimpleNamespace(endpoint_gid=b"", node_name=unnamed, node_namespace=unnamed)
+    return SimpleNamespace(
+        get_namespace=lambda: "/left",
+        get_name=lambda: "wam_sim",
+        get_parameter=lambda _: SimpleNamespace(value="realtime"),
+        resolve_topic_name=lambda name: f"/left/{name}",
+        get_topic_names_and_types=lambda: [(topic, [driver_watch.STATES])],
+        get_subscriptions_info_by_topic=lambda _: [],
+        get_publishers_info_by_topic=lambda asked: [seen] if asked == topic else [],
+    )
+
+
+@pytest.mark.requirement("S-55")
+def test_a_publisher_of_another_namespace_is_given_time_to_be_named_and_one_of_ours_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(driver_watch.DriverWatch, "_own_process", lambda _: b"")
+    monkeypatch.setattr(driver_watch.time, "monotonic", lambda: now)
+    elsewhere = driver_watch.DriverWatch(graph("/right/joint_states"), "commands", [])
+    ours = driver_watch.DriverWatch(graph("/left/joint_states"), "commands", [])
+    now = 1.0
+    assert elsewhere.look() == ""
+    assert ours.look() == "a program without a name publishes /left/joint_states"
+    now = 0.9 + driver_watch.DISCOVERY
+    assert elsewhere.look() == ""
+    now = 1.5 + driver_watch.DISCOVERY
+    assert elsewhere.look() == "a program without a name publishes /right/joint_states"
