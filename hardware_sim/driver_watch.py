@@ -68,7 +68,7 @@ class DriverWatch:
         self._clock = node.resolve_topic_name(interface.CLOCK) if lockstep else ""
         self._listeners = (*TOOLS, *filter(None, listeners))
         self._begun = self._looked = time.monotonic()
-        own = node.resolve_topic_name(interface.JOINT_STATES)
+        own = node.resolve_topic_name(node.get_parameter("state_topic").value)
         self._at_once = {f"publishes {topic}" for topic in (own, self._clock)}
         self._unnamed = 0.0  # when somebody without a name was first seen [s], 0 for nobody
 
@@ -105,7 +105,7 @@ class DriverWatch:
         name, what = self._robot()
         patient = name == UNNAMED and what not in self._at_once
         if patient and now < (self._unnamed or now) + DISCOVERY:
-            self._unnamed = self._unnamed or now  # its name, such as ours, may be on its way
+            self._unnamed = self._unnamed or now  # its name may be on its way: another stand-in's
             return ""
         self._unnamed = 0.0
         return f"{_named(name)} {what}" if name else ""

@@ -143,6 +143,9 @@ def test_a_plot_may_listen_when_it_is_named(probe: Probe, processes: Processes) 
     probe.until(lambda: torques, "a torque at the plot")
 
 
+PARAMETERS = {"pace": "realtime", "state_topic": "arm/states"}
+
+
 def graph(topic: str) -> SimpleNamespace:
     """A node that sees one publisher of joint states, whose name is not known."""
     unnamed = driver_watch.UNNAMED
@@ -150,7 +153,7 @@ def graph(topic: str) -> SimpleNamespace:
     return SimpleNamespace(
         get_namespace=lambda: "/left",
         get_name=lambda: "wam_sim",
-        get_parameter=lambda _: SimpleNamespace(value="realtime"),
+        get_parameter=lambda name: SimpleNamespace(value=PARAMETERS[name]),
         resolve_topic_name=lambda name: f"/left/{name}",
         get_topic_names_and_types=lambda: [(topic, [driver_watch.STATES])],
         get_subscriptions_info_by_topic=lambda _: [],
@@ -166,10 +169,10 @@ def test_a_publisher_of_another_namespace_is_given_time_to_be_named_and_one_of_o
     monkeypatch.setattr(driver_watch.DriverWatch, "_own_process", lambda _: b"")
     monkeypatch.setattr(driver_watch.time, "monotonic", lambda: now)
     elsewhere = driver_watch.DriverWatch(graph("/right/joint_states"), "commands", [])
-    ours = driver_watch.DriverWatch(graph("/left/joint_states"), "commands", [])
+    ours = driver_watch.DriverWatch(graph("/left/arm/states"), "commands", [])
     now = 1.0
     assert elsewhere.look() == ""
-    assert ours.look() == "a program without a name publishes /left/joint_states"
+    assert ours.look() == "a program without a name publishes /left/arm/states"
     now = 0.9 + driver_watch.DISCOVERY
     assert elsewhere.look() == ""
     now = 1.5 + driver_watch.DISCOVERY

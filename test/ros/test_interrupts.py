@@ -62,3 +62,12 @@ def test_further_signals_disturb_nothing() -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupt()
     interrupt()
+
+
+@pytest.mark.parametrize("within", [True, False])
+def test_what_is_cleaned_up_after_an_interrupt_dispatches_as_before(within: bool) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        interrupts.spin_once(Executor(interrupt), 0.1) if within else interrupt()
+    executor = Executor(lambda: None)
+    interrupts.spin_once(executor, 0.1)
+    assert executor.done

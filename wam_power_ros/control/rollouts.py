@@ -46,7 +46,7 @@ class Rollouts:
         """The policy that is loaded.
 
         Args:
-            request: What asks for it, for the error.
+            request: Name of the request that needs it, for the error.
 
         Raises:
             ControllerError: None is.

@@ -37,7 +37,8 @@ def spin_once(executor: Executor, timeout: float) -> None:
         timeout: Longest wait for it [s].
 
     Raises:
-        KeyboardInterrupt: A signal came meanwhile, or in a call before.
+        KeyboardInterrupt: A signal came meanwhile. It is raised once: what is cleaned up after it
+            may dispatch again.
     """
     _Process.dispatching = True
     try:
@@ -45,12 +46,13 @@ def spin_once(executor: Executor, timeout: float) -> None:
     finally:
         _Process.dispatching = False
         if _Process.interrupted:
+            _Process.interrupted = False
             raise KeyboardInterrupt
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     for each in SIGNALS:
         signal.signal(each, signal.SIG_IGN)
-    _Process.interrupted = True
     if not _Process.dispatching:
         raise KeyboardInterrupt
+    _Process.interrupted = True
