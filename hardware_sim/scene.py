@@ -30,6 +30,7 @@ def build(
     tool: str = "pan",
     guarded: Sequence[Guarded] = WAM_GUARDED,
     joints: Sequence[str] = JOINTS,
+    payload: float = 0.0,
 ) -> mujoco.MjModel:
     """Compile the model of an arm in a scene.
 
@@ -40,6 +41,7 @@ def build(
         tool: Link that holds the pan: z normal to the pan, origin on its floor.
         guarded: Points of the arm whose speeds are logged.
         joints: Names of the arm's joints.
+        payload: Mass at the tool's centre of mass that the URDF does not have [kg].
 
     Returns:
         A model whose first degrees of freedom are the arm's joints, those of the scene after them;
@@ -57,11 +59,13 @@ def build(
     for point in guarded:
         spec.body(point.link).add_site(name=point.name, pos=list(point.offset), group=4)
     spec.body(tool).add_site(name=TOOL_SITE, group=4)
+    spec.body(tool).mass += payload
     _add_pan(spec.body(tool), friction)
     scene.build(spec)
     _add_surroundings(spec, friction)
     model = spec.compile()
-    # The ellipsoid model's added mass and lift would cancel the flip of a thin disc: drag alone.
+    # The ellipsoid model's added mass and lift would cancel the flip of a thin disc: drag alone. Only
+    # after the last change to the model: mj_setConst brings the added mass back.
     model.geom_fluid[:, 4:12] = 0.0
     return model
 

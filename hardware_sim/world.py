@@ -82,13 +82,16 @@ class World:
         self.scene = make_scene(settings.scene)
         self.urdf = share(arm.urdf).read_text()
         self.model = model = scene.build(
-            self.urdf, self.scene, settings.scene.friction, arm.tool, arm.guarded, arm.joints
+            self.urdf,
+            self.scene,
+            settings.scene.friction,
+            arm.tool,
+            arm.guarded,
+            arm.joints,
+            settings.payload,
         )
         self.data = data = mujoco.MjData(model)
         self._pan = model.body(arm.tool).id
-        if settings.payload:
-            model.body_mass[self._pan] += settings.payload
-            mujoco.mj_setConst(model, data)
         # the driver's own model of the arm
         self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)
         self._substeps = round(PERIOD / scene.TIMESTEP)

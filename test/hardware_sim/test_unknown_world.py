@@ -51,6 +51,13 @@ def test_an_unknown_world_has_what_was_drawn_and_the_description_has_not() -> No
     assert world.urdf == known.urdf
 
 
+def test_what_is_hidden_in_the_arm_changes_nothing_about_the_air() -> None:
+    known, hidden = World(seed=5).model, World(WorldSettings(payload=0.1), 5).model
+    assert (known.geom_fluid == hidden.geom_fluid).all()
+    drag = known.geom_fluid[known.geom("pancake").id]
+    assert drag[:4].all() and not drag[4:].any()  # no lift, no added mass
+
+
 @pytest.mark.parametrize("change", [{"payload": 0.5}, {"torque_constants": (0.8,) * 7}])
 def test_the_models_gravity_torque_does_not_hold_an_unknown_arm(change: dict[str, Any]) -> None:
     fallen = []
