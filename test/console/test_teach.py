@@ -112,7 +112,7 @@ import rclpy
 from sensor_msgs.msg import JointState
 rclpy.init()
 node = rclpy.create_node("demonstration_recorder")
-node.create_subscription(JointState, "/states", print, 1)
+node.create_subscription(JointState, "/states", lambda message: None, 1)
 rclpy.spin(node)
 """
 
