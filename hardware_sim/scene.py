@@ -64,8 +64,8 @@ def build(
     scene.build(spec)
     _add_surroundings(spec, friction)
     model = spec.compile()
-    # The ellipsoid model's added mass and lift would cancel the flip of a thin disc: drag alone. Only
-    # after the last change to the model: mj_setConst brings the added mass back.
+    # The ellipsoid model's added mass and lift would cancel the flip of a thin disc: drag alone.
+    # mj_setConst would bring the added mass back: what the model is to have, it has before.
     model.geom_fluid[:, 4:12] = 0.0
     return model
 
