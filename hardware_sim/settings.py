@@ -92,7 +92,8 @@ class WorldSettings:
         friction_share: Share of the URDF's Coulomb friction that the joints have.
         torque_constants: Torque constant of each joint, as a share of its own; seven.
         payload: Mass at the tool that no model knows of [kg].
-        unknown: Replaces some settings by a draw from the seed, see `unknown_world.drawn`.
+        unknown: Replaces some settings by a draw from the seed, see `unknown_world.drawn`: none
+            (""), one for all rollouts ("session"), or another one for each ("rollout").
         driver_compensates_gravity: The driver adds g(q) to the commanded torque.
         watchdog: After 10 ms without a command the driver compensates gravity, damped; without a
             watchdog it holds the last command.
@@ -113,7 +114,7 @@ class WorldSettings:
     friction_share: float = 1.0
     torque_constants: tuple[float, ...] = (1.0,) * N
     payload: float = 0.0
-    unknown: bool = False
+    unknown: Literal["", "session", "rollout"] = ""
     driver_compensates_gravity: bool = False
     watchdog: bool = True
     watchdog_damping: float = 5.0

@@ -12,8 +12,8 @@ from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import N
 
 
-def drawn(settings: WorldSettings, seed: int) -> WorldSettings:
-    """Draw what a laboratory does not know from a seed: the same for a whole session.
+def drawn(settings: WorldSettings, seed: int, rollout_id: str = "") -> WorldSettings:
+    """Draw what a laboratory does not know: a world for a whole session, or one for a rollout.
 
     Mass 70 to 130 % and radius 80 to 120 % of the body's, friction 0.1 to 0.5, delay 2 to 8 ms,
     torque constants 95 to 105 % each, payload at the tool up to 0.12 kg (a fifth of the pan), all
@@ -22,8 +22,9 @@ def drawn(settings: WorldSettings, seed: int) -> WorldSettings:
     Args:
         settings: Settings of the world; all others stay.
         seed: Seed of the world.
+        rollout_id: Rollout whose world it is; "" for that of the session.
     """
-    rng = np.random.default_rng([seed, zlib.crc32(b"unknown world")])
+    rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
     scene = replace(
         settings.scene,
         body_mass=float(rng.uniform(0.7, 1.3)),

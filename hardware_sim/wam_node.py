@@ -78,7 +78,7 @@ class WamSimParams(Params):
     friction_sd: Spread
     scene: str
     pitch_rate: float = Field(ge=0.1, le=10.0, description="faster than any wrist")
-    unknown: bool
+    unknown: Literal["", "session", "rollout"]
     friction: Spread
     body_offset_sd: Spread
     obstacle: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]]

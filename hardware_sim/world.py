@@ -73,14 +73,36 @@ class World:
         seed: int = 0,
         make_scene: Callable[[SceneSettings], Scene] = Flip,
     ) -> None:
-        settings = settings or WorldSettings()
-        if settings.unknown:
-            settings = unknown_world.drawn(settings, seed)
-        self.settings = settings
+        self._given = settings = settings or WorldSettings()
+        self._make_scene = make_scene
         self.seed = seed
         arm = settings.arm
-        self.scene = make_scene(settings.scene)
         self.urdf = share(arm.urdf).read_text()
+        # the driver's own model of the arm
+        self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)
+        self._substeps = round(PERIOD / scene.TIMESTEP)
+        self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
+        self._encoders = Encoders()
+        if arm.drives == "direct":
+            self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
+            self._encoders = Encoders(joint_counts)
+        self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
+        self._velocity = np.zeros(6)
+        self._build(unknown_world.drawn(settings, seed) if settings.unknown else settings)
+
+        self.time_ns = PERIOD_NS
+        self.frozen = False
+        self.idle = False
+        self.trace: list[np.ndarray] | None = None
+        self._delayed: deque[list[float] | None] = deque()
+        self.reset("start", self.scene.home if arm.home is None else np.array(arm.home))
+        self.release()
+
+    def _build(self, settings: WorldSettings) -> None:
+        """Take these settings, and the physics that have them."""
+        self.settings = settings
+        self.scene = self._make_scene(settings.scene)
+        arm = settings.arm
         self.model = model = scene.build(
             self.urdf,
             self.scene,
@@ -92,15 +114,6 @@ class World:
         )
         self.data = data = mujoco.MjData(model)
         self._pan = model.body(arm.tool).id
-        # the driver's own model of the arm
-        self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)
-        self._substeps = round(PERIOD / scene.TIMESTEP)
-        self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
-        self._encoders = Encoders()
-        if arm.drives == "direct":
-            self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
-            self._encoders = Encoders(joint_counts)
-        self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
         self._friction = settings.friction_share * model.dof_frictionloss[:N]
         self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:N]).tolist()
         # views into MuJoCo's own arrays
@@ -110,16 +123,7 @@ class World:
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
         self._pan_position = data.xpos[self._pan]
         self._pan_rotation = data.xmat[self._pan].reshape(3, 3)
-        self._velocity = np.zeros(6)
         self._log = RolloutLog(model, data, [point.name for point in arm.guarded], columns)
-
-        self.time_ns = PERIOD_NS
-        self.frozen = False
-        self.idle = False
-        self.trace: list[np.ndarray] | None = None
-        self._delayed: deque[list[float] | None] = deque()
-        self.reset("start", self.scene.home if arm.home is None else np.array(arm.home))
-        self.release()
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Put the arm to rest and the bodies of the scene to rest in their places, and freeze them.
@@ -149,6 +153,8 @@ class World:
         return self._resetting(rollout_id, q_start)
 
     def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
+        if self._given.unknown == "rollout":
+            self._build(unknown_world.drawn(self._given, self.seed, rollout_id))
         key = [self.seed, zlib.crc32(rollout_id.encode())]
         rng = np.random.default_rng(key)
         self._mocap_rng = np.random.default_rng([*key, 1])

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from simulated import CALM, LEVEL, begin, holding_torque, run
 
+from hardware_sim.scenes.flip import MASS
 from hardware_sim.settings import SceneSettings, WorldSettings
 from hardware_sim.unknown_world import drawn
 from hardware_sim.world import World
@@ -38,7 +39,7 @@ def test_what_is_drawn_fills_its_range_and_the_rest_stays() -> None:
 
 
 def test_an_unknown_world_has_what_was_drawn_and_the_description_has_not() -> None:
-    world, known = World(WorldSettings(unknown=True), 5), World(seed=5)
+    world, known = World(WorldSettings(unknown="session"), 5), World(seed=5)
     hidden = drawn(WorldSettings(), 5)
     pan, pancake = (world.model.body(name) for name in ("pan", "pancake"))
     assert pan.mass - known.model.body("pan").mass == pytest.approx(hidden.payload)
@@ -73,9 +74,35 @@ def test_the_models_gravity_torque_does_not_hold_an_unknown_arm(change: dict[str
 def test_an_unknown_rollout_is_a_function_of_seed_and_id() -> None:
     ends = []
     for _ in range(2):
-        world = World(WorldSettings(unknown=True), 7)
+        world = World(WorldSettings(unknown="session"), 7)
         begin(world)
         run(world, holding_torque(world), 100)
         ends.append(world.data.qpos.copy())
     assert np.array_equal(*ends)
     assert not np.allclose(ends[0][:7], LEVEL)
+
+
+def test_a_session_has_one_world_or_each_rollout_its_own() -> None:
+    for unknown, count in (("session", 1), ("rollout", 3)):
+        world = World(WorldSettings(unknown=unknown), 7)
+        seen = []
+        for rollout_id in ("a", "b", "c", "a"):
+            world.reset(rollout_id, world.scene.home)
+            settings, pancake = world.settings, world.model.body("pancake")
+            assert pancake.mass[0] == pytest.approx(MASS * settings.scene.body_mass)
+            seen.append(settings)
+        assert seen[0] == seen[-1]
+        assert len(set(seen)) == count
+
+
+def test_a_rollout_in_a_world_of_its_own_does_not_depend_on_those_before_it() -> None:
+    ends = []
+    for before in ((), ("a", "b")):
+        world = World(WorldSettings(unknown="rollout"), 7)
+        for rollout_id in before:
+            begin(world, rollout_id)
+            run(world, holding_torque(world), 20)
+        begin(world, "c")
+        run(world, holding_torque(world), 100)
+        ends.append([*world.data.qpos, *world.joint_state().q])
+    assert ends[0] == ends[1]

@@ -59,7 +59,7 @@ CASES: Mapping[str, Mapping[str, Any]] = {
     "novice": {"pitch_rate": NOVICE},
     "weak": {"pitch_rate": 4.0},
     "level": {"pitch_rate": NOVICE, "condition": {"level": True}},
-    "unknown": {"pitch_rate": NOVICE, "condition": {"unknown": True}},
+    "unknown": {"pitch_rate": NOVICE, "condition": {"unknown": "session"}},
 }
 
 
