@@ -2,10 +2,12 @@
 """Eq. 1: its tables, its reproduction and its fit."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 from open_loop import reproduced
 
 from wam_power_ros import rotations
@@ -206,11 +208,60 @@ def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> 
     for i in range(8):
         covariance = np.cov((h[:, i : i + 1] * (y - policy.attractors[i])).T)
         covariance += 1e-3 * np.trace(covariance) / 3.0 * np.eye(3)
-        inverses.append(np.linalg.inv(covariance))
+        inverses.append(-scipy.linalg.logm(covariance))
     values = np.linalg.eigvalsh(inverses)
-    scale = (500.0 - 150.0) / (values.max() - values.min())
-    expected = (np.array(inverses) - values.min() * np.eye(3)) * scale + 150.0 * np.eye(3)
+    share = (np.array(inverses) - values.min() * np.eye(3)) / (values.max() - values.min())
+    expected = 150.0 * scipy.linalg.expm(math.log(500.0 / 150.0) * share)
     assert policy.stiffness == pytest.approx(expected, abs=0.02)
+
+
+def along(demonstration: Demonstration, *axes: Sequence[float]) -> Demonstration:
+    """The part of a movement that is along these orthonormal axes, with sensor noise across."""
+    axes_ = np.array(axes).T
+    part = axes_ @ axes_.T
+    noise = np.random.default_rng(0).normal(0.0, 1e-4, demonstration.position.shape)
+    start = demonstration.position[0]
+    return replace(
+        demonstration,
+        position=start + (demonstration.position - start) @ part + noise,
+        velocity=demonstration.velocity @ part,
+        acceleration=demonstration.acceleration @ part,
+    )
+
+
+TILTED = rotations.exp([0.3, -0.5, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("still", "moving"),
+    [
+        ([[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+        ([TILTED[:, 1].tolist()], [TILTED[:, 0].tolist(), TILTED[:, 2].tolist()]),
+        ([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[0.0, 0.0, 1.0]]),
+    ],
+    ids=["planar", "planar-and-tilted", "along-a-line"],
+)
+def test_an_axis_that_does_not_move_has_the_mean_stiffness_and_leaves_the_range_to_the_others(
+    still: list[list[float]], moving: list[list[float]]
+) -> None:
+    policy = fit([along(toss(), *moving)], FLIP_FIT, "p")
+    for axis in still:
+        expected = np.tile(math.sqrt(150.0 * 500.0) * np.array(axis), (8, 1))
+        assert policy.stiffness @ axis == pytest.approx(expected, abs=2.0)  # no coupling either
+    within = np.array(moving) @ policy.stiffness @ np.array(moving).T
+    values = np.linalg.eigvalsh(within)
+    assert values.min() == pytest.approx(150.0, abs=2.0)
+    assert values.max() == pytest.approx(500.0, abs=2.0)
+    if len(moving) == 2:  # and the matrices are not empty
+        assert np.abs(within[:, 0, 1]).max() > 30.0
+
+
+@pytest.mark.parametrize("size", [0.01, 1.0])
+def test_a_small_movement_across_counts_from_a_fiftieth_of_the_longest_on(size: float) -> None:
+    u = np.linspace(0.0, 2.0 * math.pi, 200)
+    for share, axes in ((0.01, 1), (0.04, 2)):
+        x = np.stack([np.sin(u), share * np.cos(u), 1e-6 * u], axis=1)
+        assert dmp.moving_axes(size * x).shape == (3, axes)
 
 
 def test_the_same_movement_at_two_speeds_is_fitted_as_one_of_the_mean_speed() -> None:

@@ -18,6 +18,8 @@ from wam_power_ros.learning.policy import PERIOD, Basis, Policy, symmetric_part
 
 ROTATION_STIFFNESS = 400.0  # stiffness of the orientation [1/s^2]
 ROTATION_DAMPING = 36.0  # damping of the orientation [1/s]
+# [1] of the spread of the movement along its longest axis: along an axis with less it does not move
+MOVING_MIN = 0.02
 
 
 def activations(basis: Basis, t: np.ndarray) -> np.ndarray:
@@ -197,8 +199,9 @@ class FitSettings:
     Attributes:
         count: Number of spring-dampers.
         width: Standard deviation of each Gaussian, in units of duration / count [1].
-        k_min: Smallest eigenvalue of the K_i [1/s^2].
-        k_max: Largest eigenvalue of the K_i [1/s^2].
+        k_min: Smallest eigenvalue of the K_i along the axes that move [1/s^2].
+        k_max: Largest eigenvalue of the K_i along these axes [1/s^2]; along the others it is the
+            geometric mean of both.
         damping: Damping kappa_V [1/s].
         refit: Whether the attractors are solved again for the fitted K_i; without it, as in the
             paper's reference [21], they belong to the mean stiffness.
@@ -227,7 +230,9 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
 
     1. With one mean stiffness k: mu = pinv(H) Y with Y = xdd/k + xd kappa_V/k + x.
     2. S_i: covariance over the samples of h_i (Y - mu_i).
-    3. K_i: the eigenvalues of S_i^-1 rescaled linearly to [k_min, k_max], over all i and axes.
+    3. K_i: the eigenvalues of S_i^-1 rescaled to [k_min, k_max] by their logarithms, over all i, in
+       the space in which the demonstrations move. Across it they say nothing about the stiffness,
+       which is the mean there: the axis of least variance would else take the whole range.
     4. With `refit`: the attractors are solved again, all together, for these K_i.
 
     The rotation attractors come from the same least squares on the rotation vectors.
@@ -261,7 +266,7 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
     mean_stiffness = 0.5 * (settings.k_min + settings.k_max)
     y = xdd / mean_stiffness + xd * (settings.damping / mean_stiffness) + x
     attractors = np.linalg.lstsq(h, y, rcond=None)[0]  # (n, 3)
-    stiffness = _fitted_stiffness(h, y, attractors, settings)
+    stiffness = _fitted_stiffness(h, y, attractors, x, settings)
     if settings.refit:
         attractors = _fitted_attractors(h, stiffness, xdd + settings.damping * xd, x)
     target = omegad + ROTATION_DAMPING * omega + ROTATION_STIFFNESS * r
@@ -333,24 +338,34 @@ def _angular_velocity(r: np.ndarray, rd: np.ndarray) -> np.ndarray:
     return rd + versine * turned + cubic * np.cross(r, turned)
 
 
+def moving_axes(x: np.ndarray) -> np.ndarray:
+    """Principal axes along which samples x (N, 3) move, as columns. Shape (3, d), d of 1 to 3."""
+    variances, axes = np.linalg.eigh(np.cov(x.T))
+    return axes[:, variances >= MOVING_MIN**2 * variances[-1]]
+
+
 def _fitted_stiffness(
-    h: np.ndarray, y: np.ndarray, attractors: np.ndarray, settings: FitSettings
+    h: np.ndarray, y: np.ndarray, attractors: np.ndarray, x: np.ndarray, settings: FitSettings
 ) -> np.ndarray:
     """Steps 2 and 3 of `fit`. Shape (n, 3, 3)."""
-    residuals = h.T[:, :, None] * (y[None] - attractors[:, None])  # (n, N, 3)
+    axes = moving_axes(x)  # (3, d)
+    residuals = h.T[:, :, None] * (y[None] - attractors[:, None]) @ axes  # (n, N, d)
     residuals -= residuals.mean(axis=1, keepdims=True)
     covariance = np.matmul(np.swapaxes(residuals, 1, 2), residuals) / (len(y) - 1)
     # Relative, not absolute: 1e-3 m^2 is (3 cm)^2, more than the movement itself.
     trace = np.trace(covariance, axis1=1, axis2=2)
-    smallest = max(float(trace.max()) * 1e-9, 1e-15)  # for an axis or Gaussian without movement
-    covariance += (1e-3 * trace / 3.0 + smallest)[:, None, None] * np.eye(3)
+    smallest = max(float(trace.max()) * 1e-9, 1e-15)  # for a Gaussian without movement
+    d = axes.shape[1]
+    covariance += (1e-3 * trace / d + smallest)[:, None, None] * np.eye(d)
     values, vectors = np.linalg.eigh(covariance)
-    values = 1.0 / values  # of the inverse
+    values = -np.log(values)  # of the inverse
     low, high = values.min(), values.max()
     share = (values - low) / (high - low) if high > low else np.full_like(values, 0.5)
-    scaled = settings.k_min + share * (settings.k_max - settings.k_min)
+    scaled = settings.k_min ** (1.0 - share) * settings.k_max**share
+    vectors = axes @ vectors  # (n, 3, d)
     stiffness = np.matmul(vectors * scaled[:, None, :], np.swapaxes(vectors, 1, 2))
-    return symmetric_part(stiffness)
+    across = np.eye(3) - axes @ axes.T
+    return symmetric_part(stiffness + np.sqrt(settings.k_min * settings.k_max) * across)
 
 
 def _fitted_attractors(
