@@ -144,15 +144,52 @@ def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> 
             x = x + DT * xd
 
 
-def test_a_movement_made_by_equation_1_gives_back_its_attractors() -> None:
+def test_a_movement_made_by_equation_1_gives_back_its_attractors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(dmp, "HOLD", 0.0)  # it does not end at rest
     truth = fit([toss()], FLIP_FIT, "p")
-    tables = tabulate(truth)
-    x, xd = reproduced(truth, np.array([0.7, 0.0, 0.9]))
-    states = enumerate(zip(x, xd, strict=True))
-    xdd = np.array([linear_acceleration(tables, k, *state) for k, state in states])
-    h = activations(truth.basis, np.arange(len(x)) * DT)
-    found = dmp._fitted_attractors(h, truth.stiffness, xdd + truth.damping * xd, x)
+    x, _ = reproduced(truth, np.array([0.7, 0.0, 0.9]))
+    made = replace(toss(len(x)), position=x)
+    found = dmp._fitted_attractors(truth.basis, truth.stiffness, truth.damping, [made])
     assert found == pytest.approx(truth.attractors, abs=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_reproduction_from_rest_stays_where_the_demonstration_ended(seed: int) -> None:
+    demonstration = reach(seed)
+    policy = fit([demonstration], replace(REACH_FIT, count=6), "p")
+    start, end = demonstration.position[[0, -1]]
+    x, xd = reproduce_many(
+        policy.basis,
+        policy.stiffness[None],
+        policy.attractors[None],
+        policy.damping,
+        start,
+        np.zeros(3),
+        round((policy.basis.duration + 1.0) / DT),
+        DT,
+    )
+    assert x[0, -1] == pytest.approx(end, abs=0.003)
+    assert np.linalg.norm(xd[0, -1]) < 0.001
+
+
+def test_a_movement_in_half_the_time_is_reproduced_as_well() -> None:
+    demonstration, errors = toss(), []
+    for faster in (1.0, 2.0):
+        quick = replace(
+            demonstration,
+            t=demonstration.t / faster,
+            velocity=demonstration.velocity * faster,
+            acceleration=demonstration.acceleration * faster**2,
+            period=demonstration.period / faster,
+        )
+        policy = fit([quick], FLIP_FIT, "p")
+        x, _ = reproduced(policy, quick.position[0])
+        grid = np.linspace(0.0, quick.duration, len(x))
+        there = [np.interp(grid, quick.t, column) for column in quick.position.T]
+        errors.append(rmse(x, np.stack(there, axis=1)))
+    assert errors[1] < 1.5 * errors[0] < 0.006
 
 
 def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:

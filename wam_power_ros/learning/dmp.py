@@ -18,6 +18,7 @@ from wam_power_ros.learning.policy import PERIOD, Basis, Policy, symmetric_part
 
 ROTATION_STIFFNESS = 400.0  # stiffness of the orientation [1/s^2]
 ROTATION_DAMPING = 36.0  # damping of the orientation [1/s]
+HOLD = 1.0  # [s] after a movement, in which its reproduction is fitted to stay at its end
 # [1] of the spread of the movement along its longest axis: along an axis with less it does not move
 MOVING_MIN = 0.02
 
@@ -233,7 +234,8 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
     3. K_i: the eigenvalues of S_i^-1 rescaled to [k_min, k_max] by their logarithms, over all i, in
        the space in which the demonstrations move. Across it they say nothing about the stiffness,
        which is the mean there: the axis of least variance would else take the whole range.
-    4. With `refit`: the attractors are solved again, all together, for these K_i.
+    4. With `refit`: the attractors are solved again, all together, for these K_i, so that Eq. 1,
+       started at rest where the demonstrations start, moves as they do and stays where they end.
 
     The rotation attractors come from the same least squares on the rotation vectors.
     Demonstrations of different length are stretched in time to their mean duration.
@@ -268,7 +270,7 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
     attractors = np.linalg.lstsq(h, y, rcond=None)[0]  # (n, 3)
     stiffness = _fitted_stiffness(h, y, attractors, x, settings)
     if settings.refit:
-        attractors = _fitted_attractors(h, stiffness, xdd + settings.damping * xd, x)
+        attractors = _fitted_attractors(basis, stiffness, settings.damping, demonstrations)
     target = omegad + ROTATION_DAMPING * omega + ROTATION_STIFFNESS * r
     rotation = np.linalg.lstsq(h, target / ROTATION_STIFFNESS, rcond=None)[0]
     return Policy(
@@ -369,11 +371,33 @@ def _fitted_stiffness(
 
 
 def _fitted_attractors(
-    h: np.ndarray, stiffness: np.ndarray, damped: np.ndarray, x: np.ndarray
+    basis: Basis, stiffness: np.ndarray, damping: float, demonstrations: Sequence[Demonstration]
 ) -> np.ndarray:
-    """Least squares in mu of sum_i h_i K_i mu_i = damped + sum_i h_i K_i x. Shape (n, 3)."""
-    count, n = h.shape
-    weighted = h[:, :, None, None] * stiffness  # (N, n, 3, 3)
-    target = damped + np.einsum("tnij,tj->ti", weighted, x)
-    design = weighted.transpose(0, 2, 1, 3).reshape(3 * count, 3 * n)
-    return np.linalg.lstsq(design, target.ravel(), rcond=None)[0].reshape(n, 3)
+    """Step 4 of `fit`. Shape (n, 3).
+
+    The position at any time is linear in the attractors: of each, the answer of the spring-dampers
+    to it alone is a column, and what is to be explained is the movement without their answer to
+    the start.
+    """
+    n = basis.count
+    steps = round((basis.duration + HOLD) / PERIOD) + 1
+    t = np.arange(steps) * PERIOD
+    alone = np.eye(3 * n).reshape(3 * n, n, 3)
+    starts = np.array([demonstration.position[0] for demonstration in demonstrations])
+
+    def answers(attractors: np.ndarray, x0: np.ndarray) -> np.ndarray:
+        all_alike = np.broadcast_to(stiffness, (len(attractors), *stiffness.shape))
+        still = np.zeros(3)
+        return reproduce_many(basis, all_alike, attractors, damping, x0, still, steps, PERIOD)[0]
+
+    design = answers(alone, np.zeros(3)).reshape(3 * n, -1).T
+    free = answers(np.zeros((len(starts), n, 3)), starts)
+    wanted = np.array(
+        [
+            np.stack([np.interp(t, d.t * basis.duration / d.duration, x) for x in d.position.T], 1)
+            for d in demonstrations
+        ]
+    )
+    # One design for all: the best attractors for several movements are those for their mean.
+    target = (wanted - free).mean(axis=0).ravel()
+    return np.linalg.lstsq(design, target, rcond=None)[0].reshape(n, 3)
