@@ -181,7 +181,6 @@ class DemonstrationRecorder(Node):
         path = layout.free_path(self._directory, f"{kind}_{stem}")
         self._recording = Recording(path, kind, self._notes, self._now)
         self._policy_id = self._trouble = self._note = ""
-        self._topics.lost.clear()
         for topic, cdr in self._last.items():
             self._write(topic, cdr)
         self.get_logger().info(f"recording {path}")
@@ -263,7 +262,6 @@ class DemonstrationRecorder(Node):
     def _report(self) -> None:
         recording = self._recording
         counts = recording.counts if recording else {}
-        lost = dict(self._topics.lost) if recording else {}
         level, text = "ok", f"recording {recording.path}" if recording else "idle"
         if self._trouble:
             level, text = "error", self._trouble
@@ -271,12 +269,9 @@ class DemonstrationRecorder(Node):
             level, text = "warn", self._note
         elif recording and self._state_topic not in recording:
             level, text = "warn", f"nothing yet on {self._state_topic}"
-        elif lost:
-            level, text = "warn", f"{text}; lost before they came: {lost}"
         silent = [topic for topic in self._topics.names if topic not in counts]
         values = {**counts, "without a message": silent}
         values["waiting for the disk"] = recording.waiting if recording else 0
-        values["lost before they came"] = sum(lost.values())
         values["real-time scheduling"] = self._granted.scheduling
         name, now = component(self, "bag"), self.get_clock().now().to_msg()
         self._diagnostics.publish(diagnostics_message(now, name, "disk", level, text, values))

@@ -4,13 +4,11 @@
 from __future__ import annotations
 
 import importlib
-from collections import Counter
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple
 
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -34,10 +32,9 @@ class RawTopics:
     """Subscribes once a publisher is discovered, with the QoS of all: reliable if all are.
 
     A subscription made earlier would have to guess, and a reliable one receives nothing from a
-    best-effort driver.
-
-    Attributes:
-        lost: Number of messages lost, by topic, as the middleware counts them.
+    best-effort driver. Losses are not asked of the middleware: the event of a lost message, in
+    rmw_fastrtps of Jazzy, takes two locks in the wrong order, and a process that loses messages
+    may stand still for ever.
     """
 
     def __init__(
@@ -47,7 +44,6 @@ class RawTopics:
         self._node, self._on_message = node, on_message
         self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
         self._subscribed: dict[str, _Subscribed] = {}
-        self.lost: Counter[str] = Counter()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(DISCOVERY_PERIOD, self.look, clock=steady)
 
@@ -112,12 +108,8 @@ class RawTopics:
             partial(self._on_message, name),
             qos,
             raw=True,
-            event_callbacks=SubscriptionEventCallbacks(message_lost=partial(self._on_lost, name)),
         )
         self._subscribed[name] = _Subscribed(msgtype, reliable, latched, subscription)
-
-    def _on_lost(self, name: str, info: QoSMessageLostInfo) -> None:
-        self.lost[name] += info.total_count_change
 
 
 def _is_reliable(info: TopicEndpointInfo) -> bool:
