@@ -58,7 +58,7 @@ class AnyArm:
     def __init__(self, refuse: Callable[[Policy], str] = lambda policy: "") -> None:
         self._refuse = refuse
 
-    def infeasible(self, policy: Policy) -> Fault | None:
+    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
         """See `practice.ArmModel`."""
         why = self._refuse(policy)
         return Fault(FaultKind.TOOL_SPEED, why) if why else None

@@ -3,13 +3,14 @@
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from wam_power_ros.control.arm import WAM_GUARDED, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
-from wam_power_ros.control.feasibility import Feasibility, simulate_policy
+from wam_power_ros.control.feasibility import Feasibility, simulate_policy, speed_margin
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.learning.rollout import FaultKind
@@ -74,6 +75,12 @@ def test_the_margin_decides_what_is_too_fast(arm: Arm, free: Feasibility) -> Non
     share_used = float((free.qd_peak / arm.qd_max).max())
     assert free.fault is None and share_used > 0.1
     assert simulate_policy(arm, SETTINGS, policy, margin=0.8 * share_used).fault
+
+
+def test_each_overrun_leaves_less_of_the_limits_of_speed() -> None:
+    margins = [speed_margin(overruns) for overruns in range(10)]
+    assert margins[0] == pytest.approx(0.9)
+    assert all(0.95 < later / earlier < 1.0 for earlier, later in pairwise(margins))
 
 
 @pytest.fixture(scope="module")

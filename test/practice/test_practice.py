@@ -11,14 +11,20 @@ import pytest
 from toss_task import AnyArm, demonstrated_policy, learner_state, practice_of, settings_of, toss
 
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
+from wam_power_ros.learning.rollout import (
+    BodyPath,
+    EndEffectorPath,
+    Fault,
+    FaultKind,
+    Rollout,
+)
 from wam_power_ros.practice.choose_demonstration import choose_demonstration
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record, line_of
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
-from wam_power_ros.tasks.task import Assessment
+from wam_power_ros.tasks.task import Assessment, fault_assessment
 
 CANDIDATES = [demonstrated_policy("flick-1", seed=1), demonstrated_policy("flick-2", seed=2)]
 Judge = Callable[[Trial], Assessment]
@@ -514,6 +520,39 @@ def test_infeasible_samples_are_rejected_and_only_feasible_ones_are_tried() -> N
     explored = [trial for trial in tried if trial.kind == "explore"]
     assert not any(infeasible(trial.policy) for trial in explored)
     assert sum(record.rejections for record in practice.records) > 0
+
+
+class SlowModel(AnyArm):
+    """An arm whose model is asked with the number of overruns, which it keeps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.asked: list[int] = []
+
+    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+        """See `practice.ArmModel`."""
+        self.asked.append(overruns)
+        return None
+
+
+@pytest.mark.parametrize(
+    ("kind", "counted"), [(FaultKind.JOINT_SPEED, 3), (FaultKind.STATES_LOST, 0)]
+)
+def test_each_rollout_that_the_arm_itself_was_too_fast_in_leaves_less_of_the_limits(
+    kind: FaultKind, counted: int
+) -> None:
+    arm = SlowModel()
+    settings = preset("flip", budget=20, retests=0)
+    practice = practice_of(CANDIDATES[:1], settings, 3, arm=arm)
+    for number in range(8):
+        trial = practice.next_trial()
+        fault = fault_assessment(Fault(kind, "why"))
+        judged = fault if 2 <= number < 5 else toss(trial, practice.task.settings)
+        text = fault.why if judged is fault else ""
+        practice.learn_assessed(trial, judged, fault=text)
+    arm.asked.clear()
+    practice.next_trial()
+    assert set(arm.asked) == {counted}
 
 
 def parity(policy: Policy) -> str:

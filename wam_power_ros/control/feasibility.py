@@ -25,6 +25,8 @@ from wam_power_ros.learning.rollout import Fault, FaultKind
 _STILL_TICKS = 60  # control periods at rest, in which a controller comes to its fixed point
 _SUBSTEPS = 2  # of the model in a control period
 POSITION_MARGIN = 0.05  # [rad] to a limit of position
+SPEED_SHARE = 0.9  # of the limits of speed: the arm is not the model
+OVERRUN_SHARE = 0.98  # of that, for each time that the arm was faster than the model
 _STICTION_SPEED = 0.01  # [rad/s] below it friction is not yet all there
 
 
@@ -51,8 +53,18 @@ class Feasibility:
         return peaks if self.fault is None else f"{peaks}; would end in a fault: {self.fault.text}"
 
 
+def speed_margin(overruns: int) -> float:
+    """Share of the speed limits that a policy may use on the model.
+
+    Args:
+        overruns: Number of rollouts that a limit of motion ended though the model had kept it: it
+            has the arm too slow, because of a payload for instance.
+    """
+    return SPEED_SHARE * OVERRUN_SHARE**overruns
+
+
 def simulate_policy(
-    arm: Arm, settings: ControllerSettings, policy: Policy, margin: float = 0.9
+    arm: Arm, settings: ControllerSettings, policy: Policy, margin: float = SPEED_SHARE
 ) -> Feasibility:
     """Execute a policy on the rigid-body model, from its start until the arm has settled.
 
@@ -60,8 +72,8 @@ def simulate_policy(
         arm: Model of the arm; its buffers are used.
         settings: Settings of the controller.
         policy: Policy to simulate.
-        margin: Share of the speed limits that the policy may use: the arm is not the model. From
-            the limits of position it must keep `POSITION_MARGIN`.
+        margin: Share of the speed limits that the policy may use, see `speed_margin`. From the
+            limits of position it must keep `POSITION_MARGIN`.
     """
     limits = settings.limits or limits_of(arm)
     speeds = ("qd_max", "elbow_speed", "tool_speed")

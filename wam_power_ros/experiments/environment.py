@@ -16,7 +16,7 @@ from hardware_sim.demonstrator import Demonstrator, Script
 from hardware_sim.ground_truth import Truth
 from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.feasibility import simulate_policy
+from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault, Rollout
@@ -65,9 +65,10 @@ class Environment:
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
 
-    def infeasible(self, policy: Policy) -> Fault | None:
-        """Fault in which a simulated execution of a policy ends, None when there is none."""
-        return simulate_policy(self.arm, self.controller.settings, policy).fault
+    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+        """See `practice.ArmModel`."""
+        margin = speed_margin(overruns)
+        return simulate_policy(self.arm, self.controller.settings, policy, margin).fault
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Position of the tool at joint angles q [m]. Shape (3,)."""

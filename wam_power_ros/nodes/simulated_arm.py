@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.feasibility import simulate_policy
+from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.learning.policy import Policy, to_json, with_id
 from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.params.resources import share
@@ -46,16 +46,18 @@ class SimulatedArm:
         self._controller = controller_params.controller(urdf)
         self.obstacle = controller_params.obstacle
         self._report = report
-        self._verdicts: dict[str, Fault | None] = {}  # movement -> fault that ends it
+        # movement and number of overruns -> fault that ends it
+        self._verdicts: dict[tuple[str, int], Fault | None] = {}
 
-    def infeasible(self, policy: Policy) -> Fault | None:
-        """Fault in which the simulated execution of a policy ends, None when there is none."""
-        movement = to_json(with_id(policy, "movement"))
-        if movement not in self._verdicts:
-            simulated = simulate_policy(self._controller.arm, self._controller.settings, policy)
+    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+        """See `practice.ArmModel`."""
+        key = to_json(with_id(policy, "movement")), overruns
+        if key not in self._verdicts:
+            arm, settings = self._controller.arm, self._controller.settings
+            simulated = simulate_policy(arm, settings, policy, speed_margin(overruns))
             self._report(f"{policy.id} simulated: {simulated}")
-            self._verdicts[movement] = simulated.fault
-        return self._verdicts[movement]
+            self._verdicts[key] = simulated.fault
+        return self._verdicts[key]
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Position of the tool at joint angles q [m]. Shape (3,)."""

@@ -25,14 +25,27 @@ LearnerFactory = Callable[[int, np.random.Generator, Model | None], Learner]
 class ArmModel(Protocol):
     """What a practice asks the model of the arm."""
 
-    def infeasible(self, policy: Policy) -> Fault | None:
+    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
         """Fault in which a simulated execution of a policy ends, None when there is none.
 
-        The same policy must always get the same answer.
+        The same policy and number must always get the same answer.
+
+        Args:
+            policy: Policy to simulate.
+            overruns: Number of rollouts in which the arm was faster than this said, see
+                `overruns_in`.
         """
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Position of the tool at joint angles q [m]. Shape (3,)."""
+
+
+def overruns_in(records: Sequence[Record]) -> int:
+    """Number of rollouts that a limit of motion ended, which the model of the arm had kept.
+
+    Such a fault counts as return 0; any other leaves a rollout without a return.
+    """
+    return sum(bool(record.fault) and record.ret is not None for record in records)
 
 
 class Improvement:
@@ -71,7 +84,6 @@ class Improvement:
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
         self._make_learner = make_learner
-        self._sampler = FeasibleSampler(parametrization, arm.infeasible)
         self._rule = StoppingRule(settings, task.confirms)
         self.learn_again(records)
 
@@ -113,14 +125,15 @@ class Improvement:
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             return self.draw_feasible(self.learner.mean, records, rejections)
         ran = self._best_without_fault(records)
-        z, rejections = self._sampler.sample(self.learner, ran, rejections)
+        z, rejections = self._sampler(records).sample(self.learner, ran, rejections)
         return Draw("explore", self.demonstration, z, 1, rejections, "explores")
 
     def draw_feasible(
         self, z: np.ndarray, records: Sequence[Record], rejections: int | None
     ) -> Draw:
         """A run of these coordinates, shrunk to feasible ones if need be."""
-        z, rejections = self._sampler.shrunk(z, self._best_without_fault(records), rejections)
+        ran = self._best_without_fault(records)
+        z, rejections = self._sampler(records).shrunk(z, ran, rejections)
         purpose = "the mean, without exploration"
         return Draw("mean", self.demonstration, z, 1, rejections, purpose)
 
@@ -130,6 +143,12 @@ class Improvement:
         if record.learnt_as is not None and record.ret is not None:
             self.learner.tell(np.array(record.learnt_as), record.ret)
         return self._rule.add(record) or ("" if record.ret is not None else "dropped")
+
+    def _sampler(self, records: Sequence[Record]) -> FeasibleSampler:
+        overruns = overruns_in(records)
+        return FeasibleSampler(
+            self.parametrization, lambda policy: self._arm.infeasible(policy, overruns)
+        )
 
     def _best_without_fault(self, records: Sequence[Record]) -> np.ndarray:
         """The z of the rollout of highest return; 0 if each had a fault."""

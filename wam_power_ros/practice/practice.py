@@ -22,7 +22,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.best_policy import Best
 from wam_power_ros.practice.course import Course, reproduction_of
 from wam_power_ros.practice.feedback import make_demonstration, make_rating
-from wam_power_ros.practice.improvement import ArmModel, LearnerFactory
+from wam_power_ros.practice.improvement import ArmModel, LearnerFactory, overruns_in
 from wam_power_ros.practice.session_log import (
     Event,
     Line,
@@ -358,9 +358,11 @@ class Practice:
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates a rollout is learnt from at: corrected, but not to where it is infeasible."""
         parametrization = self._course.parametrizations[trial.demonstration]
+        overruns = overruns_in(self._records)
 
         def feasible(z: np.ndarray) -> bool:
-            return self._arm.infeasible(parametrization.policy(z, "corrected")[0]) is None
+            policy, _ = parametrization.policy(z, "corrected")
+            return self._arm.infeasible(policy, overruns) is None
 
         z = trial.z
         parts = self.task.hindsight(assessment, parametrization)
