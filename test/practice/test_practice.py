@@ -535,6 +535,7 @@ class SlowModel(AnyArm):
         return None
 
 
+@pytest.mark.requirement("S-31")
 @pytest.mark.parametrize(
     ("kind", "counted"), [(FaultKind.JOINT_SPEED, 3), (FaultKind.STATES_LOST, 0)]
 )
