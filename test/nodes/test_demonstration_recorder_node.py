@@ -457,9 +457,9 @@ def test_a_recorder_that_stands_still_holds_nobody_up(
         for _ in range(500):
             begun = time.monotonic()
             bench.states.publish(bench.write(START, np.zeros(7), np.zeros(7), np.zeros(7)))
-            held_up += time.monotonic() - begun > 0.1  # a writer that waits waits for so long
+            held_up += time.monotonic() - begun > 0.1  # how long a writer that waits waits
             time.sleep(0.001)
     finally:
         bench.node.send_signal(signal.SIGCONT)
-    assert held_up <= 5  # of 500: a busy machine takes its time now and then
+    assert held_up < 100  # a writer that waits does so at all 500 but the first; a busy machine at some
     bench.stop()
