@@ -32,9 +32,9 @@ def timed(marks: list[int], function: Callable) -> Callable:
 class TimedController(TorqueController):
     """The controller, slower by nine readings of the clock."""
 
-    def __init__(self, report: Path) -> None:
+    def __init__(self, file: Path) -> None:
         super().__init__()
-        self._report, self._marks, self._rows = report, [], []
+        self._file, self._marks, self._rows = file, [], []
         self._read = timed(self._marks, self._read)
         self._write = timed(self._marks, self._write)
 
@@ -59,7 +59,7 @@ class TimedController(TorqueController):
     def close(self) -> None:
         """Save the times: (answers, 9) [ns, steady clock]."""
         super().close()
-        np.save(self._report, np.array(self._rows, dtype=np.int64))
+        np.save(self._file, np.array(self._rows, dtype=np.int64))
 
 
 def table(controller: np.ndarray, answers: np.ndarray) -> str:

@@ -17,8 +17,6 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 import dataclasses
 import os
 import time
-import traceback
-from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -36,6 +34,7 @@ from wam_power_ros.control.modes import MOVING, ControllerError, Mode
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.nodes.controller_report import Condition, ControllerReport
 from wam_power_ros.nodes.motion_requests import MotionRequests, attempt, fill
 from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.resources import share
@@ -49,7 +48,6 @@ from wam_power_ros.ros import (
     security,
 )
 from wam_power_ros.ros.command_guard import SoleCommander
-from wam_power_ros.ros.diagnostics import FAULT_KIND, component
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -74,12 +72,9 @@ class TorqueController(LifecycleNode):
         self._urdf = share(params.urdf).read_text() if params.urdf else ""
         self._controller: Controller | None = None
         self._active = False
-        self._refused: Counter[str] = Counter()
-        self._last_refusal, self._refused_lately = "", False  # for the diagnostics
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
         self._latched: Fault | None = None  # in a controller that was cleaned up
-        self._logged: dict[str, object] = {}  # what was logged last of mode, fault and waiting
         self._stamp_clock = StampClock()
         self._stamp_ns = 0  # of the last state
         self._enabled_ns = -ENABLE_NS  # steady clock
@@ -96,8 +91,12 @@ class TorqueController(LifecycleNode):
             writer.message_type, params.command_topic, interface.COMMAND
         )
         self._preparation = Preparation(
-            self.context.get_domain_id(), self._on_policy, self._on_movement, self._refuse
+            self.context.get_domain_id(),
+            self._on_policy,
+            self._on_movement,
+            lambda what, reason: self._report.refuse(what, reason),
         )
+        self._report = ControllerReport(self, params, self._preparation)
         self._guard = SoleCommander(self, self._commands)
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = self.create_client(Trigger, idle, qos_profile=interface.IDLE_QOS)
@@ -121,7 +120,7 @@ class TorqueController(LifecycleNode):
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._look_after, clock=steady)
-        self.create_timer(1.0, self._report, clock=steady)
+        self.create_timer(1.0, self._publish_report, clock=steady)
 
     # Life cycle
 
@@ -133,7 +132,7 @@ class TorqueController(LifecycleNode):
                 raise ValueError(f"nothing has come on {topic} yet")
             self._controller = self._params.controller(self._urdf, self._latched)
         except ValueError as error:
-            self._refuse("configuration", error)
+            self._report.refuse("configuration", error)
             return FAILURE
         if self._descriptions is not None:  # taking a large one would hold the loop up
             self.destroy_subscription(self._descriptions)
@@ -153,18 +152,18 @@ class TorqueController(LifecycleNode):
                 reason = str(error)
         if reason is not None:
             self._guard.listen()
-            self._refuse("activation", reason)
+            self._report.refuse("activation", reason)
             return FAILURE
         self._active = True
         self._watchdog.activated()
-        self._log_changes()
+        self._report.log_changes(self._condition())
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send the torque that carries the arm a last time, then nothing."""
         self.close()
         self._guard.listen()
-        self._log_changes()
+        self._report.log_changes(self._condition())
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -256,7 +255,7 @@ class TorqueController(LifecycleNode):
         except ValueError as error:
             if controller is not None:
                 controller.refuse_state()
-            return self._refuse("joint state", error)
+            return self._report.refuse("joint state", error)
         if reading is None or controller is None:
             return None
         stamp_ns, q, qd = reading
@@ -299,17 +298,13 @@ class TorqueController(LifecycleNode):
         if self._active:
             self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
             self._send(self._controller.stale_torque(), Mode.FAULT.value)
-        where = " < ".join(  # innermost first; to read the lines of the source would take long
-            f"{frame.f_code.co_filename}:{line} {frame.f_code.co_name}"
-            for frame, line in reversed([*traceback.walk_tb(error.__traceback__)])
-        )
-        self._refuse("callback", f"{error!r} at {where}")
+        self._report.failed(error)
 
     def _on_velocity(self, message: JointState) -> None:
         try:
             qd = self._reader.velocity(message)
         except ValueError as error:
-            return self._refuse("joint velocity", error)
+            return self._report.refuse("joint velocity", error)
         if qd is not None:
             self._qd, self._qd_ns = qd, time.monotonic_ns()
         return None
@@ -353,7 +348,7 @@ class TorqueController(LifecycleNode):
             if self._controller is not None:
                 self._controller.load_prepared(policy)
         except ControllerError as error:
-            self._refuse("policy", error)
+            self._report.refuse("policy", error)
 
     def _on_movement(self, movement: Sampled | ControllerError) -> None:
         self._requests.movement = movement
@@ -386,39 +381,6 @@ class TorqueController(LifecycleNode):
 
     # Ten times and once a second
 
-    def _log_changes(self) -> None:
-        """Log once each: modes, faults, their reset, and what the node waits for."""
-        core = self._controller
-        changes = {
-            "mode": "unconfigured" if core is None else core.mode.value,
-            "fault": self._latched if core is None else core.latched,
-            "waiting": self._awaited(),
-        }
-        changed = {key: now for key, now in changes.items() if now != self._logged.get(key)}
-        self._logged = changes
-        if isinstance(fault := changed.get("fault"), Fault):
-            self._preparation.log("error", f"fault ({fault.kind.value}): {fault.text}")
-        elif "fault" in changed:
-            self._preparation.log("info", "the fault was reset")
-        if "mode" in changed:
-            self._preparation.log("info", f"mode {changed['mode']}")
-        if changed.get("waiting"):
-            self._preparation.log("info", f"waiting for {changed['waiting']}")
-
-    def _awaited(self) -> str:
-        """What the node waits for before it is active, in words; empty when it is."""
-        if self._active:
-            return ""
-        node = self.get_fully_qualified_name()
-        if not self._urdf:
-            topic = self.resolve_topic_name(interface.ROBOT_DESCRIPTION)
-            return f"the robot description on {topic}"
-        if self._controller is None:
-            return "" if self._autostart else f"ros2 lifecycle set {node} configure"
-        if self._unfit():
-            return f"joint states on {self.resolve_topic_name(self._params.state_topic)}"
-        return "" if self._autostart else f"ros2 lifecycle set {node} activate"
-
     def _look_after(self) -> None:
         if self._autostart and self._controller is None and self._urdf:
             self._autostart = self.trigger_configure() is SUCCESS
@@ -428,54 +390,30 @@ class TorqueController(LifecycleNode):
             self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
         if self._active:
             self._requests.answer(self._controller)
-        self._log_changes()
+        self._report.log_changes(self._condition())
         if self._controller is None or self._controller.mode not in MOVING:
             self._preparation.tend()
 
-    def _report(self) -> None:
-        core, now = self._controller, self.get_clock().now().nanoseconds
-        figures = self._statistics.report()
-        overload = self._overload()
-        values = {
-            "mode": "unconfigured" if core is None else core.mode.value,
-            "policy": (core and core.policy_id) or "",
-            FAULT_KIND: core.latched.kind.value if core and core.latched else "",
-            **figures,
-            **({} if core is None else core.counters),
-            **{f"refused: {name}": count for name, count in self._refused.items()},
-            "real-time scheduling": self._granted.scheduling,
-            "locked memory": self._granted.memory,
-            "last refusal": self._last_refusal,
-            "preparation processes": self._preparation.starts,
-        }
-        level, text = "ok", values["mode"]
-        if core is not None and core.mode is Mode.FAULT:
-            level, text = "error", core.latched.text if core.latched else "fault"
-        elif not self._active or self._unfit():
-            level, text = "warn", self._unfit() or "not active"
-        elif overload:
-            level, text = "warn", overload
-        elif self._params.realtime_priority and not self._granted.complete:
-            level, text = "warn", f"{text}; no real-time scheduling"
-        elif self._refused_lately:
-            level, text = "warn", self._last_refusal
-        self._refused_lately = False
-        name, device = component(self, "loop"), self._params.hardware_id
-        self._preparation.report(now, name, device, level, text, values)
+    def _publish_report(self) -> None:
+        statistics, warning = self._statistics, ""
+        figures = statistics.report()
+        if self._watchdog.enabled:
+            warning, fault = overload(statistics.share_missed, statistics.missed_in_row)
+            if fault is not None and self._active and not self._params.allow_no_realtime:
+                self._controller.fault(fault)
+        self._report.publish(self._condition(), figures, warning)
 
-    def _overload(self) -> str:
-        """Warning about the last second's missed periods; too many are a fault."""
-        if not self._watchdog.enabled:
-            return ""
-        text, fault = overload(self._statistics.share_missed, self._statistics.missed_in_row)
-        if fault is not None and self._active and not self._params.allow_no_realtime:
-            self._controller.fault(fault)
-        return text
-
-    def _refuse(self, what: str, reason: object) -> None:
-        self._refused[what] += 1
-        self._last_refusal, self._refused_lately = f"{what} refused: {reason}", True
-        self._preparation.log("warning", self._last_refusal)
+    def _condition(self) -> Condition:
+        core = self._controller
+        return Condition(
+            core=core,
+            fault=self._latched if core is None else core.latched,
+            described=bool(self._urdf),
+            autostart=self._autostart,
+            active=self._active,
+            unfit=self._unfit(),
+            granted=self._granted,
+        )
 
 
 def main() -> int:
