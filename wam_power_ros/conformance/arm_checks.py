@@ -23,6 +23,7 @@ from wam_power_ros.control.arm import Arm
 STILL = 0.02  # [rad] range of a joint while the arm is at rest
 MOVED = 0.1  # [rad] smallest range of a joint that a person has moved
 AT_REST = 0.1  # [rad/s] largest velocity at rest
+SLOPE_WINDOW = 0.05  # [s] over which positions are differenced
 BEYOND = 0.05  # [rad] by which a joint may exceed its limit: zeros are set by hand
 GRAVITY_SHARE = 0.15  # relative difference of drivers' own gravity models to ours
 GRAVITY_FLOOR = 0.15  # [N m] absolute difference, added to it
@@ -185,10 +186,10 @@ def velocity(record: ArmRecord, topic: str = "") -> Row:
     return row(f"against positions: {text}", FAIL, advice)
 
 
-def _slopes(record: ArmRecord, window: float = 0.05) -> dict[int, float]:
+def _slopes(record: ArmRecord) -> dict[int, float]:
     """Velocity over derivative of the position, for joints that moved; 1 where they agree."""
     t = (record.stamp_ns - record.stamp_ns[0]) * 1e-9
-    step = max(1, int(np.searchsorted(t, window)))
+    step = max(1, int(np.searchsorted(t, SLOPE_WINDOW)))
     dq = record.q[step:] - record.q[:-step]  # (k, n)
     dt = np.maximum(t[step:] - t[:-step], 1e-9)
     sums = np.cumsum(np.vstack([np.zeros(record.q.shape[1]), record.qd]), axis=0)

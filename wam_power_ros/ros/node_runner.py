@@ -232,27 +232,24 @@ def participant(
 def run_script(
     make_node: Callable[[], N],
     work: Callable[[N], int | None],
-    known: tuple[type[Exception], ...] = (ServiceError, ValueError, OSError),
     signals: SignalHandlerOptions = SignalHandlerOptions.ALL,
-    report: Callable[[str], object] = lambda text: sys.stderr.write(f"{text}\n"),
 ) -> int:
     """Run a script that has a node and an end.
 
     Args:
         make_node: Makes the node.
         work: Does the work of the script; its result is the exit status, 0 if None.
-        known: Exceptions that are reported without a traceback.
         signals: Signals that rclpy handles.
-        report: Prints or logs such an exception.
 
     Returns:
-        Exit status: that of `work`, REFUSED after a known exception, INTERRUPTED after a signal.
+        Exit status: that of `work`, REFUSED after an exception that is reported without a
+        traceback, INTERRUPTED after a signal.
     """
     try:
         with participant(make_node, signals) as node:
             return work(node) or 0
-    except known as error:
-        report(str(error))
+    except (ServiceError, ValueError, OSError) as error:
+        sys.stderr.write(f"{error}\n")
         return REFUSED
     except (KeyboardInterrupt, ExternalShutdownException):
         return INTERRUPTED

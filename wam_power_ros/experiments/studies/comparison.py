@@ -108,13 +108,14 @@ def jobs(scale: Literal["full", "quick"]) -> list[Job]:
     return found
 
 
-def tune(task: str, name: str, folder: Path = Path("tuning")) -> list[tuple[float, Choice]]:
+def tune(task: str, name: str) -> list[tuple[float, Choice]]:
     """Choices for a learner with their mean final return on the many seeds, best first.
+
+    Results that are in the folder `tuning` are not computed again.
 
     Args:
         task: "reaching" or "pancake".
         name: Name of the learner, a key of GRID.
-        folder: Folder of the results; those that are there are not computed again.
     """
     effort = EFFORT[task]
     final = "final" if task == "reaching" else "repeats"
@@ -126,7 +127,7 @@ def tune(task: str, name: str, folder: Path = Path("tuning")) -> list[tuple[floa
             for study, choice in wanted.items()
             for job in _runs(task, study, name, choice, seeds, ROLLOUTS[task])
         ]
-        results = job_cache.run(jobs, folder, workers=2)
+        results = job_cache.run(jobs, Path("tuning"), workers=2)
         scores = [np.mean([run[final] for run in results[study].values()]) for study in wanted]
         return sorted(zip(map(float, scores), choices, strict=True), key=lambda score: -score[0])
 

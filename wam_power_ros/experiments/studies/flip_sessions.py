@@ -23,7 +23,7 @@ from wam_power_ros import rotations
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.dmp import FitSettings, activations, fit
+from wam_power_ros.learning.dmp import activations, fit
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
@@ -96,11 +96,7 @@ def _with_pan(urdf: str, share: float) -> str:
 
 
 def teach(
-    environment: Environment,
-    seed: int,
-    count: int,
-    settings: FitSettings = FLIP_FIT,
-    pitch_rate: float = PITCH_RATE,
+    environment: Environment, seed: int, count: int, pitch_rate: float = PITCH_RATE
 ) -> list[Policy]:
     """Policies fitted to a small series of demonstrations by the simulated demonstrator.
 
@@ -108,7 +104,6 @@ def teach(
         environment: Environment in which it is taught.
         seed: Seed of the demonstrator; demonstration k of a seed is always the same.
         count: Number of demonstrations.
-        settings: Settings of the fit.
         pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
     """
     policies = []
@@ -116,7 +111,7 @@ def teach(
         script = _script(environment, seed, number, pitch_rate)
         stamps_ns, q = environment.demonstrate(script, f"demonstration-{number}")
         demonstration = from_joint_samples(environment.arm, stamps_ns, q)
-        policies.append(fit([demonstration], settings, f"demonstration-{number + 1}"))
+        policies.append(fit([demonstration], FLIP_FIT, f"demonstration-{number + 1}"))
     return policies
 
 

@@ -21,8 +21,10 @@ from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
 GRAVITY = 9.81  # [m/s^2]
 PERIOD = 0.005  # [s] of the planned movement; 0.002 predicts no better
+TAIL = 1.0  # [s] after the movement, in the time of the demonstration, that is predicted as well
 CATCH_RADIUS = 0.1  # [m] of landing error at which a catch has become unlikely
 SPIN_SHARE = 0.6  # of the pan's turning that the pancake keeps; fits tosses of tuning seeds
+RIDGE = (0.05 / 0.3) ** 2  # of `TossModel`: scatter of a return, over that of w before a rollout
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,18 +44,15 @@ class Tosses:
     landing_error: np.ndarray
 
 
-def plan_tosses(
-    parameters: Parametrization, z: np.ndarray, start: np.ndarray, tail: float = 1.0
-) -> Tosses:
+def plan_tosses(parameters: Parametrization, z: np.ndarray, start: np.ndarray) -> Tosses:
     """Predicted tosses of many policies.
 
     Args:
         parameters: Parametrization of the policies.
         z: Coordinates. Shape (B, size).
         start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
-        tail: Time after the movement, in that of the demonstration, that is predicted as well [s].
     """
-    position, velocity, rotation, omega = _movement(parameters, z, start, tail)
+    position, velocity, rotation, omega = _movement(parameters, z, start)
     tempo = parameters.tempo(z)  # (B,); the movement is in the time of the demonstration
     velocity, omega, period = velocity * tempo, omega * tempo, PERIOD / tempo
     steps = len(position)
@@ -136,8 +135,6 @@ class TossModel:
         parameters: Parametrization,
         start: np.ndarray,
         weights: PancakeWeights | LandingWeights | None = None,
-        trust: float = 0.3,
-        noise: float = 0.05,
     ) -> None:
         """Start without any rollout.
 
@@ -145,14 +142,11 @@ class TossModel:
             parameters: Parametrization of the policies.
             start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
             weights: Weights of the return; the paper's of Eq. 5 when omitted.
-            trust: Standard deviation of w before any rollout.
-            noise: Standard deviation of a return about the model.
         """
         self._parameters, self._start = parameters, np.asarray(start, dtype=float)
         self._weights = PancakeWeights() if weights is None else weights
         self._terms: list[np.ndarray] = []
         self._left_over: list[float] = []
-        self._ridge = (noise / trust) ** 2
         self._w: np.ndarray | None = None  # of the terms and a constant, None before a rollout
 
     def predict(self, z: np.ndarray) -> np.ndarray:
@@ -167,7 +161,7 @@ class TossModel:
         self._terms.append(self._features(terms)[0])
         self._left_over.append(ret - float(terms.sum()))
         x, y = np.stack(self._terms), np.array(self._left_over)
-        self._w = np.linalg.solve(x.T @ x + self._ridge * np.eye(x.shape[1]), x.T @ y)
+        self._w = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ y)
 
     def _planned(self, z: np.ndarray) -> np.ndarray:
         return planned_terms(plan_tosses(self._parameters, z, self._start), self._weights)
@@ -178,14 +172,14 @@ class TossModel:
 
 
 def _movement(
-    parameters: Parametrization, z: np.ndarray, start: np.ndarray, tail: float
+    parameters: Parametrization, z: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Eq. 1 and the same law of the rotation vector: x, xd, r, rd. Shape (T, 3, B) each."""
     policy = parameters.policy0
     stiffness, attractors, rotation = parameters.arrays(z)
     count = len(stiffness)
     n = policy.basis.count
-    steps = round((policy.basis.duration + tail) / PERIOD) + 1
+    steps = round((policy.basis.duration + TAIL) / PERIOD) + 1
     h = activations(policy.basis, np.arange(steps - 1) * PERIOD)  # (T-1, n)
     force = np.matmul(stiffness, attractors[..., None])[..., 0]  # (B, n, 3)
     a = PERIOD * (h @ stiffness.transpose(1, 2, 3, 0).reshape(n, -1)).reshape(-1, 3, 3, count)

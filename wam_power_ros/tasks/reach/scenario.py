@@ -141,33 +141,31 @@ def held(path: np.ndarray, last: np.ndarray) -> np.ndarray:
     return np.take_along_axis(path, index[..., None], axis=1)
 
 
-def taught(
-    demonstrations: Sequence[Demonstration], *, steps: int = STEPS, radius: float = RADIUS
-) -> Scenario:
+def taught(demonstrations: Sequence[Demonstration]) -> Scenario:
     """The tool's movements in demonstrations of an arm, stretched in time to their mean duration.
+
+    The obstacle stands in the middle of the mean demonstration.
 
     Args:
         demonstrations: At least one.
-        steps: Samples T of a rollout.
-        radius: Radius of the obstacle, which stands in the middle of the mean demonstration [m].
 
     Raises:
         ValueError: A value out of range.
     """
     policy = fit(demonstrations, REACH_FIT, "demonstration")
-    paths = stretched(demonstrations, steps)
+    paths = stretched(demonstrations)
     start = demonstrations[0].position[0]  # where the tool is at the policy's q_start
-    period = policy.basis.duration / (steps - 1)
-    return Scenario(paths, period, radius, policy, start, middle(paths))
+    period = policy.basis.duration / (STEPS - 1)
+    return Scenario(paths, period, RADIUS, policy, start, middle(paths))
 
 
-def stretched(demonstrations: Sequence[Demonstration], steps: int = STEPS) -> np.ndarray:
-    """Positions of the tool at `steps` instants, evenly over each demonstration [m].
+def stretched(demonstrations: Sequence[Demonstration]) -> np.ndarray:
+    """Positions of the tool at `STEPS` instants, evenly over each demonstration [m].
 
     Returns:
-        Shape (count, steps, 3).
+        Shape (count, STEPS, 3).
     """
-    grid = np.linspace(0.0, 1.0, steps)
+    grid = np.linspace(0.0, 1.0, STEPS)
     return np.stack(
         [
             np.stack([np.interp(grid, d.t / d.duration, x) for x in d.position.T], axis=1)

@@ -16,7 +16,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.reach.obstacle_model import FreePath
 from wam_power_ros.tasks.reach.returns import reaching_terms
-from wam_power_ros.tasks.reach.scenario import STEPS, Scenario, stretched
+from wam_power_ros.tasks.reach.scenario import Scenario, stretched
 from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
 from wam_power_ros.tasks.task import (
     Assessment,
@@ -72,7 +72,7 @@ class Reach:
     ) -> dict[str, Any]:
         """The mean demonstration x_D, whose last position is the goal, and the obstacle."""
         return {
-            "demonstrated": stretched(demonstrations, STEPS).mean(axis=0).tolist(),
+            "demonstrated": stretched(demonstrations).mean(axis=0).tolist(),
             "obstacle": [float(value) for value in obstacle],
         }
 
