@@ -461,5 +461,5 @@ def test_a_recorder_that_stands_still_holds_nobody_up(
             time.sleep(0.001)
     finally:
         bench.node.send_signal(signal.SIGCONT)
-    assert held_up < 100  # a writer that waits does so at all 500 but the first; a busy machine at some
+    assert held_up < 100  # of 500: a writer that waits does so at nearly all, a busy machine at some
     bench.stop()
