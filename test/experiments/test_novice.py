@@ -16,13 +16,10 @@ def test_rows_differ_in_the_learner_and_what_it_is_told_alone() -> None:
     assert {job.arguments["seed"] for job in found} == {1, 2}
     assert not set(novice.HELD_OUT) & set(HELD_OUT)
     own = {"task_settings", "learner", "learner_settings", "practice"}
+    blank = {"seed": 0, "changes": 0, "carried": 0, "repeats": 0}
     plain = preset("flip", "flip", **found[0].arguments["changes"])
     for job in found:
-        assert {**job.arguments, "seed": 0, "changes": 0} == {
-            **found[0].arguments,
-            "seed": 0,
-            "changes": 0,
-        }
+        assert {**job.arguments, **blank} == {**found[0].arguments, **blank}
         settings = preset("flip", "flip", **job.arguments["changes"])
         assert settings.model_dump(exclude=own) == plain.model_dump(exclude=own)
         assert settings.practice.budget == plain.practice.budget
@@ -46,8 +43,12 @@ def test_a_demonstration_from_a_level_pan_begins_level() -> None:
         assert math.degrees(math.acos(normal[2])) == pytest.approx(tilt, abs=3.0)
 
 
-def a_session(true: int, ended_by: str, used: int, first: bool = False) -> dict[str, Any]:
+def a_session(
+    true: int, ended_by: str, used: int, first: bool = False, elsewhere: int | None = None
+) -> dict[str, Any]:
+    carried = [] if elsewhere is None else [{"true_flip": k < elsewhere} for k in range(30)]
     return {
+        "carried": {"elsewhere": carried} if carried else {},
         "used": used,
         "ended_by": ended_by,
         "trials": [{"true_flip": first}],
@@ -67,3 +68,10 @@ def test_the_figures_of_a_row_count_sessions_and_not_rollouts() -> None:
     assert found["confirmed"] == 3 and found["to_streak"] == 20.0  # ten confirm
     assert found["true"][0] == 0.675 and 0.0 <= found["true"][1] < 0.3
     assert novice.line([a_session(0, "budget", 60)])["to_streak"] is None
+
+
+def test_the_figures_of_other_worlds_are_apart_from_those_of_the_own_one() -> None:
+    found = novice.line([a_session(30, "confirmation", 20, elsewhere=k) for k in (15, 30)])
+    assert found["true"][0] == 1.0 and found["elsewhere"][0] == 0.75
+    assert found["elsewhere"][1] == pytest.approx(0.55)
+    assert novice.line([a_session(30, "confirmation", 20)])["elsewhere"] is None

@@ -54,13 +54,17 @@ ROWS = {
     "pi2_bb": Row("return", {**_BLIND, "learner": {"name": "pi2_bb"}}),
     "random": Row("return", {**_BLIND, "learner": {"name": "random"}}),
 }
-# Arguments of a session by what is asked of it; "unknown": in worlds drawn from the seed.
+# Arguments of a session by what is asked of it; "unknown": in worlds drawn from the seed, one for
+# the session; "varied": one for each rollout.
 CASES: Mapping[str, Mapping[str, Any]] = {
     "novice": {"pitch_rate": NOVICE},
     "weak": {"pitch_rate": 4.0},
     "level": {"pitch_rate": NOVICE, "condition": {"level": True}},
     "unknown": {"pitch_rate": NOVICE, "condition": {"unknown": "session"}},
+    "varied": {"pitch_rate": NOVICE, "condition": {"unknown": "rollout"}},
 }
+# Where the answers of the preset are run again: as many other worlds as there are re-tests.
+ELSEWHERE = {"carried": {"elsewhere": {"unknown": "rollout"}}, "repeats": RETESTS}
 
 
 def study(row: str, case: str) -> str:
@@ -83,6 +87,7 @@ def jobs(
                 "demonstrations": 1,
                 "changes": {"budget": BUDGET, "retests": RETESTS, **ROWS[name].changes},
                 **CASES[case],
+                **(ELSEWHERE if name == "flip" else {}),
             },
         )
         for seed in seeds
@@ -97,9 +102,11 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         Number of "sessions"; of these "reproduced": whose first reproduction was a true flip, and
         "solved"; "to_streak": median of the rollouts before the streak of successes that ended a
         session, of those it ended; "confirmed": their number; "true": mean and lowest decile of the
-        share of re-tests that were true flips.
+        share of re-tests that were true flips; "elsewhere": the same of the runs in other worlds,
+        None when there were none.
     """
-    true = np.array([np.mean([r["true_flip"] for r in s["retests"]] or [0]) for s in sessions])
+    true = np.array([_true_flips(s["retests"]) for s in sessions])
+    elsewhere = np.array([_true_flips(s["carried"].get("elsewhere")) for s in sessions])
     ended = [s for s in sessions if s["ended_by"] == "confirmation"]
     before = [s["used"] - CONFIRM for s in ended]
     return {
@@ -108,8 +115,18 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "solved": int(np.sum(true >= SOLVED / RETESTS)),
         "confirmed": len(ended),
         "to_streak": float(np.median(before)) if before else None,
-        "true": (float(true.mean()), float(np.quantile(true, 0.1))),
+        "true": _mean_and_decile(true),
+        "elsewhere": _mean_and_decile(elsewhere) if any(s["carried"] for s in sessions) else None,
     }
+
+
+def _true_flips(runs: Sequence[Mapping[str, Any]] | None) -> float:
+    """Share of true flips; none of a session without an answer."""
+    return float(np.mean([run["true_flip"] for run in runs or []] or [0]))
+
+
+def _mean_and_decile(shares: np.ndarray) -> tuple[float, float]:
+    return float(shares.mean()), float(np.quantile(shares, 0.1))
 
 
 def main() -> None:
