@@ -23,6 +23,8 @@ from viser.infra import _infra
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
+from wam_power_ros.view.message_buffer import MessageBuffer
+
 
 def refusal(host: str | None, origin: str | None) -> str:
     """Reason to refuse a request by its Host and Origin headers; empty for none."""
@@ -48,6 +50,7 @@ def open_server(address: str, port: int) -> viser.ViserServer:
             probe.bind((address, 0))
     except OSError as error:
         raise ValueError(f"address {address!r} is none of this machine: {error}") from None
+    _infra.AsyncMessageBuffer = MessageBuffer  # of all browsers, and later of each one
     with _refusing(), redirect_stdout(io.StringIO()):  # its banner names no address but its own
         server = viser.ViserServer(host=address, port=port, label="wam_power_ros", verbose=False)
     for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
