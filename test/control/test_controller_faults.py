@@ -1,0 +1,342 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller meets false states and motions beyond limits, on the arm of `rigid_arm`."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from open_loop import reproduced
+from rigid_arm import (
+    A_TEST,
+    HOME,
+    LIMITS,
+    MODEL,
+    PERIOD_NS,
+    POLICY,
+    begin,
+    check,
+    make,
+    make_policy,
+    run,
+    tool,
+)
+
+from wam_power_ros.control import safety, torque_law
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.learning.policy import with_id
+from wam_power_ros.learning.rollout import FaultKind
+
+
+@pytest.mark.requirement("S-13")
+def test_an_older_state_is_counted_and_changes_nothing() -> None:
+    controller, plant = begin()
+    stamp, q, qd = plant.state()
+    answer = controller.step(stamp, q, qd)
+    assert controller.step(stamp - PERIOD_NS, q + 0.05, qd) is answer
+    assert controller.counters["older"] == 1
+    assert controller.mode is Mode.HOLD
+
+
+@pytest.mark.requirement("S-11")
+@pytest.mark.parametrize(
+    ("q", "qd"),
+    [
+        (HOME * math.nan, np.zeros(7)),
+        (HOME, np.full(7, math.inf)),
+        (HOME[:6], np.zeros(7)),
+        (HOME, np.zeros((1, 7))),
+        (HOME + 1e6, np.zeros(7)),
+        (HOME, np.full(7, 1e200)),
+        (["a"] * 7, np.zeros(7)),
+        (None, None),
+    ],
+)
+def test_a_state_that_is_not_valid_is_ignored_and_five_are_a_fault(q: object, qd: object) -> None:
+    controller, plant = begin()
+    stamp, good, _ = plant.state()
+    answer = controller.step(stamp, good, np.zeros(7))
+    for k in range(1, 5):
+        tau = controller.step(stamp + k * PERIOD_NS, q, qd)
+        check(tau, answer)
+        answer = tau
+    assert controller.mode is Mode.HOLD
+    assert controller.counters["rejected"] == 4
+    assert np.array_equal(answer, tau)  # nothing new is to be sent
+    check(controller.step(stamp + 5 * PERIOD_NS, q, qd), answer)
+    assert controller.mode is Mode.FAULT
+    with pytest.raises(ControllerError, match="not valid"):
+        controller.reset()
+    for k in range(6, 6 + 1 + 100):
+        with pytest.raises(ControllerError, match=r"not valid|at rest for 0\.2 s"):
+            controller.reset()
+        controller.step(stamp + k * PERIOD_NS, good, np.zeros(7))
+    controller.reset()
+    assert controller.mode is Mode.HOLD
+
+
+@pytest.mark.requirement("S-11")
+def test_a_state_that_could_not_be_read_counts_as_one_that_is_not_valid() -> None:
+    controller, plant = begin()
+    stamp, good, _ = plant.state()
+    for k in range(1, 5):
+        controller.refuse_state()
+        controller.step(stamp + k * PERIOD_NS, good, np.zeros(7))
+        assert controller.mode is Mode.HOLD
+    controller.step(stamp + 5 * PERIOD_NS, np.full(7, math.nan), np.zeros(7))
+    assert controller.mode is Mode.FAULT
+    assert controller.latched.kind is FaultKind.STATES_REFUSED
+    assert controller.counters["rejected"] == 5
+
+
+@pytest.mark.requirement("S-42")
+def test_a_long_gap_is_a_fault_and_a_short_one_is_counted() -> None:
+    controller, plant = begin()
+    plant.stamp += 5 * PERIOD_NS
+    controller.step(*plant.state())
+    assert controller.mode is Mode.HOLD
+    assert controller.counters["gaps"] == 1
+    plant.stamp += 12 * PERIOD_NS
+    controller.step(*plant.state())
+    assert controller.mode is Mode.FAULT
+    assert "24 ms" in controller.latched.text
+
+
+@pytest.mark.requirement("S-44")
+def test_a_joint_that_jumps_is_a_fault_unless_a_person_holds_the_arm() -> None:
+    controller, plant = begin()
+    controller.set_gravity_compensation(True)
+    plant.q = plant.q + 0.2
+    controller.step(*plant.state())
+    assert controller.mode is Mode.GRAVITY_COMPENSATION
+    assert controller.counters["jumps"] == 1
+    controller.hold()
+    plant.stamp += PERIOD_NS
+    controller.step(*plant.state())
+    plant.stamp += PERIOD_NS
+    plant.q = plant.q + 0.2
+    controller.step(*plant.state())
+    assert controller.mode is Mode.FAULT
+
+
+@pytest.mark.requirement("S-21")
+@pytest.mark.parametrize("joint", range(7))
+def test_overspeed_is_a_fault_in_the_third_state(joint: int) -> None:
+    controller, plant = begin()
+    stamp, q, qd = plant.state()
+    qd = np.zeros(7)
+    qd[joint] = 1.01 * LIMITS.qd_max[joint]
+    for k in range(2):
+        controller.step(stamp + k * PERIOD_NS, q, qd)
+        assert controller.mode is Mode.HOLD
+    controller.step(stamp + 2 * PERIOD_NS, q, qd)
+    assert controller.mode is Mode.FAULT
+    assert controller.label == "fault"  # and this very torque is the fallback's
+
+
+@pytest.mark.requirement("S-22")
+def test_teaching_has_a_speed_limit_of_its_own() -> None:
+    limits = safety.limits_of(MODEL, teaching_tool_speed=0.5)
+    for teaching, mode in ((False, Mode.HOLD), (True, Mode.FAULT)):
+        controller, plant = begin(controller=make(limits=limits, contact_share=100.0))
+        controller.set_gravity_compensation(teaching)
+        stamp, q, _ = plant.state()
+        qd = np.array([0.8, 0, 0, 0, 0, 0, 0])
+        for k in range(4):
+            controller.step(stamp + k * PERIOD_NS, q + k * 0.002 * qd, qd)
+        assert controller.mode is mode
+
+
+@pytest.mark.requirement("S-23")
+def test_a_rollout_that_leaves_the_workspace_is_a_fault() -> None:
+    top = MODEL.tool_pose(HOME)[0][2] + 0.02
+    limits = safety.limits_of(MODEL, workspace_max=(2.0, 2.0, top))
+    controller, plant = begin(controller=make(limits=limits))
+    controller.execute()
+    run(controller, plant, 2.0)
+    assert controller.mode is Mode.FAULT
+    assert "z =" in controller.latched.text
+
+
+@pytest.mark.requirement("S-23")
+@pytest.mark.parametrize("guarded", ["elbow", "tool"])
+def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> None:
+    elbow, _ = MODEL.motion(HOME, np.zeros(7)).guarded_positions
+    tool, _ = MODEL.tool_pose(HOME)
+    plane = {"elbow": (-1.0, 0.0, 0.0, 0.01 - elbow[0]), "tool": (-1.0, 0.0, 0.0, -0.01 - tool[0])}
+    controller, plant = begin(controller=make(limits=safety.limits_of(MODEL, plane=plane[guarded])))
+    run(controller, plant, 0.1)
+    assert controller.mode is Mode.HOLD  # there it may be: only what moves by itself is judged
+    controller.execute()
+    run(controller, plant, 1.0)
+    assert controller.mode is Mode.FAULT
+    assert controller.latched.text.startswith(f"{guarded} is 0.0")
+
+
+@pytest.mark.requirement("S-30")
+def test_hold_to_run_is_asked_for_and_its_release_is_a_fault_in_the_same_state() -> None:
+    def teach(controller: Controller) -> None:
+        controller.set_gravity_compensation(True)
+
+    def replay(controller: Controller) -> None:
+        t = np.linspace(0.0, 1.0, 11)
+        controller.start_replay(SimpleNamespace(t=t, q=np.tile(HOME, (11, 1))))
+
+    for request in (teach, replay, Controller.execute):
+        controller, plant = begin(controller=make(hold_to_run=True))
+        with pytest.raises(ControllerError, match="enabling switch"):
+            request(controller)
+        assert controller.mode is Mode.HOLD
+        controller.enabled = True
+        request(controller)
+        run(controller, plant, 0.1)
+        assert controller.mode not in (Mode.HOLD, Mode.FAULT)
+        controller.enabled = False
+        controller.step(*plant.state())
+        assert controller.mode is Mode.FAULT
+        assert "released" in controller.latched.text
+
+
+@pytest.mark.requirement("S-30")
+def test_a_policy_that_has_run_once_under_the_switch_runs_without_it_under_any_name() -> None:
+    controller, plant = begin(controller=make(hold_to_run=True))
+    controller.enabled = True
+    controller.execute()
+    run(controller, plant, 2.0)
+    controller.enabled = False
+    controller.load(with_id(POLICY, "again"))
+    controller.move_to_start()
+    run(controller, plant, 10.0, until=lambda: controller.ready)
+    controller.execute()
+    run(controller, plant, 2.0)
+    assert controller.mode is Mode.HOLD
+    controller.load(make_policy(size=0.9))
+    controller.move_to_start()
+    run(controller, plant, 10.0, until=lambda: controller.ready)
+    with pytest.raises(ControllerError, match="enabling switch"):
+        controller.execute()
+
+
+@pytest.mark.requirement("S-24")
+def test_soft_springs_push_a_taught_arm_off_its_limits() -> None:
+    q = HOME.copy()
+    q[5] = LIMITS.q_max[5] - 0.01
+    controller, plant = begin(q)
+    controller.set_gravity_compensation(True)
+    run(controller, plant, 0.3)
+    assert LIMITS.q_max[5] - plant.q[5] > 0.05
+
+
+@pytest.mark.requirement("S-26")
+def test_a_fault_brings_the_arm_to_rest_carries_it_and_stays_until_reset() -> None:
+    controller, plant = begin(sensing=True, delay=2)
+    controller.execute()
+    run(controller, plant, 0.45)  # in the middle of the throw
+    start = tool(plant)
+    assert np.abs(plant.qd).max() > 0.5
+    controller.fault(A_TEST)
+    with pytest.raises(ControllerError, match="moves at"):
+        controller.reset()
+    run(controller, plant, 1.0)
+    assert MODEL.motion(plant.q, plant.qd).tool_speed < 0.01
+    assert np.linalg.norm(tool(plant) - start) < 0.15
+    for request in (
+        controller.hold,
+        controller.execute,
+        controller.move_to_start,
+        lambda: controller.set_gravity_compensation(True),
+    ):
+        with pytest.raises(ControllerError):
+            request()
+    controller.stop()
+    controller.deactivate()
+    assert controller.mode is Mode.FAULT
+    assert controller.latched == A_TEST
+    controller.reset()
+    run(controller, plant, 0.2)
+    assert controller.mode is Mode.HOLD
+
+
+@pytest.mark.requirement("S-44")
+def test_a_driver_that_starts_again_from_zero_faults_and_can_be_reset() -> None:
+    controller, _ = begin()
+    for k in range(110):
+        controller.step(k * PERIOD_NS, HOME, np.zeros(7))
+    assert controller.mode is Mode.FAULT
+    controller.reset()
+    controller.step(110 * PERIOD_NS, HOME, np.zeros(7))
+    assert controller.mode is Mode.HOLD
+
+
+@pytest.mark.requirement("S-41")
+@pytest.mark.parametrize("friction", [0.5, 1.0, 2.0])
+def test_without_states_the_arm_is_braked_on_its_model_alone(friction: float) -> None:
+    assert np.array_equal(make().stale_torque(), np.zeros(7))
+    controller, plant = begin(friction=friction)
+    controller.execute()
+    tau = run(controller, plant, 0.4)[-1]
+    speeds = []
+    for _ in range(500):
+        before, tau = tau, controller.stale_torque()
+        check(tau, before)
+        plant.step(tau)
+        speeds.append(MODEL.motion(plant.q, plant.qd).tool_speed)
+    assert max(speeds) < speeds[0] + 0.05
+    assert max(speeds[250:]) < safety.REST_SPEED
+    assert np.abs(tau - MODEL.gravity(plant.q)).max() < MODEL.friction.max()
+
+
+@pytest.mark.requirement("S-41")
+@pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
+def test_a_silence_noticed_late_is_braked_from_where_the_arm_is_then(moment: float) -> None:
+    controller, plant = begin(friction=1.0, delay=2, sensing=True)
+    controller.execute()
+    tau = run(controller, plant, moment)[-1]
+    for _ in range(8):
+        plant.step(tau)
+    speeds, elapsed = [], 9 * 0.002
+    for _ in range(500):
+        tau = controller.stale_torque(elapsed)
+        plant.step(tau)
+        speeds.append(MODEL.motion(plant.q, plant.qd).tool_speed)
+        elapsed = 0.002
+    assert max(speeds) > 0.5
+    assert max(speeds[60:]) < 0.02
+    assert np.abs(tau - MODEL.gravity(plant.q)).max() < 0.07
+
+
+@pytest.mark.requirement("S-14")
+def test_without_a_velocity_from_the_driver_positions_are_differentiated() -> None:
+    controller, plant = begin(sensing=True, delay=1)
+    controller.execute()
+    positions = []
+    while controller.mode is Mode.ROLLOUT:
+        stamp, q, _ = plant.state()
+        positions.append(tool(plant))
+        plant.step(controller.step(stamp, q, None))
+    assert controller.mode is Mode.HOLD, controller.latched
+    x, _ = reproduced(POLICY, positions[0])
+    assert np.linalg.norm(np.array(positions)[: len(x)] - x, axis=1).max() < 0.02
+
+
+@pytest.mark.requirement("S-02")
+def test_a_law_that_finds_no_torque_is_a_fault_and_no_exception(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def singular(*_: object) -> np.ndarray:
+        return np.linalg.solve(np.zeros((7, 7)), np.ones(7))
+
+    def infinite(*_: object) -> np.ndarray:
+        return np.full(7, np.inf)
+
+    def wrong(*_: object) -> np.ndarray:
+        raise KeyError("a mistake in the code")
+
+    for law, reason in ((singular, "Singular"), (infinite, "not finite"), (wrong, "a mistake")):
+        monkeypatch.setattr(torque_law, "operational_space", law)
+        controller, plant = begin()
+        controller.execute()
+        run(controller, plant, 0.1)
+        assert controller.mode is Mode.FAULT
+        assert reason in controller.latched.text

@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller executes policies on the arm of `rigid_arm`."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from open_loop import reproduced
+from rigid_arm import (
+    A_TEST,
+    HOME,
+    MODEL,
+    PERIOD_NS,
+    POLICY,
+    Plant,
+    begin,
+    make,
+    make_policy,
+    run,
+    tool,
+)
+
+from wam_power_ros import rotations
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.learning import dmp
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import EndEffectorPath
+
+
+def rollout(controller: Controller, plant: Plant) -> SimpleNamespace:
+    """Execute; positions and rotations tick by tick, the torques, and the path."""
+    controller.execute()
+    positions, turns, torques = [], [], []
+    while controller.mode is Mode.ROLLOUT:
+        position, rotation = MODEL.tool_pose(plant.q)
+        positions.append(position)
+        turns.append(rotation)
+        torques.append(controller.step(*plant.state()))
+        plant.step(torques[-1])
+    return SimpleNamespace(
+        position=np.array(positions),
+        rotation=turns,
+        torques=torques,
+        path=controller.take_finished(),
+    )
+
+
+def deviation(result: SimpleNamespace, policy: Policy) -> tuple[float, float]:
+    """Rms of position [m] and angle [deg] against Eq. 1 as it would run on an ideal arm."""
+    tables = dmp.tabulate(policy)
+    steps = tables.rows
+    x, _ = reproduced(policy, result.position[0])
+    reference = rotations.matrix(policy.orientation_reference)
+    vector, omega = rotations.log(result.rotation[0] @ reference.T), np.zeros(3)
+    angles = []
+    for k in range(steps):
+        ideal = rotations.exp(vector) @ reference
+        angles.append(np.linalg.norm(rotations.log(result.rotation[k] @ ideal.T)))
+        twist = np.concatenate([np.zeros(3), omega])
+        omega = omega + 0.002 * dmp.acceleration(tables, k, np.zeros(3), vector, twist)[3:]
+        vector = vector + 0.002 * omega
+    away = np.linalg.norm(result.position[:steps] - x, axis=1)
+    rms = np.sqrt(np.mean(np.square([away, angles]), axis=1))
+    return float(rms[0]), float(np.rad2deg(rms[1]))
+
+
+@pytest.mark.parametrize(
+    ("law", "delay", "sensing", "millimetres", "degrees"),
+    [
+        ("operational_space", 0, False, 1.5, 0.5),
+        ("operational_space", 2, True, 6.0, 1.0),
+        ("operational_space", 4, True, 8.0, 1.5),
+        ("virtual_mass", 0, False, 30.0, 6.0),
+        ("virtual_mass", 2, True, 30.0, 6.0),
+    ],
+)
+def test_a_rollout_follows_the_reproduced_path(
+    law: str, delay: int, sensing: bool, millimetres: float, degrees: float
+) -> None:
+    controller = make(law=law)
+    controller, plant = begin(controller=controller, delay=delay, sensing=sensing)
+    result = rollout(controller, plant)
+    assert controller.mode is Mode.HOLD, controller.latched
+    away, angle = deviation(result, POLICY)
+    assert 1e3 * away < millimetres
+    assert angle < degrees
+    assert np.abs(np.diff(result.position, axis=0)).max() > 0.0008  # it did throw
+
+
+@pytest.mark.parametrize("friction", [0.3, 1.0])
+def test_a_rollout_through_the_wrist_singularity_stays_calm(friction: float) -> None:
+    q = HOME.copy()
+    q[[3, 5]] = np.deg2rad([80.0, -10.0])
+    policy = make_policy(q_start=q, pitch=0.6)
+    controller, plant = begin(q, controller=make(policy), delay=2, sensing=True, friction=friction)
+    crossed = rollout(controller, plant)
+    assert controller.mode is Mode.HOLD, controller.latched
+    assert deviation(crossed, policy)[0] < 0.01
+    assert controller.counters["limited"] < 150
+
+
+@pytest.mark.parametrize(("turn", "mode"), [(1.8, Mode.HOLD), (2.4, Mode.FAULT)])
+def test_the_pan_may_turn_as_far_as_its_law_holds(turn: float, mode: Mode) -> None:
+    turning = np.zeros((8, 3))
+    turning[:, 0] = np.linspace(0.0, turn, 8)  # about the handle [rad]
+    still = make_policy(size=0.0)
+    policy = Policy(**{**vars(still), "rotation_attractors": turning})
+    controller, plant = begin(controller=make(policy))
+    result = rollout(controller, plant)
+    assert controller.mode is mode, controller.latched
+    if mode is Mode.HOLD:
+        assert plant.q[6] == pytest.approx(1.8, abs=0.05)
+        assert deviation(result, policy)[1] < 3.0
+    else:
+        assert "turned by more" in controller.latched.text
+
+
+def test_the_path_covers_the_movement_and_the_settling_and_is_handed_out_once() -> None:
+    controller, plant = begin()
+    stamp = plant.stamp
+    result = rollout(controller, plant)
+    assert result.path.id == "trial-0001"
+    assert np.allclose(result.path.t, np.arange(181) * 0.01)
+    assert np.allclose(result.path.position, result.position[::5][:181], atol=1e-12)
+    assert np.allclose(rotations.matrix(result.path.quat_xyzw[40]), result.rotation[200])
+    assert controller.rollout_stamp_ns == stamp
+    assert controller.take_finished() is None
+
+
+def test_the_pan_stays_where_the_rollout_ended() -> None:
+    controller, plant = begin(sensing=True, delay=2, friction=1.0)
+    rollout(controller, plant)
+    end = tool(plant)
+    torques = run(controller, plant, 1.0)
+    assert np.linalg.norm(tool(plant) - end) < 1e-3
+    assert np.abs(np.diff(torques, axis=0)).max() < 1.5  # and no jolt [N m a period]
+
+
+def test_lost_states_do_not_slow_a_movement() -> None:
+    controller, plant = begin()
+    whole = rollout(controller, plant)
+    controller, plant = begin()
+    controller.execute()
+    tau, k = controller.step(*plant.state()), 0
+    while controller.mode is Mode.ROLLOUT:
+        plant.step(tau)
+        k += 1
+        if k % 7:
+            tau = controller.step(*plant.state())
+    path = controller.take_finished()
+    assert path.t[-1] == pytest.approx(whole.path.t[-1], abs=0.01)
+    at = np.interp(0.4, path.t, path.position[:, 2])
+    assert at == pytest.approx(np.interp(0.4, whole.path.t, whole.path.position[:, 2]), abs=2e-3)
+
+
+def test_an_aborted_rollout_leaves_a_shorter_path() -> None:
+    for abort in (Controller.stop, Controller.deactivate, lambda c: c.fault(A_TEST)):
+        controller, plant = begin()
+        controller.execute()
+        run(controller, plant, 0.3)
+        abort(controller)
+        path = controller.take_finished()
+        assert path.id == "trial-0001"
+        assert path.t[-1] == pytest.approx(0.29)
+    controller, plant = begin()
+    controller.execute()
+    controller.stop()  # before its first state
+    assert len(controller.take_finished().t) == 1
+
+
+def test_the_label_belongs_to_the_torque_and_not_to_the_request() -> None:
+    controller, plant = begin()
+    stamp, q, qd = plant.state()
+    answer = controller.step(stamp, q, qd)
+    controller.execute()
+    assert controller.mode is Mode.ROLLOUT
+    assert controller.step(stamp, q, qd) is answer  # the same state again: the torque of hold
+    assert controller.label == "hold"
+    controller.step(stamp + PERIOD_NS, q, qd)
+    assert controller.label == "rollout trial-0001"
+
+
+def test_a_rollout_from_rest_depends_on_nothing_before_it() -> None:
+    torques = []
+    for history in (0, 1):
+        controller, plant = begin(HOME + 0.02 * history)
+        controller.load(make_policy("another", size=0.5))
+        if history:
+            rollout(controller, plant)
+            controller.set_gravity_compensation(True)
+            run(controller, plant, 0.4)
+            controller.hold()
+        controller.load(POLICY)
+        plant.q, plant.qd = HOME.copy(), np.zeros(7)  # put there, as the stand-in does
+        for _ in range(25):
+            controller.step(*plant.state())
+            plant.stamp += PERIOD_NS
+        assert controller.ready
+        torques.append(rollout(controller, plant).torques)
+    assert np.array_equal(*torques)
+
+
+def test_the_torque_comes_to_a_fixed_point_while_a_state_repeats() -> None:
+    controller, plant = begin(HOME + 0.03)
+    for differentiated in (False, True):
+        stamp, q, qd = plant.state()
+        answers = []
+        for k in range(60):
+            qd = None if differentiated else 0.001 * np.ones(7)
+            answers.append(controller.step(stamp + k * PERIOD_NS, q, qd))
+        plant.stamp += 60 * PERIOD_NS
+        assert all(np.array_equal(answers[-1], tau) for tau in answers[25:])
+
+
+def test_a_rollout_ends_without_a_fault_where_the_tool_enters_the_obstacle() -> None:
+    free_controller, free_plant = begin()
+    free = rollout(free_controller, free_plant).path
+    lowest = int(np.argmin(free.position[:, 2]))
+    centre = free.position[lowest]
+    controller, plant = begin(controller=make(obstacle=(*centre, 0.02)))
+    controller.execute()
+    torques = run(controller, plant, 3.0, until=lambda: controller.mode is not Mode.ROLLOUT)
+    path = controller.take_finished()
+    assert (controller.mode, controller.latched) == (Mode.HOLD, None)
+    assert controller.counters["faults"] == 0
+    distance = np.linalg.norm(path.position - centre, axis=1)
+    assert distance[-1] < 0.02 and np.all(distance[:-1] >= 0.02)
+    assert path.t[-1] == pytest.approx(0.002 * (len(torques) - 1), abs=1e-9)  # that very state
+    assert path.t[-1] < free.t[lowest] < free.t[-1] - 0.5
+    shared = len(path.t) - 1
+    np.testing.assert_allclose(path.position[:shared], free.position[:shared], atol=1e-9)
+    assert controller.rollout_stamp_ns is not None
+    run(controller, plant, 1.0)
+    assert np.abs(plant.qd).max() < 1e-3  # it has braked
+    controller.move_to_start()
+    run(controller, plant, 10.0, until=lambda: controller.ready)
+    controller.execute()
+    again = rollout_to_end(controller, plant)
+    assert again.t[-1] == pytest.approx(path.t[-1], abs=0.01)
+
+
+def rollout_to_end(controller: Controller, plant: Plant) -> EndEffectorPath:
+    run(controller, plant, 3.0, until=lambda: controller.mode is not Mode.ROLLOUT)
+    return controller.take_finished()
+
+
+def test_a_rollout_that_begins_in_the_obstacle_ends_with_its_first_state() -> None:
+    centre = MODEL.tool_pose(HOME)[0]
+    controller, plant = begin(controller=make(obstacle=(*centre, 0.1)))
+    controller.execute()
+    run(controller, plant, 0.01)
+    assert controller.mode is Mode.HOLD
+    path = controller.take_finished()
+    assert path.t.tolist() == [0.0]
+    np.testing.assert_allclose(path.position[0], centre, atol=1e-3)
+
+
+def test_outside_rollouts_an_obstacle_has_no_effect() -> None:
+    centre = MODEL.tool_pose(HOME)[0]
+    t = np.linspace(0.0, 0.5, 51)
+    still = SimpleNamespace(t=t, q=np.tile(HOME, (51, 1)))
+    torques = []
+    for obstacle in ((0.0, 0.0, 0.0, 0.0), (*centre, 0.5)):
+        controller, plant = begin(HOME + 0.1, controller=make(obstacle=obstacle))
+        controller.move_to_start()
+        sent = run(controller, plant, 4.0)
+        controller.set_gravity_compensation(True)
+        sent += run(controller, plant, 0.1)
+        controller.start_replay(still)
+        sent += run(controller, plant, 0.3)
+        assert controller.mode is Mode.REPLAY
+        torques.append(np.array(sent))
+    assert np.array_equal(*torques)
+
+
+def test_an_obstacle_of_radius_zero_is_none_even_where_the_tool_is() -> None:
+    centre = MODEL.tool_pose(HOME)[0]
+    paths = []
+    for obstacle in ((0.0, 0.0, 0.0, 0.0), (*centre, 0.0)):
+        controller, plant = begin(controller=make(obstacle=obstacle))
+        paths.append(rollout(controller, plant).path.position)
+    assert np.array_equal(*paths)
+
+
+def test_a_policy_that_met_the_obstacle_has_not_run_to_its_end() -> None:
+    centre = MODEL.tool_pose(HOME)[0] + np.array([0.0, 0.0, -0.06])
+    controller, plant = begin(controller=make(obstacle=(*centre, 0.03), hold_to_run=True))
+    controller.enabled = True
+    controller.execute()
+    assert rollout_to_end(controller, plant).t[-1] < 1.0
+    run(controller, plant, 1.0)
+    controller.move_to_start()
+    run(controller, plant, 10.0, until=lambda: controller.ready)
+    controller.enabled = False
+    with pytest.raises(ControllerError, match="enabling switch"):
+        controller.execute()
+
+
+@pytest.mark.requirement("S-04")
+def test_no_rest_of_the_gravity_is_sent_to_a_driver_that_compensates_it() -> None:
+    controller = make(driver_compensates_gravity=True)
+    controller, plant = begin(controller=controller, adds_gravity=True)
+    torques = run(controller, plant, 0.2)
+    assert np.abs(torques[-1]).max() < 0.05
+    assert np.abs(plant.q - HOME).max() < 1e-3
+    result = rollout(controller, plant)
+    assert 1e3 * deviation(result, POLICY)[0] < 1.5
+    for _ in range(60):
+        tau = controller.stale_torque()
+    assert np.array_equal(tau, np.zeros(7))
