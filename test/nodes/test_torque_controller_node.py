@@ -4,25 +4,20 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
-import sys
-import time
 
 import numpy as np
 import pytest
-from conftest import ROOT, Probe, Process, Processes, diagnosis, lift
+from conftest import ROOT, Probe, Process, Processes, lift
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from played_arm import HOME, MODULE, NAMES, TICK, PlayedArm
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray, String
+from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import to_json, with_id
-from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code, read
 
@@ -75,51 +70,6 @@ def test_a_repeated_stamp_gets_the_same_torque_and_an_older_one_none(
     arm.again(NAMES, HOME, np.zeros(7))
     probe.spin(0.3)
     assert len(arm.read()) == count
-
-
-@pytest.mark.requirement("S-11")
-@pytest.mark.parametrize(
-    ("names", "q", "qd", "named"),
-    [
-        (NAMES[:6], HOME[:6], np.zeros(6), "wam_j7"),
-        (NAMES, np.append(HOME[:6], math.nan), np.zeros(7), "position"),
-        (NAMES, HOME, np.full(7, math.inf), "velocity"),
-    ],
-)
-def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(
-    probe: Probe, processes: Processes, names: list[str], q: np.ndarray, qd: np.ndarray, named: str
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-    count = len(arm.read())
-    arm.send(names, q, qd)
-    report = arm.diagnosis(lambda d: d.get("refused: joint state") == "1", "the refusal is told")
-    assert named in report["last refusal"]
-    assert len(arm.read()) == count
-    arm.send()
-    assert np.isfinite(arm.answer().tau).all()
-
-
-@pytest.mark.requirement("S-11")
-def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_each(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-    for names, q in (
-        (NAMES[:6], HOME[:6]),
-        ([*NAMES[:6], "wam_j1"], HOME),
-        (NAMES, np.append(HOME[:6], math.nan)),
-        (NAMES, np.append(HOME[:6], 1e9)),  # the reader lets it pass, the controller does not
-    ):
-        arm.send(names, q)
-        arm.send()
-        assert arm.answer().label == "hold"
-    arm.send([*NAMES, "wam_j1"], np.append(HOME, 0.0))
-    arm.send()
-    assert arm.answer().label == "fault"
-    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
-    assert report["fault kind"] == FaultKind.STATES_REFUSED.value
 
 
 @pytest.mark.requirement("S-14")
@@ -190,57 +140,6 @@ def test_the_life_cycle_decides_whether_torques_are_sent(
     assert change(Transition.TRANSITION_CLEANUP)
 
 
-def idle_service(probe: Probe) -> list[float]:
-    """The driver's service; when it was called [s, steady clock]."""
-    called: list[float] = []
-
-    def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        called.append(time.monotonic())
-        return response
-
-    probe.node.create_service(Trigger, interface.WAM_IDLE, idle)
-    return called
-
-
-@pytest.mark.requirement("S-42", "S-43")
-def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
-    probe: Probe, processes: Processes
-) -> None:
-    idled = idle_service(probe)
-    arm = PlayedArm(probe, processes, state_timeout=0.006)
-
-    def held() -> bool:
-        end = time.monotonic() + 0.05
-        while time.monotonic() < end:
-            arm.send(qd=np.full(7, 0.01))
-            probe.spin(0.0015)
-        label = arm.read()[-1].label if arm.read() else ""
-        if label == "fault":  # a busy machine has kept us from sending for 20 ms
-            probe.call(Trigger, interface.RESET)
-        return label == "hold"
-
-    probe.until(held, "the arm is held")
-    idled.clear()
-    lost = time.monotonic()
-    probe.until(lambda: arm.read()[-1].label == "fault", "the fault", deadline=5.0)
-    probe.until(lambda: idled, "the driver is asked to idle", deadline=5.0)
-    assert idled[0] - lost > 0.08
-    probe.spin(0.2)
-    stale = arm.read()[-1]
-    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
-    np.testing.assert_allclose(stale.tau, gravity, atol=0.01)  # braked, and carried
-    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
-    assert (report["level"], report["fault kind"]) == ("2", FaultKind.STATES_LOST.value)
-    logged = lambda: processes.output(arm.process)  # noqa: E731
-    probe.until(lambda: f"fault ({FaultKind.STATES_LOST.value}): " in logged(), "its log")
-    assert "[ERROR]" in next(line for line in logged().splitlines() if "fault (" in line)
-    resets = logged().count("the fault was reset")
-    told = lambda: logged().count("the fault was reset") > resets  # noqa: E731
-    probe.until(lambda: held() and told(), "a person resets, and the arm is held again")
-    idled.clear()
-    probe.until(lambda: idled, "the driver is asked to idle once more")
-
-
 @pytest.mark.requirement("S-41")
 def test_without_lockstep_a_short_silence_is_bridged_and_forgiven(
     probe: Probe, processes: Processes
@@ -255,46 +154,6 @@ def test_without_lockstep_a_short_silence_is_bridged_and_forgiven(
     arm.send()
     probe.spin(0.004)
     assert len(arm.read()) > before + 1  # torques for a state that had been answered already
-
-
-@pytest.mark.requirement("S-45")
-def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
-    report = arm.diagnosis(lambda d: d["mode"] == "fault", "a fault")
-    assert "publisher" in report["message"]
-    assert report["fault kind"] == FaultKind.SECOND_COMMANDER.value
-    processes.end(arm.process)
-
-    second = PlayedArm(probe, processes)
-
-    def refused() -> dict[str, str]:
-        second.send()
-        other.publish(Float64MultiArray(data=[0.0] * 7))
-        probe.spin(0.05)
-        report = diagnosis(second.diagnostics, "torque_controller")
-        return report if "refused: activation" in report else {}
-
-    assert probe.until(refused, "the refusal is told")["mode"] == "inactive"
-
-
-@pytest.mark.requirement("S-05")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
-    probe: Probe, processes: Processes, number: int
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.activate()
-    assert processes.end(arm.process, number) == 0
-    probe.spin(0.3)
-    last = arm.read()[-1]
-    assert last.label == "inactive"
-    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
-    np.testing.assert_allclose(last.tau, gravity, atol=1e-9)
-    assert "Traceback" not in processes.output(arm.process)
 
 
 @pytest.mark.requirement("S-04")
@@ -416,194 +275,3 @@ def test_a_missing_parameter_stops_the_node_and_is_named(processes: Processes) -
     process: Process = processes.node(MODULE, autostart=True)
     assert process.wait(60.0) == 2
     assert "joint_names" in processes.output(process)
-
-
-@pytest.mark.requirement("S-30")
-@pytest.mark.parametrize("silent", [False, True])
-def test_a_released_or_silent_switch_ends_teaching(
-    probe: Probe, processes: Processes, silent: bool
-) -> None:
-    arm = PlayedArm(probe, processes, hold_to_run=True)
-    arm.activate()
-    switch = probe.publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
-    on = SetBool.Request(data=True)
-    refusal = probe.call(SetBool, interface.GRAVITY_COMPENSATION, on)
-    assert not refusal.success and "enabling switch" in refusal.message
-
-    def teaching() -> bool:
-        switch.publish(Bool(data=True))
-        probe.spin(0.005)
-        arm.send()
-        arm.answer()
-        return probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
-
-    probe.until(teaching, "teaching begins")
-    switch.publish(Bool(data=True))
-    probe.spin(0.2 if silent else 0.005)
-    if not silent:
-        switch.publish(Bool(data=False))
-
-    def ended() -> bool:
-        arm.send()
-        return arm.answer().label == "fault"
-
-    probe.until(ended, "the fault")
-    arm.diagnosis(lambda d: "enabling switch" in d["message"], "it is told")
-
-
-@pytest.mark.requirement("S-52")
-def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled(
-    probe: Probe, processes: Processes
-) -> None:
-    idled = idle_service(probe)
-    arm = PlayedArm(probe, processes, state_timeout=0.05)
-
-    pauses: list[float] = []
-
-    def flow(seconds: float) -> None:
-        end = time.monotonic() + seconds
-        while (begin := time.monotonic()) < end:
-            arm.send()
-            probe.spin(0.0015)
-            pauses.append(time.monotonic() - begin)
-
-    def held() -> bool:
-        flow(0.05)
-        label = arm.read()[-1].label if arm.read() else ""
-        if label == "fault":  # a busy machine has kept us from sending
-            probe.call(Trigger, interface.RESET)
-        return label == "hold"
-
-    probe.until(held, "the arm is held")
-    idled.clear()
-    pauses.clear()
-    arm.process.send_signal(signal.SIGSTOP)
-    flow(0.5)
-    arm.process.send_signal(signal.SIGCONT)
-
-    def faulted() -> bool:
-        flow(0.02)
-        return arm.read()[-1].label == "fault"
-
-    probe.until(faulted, "the fault")
-    assert not idled or max(pauses) > 0.05  # a busy machine has kept us from sending
-
-
-BROKEN = """
-import sys
-from wam_power_ros.nodes import torque_controller
-
-class Broken(torque_controller.TorqueController):
-    def _on_policy(self, policy):
-        raise KeyError("a mistake in the code")
-
-    def _on_stop(self, request, response):
-        self._read = None  # every state from now on
-
-torque_controller.TorqueController = Broken
-sys.exit(torque_controller.main())
-"""
-
-
-@pytest.mark.requirement("S-49")
-def test_without_real_time_rights_an_arm_is_not_activated_unless_allowed(
-    probe: Probe, processes: Processes
-) -> None:
-    arm = PlayedArm(probe, processes, realtime_priority=0, allow_no_realtime=False)
-
-    def refused() -> bool:
-        arm.send()
-        probe.spin(0.02)
-        return "SCHED_FIFO" in diagnosis(arm.diagnostics, "torque_controller").get(
-            "last refusal", ""
-        )
-
-    probe.until(refused, "the refusal is told")
-    assert not arm.read()
-
-
-@pytest.mark.requirement("S-50")
-@pytest.mark.parametrize("allowed", [True, False])
-def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
-    probe: Probe, processes: Processes, allowed: bool
-) -> None:
-    arm = PlayedArm(
-        probe,
-        processes,
-        realtime_priority=60,
-        state_timeout=10.0,  # whatever the machine does, states are only late
-        allow_no_realtime=allowed,
-        idle_service='""',
-    )
-    told = lambda: diagnosis(arm.diagnostics, "torque_controller")  # noqa: E731
-
-    def begun() -> bool:
-        arm.send()
-        probe.spin(0.002)
-        return bool(arm.read())
-
-    if not allowed and os.geteuid():
-        pytest.skip("real-time scheduling is not permitted here")
-    probe.until(begun, "the controller is active")
-
-    def late() -> bool:  # every state 6 to 10 ms after the last: two of three periods are missed
-        arm.send()
-        probe.spin(0.006)
-        text = told().get("message", "")
-        if told().get("mode") == "fault" and "periods" not in text:  # a busy machine held us up
-            probe.call(Trigger, interface.RESET)
-        return "of the periods of a second missed" in text
-
-    probe.until(late, "the overload is told")
-    assert told()["mode"] == ("hold" if allowed else "fault")
-
-
-@pytest.mark.requirement("S-51")
-@pytest.mark.parametrize("hours", [-1, 1])
-def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(
-    probe: Probe, processes: Processes, hours: int
-) -> None:
-    arm = PlayedArm(probe, processes)
-    arm.stamp_ns = 10**13
-    arm.activate()
-    arm.send()
-    before = arm.answer()
-    arm.stamp_ns += hours * 3_600_000_000_000
-    for _ in range(8):  # five are refused first when they are older
-        arm.send()
-        probe.spin(0.02)
-    arm.send()
-    after = arm.answer()
-    assert after.label == "fault"
-    np.testing.assert_allclose(after.tau, before.tau, atol=1e-9)
-    arm.reset()
-    arm.send()
-    assert arm.answer().label == "hold"
-
-
-@pytest.mark.requirement("S-02")
-@pytest.mark.parametrize("during", ["policy", "state"])
-def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
-    probe: Probe, processes: Processes, during: str
-) -> None:
-    config = ["--ros-args", "--params-file", str(ROOT / "config/torque_controller.yaml")]
-    quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
-    arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
-    arm.activate()
-    if during == "policy":
-        policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
-        policies.publish(String(data=to_json(lift("good"))))
-    else:
-        probe.begin(Trigger, interface.STOP)
-
-    def told() -> dict[str, str]:
-        arm.send()
-        probe.spin(0.01)
-        report = diagnosis(arm.diagnostics, "torque_controller")
-        return report if report.get("mode") == "fault" else {}
-
-    assert "a callback failed" in probe.until(told, "the fault is told")["message"]
-    probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
-    gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
-    np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)
-    assert arm.process.poll() is None
