@@ -164,8 +164,9 @@ class TorqueCheck:
         self._in_row = self._in_row + 1 if excess[joint] > 0.0 else 0
         if self._in_row < SUSPECTS:
             return None
-        text = f"{self.residual[joint]:.1f} N m at joint {joint + 1} are not ours"
-        return Fault(FaultKind.EXTERNAL_TORQUE, f"{text}: a contact, a payload, another commander")
+        text = f"{self.residual[joint]:.1f} N m at joint {joint + 1} are not ours: a contact, "
+        text += "a payload, another commander, or a motor that gives less than it is sent"
+        return Fault(FaultKind.EXTERNAL_TORQUE, text)
 
 
 class Plausibility:
