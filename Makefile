@@ -59,6 +59,8 @@ reproduce: $(READY)
 	@$(call STOPPABLE,$(BIN)/wam-power reproduce $(ARGS))
 
 # In the order of test/conftest.py: the slow folders first. Three workers on two cores: many tests wait for a clock.
+# Linear algebra has one thread, as in every node (entry.py).
+test: export OPENBLAS_NUM_THREADS := 1
 test: $(READY)
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
 

@@ -83,3 +83,15 @@ def test_a_signal_that_is_ignored_stays_ignored(tmp_path: Path) -> None:
     path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
     ended = subprocess.run([sys.executable, "-c", code], env={**os.environ, "PYTHONPATH": path})
     assert ended.returncode == 7
+
+
+def test_linear_algebra_has_one_thread_whatever_the_machine_says(tmp_path: Path) -> None:
+    (tmp_path / "imported.py").write_text(
+        "import os; seen = [os.environ[name] for name in os.environ if 'NUM_THREADS' in name]\n"
+        "def main(): return len(seen) if set(seen) == {'1'} else 0\n"
+    )
+    code = "from wam_power_ros import entry; raise SystemExit(entry.start('imported'))"
+    path = os.pathsep.join([str(tmp_path), str(ROOT), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path, "OMP_NUM_THREADS": "4"}
+    ended = subprocess.run([sys.executable, "-c", code], env=environment)
+    assert ended.returncode == len(entry.ONE_THREAD)

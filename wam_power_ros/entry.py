@@ -3,6 +3,10 @@
 
 The imports take seconds on a slow machine, and nothing has been opened then: the process ends as
 it would later, without a traceback. Nothing but the standard library is imported here.
+
+NumPy's linear algebra gets one thread, which has to be set before it is imported: with more, sums
+are ordered otherwise, last digits depend on the number of cores, and a session that is resumed on
+another machine would go on otherwise.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import os
 import signal
 from functools import partial
 
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 INTERRUPTED = 130  # exit status of a program that was interrupted before it had done its work
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -26,6 +31,7 @@ def start(module: str, interrupted: int = 0) -> int:
     Returns:
         Exit status.
     """
+    os.environ |= ONE_THREAD
     before = {number: signal.getsignal(number) for number in SIGNALS}
     for number in SIGNALS:
         if before[number] is not signal.SIG_IGN:

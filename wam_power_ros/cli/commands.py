@@ -364,9 +364,6 @@ def play(options: argparse.Namespace) -> None:
 
 def reproduce(options: argparse.Namespace) -> int:
     """Run the studies of the paper and write their report."""
-    # One thread a process: with more, sums are ordered otherwise and last digits move. To be set
-    # before NumPy is imported; worker processes inherit it.
-    os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     from wam_power_ros.experiments import jobs, reproduce
 
     folder = options.folder or Path("reproduction-quick" if options.quick else "reproduction")
