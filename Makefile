@@ -27,7 +27,7 @@ endif
 
 help:
 	@echo 'make learn [ARGS="--seed 3"]   learn to flip a pancake, in simulation'
-	@echo 'make reproduce                 the experiments of the paper, with a report (about an hour on 2 cores: 2 h of processor time)'
+	@echo 'make reproduce                 the experiments of the paper, with a report (about an hour on 2 cores: 1 h 40 min of processor time)'
 	@echo 'make test  [ARGS="-k power"]   the tests'
 	@echo 'make lint                      ruff: rules and format; mypy: types'
 	@echo 'make build                     colcon build, with colcon from PyPI'
