@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from test_docs import blocks
 from wam_power_ros import robot
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.view.live import View
 
 
@@ -71,6 +73,14 @@ def test_an_interrupt_stops_the_arm() -> None:
     with pytest.raises(KeyboardInterrupt), moving._stopping():
         raise KeyboardInterrupt
     assert stopped == [True]
+
+
+def test_a_controller_that_is_busy_is_asked_again_and_one_that_refuses_is_not() -> None:
+    for code in (Code.DONE, Code.REFUSED):
+        answers = [Answer(code, "then"), Answer(Code.BUSY, "not read within 5 s")]
+        asking = robot.Robot.__new__(robot.Robot)
+        asking._calls = SimpleNamespace(call=lambda *_, timeout: answers.pop())  # noqa: B023
+        assert asking._replayed() == Answer(code, "then")
 
 
 def names(node: Node) -> set[str]:

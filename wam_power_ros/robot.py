@@ -46,6 +46,7 @@ from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 CONTROLLER, RECORDER = "torque_controller", "demonstration_recorder"  # nodes
 STATE_TIMEOUT = 60.0  # [s of wall time] for a joint state of nodes that may start now, or a receipt
 MOVE_TIMEOUT = 3600.0  # [s of wall time]
+BUSY_PERIOD = 0.1  # [s of wall time] until a controller that was busy is asked again
 REPORTS = 8  # callbacks at most for reports that have come meanwhile
 REST = np.linspace(0.0, 0.1, 6)  # times of the movement that rests at a place [s]
 
@@ -235,11 +236,20 @@ class Robot:
         # Topics and services are not ordered: asked earlier, it would repeat the movement before.
         if not self._movements.wait_for_all_acked(Duration(seconds=STATE_TIMEOUT)):
             raise ServiceError(f"a movement on {interface.REPLAY_TRAJECTORY} was not received")
-        with self._stopping():
-            answer = self._calls.call(Trigger, interface.REPLAY, timeout=MOVE_TIMEOUT)
+        answer = self._replayed()
         if answer is None or answer.code is not Code.DONE:
             raise ServiceError(f"{interface.REPLAY}: {answer or 'no answer'}")
         return answer
+
+    def _replayed(self) -> Answer | None:
+        """Answer to a replay, asked for again while the controller has not read the movement."""
+        end = time.monotonic() + STATE_TIMEOUT
+        with self._stopping():
+            while True:
+                answer = self._calls.call(Trigger, interface.REPLAY, timeout=MOVE_TIMEOUT)
+                if answer is None or answer.code is not Code.BUSY or time.monotonic() > end:
+                    return answer
+                time.sleep(BUSY_PERIOD)
 
     @contextmanager
     def _stopping(self) -> Iterator[None]:
