@@ -150,6 +150,17 @@ def test_a_cluster_of_two_worker_processes_gives_the_same_files(
         job_cache.run([bad], tmp_path / "cluster", scheduler=cluster)
 
 
+def test_a_cluster_of_a_single_worker_computes_there_and_not_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)  # a run here would be refused for it
+    monkeypatch.setattr("benchmark.cluster.WORKERS", 1)
+    with local_cluster(tmp_path, PYTHONPATH) as address:
+        results = job_cache.run(draws(3), tmp_path / "cluster", scheduler=address)
+    assert results == job_cache.run(draws(3), tmp_path / "here")
+
+
 def test_without_dask_a_scheduler_is_refused_with_the_extra_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -294,13 +294,11 @@ def _compute(
     """Compute jobs and yield each as soon as it is finished."""
     if not jobs:
         return
-    if scheduler is None:
-        config, here = parallel_config("loky", inner_max_num_threads=1), os.getpid()
-    else:
-        config = parallel_config("dask", client=stack.enter_context(_cluster(scheduler)))
-        workers, here = -1, None  # all that the cluster has
-    calls = (delayed(_execute)(job, digest(job), here) for job in jobs)
-    with config:
+    if scheduler is not None:
+        yield from _compute_there(jobs, stack.enter_context(_cluster(scheduler)))
+        return
+    calls = (delayed(_execute)(job, digest(job), os.getpid()) for job in jobs)
+    with parallel_config("loky", inner_max_num_threads=1):
         done = Parallel(n_jobs=workers, batch_size=1, return_as="generator_unordered")(calls)
     stack.callback(done.close)
     try:
@@ -309,6 +307,15 @@ def _compute(
             yield from done
     except BrokenExecutor as error:
         raise JobError(f"a worker process is gone, out of memory perhaps: {error}") from None
+
+
+def _compute_there(jobs: Sequence[Job], client: Any) -> Iterator[_Computed]:  # noqa: ANN401
+    """Compute jobs on a cluster; joblib would compute here while it has a single worker."""
+    from distributed import as_completed
+
+    futures = [client.submit(_execute, job, digest(job), None, pure=False) for job in jobs]
+    for _, computed in as_completed(futures, with_results=True):
+        yield computed
 
 
 def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if that is installed)
