@@ -28,6 +28,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.ros import network
 from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.ros.service_client import DISCOVERY
 
 network.confine(os.environ)  # this process, too
 settings.register_profile("any machine", deadline=None)  # however busy it is
@@ -109,7 +110,9 @@ class Probe:
         client = self._clients.get(name)
         if client is None:
             client = self._clients[name] = self.node.create_client(service_type, name)
-        self.until(client.service_is_ready, f"service {name}")
+        if not client.service_is_ready():
+            self.until(client.service_is_ready, f"service {name}")
+            self.spin(DISCOVERY)
         return client.call_async(service_type.Request() if request is None else request)
 
     def call(

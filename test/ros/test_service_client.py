@@ -11,6 +11,7 @@ import pytest
 import rclpy
 from conftest import Probe
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.service import Service
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.ros import service_client
@@ -96,13 +97,20 @@ def test_a_service_that_does_not_appear_is_named(probe: Probe) -> None:
         client.call(Trigger, "/nowhere")
 
 
-def test_only_the_first_call_of_a_service_waits_to_be_discovered(
-    probe: Probe, serve: Serve, monkeypatch: pytest.MonkeyPatch
+def test_only_the_first_call_of_a_service_that_has_started_waits_to_be_discovered(
+    probe: Probe, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    serve("/ask", lambda: Answer(Code.DONE))
+    def answer(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        return response
+
+    def start() -> None:
+        services.append(probe.node.create_service(Trigger, "/ask", answer))
+        timer.cancel()
+
+    services: list[Service] = []
+    timer = probe.node.create_timer(0.2, start)
     client = ServiceClient(probe.node)
     client.prepare(Trigger, "/ask")
-    probe.until(lambda: probe.node.count_services("/ask"), "the service")
     waits: list[float] = []
     until = client.until
 
@@ -114,6 +122,10 @@ def test_only_the_first_call_of_a_service_waits_to_be_discovered(
     client.call(Trigger, "/ask")
     client.call(Trigger, "/ask")
     assert waits.count(service_client.DISCOVERY) == 1
+    probe.node.destroy_service(services.pop())
+    timer.reset()
+    client.call(Trigger, "/ask")
+    assert waits.count(service_client.DISCOVERY) == 2
 
 
 def test_a_refusal_is_asked_again_until_it_is_an_agreement(probe: Probe, serve: Serve) -> None:

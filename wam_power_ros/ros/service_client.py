@@ -110,9 +110,10 @@ class ServiceClient:
         """
         self.prepare(kind, name)
         client, full = self._clients[name], self._full(name)
+        known = name in self._called and client.service_is_ready()
         if not self.until(client.service_is_ready, f"service {full}", self._appear_timeout):
             raise ServiceError(f"{full} did not appear in {self._appear_timeout:.0f} s")
-        if name not in self._called:
+        if not known:  # called for the first time, or its node has just been started again
             self._called.add(name)
             self.until(lambda: False, timeout=DISCOVERY)
         future = client.call_async(kind.Request() if request is None else request)
