@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.soak import missing
+from benchmark.soak import Samples, missing
 
 ROOT = Path(__file__).resolve().parents[2]
 GROWTH = 0.05  # of the memory of a process; 1 % is for the long soak, when all has been done often
@@ -37,3 +37,14 @@ def test_every_state_that_is_not_in_the_bag_is_counted() -> None:
     published = [(100, 99), (400, 399), (700, 699), (1000, 999)]  # said by the stand-in
     assert missing(stamps_ns, published) == (0, 900)
     assert missing(np.delete(stamps_ns, [200, 201, 650]), published) == (3, 900)
+
+
+def test_a_descriptor_that_stays_open_is_a_leak_and_one_of_a_moment_is_none() -> None:
+    def change(*files: int) -> float:
+        samples = Samples(list(np.linspace(0.0, 1.0, len(files))), [1] * len(files), list(files))
+        return samples.figures()["descriptors change"]
+
+    assert change(*[20] * 10, *[20, 21, 20, 22], *[20] * 6) == 0
+    assert change(*[20] * 14, *[21] * 6) == 0  # that may still be closed
+    assert change(*[20] * 8, *[21] * 12) == 1
+    assert change(*range(20, 40)) > 5

@@ -123,10 +123,13 @@ class Hardware:
 
         def agreed() -> bool:
             answers.append(self.ask(name))
-            if answers[-1].code is Code.FAULT and self.pace == "real_time":
+            if answers[-1].success:
+                return True
+            fault = answers[-1].code is Code.FAULT or self.label() == "fault"
+            if fault and self.pace == "real_time":
                 self.probe.call(Trigger, interface.RESET)
-            self.probe.spin(0.0 if answers[-1].success else 0.05)
-            return answers[-1].success
+            self.probe.spin(0.05)
+            return False
 
         try:
             self.probe.until(agreed, name)

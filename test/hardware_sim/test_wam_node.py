@@ -51,9 +51,9 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
     end_ns = killed.stamp_ns + 2_500_000_000  # by the arm's clock, whatever ours says
     probe.until(lambda: hardware.state().stamp_ns > end_ns, "2.5 s of the arm")
     after = [hardware.state(i) for i in range(count, len(hardware.messages))]
-    height = [arm.tool_pose(reading.q)[0][2] for reading in after[::10]]
-    speeds = [arm.speeds(r.q, r.qd).tool_speed for r in after[::10]]
-    assert len(after) > 50  # the states go on, however few of them a busy machine lets us hear
+    assert len(after) > 10  # the states go on, however few of them a busy machine lets us hear
+    height = [arm.tool_pose(reading.q)[0][2] for reading in after]
+    speeds = [arm.speeds(r.q, r.qd).tool_speed for r in after]
     assert arm.tool_pose(killed.q)[0][2] - min(height) < 0.05
     assert max(speeds[len(speeds) // 2 :]) < 0.05
     if during == "hold":

@@ -367,7 +367,8 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(
     robot.publish(String(data=""))
     kept = len(reader.read_demonstration(recover(path).path, NAMES)[0])
     assert kept >= 100
-    assert bench.sent - kept <= 500  # a second of states
+    # It was noticed long before the 3000th; how many are lost in a second: benchmark/recover.py.
+    assert bench.sent - kept <= 1500
     resource.prlimit(bench.node.pid, resource.RLIMIT_FSIZE, (allowed[1], allowed[1]))
     again = bench.start()  # and the next one is as any other
     bench.send(100)
