@@ -78,7 +78,7 @@ class Simulation:
         self._in = Link(params.command_latency, params.command_jitter, params.command_loss, rngs[1])
         self._statistics = LoopStatistics(PERIOD_NS)
         self._published_ns = 0  # steady clock
-        self._granted = _schedule(params.realtime_priority)
+        self._granted = _schedule(0 if self.wam.lockstep else params.realtime_priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.wam.create_timer(1.0, self._report, clock=steady)
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 
 import numpy as np
@@ -92,6 +93,15 @@ def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
     spacing = np.diff([pose_messages.markers(cloud)[0] for cloud in clouds])
     assert np.median(spacing) == pytest.approx(1e9 / 30.0, abs=TICK)
     assert pose_messages.markers(clouds[-1])[2].shape == (4, 3)
+
+
+def test_in_lockstep_which_takes_all_the_time_there_is_no_priority_is_asked_for(
+    probe: Probe, processes: Processes
+) -> None:
+    hardware = Hardware(probe, processes, "lockstep", realtime_priority=70)
+    hardware.control()
+    for process in (hardware.process, hardware.controller):
+        assert os.sched_getscheduler(process.pid) == os.SCHED_OTHER
 
 
 @pytest.mark.requirement("S-46")

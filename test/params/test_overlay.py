@@ -66,7 +66,7 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
     limits = TorqueControllerParams.of_file(own, "torque_controller", *over)
     lab = ["simulation", "hold_to_run", "allow_no_realtime"]
     if params["wam_sim"].pace == "lockstep":  # nobody stands beside it: it moves faster to a start
-        lab.append("move_speed")
+        lab += ["move_speed", "realtime_priority"]
     of_the_lab = {name: getattr(arm, name) for name in lab}
     assert limits.model_copy(update=of_the_lab) == arm
     assert learner.scene_reset == learner.reset_faults == simulated
@@ -79,7 +79,8 @@ def test_without_a_set_up_every_node_gets_its_own_file() -> None:
     setup = overlay.setup()
     for node in overlay.NODES:
         own = dict(parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node])
-        own |= {"move_speed": overlay.MOVE_SPEED} if node == "torque_controller" else {}
+        if node == "torque_controller":  # in lockstep
+            own |= {"move_speed": overlay.MOVE_SPEED, "realtime_priority": 0}
         assert {name: setup[node][name] for name in own} == own
         assert setup[node].get("use_sim_time", False) == (node not in overlay.STAND_INS)
 

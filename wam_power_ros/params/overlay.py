@@ -96,7 +96,9 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             for node in set(NODES) - set(STAND_INS):
                 whole[node]["use_sim_time"] = True
             # Nobody stands beside it: two thirds of a session would pass on the way to a start.
-            whole["torque_controller"] |= {"move_speed": MOVE_SPEED} | given["torque_controller"]
+            # And it runs as fast as it can: with real-time priority nothing else would run.
+            in_lockstep = {"move_speed": MOVE_SPEED, "realtime_priority": 0}
+            whole["torque_controller"] |= in_lockstep | given["torque_controller"]
     return whole
 
 
