@@ -44,7 +44,7 @@ ALLOWED: dict[str, set[str]] = {
     "params": {"durable_files", "rotations", "learning", "control", "tracking"},
     "conformance": {"rotations", "learning", "control", "tracking"},
     "ros": {"entry", "rotations", "learning", "params", "bags"},
-    "reporting": {"rotations", "learning", "tasks", "practice"},
+    "reporting": {"durable_files", "rotations", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
 ALLOWED["view"] = {*BELOW, "console"} - {"conformance"}

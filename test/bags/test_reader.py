@@ -130,6 +130,14 @@ def test_a_state_that_was_sent_again_counts_once(tmp_path: Path) -> None:
     assert len(read_demonstration(writer.close({}), NAMES)[0]) == 2
 
 
+def test_another_device_on_the_topic_may_leave_its_positions_out(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "demo")
+    writer.add("/joint_states", layout.JOINT_STATE, QOS)
+    for names, positions in ((NAMES, [1.0, 2.0, 3.0]), (["finger"], []), (["finger"] * 2, [0.1])):
+        writer.write("/joint_states", START, joint_state(START, names, positions))
+    assert len(read_demonstration(writer.close({}), NAMES)[0]) == 1
+
+
 @pytest.mark.parametrize("source", ["sim", "hardware"])
 def test_states_of_before_a_simulated_reset_are_another_movement(
     tmp_path: Path, source: str

@@ -65,6 +65,17 @@ def test_a_renamed_bag_is_renamed_in_its_series_and_can_be_read(file: Path) -> N
     assert reader.topics(renamed)
 
 
+@pytest.mark.parametrize("way", ["link/bags/a", "real/bags/../bags/a"])
+def test_a_bag_that_is_named_another_way_is_the_one_in_its_series(way: str, tmp_path: Path) -> None:
+    for do in (series.discard, lambda bag: series.rename(bag, "c")):
+        bag = demonstration(tmp_path / "real/bags/a", random_q(20))
+        (tmp_path / "link").unlink(missing_ok=True)
+        (tmp_path / "link").symlink_to(tmp_path / "real")
+        series.write(tmp_path / "real" / series.FILE, [bag])
+        do(tmp_path / way)
+        assert bag not in series.read(tmp_path / "real" / series.FILE)
+
+
 @pytest.mark.parametrize("name", ["b", "", "..", ".hidden", "x/y", "x.unfinished"])
 def test_a_name_that_is_taken_or_none_is_refused(file: Path, name: str) -> None:
     first, _ = series.read(file)

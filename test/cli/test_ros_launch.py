@@ -10,7 +10,7 @@ import pytest
 import yaml
 from conftest import ROOT
 
-from wam_power_ros.cli import ros_launch
+from wam_power_ros.cli import launcher, ros_launch
 from wam_power_ros.cli.launcher import UsageError
 from wam_power_ros.params import overlay
 from wam_power_ros.params.parameter_file import of_nodes
@@ -71,6 +71,17 @@ def test_a_session_has_its_bags_in_its_folder_and_what_was_asked_for_it(tmp_path
     file = ros_launch.parameter_file(launched)
     assert file.is_relative_to(folder)
     assert of_nodes(file)["learner"] == learner
+
+
+def test_a_launch_leaves_a_session_alone_that_is_being_practised(tmp_path: Path) -> None:
+    launched = sim(session=tmp_path)
+    with launcher.held(tmp_path):
+        domain = tmp_path / "logs" / launcher.DOMAIN
+        domain.write_text("42")
+        with pytest.raises(UsageError, match="another session or learner is at work"):
+            ros_launch.parameter_file(launched)
+        assert [file.name for file in domain.parent.iterdir() if file.suffix == ".yaml"] == []
+        assert domain.read_text() == "42"
 
 
 def test_a_task_without_a_body_has_no_tracker(tmp_path: Path) -> None:

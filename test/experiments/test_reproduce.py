@@ -161,6 +161,27 @@ def test_a_cluster_of_a_single_worker_computes_there_and_not_here(
     assert results == job_cache.run(draws(3), tmp_path / "here")
 
 
+def test_a_job_that_is_lost_on_the_cluster_fails_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    distributed = pytest.importorskip("distributed")
+    execute = job_cache._execute
+
+    def mortal(job: job_cache.Job, expected: str, here: int | None) -> object:
+        if job == lost:
+            raise ModuleNotFoundError("wam_power_ros")  # as where a worker lacks the package
+        return execute(job, expected, here)
+
+    *others, lost = jobs = draws(4)
+    monkeypatch.setattr(job_cache, "_execute", mortal)
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    here = {"processes": False, "dashboard_address": None, "n_workers": 1, "threads_per_worker": 1}
+    monkeypatch.setattr(job_cache, "_cluster", lambda _: distributed.Client(**here))
+    with pytest.raises(job_cache.JobError, match=f"{lost.name}: lost on the cluster"):
+        job_cache.run(jobs, tmp_path, scheduler="tcp://here")
+    assert set(files(tmp_path)) == {str(job.path(Path())) for job in others}
+
+
 def test_without_dask_a_scheduler_is_refused_with_the_extra_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

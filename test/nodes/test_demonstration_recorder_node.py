@@ -347,6 +347,22 @@ def test_no_recording_begins_without_a_place_for_it(
     assert bench.node.poll() is None
 
 
+@pytest.mark.requirement("S-66")
+def test_a_folder_that_goes_away_ends_the_recording_and_nothing_else(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path / "bags")
+    bench.start()
+    bench.send(50)
+    (tmp_path / "bags").rename(tmp_path / "pulled out")
+    bench.status("left unfinished")
+    (tmp_path / "pulled out").rename(tmp_path / "bags")
+    again = bench.start()
+    bench.send(100)
+    probe.spin(0.2)
+    assert bench.stop() == again
+
+
 @pytest.mark.requirement("S-65", "S-66")
 @pytest.mark.parametrize("size", [0, 1_500_000])  # met by the flush, or by a message itself
 def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(

@@ -101,9 +101,14 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     second = learner()
     probe.until(lambda: rollouts()[-1].demonstration == "demonstration-2", "the new one", 400.0)
     assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
-    count = len(rollouts())
-    if count < 5:
-        probe.until(lambda: len(rollouts()) > count, "the trial under way", 300.0)
+
+    def paused() -> bool:
+        """Whether the learner says, when it is paused again, that no trial is under way."""
+        answer = probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True))
+        return answers.read(answer.success, answer.message).values["trial"] == "over"
+
+    if len(rollouts()) < 5:
+        probe.until(paused, "the end of the trial under way", 300.0)
     if len(rollouts()) < 5:
         assert say(interface.LEARNER_PUNISH).startswith(f"{rollouts()[-1].id} punished: ")
         assert read_log(folder)[-1].after == len(rollouts())  # nothing was under way

@@ -111,7 +111,8 @@ class Running:
         state = JointState(name=names, position=self.q.tolist())
         state.header.stamp = now
         self._states.publish(state)
-        said = ("wam7", "error", "joint 4 is beyond its limit", {})
+        text = "joint 4 is beyond its limit <img src=x onerror=\"document.title='theirs'\">"
+        said = ("wam7", "error", text, {})
         self._diagnoses.publish(diagnostics_message(now, "torque_controller: loop", *said))
         self.probe.spin(0.05)
 
@@ -182,6 +183,7 @@ def test_a_session_is_watched_and_led_by_buttons_until_it_ends(
     running.until(lambda: says(page, "flips (running)"), "the page knows that it runs")
     assert says(page, f"{ROLLOUTS}, best return") and says(page, "no safety function")
     running.until(lambda: says(page, "error: joint 4 is beyond its limit"), "diagnostics")
+    assert says(page, "<img src=x") and page.title() != "theirs"  # text, and no HTML
     until_drawn_otherwise(page, WHITE)
     page.wait_for_timeout(500)  # until all of it is drawn
     before = scene(page)

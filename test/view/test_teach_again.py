@@ -35,7 +35,7 @@ class Services:
         """Note what is asked, and answer."""
         self.asked.append((name, on))
         waiting = self.answers.get(name.rpartition("/")[2], [])
-        return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1")
+        return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1", {"trial": "over"})
 
     def name_bag(self, bag: Path) -> None:
         """Note the bag."""
@@ -47,36 +47,38 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(teach_again, "RETRY_PERIOD", 0.001)
 
 
-def test_the_arm_is_let_go_only_after_the_trial_under_way_is_on_record() -> None:
-    services, asked_before = Services(), []
+def test_the_arm_is_let_go_only_after_the_trial_under_way_is_over() -> None:
+    under_way = Answer(Code.DONE, "waits after the trial under way", {"trial": "under_way"})
+    services = Services(pause=[under_way] * 3)
+    begin(services, lambda text: None)
+    assert services.asked == [(PAUSE, True)] * 3 + BEGUN
 
-    def trial_over() -> bool:
-        asked_before.append(list(services.asked))
-        return len(asked_before) > 3
 
-    begin(services, trial_over, lambda text: None)
-    assert asked_before == [[(PAUSE, True)]] * 4
+def test_a_learner_that_is_paused_already_is_not_waited_for() -> None:
+    services = Services()
+    begin(services, lambda text: None)
     assert services.asked == BEGUN
 
 
-def test_without_an_end_of_the_trial_the_arm_is_never_let_go() -> None:
-    services = Services()
+@pytest.mark.parametrize("said", [{"trial": "under_way"}, {}])  # nothing: another version of it
+def test_without_an_end_of_the_trial_the_arm_is_never_let_go(said: dict[str, str]) -> None:
+    services = Services(pause=[Answer(Code.DONE, "waits", said)] * 1000)
     with pytest.raises(NotTaughtError, match="no trial ended in 0 s; the learner is paused"):
-        begin(services, lambda: False, lambda text: None, patience=0.01)
-    assert services.asked == [(PAUSE, True)]
+        begin(services, lambda text: None, patience=0.01)
+    assert set(services.asked) == {(PAUSE, True)}
 
 
 def test_the_stand_in_leads_the_arm_from_its_start() -> None:
     services = Services(simulated=True)
-    begin(services, lambda: True, lambda text: None)
+    begin(services, lambda text: None)
     reset, lead = (Services.reset, None), (interface.DEMONSTRATE, None)
     assert services.asked == [*BEGUN[:2], reset, BEGUN[2], lead]
 
 
 def test_a_person_is_told_what_is_waited_for() -> None:
     said: list[str] = []
-    begin(Services(), lambda: True, said.append)
-    assert said == ["pauses after the trial under way", "lead the arm, then press End of movement"]
+    begin(Services(), said.append)
+    assert said == ["/bags/demo_1", "lead the arm, then press End of movement"]
 
 
 def test_the_bag_is_learnt_from_while_the_arm_holds_and_the_learner_goes_on() -> None:
@@ -101,7 +103,7 @@ def test_a_demonstration_that_is_refused_is_said_and_the_learner_goes_on() -> No
 def test_a_service_that_goes_on_refusing_is_named() -> None:
     busy = [Answer(Code.BUSY, "a rollout is under way")] * 1000
     with pytest.raises(NotTaughtError, match=f"{FREE}: a rollout is under way"):
-        begin(Services(gravity_compensation=busy), lambda: True, lambda text: None, patience=0.01)
+        begin(Services(gravity_compensation=busy), lambda text: None, patience=0.01)
 
 
 @pytest.mark.parametrize("step", ["begin", "finish"])
@@ -109,7 +111,7 @@ def test_an_arm_that_cannot_be_recorded_holds_again(step: str) -> None:
     services = Services(record=[Answer(Code.BUSY, "the disk is full")] * 10_000)
     with pytest.raises(NotTaughtError, match="the disk is full"):
         if step == "begin":
-            begin(services, lambda: True, lambda text: None, patience=0.01)
+            begin(services, lambda text: None, patience=0.01)
         else:
             finish(services, patience=0.01)
     assert services.asked[-1] == (FREE, False)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,8 +49,9 @@ def read_demonstration(
         raise ValueError(f"{path} {why}")
     noted, noted_topic, simulated = _noted(path)
     topic = topic or noted_topic
-    states = [_joint_angles(path, topic, cdr) for cdr in _messages(path, topic, JOINT_STATE)]
     ours = tuple(joint_names)
+    known = {*ours, *noted}
+    states = [_joint_angles(path, topic, cdr, known) for cdr in _messages(path, topic, JOINT_STATE)]
     seen = {name for _, angles in states for name in angles}
     if not seen & set(ours) and len(noted) == len(ours):
         ours = noted
@@ -119,16 +120,20 @@ def custom_data(metadata: object) -> dict[str, str]:
     return {str(key): str(value) for key, value in notes.items()}
 
 
-def _joint_angles(path: Path, topic: str, cdr: bytes) -> tuple[int, dict[str, float]]:
+def _joint_angles(
+    path: Path, topic: str, cdr: bytes, known: Collection[str]
+) -> tuple[int, dict[str, float]]:
+    """Stamp and angles of a message; of a device without a known joint those that it has."""
     try:
         message = TYPES.deserialize_cdr(cdr, JOINT_STATE)
     except Exception as error:  # whatever bytes make the decoder raise
         raise ValueError(f"{path}: a message on {topic} is not a JointState: {error}") from error
     stamp = message.header.stamp
     names, position = message.name, message.position.tolist()
-    if len(names) != len(position) or len(set(names)) != len(names):
+    odd = len(names) != len(position) or len(set(names)) != len(names)
+    if odd and not known.isdisjoint(names):
         raise ValueError(f"{path}: {len(position)} positions for names {names} on {topic}")
-    return stamp.sec * 1_000_000_000 + stamp.nanosec, dict(zip(names, position, strict=True))
+    return stamp.sec * 1_000_000_000 + stamp.nanosec, dict(zip(names, position, strict=not odd))
 
 
 def _messages(path: Path, topic: str, msgtype: str) -> list[bytes]:

@@ -74,8 +74,8 @@ def rename(bag: Path, name: str) -> Path:
     to = bag.with_name(name)
     if to.exists() or layout.unfinished(to).exists():
         raise ValueError(f"{to} is there already")
-    old = bag.absolute()
-    return _moved(bag, to, lambda bags: [to.absolute() if b == old else b for b in bags])
+    old, new = bag.resolve(), to.resolve()
+    return _moved(bag, to, lambda bags: [new if b.resolve() == old else b for b in bags])
 
 
 def _is_bag(bag: Path, held: Path) -> bool:
@@ -86,12 +86,13 @@ def _is_bag(bag: Path, held: Path) -> bool:
 
 
 def _without(bags: Sequence[Path], held: Path) -> list[Path]:
-    return [bag for bag in bags if bag != held.absolute()]
+    gone = held.parent.resolve() / held.name
+    return [bag for bag in bags if bag.resolve() != gone]
 
 
 def _moved(bag: Path, to: Path, change: Callable[[Sequence[Path]], list[Path]]) -> Path:
     """Move a bag, then change the series that it belongs to."""
-    file = bag.absolute().parent.parent / FILE
+    file = bag.parent.resolve().parent / FILE
     listed = read(file)
     bag.rename(to)
     if (changed := change(listed)) != listed:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
-from wam_power_ros.cli.launcher import DOMAIN, reach, task_setup
+from wam_power_ros.cli.launcher import DOMAIN, held, reach, task_setup
 from wam_power_ros.cli.session_options import TASK, check_names, session_folder
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 PATIENCE = "30.0"  # [s] for a node to end: a bag is closed, an arm brought to rest
 NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 NEEDED = ("wam_sim", "torque_controller")
-HELD: list[ExitStack | None] = []  # the locks of the domain, until the launch ends
+HELD: list[ExitStack | None] = []  # the locks of domain and session, until the launch ends
 RESPAWN_DELAY = 1.0  # [s], within which Ctrl-C of the terminal has reached launch as well
 SHARED = {  # launch argument -> default and description
     "namespace": ("", "of the nodes of one arm, and of its topics, services and frames"),
@@ -166,8 +166,15 @@ def _namespace(text: str) -> str:
 
 
 def parameter_file(launched: Launched) -> Path:
-    """File with the parameters of all nodes: in the session, else one that ends with the launch."""
+    """File with the parameters of all nodes: in the session, else one that ends with the launch.
+
+    Raises:
+        UsageError: The session is being practised.
+    """
     if launched.session is not None:
+        lock = ExitStack()
+        lock.enter_context(held(launched.session))
+        HELD.append(lock)
         folder = launched.session / "logs"
         folder.mkdir(parents=True, exist_ok=True)
         (folder / DOMAIN).unlink(missing_ok=True)  # of `wam-power learn`, which began the session

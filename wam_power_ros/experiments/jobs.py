@@ -313,9 +313,13 @@ def _compute_there(jobs: Sequence[Job], client: Any) -> Iterator[_Computed]:  # 
     """Compute jobs on a cluster; joblib would compute here while it has a single worker."""
     from distributed import as_completed
 
-    futures = [client.submit(_execute, job, digest(job), None, pure=False) for job in jobs]
-    for _, computed in as_completed(futures, with_results=True):
-        yield computed
+    futures = {client.submit(_execute, job, digest(job), None, pure=False): job for job in jobs}
+    for future in as_completed(futures):
+        if future.status == "finished":
+            yield future.result()
+        else:  # its worker was killed, or has not this package
+            why = repr(future.exception()) if future.status == "error" else future.status
+            yield futures[future], "", f"lost on the cluster: {why}", {}
 
 
 def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if that is installed)

@@ -13,6 +13,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
     raise SystemExit(start("wam_power_ros.nodes.demonstration_recorder"))
 
 import json
+import math
 import shutil
 import time
 from contextlib import suppress
@@ -250,9 +251,16 @@ class DemonstrationRecorder(Node):
     def _look_at_disk(self) -> None:
         """End a recording whose writing has failed, or for which the disk is nearly full."""
         recording = self._recording
-        if recording is not None and recording.error is not None:
+        if recording is None:
+            return
+        free = math.inf
+        try:
+            free = self._free()
+        except OSError as error:  # the folder has gone, as that of a disk pulled out
+            recording.error = recording.error or error
+        if recording.error is not None:
             self._give_up(recording.error)
-        elif recording is not None and self._free() < self._params.free_to_continue:
+        elif free < self._params.free_to_continue:
             try:
                 self._stop("disk nearly full")
                 self._trouble = f"stopped below {self._params.free_to_continue:.0f} MB free"

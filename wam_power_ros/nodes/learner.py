@@ -114,7 +114,7 @@ class Learner(Node):
         )
         self._session: Session | None = None
         self._practice: Practice | None = None
-        self._paused = False
+        self._paused = self._under_way = False
         self._bag = ""  # named last on LEARNER_BAG
         self.create_subscription(String, interface.LEARNER_BAG, self._on_bag, interface.LATCHED)
         rating = self.params.rating
@@ -138,8 +138,9 @@ class Learner(Node):
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._paused = request.data
         response.success = True
-        text = "waits after the trial under way" if request.data else "goes on"
-        response.message = str(Answer(Code.DONE, text))
+        waits = "waits after the trial under way" if self._under_way else "waits"
+        trial = {"trial": "under_way" if self._under_way else "over"}
+        response.message = str(Answer(Code.DONE, waits if request.data else "goes on", trial))
         return response
 
     def _serve(
@@ -197,7 +198,9 @@ class Learner(Node):
             self._session, self._practice = session, practice
             self._save_best(session, practice)  # this may be where the last learner was killed
             while True:
+                self._under_way = False
                 self._rollouts.until(lambda: not self._paused, "the pause is over", math.inf)
+                self._under_way = True
                 if (trial := practice.next_trial()) is None:
                     break
                 record = self._perform(practice, trial)

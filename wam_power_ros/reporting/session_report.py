@@ -19,6 +19,7 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
+from wam_power_ros import durable_files
 from wam_power_ros.learning import policy
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.rollout import Rollout
@@ -102,7 +103,7 @@ def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = ""
     answer = policy.from_json(saved.read_text()) if saved.exists() else None
     path = folder / "report.html"
     html = render(header, task, start, answer, records, shown, why_no_film)
-    path.write_text(html, encoding="utf-8")
+    durable_files.replace(path, html)
     return path
 
 

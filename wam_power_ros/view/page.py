@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -28,6 +30,11 @@ KINDS = {  # as in the report
 }
 BEST = "#9b3fe0"
 NO_SAFETY = "Stop is a request over the network, **no safety function**: use the pendant."
+
+
+def plain(text: str) -> str:
+    """Text of a file or of another node, for Markdown that the browser renders, with its HTML."""
+    return re.sub(r"([\\`*_\[\]|~])", r"\\\1", escape(" ".join(text.split()), quote=False))
 
 
 class Page:
@@ -136,7 +143,7 @@ class Page:
 
     def state(self, lines: Mapping[str, str]) -> None:
         """Show lines such as {"controller": "hold"}."""
-        text = "  \n".join(f"**{name}** {value}" for name, value in lines.items())
+        text = "  \n".join(f"**{plain(name)}** {plain(value)}" for name, value in lines.items())
         if text != self._state.content:
             self._state.content = text
 

@@ -13,7 +13,7 @@ from wam_power_ros.practice import session
 from wam_power_ros.practice.session_log import Kind, Record, with_ratings
 from wam_power_ros.reporting.terminal import number, returned, term_names
 from wam_power_ros.tasks.task import Task
-from wam_power_ros.view.page import Page
+from wam_power_ros.view.page import Page, plain
 
 KINDS: tuple[str, ...] = get_args(Kind)
 SHOWN = 4  # newest rollouts in the text
@@ -31,10 +31,10 @@ def curve(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
 def newest(records: Sequence[Record], task: Task) -> str:
     """The newest rollouts in Markdown, newest first: outcomes, then the terms of their returns."""
     shown = records[: -SHOWN - 1 : -1]
-    lines = [f"**{label(record)}** {task.outcome(record)}  " for record in shown]
+    lines = [f"**{plain(label(record))}** {plain(task.outcome(record))}  " for record in shown]
     rows = [["", *(str(record.number) for record in shown)], ["---"] * (len(shown) + 1)]
     for term in term_names(records):
-        rows.append([term, *(number(record.terms.get(term)) for record in shown)])
+        rows.append([plain(term), *(number(record.terms.get(term)) for record in shown)])
     return "\n".join([*lines, "", *(f"| {' | '.join(row)} |" for row in rows)])
 
 

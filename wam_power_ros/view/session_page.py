@@ -17,7 +17,6 @@ from wam_power_ros.learning.policy_shapes import plan
 from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.practice import session
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer
 from wam_power_ros.view import recorded, teach_again
 from wam_power_ros.view.live import Seen, View
 from wam_power_ros.view.page import EXECUTED, NO_SAFETY, PLANNED, TRAIL, Page
@@ -75,7 +74,6 @@ class SessionPage:
         self._drawn: Seen = Seen()
         self._trail: deque[np.ndarray] = deque(maxlen=TRAIL_LENGTH)
         self._teaching = False
-        self._paused_after: int | None = None  # rollouts on record when it was paused
         practice = {
             REWARD: (
                 "green",
@@ -87,8 +85,16 @@ class SessionPage:
                 "the last finished rollout",
                 self._asking(PUNISH, interface.LEARNER_PUNISH),
             ),
-            PAUSE: ("blue", "after the trial under way", lambda: self._pause(True)),
-            CONTINUE: ("blue", "after a pause", lambda: self._pause(False)),
+            PAUSE: (
+                "blue",
+                "after the trial under way",
+                self._asking(PAUSE, interface.LEARNER_PAUSE, True),
+            ),
+            CONTINUE: (
+                "blue",
+                "after a pause",
+                self._asking(CONTINUE, interface.LEARNER_PAUSE, False),
+            ),
             TEACH: ("violet", "pause, lead the arm, learn from it", self._teach),
             TAUGHT: ("violet", "you have led the arm", self._taught),
             STOP: ("red", "no safety function", self._asking(STOP, interface.STOP)),
@@ -123,6 +129,7 @@ class SessionPage:
     def connect(self, node: View | None) -> None:
         """Follow a running session by its node, None when it has ended."""
         self._node, self._drawn = node, Seen()
+        self._teaching = False
         self._enable()
 
     def _enable(self) -> None:
@@ -174,23 +181,17 @@ class SessionPage:
 
     # What the buttons do, in threads of viser
 
-    def _ask(self, label: str, name: str, on: bool | None = None) -> Answer | None:
+    def _ask(self, label: str, name: str, on: bool | None = None) -> None:
         """Call a service of the session, and show the answer in the browser."""
         node = self._node
         if node is None:
             self._page.tell(label, "the session is not running", good=False)
-            return None
+            return
         answer = node.ask(name, on)
         self._page.tell(label, answer.text or answer.code.value, good=answer.success)
-        return answer
 
-    def _asking(self, label: str, name: str) -> Callable[[], object]:
-        return lambda: self._ask(label, name)
-
-    def _pause(self, on: bool) -> None:
-        answer = self._ask(PAUSE if on else CONTINUE, interface.LEARNER_PAUSE, on)
-        if answer is not None and answer.success:
-            self._paused_after = len(self._progress.records) if on else None
+    def _asking(self, label: str, name: str, on: bool | None = None) -> Callable[[], object]:
+        return lambda: self._ask(label, name, on)
 
     def _teach(self) -> None:
         if self._teaching or self._node is None:
@@ -199,15 +200,8 @@ class SessionPage:
         threading.Thread(target=self._teach_now, args=(self._node,), daemon=True).start()
 
     def _teach_now(self, node: View) -> None:
-        if self._paused_after is None:
-            self._paused_after = len(self._progress.records)
-        before = self._paused_after
         try:
-            teach_again.begin(
-                node,
-                lambda: len(self._progress.records) > before,
-                lambda text: self._page.tell(TEACH, text),
-            )
+            teach_again.begin(node, lambda text: self._page.tell(TEACH, text))
             if node.offered(interface.DEMONSTRATE):
                 self._taught()
             else:
@@ -222,7 +216,6 @@ class SessionPage:
         self._buttons[TAUGHT].disabled = True
         try:
             self._page.tell(TEACH, teach_again.finish(self._node))
-            self._paused_after = None
         except teach_again.NotTaughtError as error:
             self._page.tell(TEACH, str(error), good=False)
         finally:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Another demonstration in the middle of a session, from the page: pause, lead, learn, go on.
 
-The arm is let go only after the trial that was under way when the pause was asked for is on record:
-from then on the learner sends nothing until it is told to go on.
+The arm is let go only after the learner has said that it is paused and no trial is under way: from
+then on it sends nothing until it is told to go on.
 """
 
 from __future__ import annotations
@@ -40,7 +40,6 @@ class NotTaughtError(RuntimeError):
 
 def begin(
     services: Services,
-    trial_over: Callable[[], bool],
     tell: Callable[[str], object],
     patience: float = PATIENCE,
 ) -> None:
@@ -48,20 +47,20 @@ def begin(
 
     Args:
         services: Services of the session.
-        trial_over: Returns true once the trial that was under way is on record.
         tell: Takes a line about what is waited for.
         patience: Longest wait for a service to agree [s of wall time].
 
     Raises:
         NotTaughtError: A service refused, or the trial did not end.
     """
-    _insist(services, interface.LEARNER_PAUSE, True, patience)
-    tell("pauses after the trial under way")
     end = time.monotonic() + patience
-    while not trial_over():
+    answer = _insist(services, interface.LEARNER_PAUSE, True, patience)
+    tell(answer.text)
+    while answer.values.get("trial") != "over":
         if time.monotonic() > end:
             raise NotTaughtError(f"no trial ended in {patience:.0f} s; the learner is paused")
         time.sleep(RETRY_PERIOD)
+        answer = _insist(services, interface.LEARNER_PAUSE, True, patience)
     _insist(services, interface.GRAVITY_COMPENSATION, True, patience)
     try:
         if services.offered(interface.DEMONSTRATE):  # the stand-in: arm and body back to the start

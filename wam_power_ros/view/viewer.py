@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -69,13 +69,14 @@ def of_session(
     Raises:
         SessionError: It cannot be read.
     """
+    exported = dict(os.environ)
     page = SessionPage(server, folder)
     page.tick(0.0)
     ready()
     while True:
         if not running(folder):
             _tick(page, LOOK_PERIOD, lambda: running(folder))
-        os.environ |= environment(folder)
+        enter(environment(folder), exported)
         setup = parameters(folder)
         namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
         whose = setup["pancake_tracker"]["body"], namespace
@@ -84,6 +85,18 @@ def of_session(
             page.connect(node)
             _tick(page, LIVE_PERIOD, lambda: not running(folder))
             page.connect(None)
+
+
+def enter(wanted: Mapping[str, str], exported: Mapping[str, str]) -> None:
+    """Set variables of this process, and give those of the session before their exported values.
+
+    Args:
+        wanted: Variables of the session; one on a real arm has none.
+        exported: Variables that this process was started with.
+    """
+    for name in os.environ.keys() - exported.keys():
+        del os.environ[name]
+    os.environ.update({**exported, **wanted})
 
 
 def _tick(page: SessionPage, period: float, ended: Callable[[], bool]) -> None:

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the page of a session looks for its nodes."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+pytest.importorskip("viser")
+from wam_power_ros.view.viewer import enter
+
+
+def test_a_session_that_goes_on_at_a_real_arm_is_looked_for_in_the_exported_domain(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    monkeypatch.delenv("ROS_STATIC_PEERS", raising=False)
+    exported = dict(os.environ)
+    enter({"ROS_DOMAIN_ID": "42", "ROS_STATIC_PEERS": ""}, exported)
+    assert os.environ["ROS_DOMAIN_ID"] == "42" and "ROS_STATIC_PEERS" in os.environ
+    enter({}, exported)
+    assert dict(os.environ) == exported
