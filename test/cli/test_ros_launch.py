@@ -73,6 +73,16 @@ def test_a_session_has_its_bags_in_its_folder_and_what_was_asked_for_it(tmp_path
     assert of_nodes(file)["learner"] == learner
 
 
+def test_a_path_with_a_space_is_quoted(tmp_path: Path) -> None:
+    (tmp_path / "my bags").mkdir()
+    bag = tmp_path / "my bags" / BAGS[0].name
+    bag.symlink_to(BAGS[0].resolve())
+    launched = sim(session=tmp_path / "s", demonstrations=f"'{bag}' {BAGS[1]}")
+    assert launched.setup["learner"]["demonstrations"] == [str(b.resolve()) for b in BAGS[:2]]
+    with pytest.raises(ValueError, match="No closing quotation"):
+        sim(session=tmp_path / "s", demonstrations="'unended")
+
+
 def test_a_launch_leaves_a_session_alone_that_is_being_practised(tmp_path: Path) -> None:
     launched = sim(session=tmp_path)
     with launcher.held(tmp_path):

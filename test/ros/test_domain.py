@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -91,6 +93,24 @@ def test_a_domain_has_one_holder_and_belongs_to_the_processes_below_it(
     free = hold(two[0])  # the kernel drops the lock with its process
     assert free is not None
     free.close()
+
+
+def test_a_lock_is_readable_for_other_users_and_one_that_is_not_is_named(
+    two: tuple[int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = Path(tempfile.gettempdir()) / f"ros_domain_{two[0]}.lock"
+    file.chmod(0o600)  # as of a user with umask 077
+    held = hold(two[0])
+    assert held is not None
+    held.close()
+    assert file.stat().st_mode & 0o444 == 0o444
+
+    def theirs(path: Path, how: int) -> object:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(domain, "_locked", theirs)
+    with pytest.raises(DomainError, match=re.escape(f"{file} cannot be read: another user")):
+        hold(two[0])
 
 
 @pytest.mark.parametrize("text", ["300", "233", "-1", "robot", "1.0", "٣"])

@@ -48,3 +48,15 @@ def test_only_this_machine_reaches_the_server_and_nothing_is_shared_by_a_relay()
 def test_an_address_of_another_machine_is_refused() -> None:
     with pytest.raises(ValueError, match=r"'192\.0\.2\.1' is none of this machine"):
         open_server("192.0.2.1", 0)
+
+
+def test_a_port_that_is_taken_gives_way_to_the_next_and_none_is_waited_for_in_vain() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        server = open_server("127.0.0.1", port)
+        try:
+            assert server.get_port() > port
+        finally:
+            server.stop()
+    with pytest.raises(ValueError, match="port 70000"):
+        open_server("127.0.0.1", 70000)

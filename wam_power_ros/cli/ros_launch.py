@@ -13,6 +13,7 @@ import argparse
 import atexit
 import os
 import re
+import shlex
 import shutil
 import sys
 import tempfile
@@ -46,7 +47,7 @@ SHARED = {  # launch argument -> default and description
     "namespace": ("", "of the nodes of one arm, and of its topics, services and frames"),
     "task": ("", "skill to be learnt; '': that of the session, or flip"),
     "session": ("", "folder of a session, begun or resumed; '': no learner"),
-    "demonstrations": ("", "bags a new session begins from"),
+    "demonstrations": ("", "bags a new session begins from; one with a space in quotes"),
     "learner": ("", "learning algorithm; '': the preset's"),
     "preset": ("", "settings of the task; '': its first"),
     "trials": ("", "budget of rollouts; '': the preset's"),
@@ -88,8 +89,8 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
     """
     from wam_power_ros.practice import session as sessions
 
-    bags = [Path(bag).expanduser().resolve() for bag in given["demonstrations"].split()]
-    names = given["config"].split()
+    bags = [Path(bag).expanduser().resolve() for bag in _several(given, "demonstrations")]
+    names = _several(given, "config")
     simulated = stand_ins and (bool(names) or given["pace"] == "real_time")
     session, task, asked = None, given["task"] or TASK, _whole(given, "seed")
     seed = asked or 0
@@ -137,6 +138,18 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
     if session is not None:
         executables.append("learner")
     return Launched(setup, tuple(executables), session, _namespace(given["namespace"]))
+
+
+def _several(given: Mapping[str, str], name: str) -> list[str]:
+    """Names or paths of a launch argument; one with a space is quoted, as in a shell.
+
+    Raises:
+        ValueError: A quotation does not end.
+    """
+    try:
+        return shlex.split(given[name])
+    except ValueError as error:
+        raise ValueError(f"{name} {given[name]!r}: {error}") from None
 
 
 def _whole(given: Mapping[str, str], name: str) -> int | None:

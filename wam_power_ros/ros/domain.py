@@ -78,7 +78,7 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
         The locks; None when a process above this one holds it already.
 
     Raises:
-        DomainError: Another process holds it.
+        DomainError: Another process holds it, or its lock cannot be read.
     """
     name = namespace.strip("/").replace("/", "__")
     files = [(_lock_file(domain), fcntl.LOCK_SH if name else fcntl.LOCK_EX)]
@@ -88,6 +88,11 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
         for file, how in files:
             try:
                 held.enter_context(_locked(file, how))
+            except PermissionError:
+                raise DomainError(
+                    f"{file} cannot be read: another user made it; it must be readable for all, "
+                    "or removed while nobody uses the domain"
+                ) from None
             except BlockingIOError:
                 holder = _holder(file)
                 if holder in _ancestors():
@@ -119,6 +124,8 @@ def _locked(path: Path, how: int = fcntl.LOCK_EX) -> IO[str]:
     """
     try:
         file = path.open("a")
+        if os.fstat(file.fileno()).st_uid == os.getuid():
+            os.fchmod(file.fileno(), 0o644)  # whatever the umask: others must see who holds it
     except PermissionError:  # another user made it: to be read is enough for a lock
         file = path.open()
     try:

@@ -25,6 +25,8 @@ from websockets.http11 import Request, Response
 
 from wam_power_ros.view.message_buffer import MessageBuffer
 
+PORTS = 65536
+
 
 def refusal(host: str | None, origin: str | None) -> str:
     """Reason to refuse a request by its Host and Origin headers; empty for none."""
@@ -42,20 +44,29 @@ def open_server(address: str, port: int) -> viser.ViserServer:
     """A server at an address; the port is the first free one from `port` on.
 
     Raises:
-        ValueError: The address is none of this machine.
+        ValueError: The address is none of this machine, or there is no such port free.
     """
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
-    try:
-        with socket.socket(family) as probe:
-            probe.bind((address, 0))
-    except OSError as error:
-        raise ValueError(f"address {address!r} is none of this machine: {error}") from None
+    if not _free(family, address, 0):
+        raise ValueError(f"address {address!r} is none of this machine")
+    free = next((each for each in range(port, PORTS) if _free(family, address, each)), None)
+    if free is None:  # viser would wait for ever
+        raise ValueError(f"port {port}: there is no free one from there to {PORTS - 1}")
     _infra.AsyncMessageBuffer = MessageBuffer  # of all browsers, and later of each one
     with _refusing(), redirect_stdout(io.StringIO()):  # its banner names no address but its own
-        server = viser.ViserServer(host=address, port=port, label="wam_power_ros", verbose=False)
+        server = viser.ViserServer(host=address, port=free, label="wam_power_ros", verbose=False)
     for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
         server._websock_server._incoming_handlers.pop(message, None)
     return server
+
+
+def _free(family: socket.AddressFamily, address: str, port: int) -> bool:
+    """Whether a port, any if 0, can be bound at an address."""
+    with socket.socket(family) as probe, suppress(OSError):
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # one that was just closed
+        probe.bind((address, port))
+        return True
+    return False
 
 
 @contextmanager
