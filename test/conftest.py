@@ -88,6 +88,7 @@ class Probe:
         """A publisher, once `readers` subscriptions have been matched."""
         publisher = self.node.create_publisher(message_type, topic, qos)
         self.until(lambda: publisher.get_subscription_count() >= readers, f"readers of {topic}")
+        self.spin(0.1)  # a reader that has not matched us yet loses what we send
         return publisher
 
     def spin(self, seconds: float) -> None:
