@@ -12,13 +12,14 @@ import pytest
 import rclpy
 from conftest import Probe, Processes, lift
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Path
+from nav_msgs.msg import Odometry, Path
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
+from wam_power_ros.nodes import rollout_client
 from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
 from wam_power_ros.ros import interface, pose_messages, service_client
 from wam_power_ros.ros.answers import Answer, Code
@@ -222,6 +223,46 @@ def test_a_fault_that_comes_again_and_again_ends_it_by_name(
     cell.answers[interface.EXECUTE] = [Answer(Code.FAULT, "no rollout")] * 10
     with pytest.raises(RolloutError, match="no rollout"):
         client.execute(POLICY, WHOLE, lambda state: "")
+
+
+@pytest.mark.parametrize("scene_reset", [True, False])
+def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulation_can(
+    scene_reset: bool, probe: Probe, cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(rollout_client, "READY_TIMEOUT", 0.5)
+    put_back = interface.body_topic("pancake", "reset")
+    cell.answers[put_back] = []
+    probe.node.create_service(Trigger, put_back, cell._serve(put_back))
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+    start_ns, t = 10**9, np.arange(0.0, WHOLE, 0.01)
+    path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(level, (len(t), 1)))
+    topic = interface.rollout_topic("pancake")
+    paths = probe.node.create_publisher(Path, topic, interface.LATCHED)
+    paths.publish(pose_messages.path_message(path, start_ns, "wam_base"))
+    topic = interface.body_topic("pancake", "state")
+    states, sent = probe.node.create_publisher(Odometry, topic, interface.STATE_OUT), []
+
+    def tell() -> None:  # on the floor, until it has been put back a second time
+        sent.append(start_ns + len(sent))
+        height = 0.0 if cell.requests.count(put_back) < 2 else 1.0
+        zero, position = np.zeros(3), np.array([0.0, 0.0, height])
+        state = pose_messages.StateReading(sent[-1], "wam_base", position, level, zero, zero, 1e-6)
+        states.publish(pose_messages.odometry_message(state, "pancake"))
+
+    probe.node.create_timer(0.02, tell)
+    params = vars(PARAMS) | {"scene_reset": scene_reset, "patience": 20.0 if scene_reset else 1.0}
+    client = RolloutClient(probe.node, probe._executor, SimpleNamespace(**params), "pancake")
+    execute = lambda: client.execute(  # noqa: E731
+        POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor"
+    )
+    if scene_reset:
+        execute()
+        begun = [interface.MOVE_TO_START, put_back]
+        assert cell.requests == [*begun, *begun, interface.EXECUTE]
+    else:  # a person puts it back
+        with pytest.raises(RolloutError, match="not within 1 s: the pancake is ready"):
+            execute()
+        assert cell.requests == [interface.MOVE_TO_START]
 
 
 @pytest.mark.parametrize("step", [10_000_000, 0, 2_000_000_000])

@@ -40,6 +40,7 @@ ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
 RECEIPT_TIMEOUT = 2.0  # longest wait until all readers have a policy; one that hangs never has [s]
 CLOCKS_APART = 0.2  # clocks of arm and motion capture at most; the tracker allows no more [s]
 END_TOLERANCE = 0.05  # by which a whole rollout may be shorter: no fault cut it short [s]
+READY_TIMEOUT = 10.0  # after which a body that can be put back is put back again [s of wall time]
 WAITING_PERIOD = 5.0  # between two lines that say what a person is waited for [s]
 READY_STATES = 3  # states of the body in a row that must be ready
 NOT_ACTIVE = ("", "unconfigured", Mode.INACTIVE.value)  # modes, the first before any is known
@@ -270,22 +271,40 @@ class RolloutClient:
         Raises:
             NotBegunError: The controller came to a fault before, or nothing was answered.
         """
-        self._reach_start(policy)
-        if self._params.scene_reset:
-            self._insist(self._reset, policy.id)
-        self._ready_states = self._ready_ns = 0
-        if self._body:
-            self.until(
-                lambda: self._ready_states >= READY_STATES,
-                f"the {self._body} is ready ({self._missing or 'not seen yet'})",
-                self._params.patience,
-            )
+        self._await_body(policy)
         ready_ns = self._ready_ns
         if self._params.record_rollouts:
             self._begin_bag(policy.id)
         self._truth = self._fault = None
         self._insist(interface.EXECUTE, policy.id)
         return ready_ns
+
+    def _await_body(self, policy: Policy) -> None:
+        """Bring the arm to the start of the policy, and wait until the body is ready there.
+
+        A simulation puts the body back, again and again: a request that was given up as lost may
+        be served late and throw it off. Otherwise a person does, within the patience.
+        """
+        end = time.monotonic() + self._params.patience
+        while True:
+            self._reach_start(policy)
+            put_back = self._params.scene_reset
+            if put_back:
+                self._insist(self._reset, policy.id)
+            self._ready_states = self._ready_ns = 0
+            if not self._body:
+                return
+            try:
+                self.until(
+                    lambda: self._ready_states >= READY_STATES,
+                    f"the {self._body} is ready ({self._missing or 'not seen yet'})",
+                    READY_TIMEOUT if put_back else self._params.patience,
+                )
+                return
+            except RolloutError:
+                if not put_back or time.monotonic() > end:
+                    raise
+                self._log.warning(f"put back again: the {self._body} {self._missing or 'is lost'}")
 
     def _reach_start(self, policy: Policy) -> None:
         """Bring the arm to the start of the policy, out of a fault if need be.
