@@ -356,7 +356,7 @@ def test_headers_that_would_run_code_and_candidates_that_differ_are_refused(tmp_
     folder = begun(tmp_path / "s", 1)
     path = folder / "session.yaml"
     text = path.read_text()
-    for damage in ("!!python/object/apply:os.getcwd []", "a: [", "5"):
+    for damage in ("!!python/object/apply:os.getcwd []", "a: [", "5", "a: &a [1]\nb: [*a, *a]"):
         path.write_text(damage)
         with pytest.raises(SessionError, match=r"session\.yaml: "):
             Session.open(folder)

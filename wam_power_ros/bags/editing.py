@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from rosbags.interfaces import QosDurability
 
-from wam_power_ros.bags import layout, plain_yaml, reader
+from wam_power_ros import plain_yaml
+from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES
 from wam_power_ros.bags.reader import Topic
 from wam_power_ros.bags.writer import BagWriter, header_stamp

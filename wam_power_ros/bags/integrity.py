@@ -23,7 +23,7 @@ import lz4.frame
 import yaml
 from backports import zstd
 
-from wam_power_ros.bags import plain_yaml
+from wam_power_ros import plain_yaml
 from wam_power_ros.durable_files import check_regular
 
 MAGIC = b"\x89MCAP0\r\n"

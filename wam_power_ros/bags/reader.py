@@ -13,8 +13,9 @@ import numpy as np
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import Reader
 
+from wam_power_ros import plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, from_json, refusal
-from wam_power_ros.bags import integrity, plain_yaml
+from wam_power_ros.bags import integrity
 from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES, unfinished
 
 

@@ -20,7 +20,8 @@ from pathlib import Path
 
 from rosbags.interfaces import Qos
 
-from wam_power_ros.bags import layout, plain_yaml, reader
+from wam_power_ros import plain_yaml
+from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.integrity import CHUNK, CHUNK_CRC_AT, CHUNK_HEADER, MAGIC, RECORD_HEADER
 from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.writer import BagWriter

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from wam_power_ros import durable_files
+from wam_power_ros import durable_files, plain_yaml
 from wam_power_ros.learning import policy as policy_module
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.settings import SessionSettings
@@ -85,8 +85,8 @@ def read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str
     for needed in (path, folder / "task.json"):
         check_regular(needed)
     try:
-        header = SessionHeader.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
-    except (ValidationError, yaml.YAMLError, UnicodeDecodeError) as error:
+        header = SessionHeader.model_validate(plain_yaml.read(path))
+    except ValueError as error:
         raise SessionError(f"{path}: {brief(error)}") from error
     candidates = []
     for id in header.candidates:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML of bags: plain data comes back, anything else is refused by the name of its file."""
+"""YAML of bags and sessions: plain data comes back, the rest is refused by the name of its file."""
 
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wam_power_ros.bags import plain_yaml
+from wam_power_ros import plain_yaml
 
 TEXT = st.text(st.characters(codec="ascii", exclude_categories=["Cc"]), max_size=10)
 DATA = st.recursive(

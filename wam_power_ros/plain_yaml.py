@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML of a bag, read as plain data: large, deeply nested or self-referring text is refused."""
+"""YAML of bags and sessions, read as plain data; what is large, deep or circular is refused."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def parse(text: bytes, where: str) -> object:
         decoded = text.decode()
         for event in yaml.parse(decoded, Loader=LOADER):
             if isinstance(event, yaml.AliasEvent):
-                raise ValueError(f"{where} has an alias, which no bag needs")
+                raise ValueError(f"{where} has an alias, which nothing here needs")
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > DEPTH_MAX:
