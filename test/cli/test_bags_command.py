@@ -102,11 +102,19 @@ def test_an_imported_bag_is_of_the_task_it_was_imported_for(
     _, q = reader.read_demonstration(SHIPPED, WAM)
     theirs = demonstration(tmp_path / "theirs", q, names)
     monkeypatch.chdir(tmp_path)
-    said(capsys, "import", theirs, "--joints", *names, "--task", "reach")
+    assert "good" in said(capsys, "import", theirs, "--joints", *names, "--task", "reach")
     _, angles = reader.read_demonstration(tmp_path / "reach_theirs", WAM)
     np.testing.assert_array_equal(angles, q)
     assert main.main(["learn", "--bags", "reach_theirs"]) == 2
     assert "is a demonstration of reach, not of flip" in capsys.readouterr().err
+
+
+def test_an_imported_bag_from_which_nothing_can_be_learnt_is_told_so_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    still = demonstration(tmp_path / "still", np.zeros((200, 7)), WAM)
+    monkeypatch.chdir(tmp_path)
+    assert "poor  hardly moves" in said(capsys, "import", still)
 
 
 def test_a_bag_that_was_never_closed_is_recovered(

@@ -147,6 +147,14 @@ def test_the_last_file_counts_most_and_may_deny_what_follows(tmp_path: Path) -> 
         ("- a\n- b", "no file of ROS parameters"),
         ("torque_controller: !!python/object:os.system {}", "no file of ROS parameters"),
         ("a: {", "no file of ROS parameters"),
+        ("torque_controller: {ros__parameters: {urdf: 3}}", "urdf .* is 3; allowed is text"),
+        ("torque_controller: {ros__parameters: {obstacle: 1.0}}", "list, each a number"),
+        ("torque_controller: {ros__parameters: {joint_names: [a, 2]}}", "list, each text"),
+        ("pancake_tracker: {ros__parameters: {body: }}", "body .* is None; allowed is text"),
+        ("wam_sim: {ros__parameters: {rate: fast}}", "no parameter 'rate'"),
+        ("torque_controller: {ros__parameters: {period: true}}", "is True; allowed is a number"),
+        ("learner: {ros__parameters: {trials: 2.5}}", "2.5; allowed is a whole number"),
+        ("torque_controller: {ros__parameters: {1: 2}}", "no parameter 1"),
     ],
 )
 def test_a_bad_file_is_refused_by_name(text: str, says: str, tmp_path: Path) -> None:

@@ -285,7 +285,9 @@ def import_(options: argparse.Namespace) -> None:
     to = options.output or layout.free_path(Path(), f"{kind}_{options.bag.resolve().stem}")
     with telling(f"importing {options.bag}"):
         made = editing.import_bag(options.bag, to, names, options.joints, options.topic, kind)
+        _, row, why = _row(made, *arm_of(setup))
     _made(made)
+    print(f"  {row.strip()}  {why}".rstrip())
 
 
 def rename(options: argparse.Namespace) -> None:

@@ -29,6 +29,7 @@ NODES = (
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
 MOVE_SPEED = 1.0  # [rad/s] of a simulated arm in lockstep, on its way to a start
+_KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 
 
@@ -63,7 +64,8 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             the name of the task, where config/TASK.yaml counts if it is there.
 
     Raises:
-        ValueError: When a file cannot be found or read, or names an unknown node or parameter.
+        ValueError: When a file cannot be found or read, names an unknown node or parameter, or
+            gives one another kind of value than the node's own file does.
     """
     own = {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
     given: Setup = {node: {} for node in NODES}
@@ -130,19 +132,35 @@ def _read(file: Path) -> Setup:
     """Parameters by node of one file."""
     found = parameter_file.of_nodes(file)
     for values in found.values():  # a URDF may be in the folder of the set-up file
-        if values.get("urdf") and (file.parent / values["urdf"]).is_file():
-            values["urdf"] = str((file.parent / values["urdf"]).resolve())
+        if values.get("urdf") and (beside := file.parent / str(values["urdf"])).is_file():
+            values["urdf"] = str(beside.resolve())
     return found
 
 
 def _check(file: Path, node: str, values: Mapping[str, Any], own: Setup) -> None:
     if node not in own:
         raise ValueError(f"{file} has parameters for {node!r}; the nodes are {list(NODES)}")
-    for name in values:
+    for name, value in values.items():
         if name not in own[node]:
-            near = difflib.get_close_matches(name, own[node], n=1)
+            near = difflib.get_close_matches(str(name), own[node], n=1)
             hint = f"; is it {near[0]}?" if near else f"; it has {sorted(own[node])}"
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
+        if not _alike(value, usual := own[node][name]):
+            raise ValueError(f"{file}: {name} of {node} is {value!r}; allowed is {_kind(usual)}")
+
+
+def _alike(value: object, usual: object) -> bool:
+    """Whether a value is of the kind of another; a whole number may stand for any number."""
+    if isinstance(usual, list):
+        return isinstance(value, list) and all(_alike(item, usual[0]) for item in value)
+    return type(value) is type(usual) or (type(value) is int and type(usual) is float)
+
+
+def _kind(usual: object) -> str:
+    """What values like this one are, for people."""
+    if isinstance(usual, list):
+        return f"a list, each {_kind(usual[0])}"
+    return _KINDS[type(usual)]
 
 
 def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
