@@ -28,6 +28,7 @@ from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.ros.service_client import DISCOVERY
 
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
@@ -141,7 +142,9 @@ class Lab:
         client = self._services.get(name)
         if client is None:
             client = self._services[name] = self.node.create_client(Trigger, name)
-        self.wait(client.service_is_ready, name, play)
+        if not client.service_is_ready():
+            self.wait(client.service_is_ready, name, play)
+            (self.play if play else self.spin)(DISCOVERY)
         future = client.call_async(Trigger.Request())
         self.wait(future.done, f"answer of {name}", play)
         return future.result().success

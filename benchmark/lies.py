@@ -30,6 +30,7 @@ from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.joint_messages import JointStateWriter
+from wam_power_ros.ros.service_client import DISCOVERY
 
 FASTER = 0.5  # [m/s] than without a lie the tool may become
 REST_TICKS = 250  # [periods] from the fault to rest: 0.5 s
@@ -178,7 +179,9 @@ class Driver:
         client = self._clients.get(name)
         if client is None:
             client = self._clients[name] = self._lab.node.create_client(kind, name)
-        self.play(TIMEOUT, client.service_is_ready)
+        if not client.service_is_ready():
+            self.play(TIMEOUT, client.service_is_ready)
+            self.play(DISCOVERY)
         return client.call_async(request)
 
     def call(self, name: str, request: object = None) -> bool:

@@ -26,6 +26,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as RosPath
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -41,8 +42,9 @@ from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Code, read
+from wam_power_ros.ros.answers import Answer, Code, read
 from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.ros.service_client import DISCOVERY
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
@@ -96,6 +98,7 @@ class Director(Node):
         self.counts: dict[str, int] = {}  # activities by name
         self.diagnostics: dict[str, dict[str, str]] = {}
         self._paths: list[RosPath] = []
+        self._asked: dict[str, Client] = {}
         self._between: Callable[[], None] = lambda: None
         self._policies = self.create_publisher(String, interface.POLICY, interface.LATCHED)
         self.create_subscription(
@@ -141,33 +144,33 @@ class Director(Node):
         Raises:
             TimeoutError: When it does not agree within `patience` [s].
         """
-        client = self.create_client(kind, name)
         why = "did not appear"
         end = time.monotonic() + patience
-        try:
-            while time.monotonic() < end:
-                if self.until(client.service_is_ready, 5.0):
-                    future = client.call_async(request or kind.Request())
-                    if self.until(future.done, 60.0):
-                        response = future.result()
-                        answer = read(response.success, response.message)
-                        if answer.success:
-                            return answer.values.get("policy", answer.text)
-                        why = f"refused: {answer.text}"
-                        if answer.code is Code.FAULT:  # they occur on a busy machine
-                            self._reset()
-                self.wait(0.2)
-        finally:
-            self.destroy_client(client)
+        while time.monotonic() < end:
+            answer = self._ask(kind, name, request or kind.Request(), 60.0)
+            if answer is not None:
+                if answer.success:
+                    return answer.values.get("policy", answer.text)
+                why = f"refused: {answer.text}"
+                if answer.code is Code.FAULT:  # they occur on a busy machine
+                    self._ask(Trigger, interface.RESET, Trigger.Request(), 5.0)
+                    self._count("resets of a fault")
+            self.wait(0.2)
         raise TimeoutError(f"{name} {why}")
 
-    def _reset(self) -> None:
-        client = self.create_client(Trigger, interface.RESET)
-        if self.until(client.service_is_ready, 5.0):
-            future = client.call_async(Trigger.Request())
-            self.until(future.done, 5.0)
-            self._count("resets of a fault")
-        self.destroy_client(client)
+    def _ask(self, kind: type, name: str, request: object, patience: float) -> Answer | None:
+        """Answer of a service; None if it does not appear in 5 s or answer in `patience` [s]."""
+        client = self._asked.get(name)
+        if client is None:
+            client = self._asked[name] = self.create_client(kind, name)
+        if not client.service_is_ready():
+            if not self.until(client.service_is_ready, 5.0):
+                return None
+            self.wait(DISCOVERY)
+        future = client.call_async(request)
+        if not self.until(future.done, patience):
+            return None
+        return read(future.result().success, future.result().message)
 
     def rollout(self, policy: Policy) -> None:
         """Move to the start, reset the pancake, execute, wait for the path; repeat if it fails."""
