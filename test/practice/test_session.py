@@ -358,8 +358,9 @@ def test_headers_that_would_run_code_and_candidates_that_differ_are_refused(tmp_
     text = path.read_text()
     for damage in ("!!python/object/apply:os.getcwd []", "a: [", "5", "a: &a [1]\nb: [*a, *a]"):
         path.write_text(damage)
-        with pytest.raises(SessionError, match=r"session\.yaml: "):
+        with pytest.raises(SessionError) as refused:
             Session.open(folder)
+        assert str(refused.value).count("session.yaml") == 1
     path.write_text(text.replace("flick-2", "../../x"))
     with pytest.raises(SessionError, match=r"session\.yaml: candidates: .* must match"):
         Session.open(folder)

@@ -281,11 +281,12 @@ def import_(options: argparse.Namespace) -> None:
     from wam_power_ros.cli.launcher import task_setup
 
     setup = overlay.setup(options.config, task=task_setup(options.task))
-    names, kind = setup["torque_controller"]["joint_names"], setup["demonstration_recorder"]["stem"]
+    names, arm = arm_of(setup)
+    kind = setup["demonstration_recorder"]["stem"]
     to = options.output or layout.free_path(Path(), f"{kind}_{options.bag.resolve().stem}")
     with telling(f"importing {options.bag}"):
         made = editing.import_bag(options.bag, to, names, options.joints, options.topic, kind)
-        _, row, why = _row(made, *arm_of(setup))
+        _, row, why = _row(made, names, arm)
     _made(made)
     print(f"  {row.strip()}  {why}".rstrip())
 

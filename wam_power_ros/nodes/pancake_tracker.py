@@ -98,7 +98,7 @@ class PancakeTracker(Node):
             self._refuse(error)
             return
         self._heard_ns = self._watch.now().nanoseconds
-        if self._waiting:  # the logger's own `once` takes a quarter of this node's time
+        if self._waiting:  # the logger's own `once` looks for its caller at every frame
             self._waiting = False
             self.get_logger().info("the first frame has come")
         if not self._sim_time:

@@ -9,6 +9,7 @@ replace these devices, are derived from them here, unless a file gives them expl
 from __future__ import annotations
 
 import difflib
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -146,7 +147,8 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Setup) -> None
             hint = f"; is it {near[0]}?" if near else f"; it has {sorted(own[node])}"
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
         if not _alike(value, usual := own[node][name]):
-            raise ValueError(f"{file}: {name} of {node} is {value!r}; allowed is {_kind(usual)}")
+            shown = reprlib.repr(value)  # may be a file of it
+            raise ValueError(f"{file}: {name} of {node} is {shown}; allowed is {_kind(usual)}")
 
 
 def _alike(value: object, usual: object) -> bool:

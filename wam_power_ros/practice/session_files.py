@@ -86,8 +86,10 @@ def read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str
         check_regular(needed)
     try:
         header = SessionHeader.model_validate(plain_yaml.read(path))
-    except ValueError as error:
+    except ValidationError as error:
         raise SessionError(f"{path}: {brief(error)}") from error
+    except ValueError as error:  # names the file
+        raise SessionError(brief(error)) from error
     candidates = []
     for id in header.candidates:
         path = folder / "candidates" / f"{id}.json"
