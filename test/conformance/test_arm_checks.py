@@ -199,6 +199,8 @@ def test_the_joint_that_is_led_must_be_the_one_that_moves_and_the_way_asked() ->
     assert (other.verdict, "wam_j5 is the name of this one" in other.advice) == (Verdict.FAIL, True)
     assert "reversed" in arm_checks.led(record(led(2, by=-0.4)), 2).advice
     assert arm_checks.led(record(at_rest()), 2).verdict is Verdict.UNCHECKED
+    silent = arm_checks.led(record([]), 2)
+    assert (silent.verdict, silent.found) == (Verdict.FAIL, "no states of these joints")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""check_driver over real DDS, against the stand-in and six that are broken."""
+"""check_driver over real DDS, against the stand-in and seven that are broken."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ BROKEN = {  # fault -> the one row that fails, and what it says of it
     "frozen": ("mocap frozen", "frozen"),
     "Y-up": ("mocap axes", "Y-up: set up_axis: y"),
     "no watchdog": ("watchdog", "no watchdog"),
+    "silent": ("states", "0 messages"),
 }
 
 
@@ -44,27 +45,47 @@ class Bench:
         self.process = self.processes.start(command)
         self._faults = self.probe.publisher(String, "/fault", interface.LATCHED)
 
-    def check(self, *arguments: str, fault: str = "none", typed: str = "") -> dict[str, Any]:
-        """Report of check_driver under a fault, with its exit status and output."""
+    def set(self, fault: str) -> None:
+        """Change the fault."""
         self._faults.publish(String(data=fault))
         self.probe.spin(0.2)
+
+    def check(
+        self, *arguments: str, fault: str = "none", typed: str = "", by_hand: str | None = None
+    ) -> dict[str, Any]:
+        """Report of check_driver under a fault, with its exit status and output.
+
+        Args:
+            arguments: Of the command.
+            fault: The fault from the start.
+            typed: What a person types.
+            by_hand: Fault from the question whether joints are led, before anything is typed.
+        """
+        self.set(fault)
         file = self._folder / "rows.json"
         file.unlink(missing_ok=True)
         command = [sys.executable, "-m", "wam_power_ros.cli", "run", "check_driver"]
         command += ["--seconds", "2", "--json", str(file), *arguments]
-        ended = subprocess.run(
-            command,
-            cwd=ROOT,
-            env=self.processes.environment,
-            input=typed,
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        sys.stdout.write(ended.stdout + ended.stderr)
+        printed = self._folder / "check.log"
+        with printed.open("w") as output:
+            process = subprocess.Popen(
+                command,
+                cwd=ROOT,
+                env=self.processes.environment,
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                text=True,
+            )
+        if by_hand is not None:
+            self.probe.until(lambda: "Lead each" in printed.read_text(), "question about joints")
+            self.set(by_hand)
+        process.communicate(typed, timeout=300)
+        said = printed.read_text()
+        sys.stdout.write(said)
         table = json.loads(file.read_text()) if file.exists() else {"rows": []}
         rows = {row["name"]: row for row in table["rows"]}
-        return table | {"rows": rows, "status": ended.returncode, "output": ended.stdout}
+        return table | {"rows": rows, "status": process.returncode, "output": said}
 
     def close(self) -> None:
         """End it."""
@@ -104,6 +125,13 @@ def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
     assert (table["status"], failing(table)) == (1, [name])
     assert said in table["rows"][name]["found"] + table["rows"][name]["advice"]
     assert f"DOES NOT CONFORM, let nothing move: {name}" in " ".join(table["output"].split())
+
+
+def test_a_driver_that_falls_silent_while_joints_are_led_does_not_conform(bench: Bench) -> None:
+    table = bench.check("--active", typed="y\n" + 7 * "\n", by_hand="silent")
+    assert (table["status"], failing(table)) == (1, ["wam_j1 by hand"])
+    assert "fell silent" in table["rows"]["wam_j1 by hand"]["advice"]
+    assert "wam_j2" not in table["output"]
 
 
 def test_without_consent_no_torque_is_sent(bench: Bench) -> None:

@@ -305,7 +305,7 @@ def led(record: ArmRecord, joint: int) -> Row:
     names = record.joint_names
     row = partial(Row, f"{names[joint]} by hand", f"{names[joint]} alone, increasing")
     if len(record.q) == 0:
-        return row("no states were received", UNCHECKED)
+        return row("no states of these joints", FAIL, "the driver fell silent during the check")
     moves = record.q[-1] - record.q[0]  # (n,)
     most = int(np.argmax(np.ptp(record.q, axis=0)))
     found = f"{names[most]} by {moves[most]:+.2f} rad"

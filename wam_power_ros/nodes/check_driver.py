@@ -61,7 +61,7 @@ RECEIVE_ALL = QoSProfile(
 )
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
 OURS = {"torque_controller", "demonstration_recorder", "check_driver"}  # neither driver nor other
-DISCOVERY_TIMEOUT = 5.0  # [s] for the first message, and for discovery
+DISCOVERY_TIMEOUT = 5.0  # [s] for the next message, and for discovery
 DROP_ATTEMPTS = 3  # with the stand-in, for a busy machine may miss frames of a fall
 FALL_TIME = 2.0  # [s] within which a body that was let go has fallen
 STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
@@ -329,14 +329,22 @@ class CheckDriver(Node):
             advice = "answer y at the keyboard, with the arm free to be led"
             expected = "each joint moves as the one of its name"
             return [Row("joints by hand", expected, "not asked", Verdict.UNCHECKED, advice)]
+
+        def led() -> ArmRecord:
+            return arm_checks.collect(self.states, record.joint_names)[0]
+
         rows: list[Row] = []
+        q = record.q[-1]
         for joint, name in enumerate(record.joint_names):
-            direction = arm_checks.heading(arm, record.q[-1], joint)
+            direction = arm_checks.heading(arm, q, joint)
             self.states.clear()
             if self.ask(f"{name}: lead it alone until {direction}, then Enter (s: skip) ") == "s":
                 continue
-            record, _ = arm_checks.collect(self.states, record.joint_names)
-            rows.append(arm_checks.led(record, joint))
+            self.spin(DISCOVERY_TIMEOUT, lambda: len(led().q) > 0)  # Enter may come before any
+            rows.append(arm_checks.led(led(), joint))
+            if not len(led().q):
+                break
+            q = led().q[-1]
         return rows
 
     def _publisher_ends(self, topic: str) -> list[Endpoint]:
