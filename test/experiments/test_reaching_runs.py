@@ -55,7 +55,7 @@ def test_power_gets_far_beyond_the_demonstration(variant: str) -> None:
 def test_a_run_has_its_best_rollout_and_its_final_mean() -> None:
     learner = Power(FULL.size, POWER, generator(5))
     done = run(learner, 30)
-    assert learner.count == 30 and done.returns.shape == done.means.shape == (30,)
+    assert len(learner._rollouts) == 30 and done.returns.shape == done.means.shape == (30,)
     assert done.best == done.returns.max()
     policy, _ = FULL.policy(learner.mean, "mean")
     assert done.final == pytest.approx(evaluated(policy), rel=1e-12)

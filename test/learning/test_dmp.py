@@ -89,7 +89,7 @@ def test_tabulated_acceleration_is_equation_1() -> None:
     policy = fit([toss()], FLIP_FIT, "p")
     tables = tabulate(policy)
     rng = np.random.default_rng(0)
-    for k in (0, 17, tables.rows - 1, tables.rows + 50):
+    for k in (0, 17, len(tables.b) - 1, len(tables.b) + 50):
         x, xd = rng.normal(size=(2, 3))
         h = activations(policy.basis, np.array([k * DT]))[0]
         expected = sum(
@@ -106,10 +106,10 @@ def test_tabulated_acceleration_is_equation_1() -> None:
 
 def test_the_last_row_holds_for_ever() -> None:
     tables = tabulate(fit([toss()], FLIP_FIT, "p"))
-    assert tables.rows == 426
+    assert len(tables.b) == 426
     state = np.ones(3), np.ones(3), np.zeros(6)
-    end = dmp.acceleration(tables, tables.rows - 1, *state)
-    assert np.array_equal(dmp.acceleration(tables, tables.rows, *state), end)
+    end = dmp.acceleration(tables, len(tables.b) - 1, *state)
+    assert np.array_equal(dmp.acceleration(tables, len(tables.b), *state), end)
     assert np.array_equal(dmp.acceleration(tables, 10**6, *state), end)
 
 
@@ -147,7 +147,7 @@ def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> 
 def test_a_movement_made_by_equation_1_gives_back_its_attractors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(dmp, "HOLD", 0.0)  # it does not end at rest
+    monkeypatch.setattr(dmp, "HOLD_TIME", 0.0)  # it does not end at rest
     truth = fit([toss()], FLIP_FIT, "p")
     x, _ = reproduced(truth, np.array([0.7, 0.0, 0.9]))
     made = replace(toss(len(x)), position=x)
@@ -199,7 +199,7 @@ def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     x, _ = reproduced(policy, demonstration.position[0], demonstration.velocity[0])
     assert rmse(x, demonstration.position) < 0.005
     r, omega, path = demonstration.rotation_vector[0], np.zeros(3), []
-    for k in range(tables.rows):
+    for k in range(len(tables.b)):
         path.append(r)
         omega = omega + DT * dmp.acceleration(tables, k, np.zeros(3), r, [0, 0, 0, *omega])[3:]
         r = r + DT * omega

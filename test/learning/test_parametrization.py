@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from toss_task import demonstrated_policy
 
 from wam_power_ros.learning.parametrization import (
-    FLOOR,
+    EIGENVALUE_FLOOR,
     VARIANTS,
     Direction,
     NoiseScales,
@@ -195,7 +195,7 @@ def test_what_cannot_be_is_refused_with_its_reason() -> None:
         p.clip(np.full(98, np.nan))
     with pytest.raises(ValueError, match="'lift' has 8 attractors, policy 'flick-1' has 4"):
         Parametrization(demonstrated_policy(count=4), "full", NOISE, (LIFT,))
-    with pytest.raises(ValueError, match="'attractors' has the name of another group"):
+    with pytest.raises(ValueError, match="'attractors' of a direction is already used"):
         Parametrization(demonstrated_policy(), "full", NOISE, (replace(LIFT, name="attractors"),))
     with pytest.raises(ValueError, match=r"scale = 0\.0"):
         Direction("lift", 0.0, PATTERN, PATTERN)
@@ -207,7 +207,9 @@ def test_the_floor_is_below_every_demonstrated_stiffness() -> None:
     for seed in range(20):
         p = parametrization("full", seed)
         low = np.linalg.eigvalsh(symmetric_part(p.policy0.stiffness)).min()
-        assert p.stiffness_min == pytest.approx(FLOOR * low) and 0.0 < p.stiffness_min < low
+        assert (
+            p.stiffness_min == pytest.approx(EIGENVALUE_FLOOR * low) and 0.0 < p.stiffness_min < low
+        )
 
 
 @variants

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random search, the baseline that a learner has to exceed."""
+"""Random search, the baseline of all learners."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finished rollouts: path of the tool, path of the tracked body, and the fault that ended one."""
+"""Finished rollouts: path of the tool, path of the tracked body, fault that ended the rollout."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from wam_power_ros.learning.policy import check_id, read_only
 
 
 class FaultKind(str, enum.Enum):
-    """Kind of a fault of the controller; decisions depend on it and never on the fault's text."""
+    """Kind of a controller fault; decisions depend on the kind, never on the fault's text."""
 
-    # Caused by the policy: the rollout's return is 0, and it is not tried again.
-    JOINT_POSITION = "joint_position"  # beyond a joint's limit
+    # Caused by the policy: the return of the rollout is 0 and the policy is not retried.
+    JOINT_POSITION = "joint_position"  # joint position limit exceeded
     JOINT_SPEED = "joint_speed"
-    GUARDED_SPEED = "guarded_speed"  # of a guarded point, such as elbow or forearm
+    GUARDED_SPEED = "guarded_speed"  # speed of a guarded point, such as the elbow or the forearm
     TOOL_SPEED = "tool_speed"
     WORKSPACE = "workspace"  # the tool left its box
     PLANE = "plane"  # a guarded point or the tool is behind the keep-out plane
     # Not caused by the policy: the rollout is not learnt from.
     TRACKING = "tracking"  # a joint is far from its reference
-    COMPUTATION = "computation"  # a torque that is not finite, or none
+    COMPUTATION = "computation"  # computed torque missing or not finite
     STATES_LOST = "states_lost"  # no joint state for too long
-    STATES_REFUSED = "states_refused"  # too many joint states that are not valid
-    JUMP = "jump"  # a joint's position jumped from one state to the next
+    STATES_REFUSED = "states_refused"  # too many invalid joint states
+    JUMP = "jump"  # joint position jumped from one state to the next
     VELOCITY = "velocity"  # positions and velocities contradict each other
-    EXTERNAL_TORQUE = "external_torque"  # the arm does not move as our torques move it
+    EXTERNAL_TORQUE = "external_torque"  # motion not explained by the commanded torques
     STAMPS = "stamps"  # the stamps do not advance with real time
     RELEASED = "released"  # the enabling switch was released
-    SECOND_COMMANDER = "second_commander"
+    SECOND_COMMANDER = "second_commander"  # another node publishes torques
     OVERLOAD = "overload"  # too many control periods missed
-    SOFTWARE = "software"  # a callback failed
+    SOFTWARE = "software"  # a callback raised an exception
 
     @property
     def of_policy(self) -> bool:
-        """Whether the policy caused it: a limit of motion was exceeded."""
+        """Whether the policy caused the fault by exceeding a motion limit."""
         return self in _OF_POLICY
 
 
@@ -50,7 +50,7 @@ class Fault:
 
     Attributes:
         kind: Kind of the fault.
-        text: Sentence for a person, with the value and the limit.
+        text: Description for the operator, with the value and the limit.
     """
 
     kind: FaultKind
@@ -115,10 +115,10 @@ class Rollout:
     Attributes:
         tool: Path of the tool.
         body: Path of the tracked body, None for a task that tracks none.
-        fault: Fault of the controller that ended the rollout, None when there was none.
+        fault: Controller fault that ended the rollout, None without a fault.
 
     Raises:
-        ValueError: The two paths are of different policies.
+        ValueError: If the two paths belong to different policies.
     """
 
     tool: EndEffectorPath
@@ -128,7 +128,7 @@ class Rollout:
     def __post_init__(self) -> None:
         if self.body is not None and self.body.id != self.tool.id:
             raise ValueError(
-                f"path of the body is of rollout {self.body.id!r}, the tool's of {self.tool.id!r}"
+                f"body path of rollout {self.body.id!r}, but tool path of {self.tool.id!r}"
             )
 
 
