@@ -35,7 +35,7 @@ def test_the_same_arm_and_an_unknown_one_are_not_refused_but_remarked() -> None:
         (OURS, ""),
         (renamed, ""),
         (heavier, "other masses"),
-        (None, "does not say which arm it is of; it is taken to be wam7"),
+        (None, "does not name its arm; it is assumed to be wam7"),
     ):
         assert refusal(theirs, OURS) == ""
         assert said in remark(theirs, OURS) and bool(said) == bool(remark(theirs, OURS))
@@ -55,7 +55,7 @@ def test_the_same_arm_and_an_unknown_one_are_not_refused_but_remarked() -> None:
         ({"joint_names": ["a"] * 17}, "1 to 16 names"),
         ({"joint_names": "ab"}, "1 to 16 names"),
         ({"joint_names": [1]}, "must be"),
-        ({"size": 3}, "identified by"),
+        ({"size": 3}, "must have the keys"),
     ],
 )
 def test_what_is_no_identity_is_refused(change: dict, why: str) -> None:
@@ -63,5 +63,5 @@ def test_what_is_no_identity_is_refused(change: dict, why: str) -> None:
         identity_of(OURS._asdict() | change)
     with pytest.raises(ValueError, match=why):
         arm_identity.from_json(json.dumps(OURS._asdict() | change))
-    with pytest.raises(ValueError, match="identified by"):
+    with pytest.raises(ValueError, match="must have the keys"):
         arm_identity.from_json("[]")

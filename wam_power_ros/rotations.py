@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 T = TypeVar("T", float, np.ndarray)
-_TINY = 1e-8  # angle below which the series to second order is exact to rounding [rad]
+_TINY = 1e-8  # angle below which a second-order series is exact to rounding [rad]
 
 
 def exp(rotation_vector: np.ndarray) -> np.ndarray:
@@ -48,7 +48,7 @@ def exp(rotation_vector: np.ndarray) -> np.ndarray:
 
 
 def log(matrix: np.ndarray) -> np.ndarray:
-    """Rotation vector of a rotation matrix, of length at most pi; accurate at 0 and at pi.
+    """Rotation vector of a rotation matrix, of length at most pi; accurate near 0 and pi.
 
     Args:
         matrix: Rotation matrices. Shape (..., 3, 3).
@@ -98,7 +98,7 @@ def _quat_of_one(
 
 
 def matrix(quat_xyzw: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a quaternion, which is normalised first.
+    """Rotation matrix of a quaternion, which need not be normalised.
 
     Args:
         quat_xyzw: Quaternions. Shape (..., 4).
@@ -203,7 +203,7 @@ def multiply(a_xyzw: np.ndarray, b_xyzw: np.ndarray) -> np.ndarray:
 
 
 def _product(a: Sequence[T], b: Sequence[T]) -> tuple[T, T, T, T]:
-    """Components of the product from those of the factors: four numbers each, or four arrays."""
+    """Components of the quaternion product: four floats each, or four arrays."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -217,15 +217,15 @@ def _product(a: Sequence[T], b: Sequence[T]) -> tuple[T, T, T, T]:
 def continuous(rotation_vectors: np.ndarray) -> np.ndarray:
     """Unwrap rotation vectors, so that they do not jump where the angle passes pi.
 
-    Whole turns about its own axis are added to each vector, such that it is nearest to its
+    To each vector the number of whole turns about its axis is added that brings it closest to its
     predecessor.
 
     Args:
-        rotation_vectors: Rotation vectors in the order of time, less than half a turn apart [rad].
+        rotation_vectors: Rotation vectors in temporal order, less than half a turn apart [rad].
             Shape (N, 3).
 
     Returns:
-        Vectors of the same rotations [rad]. Shape (N, 3).
+        Rotation vectors of the same rotations [rad]. Shape (N, 3).
     """
     vectors = np.array(rotation_vectors, dtype=float)
     for previous, vector in itertools.pairwise(vectors):
@@ -241,7 +241,7 @@ def continuous(rotation_vectors: np.ndarray) -> np.ndarray:
 
 
 def interpolate(t: np.ndarray, times: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
-    """Interpolate orientations along the shortest arc; constant before the first, after the last.
+    """Interpolate orientations along the shortest arc; constant outside the samples.
 
     Args:
         t: Times to interpolate at [s]. Shape (M,).

@@ -85,9 +85,9 @@ def test_half_a_millimetre_of_noise_gives_half_a_millimetre_and_half_a_degree() 
         (np.zeros((0, 3)), "0 markers in view"),
         (marker_fit.LAYOUT[:2], "2 markers in view"),
         (np.zeros((65, 3)), "65 markers in view"),
-        (marker_fit.LAYOUT * [1.0, -1.0, 1.0] * 1.3, "not among 4"),
+        (marker_fit.LAYOUT * [1.0, -1.0, 1.0] * 1.3, "not found in 4"),
         (np.full((4, 3), np.nan), "must be finite"),
-        (np.vstack([marker_fit.LAYOUT, marker_fit.LAYOUT + 0.5]), "2 ways"),
+        (np.vstack([marker_fit.LAYOUT, marker_fit.LAYOUT + 0.5]), "found 2 times"),
     ],
 )
 def test_a_cloud_without_one_clear_pose_is_refused_by_name(points: np.ndarray, why: str) -> None:
