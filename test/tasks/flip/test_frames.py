@@ -46,7 +46,7 @@ def test_height_is_along_the_normal_of_the_tilted_pan_and_aside_along_its_floor(
     along = rotations.exp(TILT)[:, 0]
     frames = seen_from_still_pan([0.2 * NORMAL + 0.05 * along])
     assert frames.height[-1] == pytest.approx(0.2)
-    assert frames.aside[-1] == pytest.approx(0.05)
+    assert frames.offset[-1] == pytest.approx(0.05)
     assert frames.cosine == pytest.approx(1.0)
     assert frames.resting_frames == 5
 

@@ -12,7 +12,7 @@ from wam_power_ros.learning.demonstration import Demonstration, from_positions
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.reach.returns import reaching_return
-from wam_power_ros.tasks.reach.scenario import middle, stretched
+from wam_power_ros.tasks.reach.scenario import midpoint, resampled
 from wam_power_ros.tasks.reach.task import Reach
 
 RADIUS = 0.05
@@ -27,7 +27,7 @@ def demonstrations(count: int = 2) -> list[Demonstration]:
 
 
 DEMONSTRATIONS = demonstrations()
-OBSTACLE = [*middle(stretched(DEMONSTRATIONS)), RADIUS]
+OBSTACLE = [*midpoint(resampled(DEMONSTRATIONS)), RADIUS]
 POLICY = Reach.policy_of(DEMONSTRATIONS, "trial-0001")
 
 
@@ -65,7 +65,7 @@ def test_a_path_around_the_obstacle_is_worth_equation_4_and_a_success() -> None:
     assert sum(assessment.terms.values()) == pytest.approx(assessment.ret)
     t = np.linspace(0.0, POLICY.basis.duration, 200)
     sampled = np.stack([np.interp(t, around().t, x) for x in around().position.T], axis=1)
-    demonstrated = stretched(DEMONSTRATIONS).mean(axis=0)
+    demonstrated = resampled(DEMONSTRATIONS).mean(axis=0)
     expected = reaching_return(sampled[np.newaxis], demonstrated, demonstrated[-1])
     assert assessment.ret == pytest.approx(float(expected[0]))
     nearest = float(np.linalg.norm(sampled - OBSTACLE[:3], axis=1).min())
@@ -128,5 +128,5 @@ def test_a_table_names_the_distance_and_the_contact() -> None:
     unseen.fault = "stopped"
     assert task().outcome(unseen) == "fault: stopped"
     assert task().summary([row, unseen]) == [
-        "re-tests of the answer: 1 of 1 passed the obstacle, least clearance -10 mm"
+        "re-tests of the answer: 1 of 1 passed the obstacle, smallest clearance -10 mm"
     ]

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Returns of a toss: Eq. 5, and one for a true flip that lands.
+"""Returns of a toss: Eq. 5, and a return for a half turn that lands in the pan.
 
-Every return is at least zero, as PoWER needs.
+Every return is at least zero, as PoWER requires.
 """
 
 import math
@@ -30,8 +30,8 @@ class PancakeWeights:
     """Weights of Eq. 5; all 0.5 in the paper.
 
     Attributes:
-        orientation: Weight w1 of the rotation.
-        position: Weight w2 of the distance between pancake and pan.
+        orientation: Weight w1 of the rotation [1].
+        position: Weight w2 of the distance between pancake and pan [1].
         altitude: Weight w3 of the altitude [1/m].
     """
 
@@ -45,16 +45,16 @@ class PancakeWeights:
 
 @dataclass(frozen=True)
 class LandingWeights:
-    """Weights of `landing_return`; the defaults sum to 1 for a perfect flip.
+    """Weights of `landing_return`; by default a perfect flip has a return of 1.
 
     Attributes:
         rotation: Weight of the unfolded rotation.
         altitude: Weight of the altitude up to its cap.
-        altitude_cap: Altitude at which that term is full [m]; more earns nothing, so throwing
-            higher is no substitute for landing.
-        landing: Weight of landing near the pan's centre.
-        landing_scale: Distance at which that term has fallen to 1/e [m]; sharper terms (0.1) were
-            found to keep the learner from turning the pancake further.
+        altitude_cap: Altitude at which the altitude term saturates [m], so that a higher toss does
+            not compensate for a bad landing.
+        landing: Weight of landing near the centre of the pan.
+        landing_scale: Distance at which the landing term is 1/e [m]; with a sharper term (0.1) the
+            learner no longer increased the rotation.
         caught: Weight of resting in the pan at the end.
     """
 
@@ -79,13 +79,14 @@ def pancake_return(flight: Flight, weights: PancakeWeights | None = None) -> Ret
 
         R = w1 arccos(v0 . v_tf) / pi + w2 exp(-|x_P - x_F|) + w3 x3_max
 
-    The 1/pi is in the typeset paper. What the paper leaves open: never tossed, the first term is
-    0 and t_f the end; lost from view, the second term is 0 (and the first, when the rotation was
-    not seen either); the altitude counts from the pan's height at the start and is at least 0.
+    The 1/pi is in the typeset paper. Not defined in the paper: if the pancake is not tossed, the
+    first term is 0 and t_f the end; if it is lost from view, the second term is 0 (and the first if
+    the rotation was not seen either); the altitude is measured from the pan's height at the start
+    and is at least 0.
 
     Args:
         flight: Observed flight.
-        weights: Weights; the paper's when omitted.
+        weights: Weights; by default those of the paper.
 
     Returns:
         Return with the terms orientation, position, altitude.
@@ -106,17 +107,17 @@ def pancake_return(flight: Flight, weights: PancakeWeights | None = None) -> Ret
 
 
 def landing_return(flight: Flight, weights: LandingWeights | None = None) -> Return:
-    """Return of a toss that rewards half a turn and a landing in the pan. Not in the paper.
+    """Return that rewards half a turn and a landing in the pan. Not in the paper.
 
         R = w_r rho + w_a min(apex, cap) / cap + rho^2 (w_l exp(-d / d0) + w_c caught)
 
-    rho = 1 - |angle - pi| / pi, at least 0, of the unfolded angle: half a turn is best, none or
-    a whole turn earns nothing. d is the horizontal distance at t_f. Landing and catching are
-    weighted by the rotation squared: a pancake that never turns is easily caught.
+    rho = 1 - |angle - pi| / pi, at least 0, with the unfolded angle: 1 for half a turn, 0 for none
+    or a whole turn. d is the horizontal distance at t_f. Landing and catching are weighted by the
+    squared rotation, because a pancake that does not turn is easily caught.
 
     Args:
         flight: Observed flight.
-        weights: Weights; the defaults when omitted.
+        weights: Weights; see `LandingWeights` for the defaults.
 
     Returns:
         Return with the terms rotation, altitude, landing, caught.
