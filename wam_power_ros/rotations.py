@@ -56,9 +56,6 @@ def log(matrix: np.ndarray) -> np.ndarray:
     Returns:
         Rotation vectors [rad]. Shape (..., 3).
     """
-    matrix = np.asarray(matrix, dtype=float)
-    if matrix.ndim == 2:
-        return np.array(_vector_of_one(*_quat_of_one(*matrix.ravel().tolist())))
     return rotation_vector(quat_xyzw(matrix))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wam_power_ros.learning.learner import GaussianLearner, LearnerSettings
+from wam_power_ros.learning.learner import GaussianLearner
 
 
 class CorrectionsOnly(GaussianLearner):
@@ -13,11 +13,6 @@ class CorrectionsOnly(GaussianLearner):
 
     Without corrections every rollout reproduces the demonstration.
     """
-
-    class Settings(LearnerSettings):
-        """Settings of the baseline: none."""
-
-    settings: Settings
 
     def ask(self) -> np.ndarray:
         """Return the mean, without exploration. Shape (size,)."""

@@ -43,7 +43,6 @@ class Demonstration:
         velocity: Velocity of the tool frame [m/s]. Shape (N, 3).
         acceleration: Acceleration of the tool frame [m/s^2]. Shape (N, 3).
         quat_xyzw: Orientation of the tool frame, unit quaternions. Shape (N, 4).
-        rotation_vector: r with R(t) = exp(r(t)) R(0), continuous, from 0 [rad]. Shape (N, 3).
         period: Sampling period [s].
 
     Raises:
@@ -56,7 +55,6 @@ class Demonstration:
     velocity: np.ndarray
     acceleration: np.ndarray
     quat_xyzw: np.ndarray
-    rotation_vector: np.ndarray
     period: float
 
     def __post_init__(self) -> None:
@@ -71,7 +69,6 @@ class Demonstration:
             ("velocity", (count, 3)),
             ("acceleration", (count, 3)),
             ("quat_xyzw", (count, 4)),
-            ("rotation_vector", (count, 3)),
         ):
             object.__setattr__(self, name, read_only(name, getattr(self, name), shape))
 
@@ -130,7 +127,6 @@ def from_joint_samples(
         velocity=smooth(position, 1),
         acceleration=smooth(position, 2),
         quat_xyzw=quat,
-        rotation_vector=rotation_from(quat, quat[0]),
         period=PERIOD,
     )
 
@@ -177,7 +173,6 @@ def from_positions(position: np.ndarray, period: float) -> Demonstration:
         velocity=velocity,
         acceleration=np.gradient(velocity, period, axis=0, edge_order=2),
         quat_xyzw=np.tile([0.0, 0.0, 0.0, 1.0], (len(position), 1)),
-        rotation_vector=np.zeros((len(position), 3)),
         period=period,
     )
 

@@ -5,16 +5,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from wam_power_ros.learning.learner import GaussianLearner, LearnerSettings
+from wam_power_ros.learning.learner import GaussianLearner
 
 
 class RandomSearch(GaussianLearner):
     """The best of independent samples about z = 0."""
-
-    class Settings(LearnerSettings):
-        """Settings of random search: none."""
-
-    settings: Settings
 
     def ask(self) -> np.ndarray:
         """Draw the next coordinates about z = 0. Shape (size,)."""

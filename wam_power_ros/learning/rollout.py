@@ -58,13 +58,13 @@ class Fault:
 
 
 @dataclass(frozen=True, eq=False)
-class EndEffectorPath:
-    """Path of the tool frame in the base frame during one rollout.
+class _Path:
+    """Path of a frame in the base frame during one rollout; arrays are copied and read-only.
 
     Attributes:
         id: Id of the policy that was executed.
-        t: Time since the start of the rollout, strictly increasing [s]. Shape (T,), T >= 1.
-        position: Origin of the tool frame [m]. Shape (T, 3).
+        t: Time since the start of the rollout, strictly increasing [s]. Shape (T,).
+        position: Origin of the frame [m]. Shape (T, 3).
         quat_xyzw: Orientation, unit quaternions. Shape (T, 4).
 
     Raises:
@@ -78,34 +78,36 @@ class EndEffectorPath:
     quat_xyzw: np.ndarray
 
     def __post_init__(self) -> None:
-        _check_path(self)
+        check_id(self.id)
+        name = f"path {self.id}"
+        count = np.size(self.t)
+        for field, shape in (("t", (count,)), ("position", (count, 3)), ("quat_xyzw", (count, 4))):
+            array = read_only(f"{name}: {field}", getattr(self, field), shape)
+            object.__setattr__(self, field, array)
+        steps = np.diff(self.t)
+        if np.any(steps <= 0.0):
+            at = int(np.argmax(steps <= 0.0))
+            raise ValueError(
+                f"{name}: t[{at + 1}] = {self.t[at + 1]} follows {self.t[at]}; it must increase"
+            )
+        norms = np.linalg.norm(self.quat_xyzw, axis=1)
+        wrong = np.abs(norms - 1.0) > 1e-3
+        if np.any(wrong):
+            at = int(np.argmax(wrong))
+            raise ValueError(f"{name}: quat_xyzw[{at}] has length {norms[at]}; it must be 1")
+
+
+class EndEffectorPath(_Path):
+    """Path of the tool frame, with at least one pose."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.t) == 0:
             raise ValueError(f"end-effector path {self.id} is empty; at least one pose is needed")
 
 
-@dataclass(frozen=True, eq=False)
-class BodyPath:
-    """Measured path of the tracked body in the base frame during one rollout.
-
-    Attributes:
-        id: Id of the policy that was executed.
-        t: Time since the start of the rollout, strictly increasing, with gaps where the body was
-            hidden [s]. Shape (M,); M may be 0.
-        position: Centre of the body [m]. Shape (M, 3).
-        quat_xyzw: Orientation, unit quaternions. Shape (M, 4).
-
-    Raises:
-        ValueError: If a shape is wrong, a value is not finite, time does not increase or a
-            quaternion is not of unit length.
-    """
-
-    id: str
-    t: np.ndarray
-    position: np.ndarray
-    quat_xyzw: np.ndarray
-
-    def __post_init__(self) -> None:
-        _check_path(self)
+class BodyPath(_Path):
+    """Measured path of the tracked body, with gaps where it was hidden; may be empty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,26 +132,3 @@ class Rollout:
             raise ValueError(
                 f"body path of rollout {self.body.id!r}, but tool path of {self.tool.id!r}"
             )
-
-
-def _check_path(path: EndEffectorPath | BodyPath) -> None:
-    """Replace the arrays of a path by checked, read-only ones."""
-    check_id(path.id)
-    name = f"path {path.id}"
-    count = np.size(path.t)
-    object.__setattr__(path, "t", read_only(f"{name}: t", path.t, (count,)))
-    object.__setattr__(path, "position", read_only(f"{name}: position", path.position, (count, 3)))
-    object.__setattr__(
-        path, "quat_xyzw", read_only(f"{name}: quat_xyzw", path.quat_xyzw, (count, 4))
-    )
-    steps = np.diff(path.t)
-    if np.any(steps <= 0.0):
-        at = int(np.argmax(steps <= 0.0))
-        raise ValueError(
-            f"{name}: t[{at + 1}] = {path.t[at + 1]} follows {path.t[at]}; it must increase"
-        )
-    norms = np.linalg.norm(path.quat_xyzw, axis=1)
-    wrong = np.abs(norms - 1.0) > 1e-3
-    if np.any(wrong):
-        at = int(np.argmax(wrong))
-        raise ValueError(f"{name}: quat_xyzw[{at}] has length {norms[at]}; it must be 1")

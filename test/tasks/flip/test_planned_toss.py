@@ -112,7 +112,7 @@ def test_a_planned_toss_is_worth_what_one_seen_like_it_is() -> None:
         )
         # Whether it is caught is not planned: it is likely near the middle of the pan.
         likely = np.exp(-((np.linalg.norm(miss[k]) / CATCH_RADIUS) ** 2))
-        expected = landing_return(seen).terms
+        expected = landing_return(seen, LandingWeights()).terms
         expected["caught"] *= likely
         np.testing.assert_allclose(terms[k], list(expected.values()), rtol=1e-12)
 
@@ -122,7 +122,7 @@ def test_a_model_learns_what_the_plan_misses() -> None:
     start, z = np.array([0.6, 0.0, 0.5]), some(40, p.size)
     terms = planned_terms(plan_tosses(p, z, start), PancakeWeights())
     returns = terms @ np.array([0.6, 1.2, 0.9]) + 0.05
-    model = TossModel(p, start)
+    model = TossModel(p, start, PancakeWeights())
     before = np.abs(model.predict(z) - returns).mean()
     for one, ret in zip(z, returns, strict=True):
         model.learn(one, float(ret))
@@ -136,7 +136,7 @@ def test_the_plan_tells_good_tosses_from_bad_ones() -> None:
     p = flip_parametrization(policy, "full", NOISE)
     start, _ = bench.arm.tool_pose(policy.q_start)
     z = some(12, p.size)
-    planned = TossModel(p, start).predict(z)
+    planned = TossModel(p, start, settings.pancake_weights).predict(z)
     returns = []
     for k in range(len(z)):
         tried, _ = p.policy(z[k], f"trial-{k}")

@@ -136,17 +136,17 @@ class TossModel:
         self,
         parameters: Parametrization,
         start: np.ndarray,
-        weights: PancakeWeights | LandingWeights | None = None,
+        weights: PancakeWeights | LandingWeights,
     ) -> None:
         """Start without rollouts.
 
         Args:
             parameters: Parametrization of the policies.
             start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
-            weights: Weights of the return; by default those of the paper (Eq. 5).
+            weights: Weights of the return.
         """
         self._parameters, self._start = parameters, np.asarray(start, dtype=float)
-        self._weights = PancakeWeights() if weights is None else weights
+        self._weights = weights
         self._terms: list[np.ndarray] = []
         self._residuals: list[float] = []
         self._w: np.ndarray | None = None  # weights of the features, None before the first rollout

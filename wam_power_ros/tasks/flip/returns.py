@@ -25,8 +25,17 @@ class Return:
     terms: dict[str, float]
 
 
+class _Weights:
+    """Weights of a return: finite and at least 0."""
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"{name} = {value} must be finite and at least 0")
+
+
 @dataclass(frozen=True)
-class PancakeWeights:
+class PancakeWeights(_Weights):
     """Weights of Eq. 5; all 0.5 in the paper.
 
     Attributes:
@@ -39,12 +48,9 @@ class PancakeWeights:
     position: float = 0.5
     altitude: float = 0.5
 
-    def __post_init__(self) -> None:
-        _check_weights(self)
-
 
 @dataclass(frozen=True)
-class LandingWeights:
+class LandingWeights(_Weights):
     """Weights of `landing_return`; by default a perfect flip has a return of 1.
 
     Attributes:
@@ -66,7 +72,7 @@ class LandingWeights:
     caught: float = 0.2
 
     def __post_init__(self) -> None:
-        _check_weights(self)
+        super().__post_init__()
         if not (self.altitude_cap > 0.0 and self.landing_scale > 0.0):
             raise ValueError(
                 f"altitude_cap = {self.altitude_cap} and landing_scale = {self.landing_scale} "
@@ -74,7 +80,10 @@ class LandingWeights:
             )
 
 
-def pancake_return(flight: Flight, weights: PancakeWeights | None = None) -> Return:
+PAPER_WEIGHTS = PancakeWeights()
+
+
+def pancake_return(flight: Flight, weights: PancakeWeights = PAPER_WEIGHTS) -> Return:
     """Return of a toss (Eq. 5).
 
         R = w1 arccos(v0 . v_tf) / pi + w2 exp(-|x_P - x_F|) + w3 x3_max
@@ -91,7 +100,6 @@ def pancake_return(flight: Flight, weights: PancakeWeights | None = None) -> Ret
     Returns:
         Return with the terms orientation, position, altitude.
     """
-    weights = PancakeWeights() if weights is None else weights
     turned = 0.0
     if flight.tossed:
         cosine = float(np.dot(flight.normal_start, flight.normal))
@@ -106,7 +114,7 @@ def pancake_return(flight: Flight, weights: PancakeWeights | None = None) -> Ret
     )
 
 
-def landing_return(flight: Flight, weights: LandingWeights | None = None) -> Return:
+def landing_return(flight: Flight, weights: LandingWeights) -> Return:
     """Return that rewards half a turn and a landing in the pan. Not in the paper.
 
         R = w_r rho + w_a min(apex, cap) / cap + rho^2 (w_l exp(-d / d0) + w_c caught)
@@ -117,12 +125,11 @@ def landing_return(flight: Flight, weights: LandingWeights | None = None) -> Ret
 
     Args:
         flight: Observed flight.
-        weights: Weights; see `LandingWeights` for the defaults.
+        weights: Weights of the terms.
 
     Returns:
         Return with the terms rotation, altitude, landing, caught.
     """
-    weights = LandingWeights() if weights is None else weights
     rotation = 0.0
     if flight.tossed:
         rotation = max(0.0, 1.0 - abs(flight.angle - math.pi) / math.pi)
@@ -140,9 +147,3 @@ def landing_return(flight: Flight, weights: LandingWeights | None = None) -> Ret
 
 def _sum(**terms: float) -> Return:
     return Return(total=math.fsum(terms.values()), terms=terms)
-
-
-def _check_weights(weights: PancakeWeights | LandingWeights) -> None:
-    for name, value in vars(weights).items():
-        if not 0.0 <= value < math.inf:
-            raise ValueError(f"{name} = {value} must be finite and at least 0")
