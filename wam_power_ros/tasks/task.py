@@ -62,7 +62,7 @@ class BodyState(Protocol):
         """Linear velocity [m/s]. Shape (3,)."""
 
 
-class Judged(Protocol):
+class LoggedRollout(Protocol):
     """Logged rollout as far as a task may use it; see `session_log.Record`."""
 
     kind: str
@@ -150,7 +150,7 @@ class Task(Protocol):
             is not feasible, each is applied in turn as far as it is.
         """
 
-    def confirms(self, record: Judged) -> bool:
+    def confirms(self, record: LoggedRollout) -> bool:
         """Whether a successful rollout of the mean counts towards the stopping rule."""
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
@@ -161,10 +161,10 @@ class Task(Protocol):
             start: Position of the tool at the start of the policy [m]. Shape (3,).
         """
 
-    def outcome(self, record: Judged) -> str:
+    def outcome(self, record: LoggedRollout) -> str:
         """Outcome of a logged rollout in a few words, for one cell of a table."""
 
-    def summary(self, records: Sequence[Judged]) -> list[str]:
+    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         """Lines that summarise a session, printed at its end and in its report."""
 
 

@@ -20,7 +20,7 @@ from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
-from wam_power_ros.tasks.task import Assessment, BodyState, Judged, Pose
+from wam_power_ros.tasks.task import Assessment, BodyState, LoggedRollout, Pose
 
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
 _HEIGHT_RANGE = (-0.01, 0.03)  # height of its centre above the pan's floor before a rollout [m]
@@ -82,7 +82,7 @@ class Flip:
         """Correct catch shift, flick, vigour and tempo; see `landing_correction`."""
         return landing_correction(assessment, parametrization, self.settings)
 
-    def confirms(self, record: Judged) -> bool:
+    def confirms(self, record: LoggedRollout) -> bool:
         """Whether rotation and landing meet `confirm_margin` and `confirm_landing`; see `Task`."""
         settings, flight = self.settings, record.observation
         if settings.success_angle == 0.0:
@@ -99,7 +99,7 @@ class Flip:
         weights = settings.pancake_weights if settings.ret == "eq5" else settings.landing_weights
         return TossModel(parametrization, start, weights)
 
-    def outcome(self, record: Judged) -> str:
+    def outcome(self, record: LoggedRollout) -> str:
         """Rotation and end state of the pancake, as tracked; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
@@ -112,7 +112,7 @@ class Flip:
         turned = f"{abs(math.degrees(flight.get('angle', 0.0))):.0f}° "
         return turned + (f"flipped, {caught}" if flight.get("flipped") else caught)
 
-    def summary(self, records: Sequence[Judged]) -> list[str]:
+    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         """Flips, catches, Eq. 5 and, in simulation, true flips of the re-tests; see `Task`."""
         retests = [record for record in records if record.kind == "retest"]
         if not retests:

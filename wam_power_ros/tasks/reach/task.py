@@ -21,7 +21,7 @@ from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
-    Judged,
+    LoggedRollout,
     Pose,
     cut_short,
     fault_assessment,
@@ -124,7 +124,7 @@ class Reach:
         """No hindsight correction; see `Task`."""
         return ()
 
-    def confirms(self, record: Judged) -> bool:
+    def confirms(self, record: LoggedRollout) -> bool:
         """Every success counts; see `Task`."""
         return True
 
@@ -132,7 +132,7 @@ class Reach:
         """Path of Eq. 1, with contacts inferred from earlier rollouts; see `Task`."""
         return FreePath(parametrization, self._scenario(parametrization.policy0, start))
 
-    def outcome(self, record: Judged) -> str:
+    def outcome(self, record: LoggedRollout) -> str:
         """Distance from the goal and contact with the obstacle; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
@@ -143,7 +143,7 @@ class Reach:
             return f"touched the obstacle, {100 * seen['goal_distance']:.0f} cm from the goal"
         return f"{1000 * seen['goal_distance']:.0f} mm from the goal"
 
-    def summary(self, records: Sequence[Judged]) -> list[str]:
+    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         """Successes and clearance of the re-tests; see `Task`."""
         seen = [r.observation for r in records if r.kind == "retest" and r.observation]
         if not seen:
