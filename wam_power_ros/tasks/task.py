@@ -80,8 +80,8 @@ class Task(Protocol):
     Class attributes:
         name: Name of the task, as in `--task NAME`.
         body: Name of the tracked rigid body, which its topics contain; "" for none.
-        together: Whether one policy is fitted to all demonstrations; otherwise one to each, and
-            learning starts from the one that reproduces best.
+        single_policy: Whether one policy is fitted to all demonstrations; otherwise one to each,
+            and learning starts from the one that reproduces best.
         Settings: Model of the task's settings; frozen, unknown fields refused.
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
@@ -93,7 +93,7 @@ class Task(Protocol):
 
     name: ClassVar[str]
     body: ClassVar[str]
-    together: ClassVar[bool]
+    single_policy: ClassVar[bool]
     Settings: ClassVar[type[BaseModel]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
 

@@ -32,7 +32,7 @@ class Flip:
 
     name: ClassVar[str] = "flip"
     body: ClassVar[str] = "pancake"
-    together: ClassVar[bool] = False
+    single_policy: ClassVar[bool] = False
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
 

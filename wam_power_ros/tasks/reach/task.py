@@ -45,7 +45,7 @@ class Reach:
 
     name: ClassVar[str] = "reach"
     body: ClassVar[str] = ""
-    together: ClassVar[bool] = True
+    single_policy: ClassVar[bool] = True
     Settings: ClassVar[type[ReachSettings]] = ReachSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
 

@@ -37,7 +37,7 @@ class Carry:
 
     name = "carry"
     body = "ball"
-    together = False
+    single_policy = False
     Settings = CarrySettings
     presets = {
         "carry": {
