@@ -20,7 +20,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.random_search import RandomSearch
 from wam_power_ros.learning.screened_power import ScreenedPower
-from wam_power_ros.tasks.reach.obstacle_model import FreePath
+from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 SCENARIO = synthetic()
 FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
@@ -71,7 +71,7 @@ def test_screening_needs_clearly_fewer_rollouts_than_power() -> None:
     screened, power = (
         learn_many(
             [
-                ScreenedPower(FULL.size, settings, generator(seed), FreePath(FULL, SCENARIO))
+                ScreenedPower(FULL.size, settings, generator(seed), ReachModel(FULL, SCENARIO))
                 if screens
                 else Power(FULL.size, POWER, generator(seed))
                 for seed in TUNING[:4]

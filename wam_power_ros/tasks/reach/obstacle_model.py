@@ -13,7 +13,7 @@ CONTACT_OFFSET = 0.02  # distance of an inferred contact beyond the first sample
 CHECK_STRIDE = 4  # samples of a path from one contact check to the next, at most 4 cm apart
 
 
-class FreePath:
+class ReachModel:
     """A `learner.Model` of Eq. 4: the path of Eq. 1, stopped at contacts of earlier rollouts.
 
     Eq. 1, the demonstration and the return are known, the obstacle is not: the location of a

@@ -14,7 +14,7 @@ from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.tasks.reach.obstacle_model import FreePath
+from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 from wam_power_ros.tasks.reach.returns import reaching_terms
 from wam_power_ros.tasks.reach.scenario import Scenario, resampled
 from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
@@ -130,7 +130,7 @@ class Reach:
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Path of Eq. 1, with contacts inferred from earlier rollouts; see `Task`."""
-        return FreePath(parametrization, self._scenario(parametrization.policy0, start))
+        return ReachModel(parametrization, self._scenario(parametrization.policy0, start))
 
     def outcome(self, record: LoggedRollout) -> str:
         """Distance from the goal and contact with the obstacle; see `Task`."""
