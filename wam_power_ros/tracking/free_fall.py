@@ -11,7 +11,7 @@ from wam_power_ros.tracking.tracker import GRAVITY
 FALL_SPAN = 0.2  # time over which a parabola is fitted [s]
 
 
-def falling(path: BodyPath) -> np.ndarray | None:
+def free_fall_acceleration(path: BodyPath) -> np.ndarray | None:
     """Acceleration of a body in the parts of its path that are clearly in free fall.
 
     It must point along -z; otherwise `up_axis` or `world_to_base` is wrong.
