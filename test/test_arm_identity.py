@@ -22,8 +22,8 @@ def test_text_and_back_is_the_same() -> None:
 @pytest.mark.requirement("S-59")
 def test_the_refusal_of_another_arm_names_both() -> None:
     assert refusal(THEIRS, OURS) == (
-        "is of another arm: of cobot7 (cobot_joint1 to cobot_joint2, kinematics aaaaaaaa); "
-        "this one is wam7 (wam_j1 to wam_j2, kinematics 11111111)"
+        "belongs to another arm: cobot7 (cobot_joint1 to cobot_joint2, kinematics aaaaaaaa); "
+        "this arm is wam7 (wam_j1 to wam_j2, kinematics 11111111)"
     )
 
 

@@ -84,7 +84,7 @@ def refusal(theirs: ArmIdentity | None, ours: ArmIdentity | None) -> str:
     same = len(theirs.joint_names) == len(ours.joint_names)
     if same and theirs.kinematics == ours.kinematics:
         return ""
-    return f"is of another arm: of {theirs}; this one is {ours}"
+    return f"belongs to another arm: {theirs}; this arm is {ours}"
 
 
 def remark(theirs: ArmIdentity | None, ours: ArmIdentity) -> str:

@@ -280,6 +280,6 @@ def test_a_bag_of_another_arm_is_refused_and_one_that_does_not_say_is_read(tmp_p
     for name in ("ours", "unknown"):
         _, q = read_demonstration(tmp_path / name, NAMES, arm=ours)
         np.testing.assert_array_equal(q, random_q(5))
-    with pytest.raises(ValueError, match=r"theirs is of another arm: of cobot7 .*; .* is wam7"):
+    with pytest.raises(ValueError, match=r"theirs belongs to another arm: cobot7 .*; .* is wam7"):
         read_demonstration(tmp_path / "theirs", NAMES, arm=ours)
     read_demonstration(tmp_path / "theirs", NAMES)  # who does not ask reads it by its order
