@@ -404,7 +404,7 @@ def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None
     practice = started("flip")
     trial = practice.next_trial()
     pan, pancake = paths(trial, 1.86, np.arange(0.0, 1.85, 1 / 30))
-    with pytest.raises(ValueError, match="path of the body is of rollout 'other'"):
+    with pytest.raises(ValueError, match="body path of rollout 'other'"):
         practice.learn(trial, Rollout(pan, replace(pancake, id="other")))
     with pytest.raises(ValueError, match="paths are of rollout 'other'"):
         practice.learn(trial, Rollout(replace(pan, id="other"), replace(pancake, id="other")))
