@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An arm is told from another by its kinematics, whatever its joints are called."""
+"""Arms are identified by their kinematics, whatever their joints are called."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_the_same_arm_and_an_unknown_one_are_not_refused_but_remarked() -> None:
         assert refusal(theirs, OURS) == ""
         assert said in remark(theirs, OURS) and bool(said) == bool(remark(theirs, OURS))
     assert refusal(OURS, None) == ""
-    assert refusal(OURS._replace(joint_names=("wam_j1",)), OURS)  # a part of the arm
+    assert refusal(OURS._replace(joint_names=("wam_j1",)), OURS)  # fewer joints
 
 
 @pytest.mark.parametrize(

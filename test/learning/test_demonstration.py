@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint samples of the WAM -> a smooth movement of its pan."""
+"""Smoothing and trimming of joint samples of the WAM."""
 
 import math
 
@@ -20,8 +20,8 @@ from wam_power_ros.params.resources import share
 
 HOME = np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
-LENGTH = 0.9  # [s] of the movement
-COUNT = 2.0 * math.pi / 4096 / 20  # [rad] of an encoder, at the joint
+LENGTH = 0.9  # duration of the movement [s]
+COUNT = 2.0 * math.pi / 4096 / 20  # resolution of an encoder at the joint [rad]
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_late_and_lost_samples_change_little(arm: Arm) -> None:
     rng = np.random.default_rng(0)
     stamps, q = recording()
     base = from_joint_samples(arm, stamps, q, trim=False)
-    # Sampled when stamped, but not on the grid; a tenth is lost.
+    # Sampled at their stamps, but off the grid; a tenth of the samples is lost.
     jitter = rng.integers(-400_000, 400_000, len(stamps))
     late = stamps + jitter
     q_late = joints((late - stamps[0]) * 1e-9 - 0.5)
@@ -236,7 +236,7 @@ def test_samples_on_the_grid_are_kept_and_those_between_lie_on_straight_lines() 
 
 def test_a_movement_begins_at_15_percent_of_the_peak_speed_and_ends_at_5() -> None:
     rising, falling = np.arange(42) / 42.0, 1.0 - np.arange(203) / 202.0
-    slow = np.full(100, 0.04)  # [m/s] of a peak of 1
+    slow = np.full(100, 0.04)  # at a peak of 1 [m/s]
     speed = np.concatenate([slow, rising, falling, slow])
     assert demonstration._movement(speed) == (100 + 7, 142 + 191)
     with pytest.raises(ValueError, match=r"at least 0\.05 m/s"):
@@ -265,7 +265,7 @@ def test_a_whole_recording_is_smoothed_without_trimming(arm: Arm) -> None:
     whole = from_joint_samples(arm, *recording(seed=1), trim=False)
     np.testing.assert_array_equal(t, whole.t)
     np.testing.assert_array_equal(q, whole.q)
-    still = np.tile(HOME, (100, 1))  # nothing needs to move
+    still = np.tile(HOME, (100, 1))  # the arm need not move
     _, q = smooth_joints(np.arange(100) * 2_000_000, still)
     assert q == pytest.approx(still)
     with pytest.raises(ValueError, match="20 samples"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Eq. 1: its tables, its reproduction and its fit."""
+"""Eq. 1: tables, reproduction and fit."""
 
 import math
 from collections.abc import Sequence
@@ -129,7 +129,7 @@ def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> 
         policies[0].damping,
         x0,
         xd0,
-        steps=600,  # 426 of the movement, then the last weights hold
+        steps=600,  # 426 of the movement, then with the last weights
         dt=DT,
     )
     only = [np.stack([getattr(p, name) for p in policies]) for name in ("stiffness", "attractors")]
@@ -254,7 +254,7 @@ def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> 
 
 
 def along(demonstration: Demonstration, *axes: Sequence[float]) -> Demonstration:
-    """The part of a movement that is along these orthonormal axes, with sensor noise across."""
+    """Project a movement on these orthonormal axes and add sensor noise."""
     axes_ = np.array(axes).T
     part = axes_ @ axes_.T
     noise = np.random.default_rng(0).normal(0.0, 1e-4, demonstration.position.shape)
@@ -290,7 +290,7 @@ def test_an_axis_that_does_not_move_has_the_mean_stiffness_and_leaves_the_range_
     values = np.linalg.eigvalsh(within)
     assert values.min() == pytest.approx(150.0, abs=2.0)
     assert values.max() == pytest.approx(500.0, abs=2.0)
-    if len(moving) == 2:  # and the matrices are not empty
+    if len(moving) == 2:  # the matrices have coupling
         assert np.abs(within[:, 0, 1]).max() > 30.0
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parametrization: policies and the coordinates they are learnt in."""
+"""Parametrization: policies and their learnt coordinates."""
 
 from dataclasses import replace
 
@@ -87,7 +87,7 @@ def test_clipping_touches_only_what_is_learnt_and_what_is_too_soft(variant: str)
         np.testing.assert_array_equal(policy.attractors[:, 1], p.policy0.attractors[:, 1])
     if variant == "diagonal":
         assert not (policy.stiffness * (1.0 - np.eye(3))).any()
-    small = 0.05 * wanted  # nothing of this is near the floor
+    small = 0.05 * wanted  # all eigenvalues are far above the floor
     np.testing.assert_array_equal(p.clip(small), small)
 
 
@@ -130,7 +130,7 @@ def test_a_direction_moves_all_attractors_along_its_pattern_and_nothing_else(var
     np.testing.assert_array_equal(policy.stiffness, before.stiffness)
 
 
-ENTRIES = {  # of K_i, mu_i and r_i, in the order of the parameters
+ENTRIES = {  # learnt entries of K_i, mu_i and r_i, in the order of the parameters
     "full": ([(i, j) for i in range(3) for j in range(3)], [0, 1, 2], []),
     "diagonal": ([(0, 0), (1, 1), (2, 2)], [0, 1, 2], []),
     "symmetric": ([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)], [0, 1, 2], []),

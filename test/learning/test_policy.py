@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A policy cannot be wrong, and its text is the policy to the last bit."""
+"""Invalid policies are refused, and JSON preserves valid ones bit for bit."""
 
 import json
 import math
@@ -64,7 +64,7 @@ def test_another_id_changes_nothing_else() -> None:
 
 
 def followed(policy: Policy, dt: float) -> np.ndarray:
-    """Position and rotation vector at every tick, from rest. Shape (T, 6)."""
+    """Position and rotation vector at every tick of an integration from rest. Shape (T, 6)."""
     tables = tabulate(policy, dt)
     path, twist = np.full((len(tables.b), 6), 0.1), np.zeros(6)
     for k in range(len(tables.b) - 1):
@@ -187,7 +187,7 @@ def test_the_symmetric_part_decides_whether_a_stiffness_is_positive_definite() -
     for allowed in (0.5 * np.eye(3), np.eye(3) + skew):
         assert np.array_equal(with_stiffness(allowed).stiffness[1], allowed)
     coupled = 100.0 * np.eye(3)
-    coupled[0, 1] = 300.0  # symmetric part: 150 beside the diagonal of 100
+    coupled[0, 1] = 300.0  # symmetric part: 150 off the diagonal of 100
     for refused in (np.diag([1.0, 1.0, 0.0]), coupled, coupled.T):
         with pytest.raises(ValueError, match=r"stiffness\[1\] has eigenvalue"):
             with_stiffness(refused)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Policies as shapes to draw."""
+"""Shapes to draw a policy."""
 
 from __future__ import annotations
 

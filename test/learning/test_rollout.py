@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Paths that cannot be are refused with the value and the rule; faults say whose they are."""
+"""Invalid paths are refused with value and rule; faults are attributed to policies."""
 
 from typing import Any
 

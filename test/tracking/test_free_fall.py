@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A free fall is found where there is one, and shows the direction of gravity."""
+"""A free fall is detected and shows the direction of gravity."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def flight(axes: np.ndarray) -> BodyPath:
-    """Carried, thrown, caught, at 30 Hz with noise; then seen through `axes` (3, 3)."""
+    """Path of a body carried, thrown and caught, at 30 Hz with noise, in rotated `axes` (3, 3)."""
     t = np.arange(45) / 30.0
     free = np.clip(t - 0.5, 0.0, 0.6)
     position = PAN + np.stack([0.3 * free, 0.0 * t, 2.9 * free - 0.5 * 9.81 * free**2], axis=1)
@@ -47,7 +47,7 @@ def test_a_free_fall_shows_the_direction_of_gravity() -> None:
 
 @pytest.mark.parametrize(("frames", "found"), [(6, False), (7, True)])
 def test_two_parabolas_are_needed(frames: int, found: bool) -> None:
-    t = np.arange(frames) / 30.0  # one is fitted from each frame that 0.16 s follow
+    t = np.arange(frames) / 30.0  # a parabola starts at each frame with at least 0.16 s after it
     position = PAN + np.outer(2.0 * t - 0.5 * 9.81 * t**2, [0.0, 0.0, 1.0])
     path = BodyPath("a", t, position, np.repeat(LEVEL[None], frames, axis=0))
     assert (free_fall_acceleration(path) is not None) == found

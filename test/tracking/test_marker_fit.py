@@ -16,7 +16,7 @@ POSITION = np.array([0.7, -0.1, 0.5])
 
 
 def cloud(rng: np.random.Generator, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """The layout somewhere in space, in any order, and its rotation vector."""
+    """The layout at a random pose and in random order, and its rotation vector."""
     vector = rng.normal(size=3)
     points = marker_fit.LAYOUT @ rotations.exp(vector).T + POSITION
     return rng.permutation(points) + rng.normal(0.0, noise, (4, 3)), vector

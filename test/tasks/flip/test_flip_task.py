@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a flip may begin, when it counts towards stopping, and what a table says of it."""
+"""Flip task: readiness, stopping rule and the outcome in tables."""
 
 from types import SimpleNamespace
 from typing import Any

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Returns: the paper's figures, the corners it leaves open, and never below zero."""
+"""Returns: the values of the paper, the cases it does not define, and the lower bound of zero."""
 
 import math
 from dataclasses import replace

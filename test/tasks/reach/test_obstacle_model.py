@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The model of a reach learns where rollouts were stopped."""
+"""The model of reaching learns where rollouts were stopped."""
 
 import numpy as np
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task of reaching: Eq. 4 of executed paths, stopped at the obstacle."""
+"""Reaching task: Eq. 4 of executed paths that are stopped at the obstacle."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def task(obstacle: list[float] = OBSTACLE) -> Reach:
 
 
 def path(y: np.ndarray, z: np.ndarray) -> EndEffectorPath:
-    """A path of the tool that holds its last position for the time in which the arm settles."""
+    """Path of the tool that holds its last position during the settle time."""
     t = np.arange(0.0, POLICY.basis.duration + 1.0, 0.01)
     along = np.minimum(t / POLICY.basis.duration, 1.0)
     grid = np.linspace(0.0, 1.0, len(y))
@@ -76,7 +76,7 @@ def test_a_path_into_the_obstacle_is_worth_what_it_is_when_it_stays_there() -> N
     through = task().assess(POLICY, Rollout(straight()))
     stopped = task().assess(POLICY, Rollout(cut(straight(), 0.45 * POLICY.basis.duration)))
     assert through.observation["touched"] and stopped.observation["touched"]
-    assert stopped.ret == pytest.approx(through.ret)  # what came after contact does not matter
+    assert stopped.ret == pytest.approx(through.ret)  # the path after the contact does not matter
     assert through.ret < task().assess(POLICY, Rollout(around())).ret
     assert not through.success
     free = task([*OBSTACLE[:3], 0.0]).assess(POLICY, Rollout(straight()))
@@ -110,7 +110,7 @@ def test_the_model_knows_the_free_path_and_learns_where_it_was_stopped() -> None
     model = reach.model(parametrization, np.array([0.7, -0.25, 0.6]))
     z = np.zeros((1, parametrization.size))
     free = float(model.predict(z)[0])
-    assert free > 0.8  # it does not know the obstacle
+    assert free > 0.8  # the model has not learnt the obstacle
     model.learn(z[0], 0.35)
     assert float(model.predict(z)[0]) < free
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A reach past an obstacle: where paths stop, and what they return (Sec. III-A, Eq. 4)."""
+"""Reaching around an obstacle: stopped paths and their returns (Sec. III-A, Eq. 4)."""
 
 import dataclasses
 
@@ -68,7 +68,7 @@ def test_the_demonstrated_policy_meets_the_obstacle_and_stays_there() -> None:
 
 def test_without_the_obstacle_the_demonstrated_policy_follows_the_demonstration() -> None:
     path = plain_path(SCENARIO.policy)
-    # Two primitives, started at rest, lag behind half a metre of minimum jerk by a decimetre.
+    # Two spring-dampers, started at rest, lag behind a minimum-jerk reach of 0.5 m by 0.1 m.
     assert np.linalg.norm(path - SCENARIO.demonstrated, axis=1).max() < 0.12
     assert np.linalg.norm(path[-1] - SCENARIO.goal) < 0.03
 
