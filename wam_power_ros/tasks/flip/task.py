@@ -39,6 +39,7 @@ class Flip:
     def __init__(self, settings: FlipSettings, context: Mapping[str, Any]) -> None:
         """Construct the task; no context is needed."""
         self.settings = settings
+        self.settle_time = settings.settle_time
 
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
@@ -51,11 +52,6 @@ class Flip:
     ) -> dict[str, Any]:
         """No data is needed; see `Task`."""
         return {}
-
-    @property
-    def settle_time(self) -> float:
-        """Time that a rollout continues after the movement [s]."""
-        return self.settings.settle_time
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""

@@ -38,6 +38,7 @@ class Reach:
 
     Attributes:
         settings: Settings of the task.
+        settle_time: Time that a rollout continues after the movement [s].
         demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
         obstacle: Centre of the sphere [m]. Shape (3,).
         radius: Radius of the sphere, 0 for none [m].
@@ -57,6 +58,7 @@ class Reach:
             context: Data from `context_of`.
         """
         self.settings = settings
+        self.settle_time = settings.settle_time
         self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
         *centre, radius = context["obstacle"]
         self.obstacle, self.radius = np.array(centre, dtype=float), float(radius)
@@ -76,11 +78,6 @@ class Reach:
             "obstacle": [float(value) for value in obstacle],
         }
 
-    @property
-    def settle_time(self) -> float:
-        """Time that a rollout continues after the movement [s]."""
-        return self.settings.settle_time
-
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
         return Parametrization(policy, self.settings.variant, self.settings.noise)
@@ -99,7 +96,7 @@ class Reach:
         path = np.stack([np.interp(t, tool.t, x) for x in tool.position.T], axis=1)  # (T, 3)
         stopped, collided = scenario.stopped_paths(path[np.newaxis])
         touched = bool(collided[0])
-        why = cut_short(policy, rollout, self.settings.settle_time)
+        why = cut_short(policy, rollout, self.settle_time)
         if why and not touched:  # the controller may stop at a contact between the samples
             distance = float(np.linalg.norm(tool.position[-1] - scenario.obstacle))
             touched = self.radius > 0.0 and distance < self.radius + _CONTACT_MARGIN
