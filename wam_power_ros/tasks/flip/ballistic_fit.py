@@ -19,7 +19,7 @@ from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.tasks.flip.frames import POSITION_NOISE, Frames, interpolate, pan_normal
 
 HUBER_THRESHOLD = 2.5  # residual above which a frame is weighted less [standard deviations]
-_GRAVITY = 9.81  # [m/s^2]
+GRAVITY = 9.81  # [m/s^2]
 _DRAG = 0.3  # drag coefficient c in xdd = g - c |v| v at an average attitude [1/m]
 _ACCELERATION_STD = 0.5  # prior of a, the effect of attitude and draughts at mid-flight [m/s^2]
 _JERK_STD = 5.0  # prior of j, its rate of change [m/s^3]
@@ -143,13 +143,7 @@ def find_crossing(arc: Arc, pan: EndEffectorPath, delta_h: float) -> Crossing | 
 
 
 def release_time(frames: Frames, arc: Arc, pan: EndEffectorPath) -> float:
-    """Time of release [s]: the last time at which the arc is at the pan's floor.
-
-    Args:
-        frames: Frames to which the arc was fitted.
-        arc: Fitted arc.
-        pan: Path of the pan.
-    """
+    """Time of release [s]: the last time at which the arc of `frames` is at the pan's floor."""
     before = frames.t[: arc.used[0]][~frames.flying[: arc.used[0]]]
     earliest = float(before[-1]) if len(before) else float(pan.t[0])
     count = max(int((arc.t[0] - earliest) / _GRID_STEP), 1)
@@ -172,7 +166,7 @@ def _highest_run(frames: Frames) -> np.ndarray:
 
 def _consensus(t: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Inliers of the best parabola through two of the frames (consensus). Shape (m,), bool."""
-    lifted = position + 0.5 * _GRAVITY * np.outer(t**2, [0.0, 0.0, 1.0])  # straight lines
+    lifted = position + 0.5 * GRAVITY * np.outer(t**2, [0.0, 0.0, 1.0])  # straight lines
     picks = np.unique(np.linspace(0, len(t) - 1, min(len(t), 25)).round().astype(int))
     first, second = (picks[index] for index in np.triu_indices(len(picks), 1))
     slope = (lifted[second] - lifted[first]) / (t[second] - t[first])[:, None]
@@ -207,14 +201,14 @@ def _powers(s: np.ndarray) -> np.ndarray:
 
 def _fall(s: np.ndarray) -> np.ndarray:
     """Free fall g s^2/2 [m]. Shape (m, 3)."""
-    return np.outer(-0.5 * _GRAVITY * s * s, [0.0, 0.0, 1.0])
+    return np.outer(-0.5 * GRAVITY * s * s, [0.0, 0.0, 1.0])
 
 
 def _drag(s: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """Double integral c w(s) of -c |v| v from s = 0 along a parabola [m]. Shape (m, 3)."""
     low, high = min(float(s.min()), 0.0) - _GRID_STEP, max(float(s.max()), 0.0) + _GRID_STEP
     grid = np.linspace(low, high, max(int((high - low) / _DRAG_GRID_STEP), 8))
-    v = velocity + np.outer(grid, [0.0, 0.0, -_GRAVITY])
+    v = velocity + np.outer(grid, [0.0, 0.0, -GRAVITY])
     rate = _integral(-_DRAG * np.linalg.norm(v, axis=1, keepdims=True) * v, grid)
     return interpolate(s, grid, _integral(rate, grid))
 

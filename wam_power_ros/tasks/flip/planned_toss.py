@@ -16,10 +16,10 @@ import numpy as np
 from wam_power_ros import rotations
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
-GRAVITY = 9.81  # [m/s^2]
 PERIOD = 0.005  # sampling period of the movement [s]; 0.002 s does not predict better
 TAIL = 1.0  # time after the movement that is predicted too, at the tempo of the demonstration [s]
 CATCH_RADIUS = 0.1  # landing error at which a catch is unlikely [m]
@@ -46,13 +46,16 @@ class Tosses:
     landing_error: np.ndarray
 
 
-def plan_tosses(parameters: Parametrization, z: np.ndarray, start: np.ndarray) -> Tosses:
+def plan_tosses(
+    parameters: Parametrization, z: np.ndarray, start: np.ndarray, delta_h: float = DELTA_H
+) -> Tosses:
     """Predict the tosses of many policies.
 
     Args:
         parameters: Parametrization of the policies.
         z: Coordinates. Shape (B, size).
         start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
+        delta_h: Height above the pan at which the flight ends [m].
     """
     position, velocity, rotation, omega = _movement(parameters, z, start)
     tempo = parameters.tempo(z)  # (B,); the movement is at the tempo of the demonstration
@@ -70,7 +73,7 @@ def plan_tosses(parameters: Parametrization, z: np.ndarray, start: np.ndarray) -
     start_of_flight = position[release, :, policies].T  # (3, B)
     flying = start_of_flight + velocity[release, :, policies].T * t[:, None]  # (T, 3, B)
     flying[:, 2] -= 0.5 * GRAVITY * t**2
-    above = (flying[:, 2] - position[:, 2] > DELTA_H) & (t > 0.0)
+    above = (flying[:, 2] - position[:, 2] > delta_h) & (t > 0.0)
     tossed = released & above.any(axis=0)
     # The last sample above it: a pan that follows the pancake upwards crosses more than once.
     down = np.where(tossed, steps - 1 - above[::-1].argmax(axis=0), steps - 1)  # (B,)
@@ -137,6 +140,7 @@ class TossModel:
         parameters: Parametrization,
         start: np.ndarray,
         weights: PancakeWeights | LandingWeights,
+        delta_h: float = DELTA_H,
     ) -> None:
         """Start without rollouts.
 
@@ -144,9 +148,10 @@ class TossModel:
             parameters: Parametrization of the policies.
             start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
             weights: Weights of the return.
+            delta_h: Height above the pan at which the flight ends [m].
         """
         self._parameters, self._start = parameters, np.asarray(start, dtype=float)
-        self._weights = weights
+        self._weights, self._delta_h = weights, delta_h
         self._terms: list[np.ndarray] = []
         self._residuals: list[float] = []
         self._w: np.ndarray | None = None  # weights of the features, None before the first rollout
@@ -166,7 +171,8 @@ class TossModel:
         self._w = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ y)
 
     def _planned(self, z: np.ndarray) -> np.ndarray:
-        return planned_terms(plan_tosses(self._parameters, z, self._start), self._weights)
+        tosses = plan_tosses(self._parameters, z, self._start, self._delta_h)
+        return planned_terms(tosses, self._weights)
 
     @staticmethod
     def _features(terms: np.ndarray) -> np.ndarray:

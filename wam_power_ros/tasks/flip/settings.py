@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wam_power_ros.learning.dmp import FitSettings
+from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.parametrization import FlipNoise
 from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
@@ -67,7 +68,7 @@ class FlipSettings(BaseModel):
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     confirm_landing: float = Field(default=1.0, gt=0.0, le=1.0)
-    delta_h: float = Field(default=0.12, gt=0.0, le=1.0)
+    delta_h: float = Field(default=DELTA_H, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
     @model_validator(mode="after")

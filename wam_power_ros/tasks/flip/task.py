@@ -93,7 +93,7 @@ class Flip:
         """Return of the planned toss, corrected by the returns of rollouts; see `Task`."""
         settings = self.settings
         weights = settings.pancake_weights if settings.ret == "eq5" else settings.landing_weights
-        return TossModel(parametrization, start, weights)
+        return TossModel(parametrization, start, weights, settings.delta_h)
 
     def outcome(self, record: LoggedRollout) -> str:
         """Rotation and end state of the pancake, as tracked; see `Task`."""
