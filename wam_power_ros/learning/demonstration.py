@@ -178,14 +178,11 @@ def from_positions(position: np.ndarray, period: float) -> Demonstration:
 
 
 def rotation_from(quat_xyzw: np.ndarray, reference_xyzw: np.ndarray) -> np.ndarray:
-    """Continuous rotation vectors r with R = exp(r) R_ref [rad].
+    """Continuous rotation vectors r [rad] with R = exp(r) R_ref. Shape (N, 3).
 
     Args:
         quat_xyzw: Orientations R, unit quaternions. Shape (N, 4).
         reference_xyzw: R_ref, unit quaternion. Shape (4,).
-
-    Returns:
-        Rotation vectors. Shape (N, 3).
     """
     inverse = np.asarray(reference_xyzw) * np.array([-1.0, -1.0, -1.0, 1.0])
     relative = rotations.multiply(quat_xyzw, np.broadcast_to(inverse, np.shape(quat_xyzw)))

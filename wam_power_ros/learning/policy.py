@@ -15,13 +15,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from wam_power_ros.arm_identity import ArmIdentity, identity_of
+from wam_power_ros.arm_identity import JOINTS_MAX, ArmIdentity, identity_of
 
 SCHEMA = "wam_power_ros/policy/2"  # version 1, without the identity of the arm, is still read
 PERIOD = 0.002  # control period [s]
 SIZE_MAX = 1_000_000  # largest JSON text [byte]
 COUNT_MAX = 200  # largest number of spring-dampers
-JOINTS_MAX = 16  # largest number of joints
 DURATION_MAX = 60.0  # longest movement [s]
 STIFFNESS_MAX = 1e5  # largest element of a translational or rotational stiffness [1/s^2]
 DAMPING_MAX = 1e3  # damping above 2 / PERIOD is unstable at the control period [1/s]
@@ -40,7 +39,7 @@ def check_id(policy_id: str) -> None:
     if not isinstance(policy_id, str) or not _ID.fullmatch(policy_id):
         shown = repr(policy_id)
         shown = shown if len(shown) <= 100 else shown[:100] + "..."
-        raise ValueError(f"id {shown} must match [A-Za-z0-9_.-]{{1,64}}")
+        raise ValueError(f"id {shown} must match {_ID.pattern}")
 
 
 def read_only(
@@ -279,10 +278,7 @@ def to_json(policy: Policy) -> str:
 
 
 def from_json(text: str) -> Policy:
-    """Parse a policy.
-
-    Args:
-        text: JSON text as `to_json` writes it, at most SIZE_MAX bytes.
+    """Parse a policy from JSON text of `to_json`, of at most SIZE_MAX bytes.
 
     Raises:
         ValueError: If the text is not a valid policy; the message names the first defect.

@@ -179,12 +179,9 @@ def fault_assessment(fault: Fault) -> Assessment:
 
 
 def cut_short(policy: Policy, rollout: Rollout, settle_time: float) -> str:
-    """Return the reason why the tool path is incomplete; empty if it is complete.
+    """Return why the tool path of a rollout is incomplete; empty if it is complete.
 
-    Args:
-        policy: Policy that was executed.
-        rollout: Rollout of the policy.
-        settle_time: Time that a rollout continues after the movement [s].
+    A rollout lasts as long as its policy and `settle_time` [s].
     """
     duration = policy.basis.duration + settle_time
     t = rollout.tool.t

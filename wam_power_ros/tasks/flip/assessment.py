@@ -21,13 +21,7 @@ _FALLEN_DEPTH = 0.05  # depth below the pan's floor at which a pancake was dropp
 
 
 def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessment:
-    """Return and success of a rollout, or the reason why it cannot be judged.
-
-    Args:
-        policy: Policy that was executed.
-        rollout: Paths of pan and pancake, and the fault, if any.
-        settings: Settings of the task.
-    """
+    """Return and success of a rollout of `policy`, or the reason why it cannot be judged."""
     if rollout.fault is not None:
         return fault_assessment(rollout.fault)
     if why := cut_short(policy, rollout, settings.settle_time):

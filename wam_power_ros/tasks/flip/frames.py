@@ -73,12 +73,7 @@ class Frames:
 
 
 def frames_from_pan(pan: EndEffectorPath, pancake: BodyPath) -> Frames:
-    """Compute the pose of the pancake relative to the pan in every frame.
-
-    Args:
-        pan: Path of the pan.
-        pancake: Path of the pancake, same clock; gaps are allowed.
-    """
+    """Compute the pose of the pancake relative to the pan in every frame; gaps are allowed."""
     inside = (pancake.t >= pan.t[0]) & (pancake.t <= pan.t[-1])
     t, position = pancake.t[inside], pancake.position[inside]
     matrix = rotations.matrix(pancake.quat_xyzw[inside])

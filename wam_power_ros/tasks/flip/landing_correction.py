@@ -21,11 +21,6 @@ def landing_correction(
     The catch shift is moved to where the pancake came down, the others to where it would have made
     half a turn. A pancake that was not tossed has not turned, so it lacks the whole half turn.
 
-    Args:
-        assessment: Assessment of a rollout, with its flight as the observation.
-        parametrization: Map from coordinates to policies.
-        settings: Gains and limits of the corrections.
-
     Returns:
         Shifts of z, shape (size,) each; empty without gains, or if the toss was not seen.
     """

@@ -93,12 +93,7 @@ def pancake_return(flight: Flight, weights: PancakeWeights = PAPER_WEIGHTS) -> R
     the rotation was not seen either); the altitude is measured from the pan's height at the start
     and is at least 0.
 
-    Args:
-        flight: Observed flight.
-        weights: Weights; by default those of the paper.
-
-    Returns:
-        Return with the terms orientation, position, altitude.
+    The terms are orientation, position and altitude.
     """
     turned = 0.0
     if flight.tossed:
@@ -123,12 +118,7 @@ def landing_return(flight: Flight, weights: LandingWeights) -> Return:
     or a whole turn. d is the horizontal distance at t_f. Landing and catching are weighted by the
     squared rotation, because a pancake that does not turn is easily caught.
 
-    Args:
-        flight: Observed flight.
-        weights: Weights of the terms.
-
-    Returns:
-        Return with the terms rotation, altitude, landing, caught.
+    The terms are rotation, altitude, landing and caught.
     """
     rotation = 0.0
     if flight.tossed:

@@ -108,12 +108,9 @@ class Spin:
 
 
 def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:
-    """Fit a spin to the normals of the flight by robust weighted least squares.
+    """Fit a spin to the normals of the arc's inlier frames by robust weighted least squares.
 
-    Args:
-        frames: Frames of the pancake.
-        arc: Arc fitted to the frames; its inlier frames are used.
-        pan: Path of the pan, whose normal at the release is roughly that of the pancake.
+    The normal of the pan at the release is roughly that of the pancake and serves as a prior.
     """
     normals = frames.normal[arc.used]
     t, origin = arc.t, arc.origin

@@ -147,11 +147,8 @@ def scenario_of(demonstrations: Sequence[Demonstration]) -> Scenario:
 
     The obstacle is at the midpoint of the mean demonstration.
 
-    Args:
-        demonstrations: At least one demonstration.
-
     Raises:
-        ValueError: If a value is out of range.
+        ValueError: If there is no demonstration or a value is out of range.
     """
     policy = fit(demonstrations, REACH_FIT, "demonstration")
     paths = resampled(demonstrations)
@@ -161,11 +158,7 @@ def scenario_of(demonstrations: Sequence[Demonstration]) -> Scenario:
 
 
 def resampled(demonstrations: Sequence[Demonstration]) -> np.ndarray:
-    """Tool positions at STEPS evenly spaced times of each demonstration [m].
-
-    Returns:
-        Positions. Shape (count, STEPS, 3).
-    """
+    """Tool positions at STEPS evenly spaced times of each demonstration [m]. (count, STEPS, 3)."""
     grid = np.linspace(0.0, 1.0, STEPS)
     return np.stack(
         [

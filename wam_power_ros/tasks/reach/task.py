@@ -51,12 +51,7 @@ class Reach:
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
 
     def __init__(self, settings: ReachSettings, context: Mapping[str, Any]) -> None:
-        """Construct the task.
-
-        Args:
-            settings: Settings of the task.
-            context: Data from `context_of`.
-        """
+        """Construct the task; `context` is the data of `context_of`."""
         self.settings = settings
         self.settle_time = settings.settle_time
         self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
