@@ -162,11 +162,12 @@ class GaussianLearner(ABC):
         name = type(self).__name__
         if size < self.size_min:
             raise ValueError(f"size is {size}, {name} needs at least {self.size_min}")
-        if model is not None and not self.needs_model:
-            raise ValueError(f"{name} uses no model, got {model}")
+        if (model is not None) != self.needs_model:
+            raise ValueError(f"{name} {'needs a' if self.needs_model else 'uses no'} model")
         self.size = size
         self.settings = settings
         self._rng = rng
+        self._model = model
         self._rollouts = Rollouts(size)
         self._mean = np.zeros(size)
         self._noise: float | np.ndarray = 1.0  # standard deviation of the exploration

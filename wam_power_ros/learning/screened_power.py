@@ -47,19 +47,7 @@ class ScreenedPower(GaussianLearner):
 
     settings: Settings
     needs_model = True
-
-    def __init__(
-        self,
-        size: int,
-        settings: Settings,
-        rng: np.random.Generator,
-        model: Model | None = None,
-    ) -> None:
-        """Start at z = 0 with a model that has not learnt yet; see `LearnerClass`."""
-        super().__init__(size, settings, rng, model)
-        if model is None:
-            raise ValueError("ScreenedPower needs a model of the returns")
-        self._model = model
+    _model: Model
 
     def ask(self) -> np.ndarray:
         """Draw candidates; return the one with the highest predicted return. Shape (size,)."""

@@ -22,7 +22,7 @@ from wam_power_ros.tracking import marker_fit
 
 SECOND = 1_000_000_000  # [ns]
 GRAVITY = 9.81  # [m/s^2]
-HISTORY = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
+HISTORY_TIME = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
 INTERVAL_MIN = SECOND // 1000  # frames with closer stamps were stamped on delivery [ns]
 FROZEN_COUNT = 10  # consecutive bit-identical poses, over FROZEN_TIME, that count as frozen
 FROZEN_TIME = 3 * SECOND // 10  # shortest duration of a frozen pose [ns]
@@ -163,7 +163,7 @@ class Tracker:
         self.validity = Validity.LOST
         self.latest_ns = 0
         self._frames: deque[_Frame] = deque()
-        self._since = 0  # stamp from which on the frames are one continuous movement [ns]
+        self._track_start = 0  # stamp from which on the frames are one continuous movement [ns]
         self._state: TrackedState | None = None
         self._raw, self._raw_since, self._repeats = b"", 0, 0  # last pose, its first stamp, count
         self._older_stamps = self._jumps = self._consistent = 0  # consecutive frames
@@ -194,8 +194,8 @@ class Tracker:
         frame = self._in_base(stamp_ns - self._latency, position, quat_xyzw)
         self.latest_ns = frame.stamp_ns
         if self._is_repeated(frame.stamp_ns, position.tobytes() + quat_xyzw.tobytes()):
-            held = frame.stamp_ns - self._raw_since
-            frozen = self._repeats >= FROZEN_COUNT and held >= FROZEN_TIME
+            duration = frame.stamp_ns - self._raw_since
+            frozen = self._repeats >= FROZEN_COUNT and duration >= FROZEN_TIME
             self.refuse(FrameFault.POSE_REPEATED, Validity.FROZEN if frozen else None)
             return None
         low, high = self._settings.workspace_low, self._settings.workspace_high
@@ -299,16 +299,20 @@ class Tracker:
         """Whether the body can have moved here, or was seen near here for several frames."""
         if not self._frames:
             return True
-        time_max = self._gap_max if self._jumps else HISTORY  # after a jump the gate stops growing
+        time_max = (
+            self._gap_max if self._jumps else HISTORY_TIME
+        )  # after a jump the gate stops growing
         if self._gate(self._frames[-1], frame, time_max):
             return True
-        consistent = self._candidate is not None and self._gate(self._candidate, frame, HISTORY)
+        consistent = self._candidate is not None and self._gate(
+            self._candidate, frame, HISTORY_TIME
+        )
         self._consistent = self._consistent + 1 if consistent else 1
         self._candidate = frame
         if self._consistent < REACQUIRE_COUNT:
             return False
         self.counts["found again"] += 1
-        self._since = frame.stamp_ns
+        self._track_start = frame.stamp_ns
         return True
 
     def _gate(self, last: _Frame, frame: _Frame, time_max: int) -> bool:
@@ -320,7 +324,7 @@ class Tracker:
     def _accept(self, frame: _Frame) -> TrackedState | None:
         self._jumps = self._consistent = 0
         self._frames.append(frame)
-        while frame.stamp_ns - self._frames[0].stamp_ns > HISTORY:
+        while frame.stamp_ns - self._frames[0].stamp_ns > HISTORY_TIME:
             self._frames.popleft()
         self.validity, self.fault = Validity.OK, None
         self.counts["accepted"] += 1
@@ -331,7 +335,7 @@ class Tracker:
         """State at the last frame, None if it is the only one in the velocity window."""
         recent: list[_Frame] = []
         for frame in reversed(self._frames):
-            if frame.stamp_ns < max(last.stamp_ns - self._window, self._since):
+            if frame.stamp_ns < max(last.stamp_ns - self._window, self._track_start):
                 break
             recent.append(frame)
         if len(recent) < 2:

@@ -72,7 +72,7 @@ class FlipSettings(BaseModel):
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
     @model_validator(mode="after")
-    def _fit_together(self) -> FlipSettings:
+    def _check_consistency(self) -> FlipSettings:
         for name in ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"):
             if getattr(self, name) > 0.0 and self.variant != "planar":
                 raise ValueError(
