@@ -14,15 +14,14 @@ from wam_power_ros.tasks.flip.flight import Flight
 
 @dataclass(frozen=True)
 class Return:
-    """A return and its terms.
+    """A return: weighted terms by name, each at least 0."""
 
-    Attributes:
-        total: Sum of the terms.
-        terms: Weighted terms by name, each at least 0.
-    """
-
-    total: float
     terms: dict[str, float]
+
+    @property
+    def total(self) -> float:
+        """Sum of the terms."""
+        return math.fsum(self.terms.values())
 
 
 class _Weights:
@@ -92,8 +91,6 @@ def pancake_return(flight: Flight, weights: PancakeWeights = PAPER_WEIGHTS) -> R
     first term is 0 and t_f the end; if it is lost from view, the second term is 0 (and the first if
     the rotation was not seen either); the altitude is measured from the pan's height at the start
     and is at least 0.
-
-    The terms are orientation, position and altitude.
     """
     turned = 0.0
     if flight.tossed:
@@ -102,10 +99,12 @@ def pancake_return(flight: Flight, weights: PancakeWeights = PAPER_WEIGHTS) -> R
     near = 0.0
     if flight.seen:
         near = math.exp(-float(np.linalg.norm(flight.position - flight.pan_position)))
-    return _sum(
-        orientation=weights.orientation * turned,
-        position=weights.position * near,
-        altitude=weights.altitude * max(flight.apex, 0.0),
+    return Return(
+        {
+            "orientation": weights.orientation * turned,
+            "position": weights.position * near,
+            "altitude": weights.altitude * max(flight.apex, 0.0),
+        }
     )
 
 
@@ -117,8 +116,6 @@ def landing_return(flight: Flight, weights: LandingWeights) -> Return:
     rho = 1 - |angle - pi| / pi, at least 0, with the unfolded angle: 1 for half a turn, 0 for none
     or a whole turn. d is the horizontal distance at t_f. Landing and catching are weighted by the
     squared rotation, because a pancake that does not turn is easily caught.
-
-    The terms are rotation, altitude, landing and caught.
     """
     rotation = 0.0
     if flight.tossed:
@@ -127,13 +124,11 @@ def landing_return(flight: Flight, weights: LandingWeights) -> Return:
     if flight.seen:
         near = math.exp(-math.hypot(*flight.landing_error[:2]) / weights.landing_scale)
     altitude = min(max(flight.apex, 0.0), weights.altitude_cap) / weights.altitude_cap
-    return _sum(
-        rotation=weights.rotation * rotation,
-        altitude=weights.altitude * altitude,
-        landing=weights.landing * rotation**2 * near,
-        caught=weights.caught * rotation**2 * float(flight.resting),
+    return Return(
+        {
+            "rotation": weights.rotation * rotation,
+            "altitude": weights.altitude * altitude,
+            "landing": weights.landing * rotation**2 * near,
+            "caught": weights.caught * rotation**2 * float(flight.resting),
+        }
     )
-
-
-def _sum(**terms: float) -> Return:
-    return Return(total=math.fsum(terms.values()), terms=terms)
