@@ -64,7 +64,7 @@ class Flip:
         x, y, height = tool.rotation.T @ (body.position - tool.position)
         low, high = _HEIGHT_RANGE
         if math.hypot(x, y) >= _OFFSET_MAX or not low < height < high:
-            return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m from its floor"
+            return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m in its frame"
         speed = float(np.linalg.norm(body.velocity))
         return "" if speed < _REST_SPEED_MAX else f"the pancake moves at {speed:.2f} m/s"
 
