@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An arm is told from another by its kinematics, whatever its joints are called."""
+"""Arms are identified by their kinematics, whatever their joints are called."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def test_text_and_back_is_the_same() -> None:
 @pytest.mark.requirement("S-59")
 def test_the_refusal_of_another_arm_names_both() -> None:
     assert refusal(THEIRS, OURS) == (
-        "is of another arm: of cobot7 (cobot_joint1 to cobot_joint2, kinematics aaaaaaaa); "
-        "this one is wam7 (wam_j1 to wam_j2, kinematics 11111111)"
+        "belongs to another arm: cobot7 (cobot_joint1 to cobot_joint2, kinematics aaaaaaaa); "
+        "this arm is wam7 (wam_j1 to wam_j2, kinematics 11111111)"
     )
 
 
@@ -35,12 +35,12 @@ def test_the_same_arm_and_an_unknown_one_are_not_refused_but_remarked() -> None:
         (OURS, ""),
         (renamed, ""),
         (heavier, "other masses"),
-        (None, "does not say which arm it is of; it is taken to be wam7"),
+        (None, "does not name its arm; it is assumed to be wam7"),
     ):
         assert refusal(theirs, OURS) == ""
         assert said in remark(theirs, OURS) and bool(said) == bool(remark(theirs, OURS))
     assert refusal(OURS, None) == ""
-    assert refusal(OURS._replace(joint_names=("wam_j1",)), OURS)  # a part of the arm
+    assert refusal(OURS._replace(joint_names=("wam_j1",)), OURS)  # fewer joints
 
 
 @pytest.mark.parametrize(
@@ -55,7 +55,7 @@ def test_the_same_arm_and_an_unknown_one_are_not_refused_but_remarked() -> None:
         ({"joint_names": ["a"] * 17}, "1 to 16 names"),
         ({"joint_names": "ab"}, "1 to 16 names"),
         ({"joint_names": [1]}, "must be"),
-        ({"size": 3}, "identified by"),
+        ({"size": 3}, "must have the keys"),
     ],
 )
 def test_what_is_no_identity_is_refused(change: dict, why: str) -> None:
@@ -63,5 +63,5 @@ def test_what_is_no_identity_is_refused(change: dict, why: str) -> None:
         identity_of(OURS._asdict() | change)
     with pytest.raises(ValueError, match=why):
         arm_identity.from_json(json.dumps(OURS._asdict() | change))
-    with pytest.raises(ValueError, match="identified by"):
+    with pytest.raises(ValueError, match="must have the keys"):
         arm_identity.from_json("[]")

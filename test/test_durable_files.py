@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files are replaced as a whole, and are on the disk before the old one goes."""
+"""Files are replaced atomically and flushed to disk before the old one is removed."""
 
 from __future__ import annotations
 

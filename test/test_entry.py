@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A signal during the imports of a process ends it as later on, and nothing is printed."""
+"""A signal during the imports of a process ends it as one afterwards, without output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from conftest import ROOT
 
 from wam_power_ros import entry
 
-# In short sleeps: a signal just before a sleep begins does not end it.
+# Short sleeps, because a signal just before a sleep does not end it.
 SLOW = "import time; print('importing', flush=True); [time.sleep(0.05) for _ in range(12000)]"
 GUARDED = [
     path.relative_to(ROOT).with_suffix("").as_posix().replace("/", ".")
@@ -36,7 +36,7 @@ WAYS = {
 
 @pytest.fixture(scope="module")
 def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Libraries whose import does not end."""
+    """Folder of libraries whose import never returns."""
     folder = tmp_path_factory.mktemp("slow")
     for name in ("numpy", "yaml", "rclpy"):
         (folder / f"{name}.py").write_text(SLOW)

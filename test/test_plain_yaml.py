@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML of bags and sessions: plain data comes back, the rest is refused by the name of its file."""
+"""YAML of bags and sessions: plain data is returned, anything else is refused, naming the file."""
 
 from pathlib import Path
 

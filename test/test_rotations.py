@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation vectors, matrices and quaternions mean the same rotation."""
+"""Conversions between rotation vectors, matrices and quaternions."""
 
 import math
 

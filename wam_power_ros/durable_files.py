@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that survive a crash: flushed to the disk, and replaced as a whole."""
+"""Files that survive a crash: flushed to disk and replaced atomically."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ _KINDS = {
 
 
 def check_regular(path: Path) -> None:
-    """Refuse what is no regular file: reading a FIFO or a device may block, or never end.
+    """Check that a path is a regular file: reading a FIFO or a device may block or never end.
 
     Raises:
-        ValueError: It is another kind of file, missing, or a link that leads nowhere; says which.
+        ValueError: If it is another kind of file, missing or a broken link; the message says which.
     """
     try:
         mode = path.stat().st_mode
     except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links, before Python 3.13
         raise ValueError(f"{path}: {getattr(error, 'strerror', error)}") from None
     if not stat.S_ISREG(mode):
-        kind = _KINDS.get(stat.S_IFMT(mode), "no regular file")
+        kind = _KINDS.get(stat.S_IFMT(mode), "a special file")
         raise ValueError(f"{path} is {kind}; it must be a regular file")
 
 
 def sync(path: Path) -> None:
-    """Flush a file, or the entries of a folder, to the disk."""
+    """Flush a file, or the entries of a folder, to disk."""
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(handle)
@@ -41,10 +41,10 @@ def sync(path: Path) -> None:
 
 
 def replace(path: Path, text: str) -> None:
-    """Write a file so that readers, and a crash, leave the old or the new text, never a part.
+    """Replace a file atomically: readers, also after a crash, find the old or the new text.
 
     Raises:
-        OSError: When the disk refuses; the old file is then still there.
+        OSError: If writing fails; the old file is then unchanged.
     """
     part = path.with_name(f".{path.name}.part")
     part.write_text(text, encoding="utf-8")

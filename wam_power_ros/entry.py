@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Entry points of all processes: a signal that comes while their modules are imported ends them.
+"""Entry points of all processes: a signal during their imports ends them without a traceback.
 
-The imports take seconds on a slow machine, and nothing has been opened then: the process ends as
-it would later, without a traceback. Nothing but the standard library is imported here.
+The imports take seconds on a slow machine, and nothing has been opened by then. Only the standard
+library is imported here.
 
-NumPy's linear algebra gets one thread, which has to be set before it is imported: with more, sums
-are ordered otherwise, last digits depend on the number of cores, and a session that is resumed on
-another machine would go on otherwise.
+NumPy's linear algebra is limited to one thread, before it is imported. With more threads the order
+of sums, hence the last digits, depend on the number of cores, and a session resumed on another
+machine would continue differently.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import signal
 from functools import partial
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-INTERRUPTED = 130  # exit status of a program that was interrupted before it had done its work
+INTERRUPTED = 130  # exit status of a program that is interrupted before its work is done
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 def start(module: str, interrupted: int = 0) -> int:
-    """Import a module and run its `main`.
+    """Import a module and call its `main`.
 
     Args:
         module: Name of the module.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML of bags and sessions, read as plain data; what is large, deep or circular is refused."""
+"""Plain data from the YAML files of bags and sessions; large, deep or circular YAML is refused."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import yaml
 
 from wam_power_ros.durable_files import check_regular
 
-SIZE_MAX = 1_000_000  # [bytes]
-DEPTH_MAX = 20  # levels of nesting
+SIZE_MAX = 1_000_000  # largest file [byte]
+DEPTH_MAX = 20  # largest number of nested levels
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # builds plain data, runs nothing
 
 
@@ -18,13 +18,13 @@ def read(file: Path) -> object:
     """Return the plain data in a YAML file.
 
     Raises:
-        ValueError: When it is no regular file, too large, nested too deeply, has an alias, or is
+        ValueError: If it is not a regular file, too large, nested too deeply, has an alias, or is
             not YAML.
     """
     check_regular(file)
     size = file.stat().st_size
     if size > SIZE_MAX:
-        raise ValueError(f"{file} has {size} bytes, at most {SIZE_MAX} are believed")
+        raise ValueError(f"{file} has {size} bytes; at most {SIZE_MAX} are allowed")
     return parse(file.read_bytes(), str(file))
 
 
@@ -32,18 +32,18 @@ def parse(text: bytes, where: str) -> object:
     """Return the plain data in YAML text; `where` names its origin in messages.
 
     Raises:
-        ValueError: When it is nested too deeply, has an alias, or is not YAML.
+        ValueError: If it is nested too deeply, has an alias, or is not YAML.
     """
     depth = 0
     try:
         decoded = text.decode()
         for event in yaml.parse(decoded, Loader=LOADER):
             if isinstance(event, yaml.AliasEvent):
-                raise ValueError(f"{where} has an alias, which nothing here needs")
+                raise ValueError(f"{where} has an alias, which is not allowed")
             depth += isinstance(event, yaml.CollectionStartEvent)
             depth -= isinstance(event, yaml.CollectionEndEvent)
             if depth > DEPTH_MAX:
-                raise ValueError(f"{where} is nested deeper than {DEPTH_MAX}")
+                raise ValueError(f"{where} is nested deeper than {DEPTH_MAX} levels")
         return yaml.load(decoded, Loader=LOADER)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError(f"{where} is not plain YAML: {error}") from None

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rotations as vectors, matrices and quaternions (xyzw), one or many at a time.
+"""Rotations as vectors, matrices and unit quaternions (xyzw), one or many at a time.
 
 A rotation vector `r` [rad] points along the axis and its length is the angle; `exp(r)` is its
 matrix. A single rotation is computed with plain floats, which is fast enough for the 500 Hz loop;
-arrays of any leading shape are vectorised. No argument is modified.
+arrays of any leading shape are vectorised. Shapes are (..., 3) for vectors, (..., 3, 3) for
+matrices and (..., 4) for quaternions. No argument is modified.
 """
 
 import itertools
@@ -14,18 +15,11 @@ from typing import TypeVar
 import numpy as np
 
 T = TypeVar("T", float, np.ndarray)
-_TINY = 1e-8  # angle below which the series to second order is exact to rounding [rad]
+_TINY = 1e-8  # angle below which a second-order series is exact to rounding [rad]
 
 
 def exp(rotation_vector: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a rotation vector (Rodrigues).
-
-    Args:
-        rotation_vector: Rotation vectors [rad]. Shape (..., 3).
-
-    Returns:
-        Rotation matrices. Shape (..., 3, 3).
-    """
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad], by Rodrigues' formula."""
     r = np.asarray(rotation_vector, dtype=float)
     x, y, z = r[..., 0], r[..., 1], r[..., 2]
     angle2 = x * x + y * y + z * z
@@ -48,29 +42,15 @@ def exp(rotation_vector: np.ndarray) -> np.ndarray:
 
 
 def log(matrix: np.ndarray) -> np.ndarray:
-    """Rotation vector of a rotation matrix, of length at most pi; accurate at 0 and at pi.
+    """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3).
 
-    Args:
-        matrix: Rotation matrices. Shape (..., 3, 3).
-
-    Returns:
-        Rotation vectors [rad]. Shape (..., 3).
+    Their length is at most pi; they are accurate near 0 and pi.
     """
-    matrix = np.asarray(matrix, dtype=float)
-    if matrix.ndim == 2:
-        return np.array(_vector_of_one(*_quat_of_one(*matrix.ravel().tolist())))
     return rotation_vector(quat_xyzw(matrix))
 
 
 def quat_xyzw(matrix: np.ndarray) -> np.ndarray:
-    """Unit quaternion of a rotation matrix, with w >= 0 (Shepperd's method).
-
-    Args:
-        matrix: Rotation matrices. Shape (..., 3, 3).
-
-    Returns:
-        Unit quaternions. Shape (..., 4).
-    """
+    """Quaternions (..., 4), with w >= 0, of rotation matrices (..., 3, 3) by Shepperd's method."""
     matrix = np.asarray(matrix, dtype=float)
     if matrix.ndim == 2:
         return np.array(_quat_of_one(*matrix.ravel().tolist()))
@@ -98,13 +78,7 @@ def _quat_of_one(
 
 
 def matrix(quat_xyzw: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a quaternion, which is normalised first.
-
-    Args:
-        quat_xyzw: Quaternions. Shape (..., 4).
-
-    Returns:
-        Rotation matrices. Shape (..., 3, 3).
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4) of any length.
 
     Raises:
         ValueError: If a quaternion is not finite or has zero length.
@@ -119,13 +93,7 @@ def matrix(quat_xyzw: np.ndarray) -> np.ndarray:
 
 
 def normalised(quat_xyzw: np.ndarray) -> np.ndarray:
-    """Quaternions scaled to unit length.
-
-    Args:
-        quat_xyzw: Quaternions. Shape (..., 4).
-
-    Returns:
-        Unit quaternions. Shape (..., 4).
+    """Scale quaternions (..., 4) to unit length. Shape (..., 4).
 
     Raises:
         ValueError: If a quaternion is not finite or has zero length.
@@ -143,14 +111,7 @@ def normalised(quat_xyzw: np.ndarray) -> np.ndarray:
 
 
 def rotation_vector(quat_xyzw: np.ndarray) -> np.ndarray:
-    """Rotation vector of a unit quaternion, of length at most pi.
-
-    Args:
-        quat_xyzw: Unit quaternions. Shape (..., 4).
-
-    Returns:
-        Rotation vectors [rad]. Shape (..., 3).
-    """
+    """Rotation vectors (..., 3) [rad], of length at most pi, of quaternions (..., 4)."""
     quat = np.asarray(quat_xyzw, dtype=float)
     if quat.ndim == 1:
         return np.array(_vector_of_one(*quat.tolist()))
@@ -172,14 +133,7 @@ def _vector_of_one(x: float, y: float, z: float, w: float) -> tuple[float, float
 
 
 def quat_of_vector(rotation_vector: np.ndarray) -> np.ndarray:
-    """Unit quaternion (xyzw) of a rotation vector.
-
-    Args:
-        rotation_vector: Rotation vectors [rad]. Shape (..., 3).
-
-    Returns:
-        Unit quaternions. Shape (..., 4).
-    """
+    """Quaternions (..., 4) of rotation vectors (..., 3) [rad]."""
     r = np.asarray(rotation_vector, dtype=float)
     half = 0.5 * np.sqrt(np.sum(r * r, axis=-1))
     scale = 0.5 * np.sinc(half / np.pi)  # sin(half) / (2 half)
@@ -187,15 +141,7 @@ def quat_of_vector(rotation_vector: np.ndarray) -> np.ndarray:
 
 
 def multiply(a_xyzw: np.ndarray, b_xyzw: np.ndarray) -> np.ndarray:
-    """Quaternion product a b: the rotation b followed by the rotation a.
-
-    Args:
-        a_xyzw: Left factors. Shape (..., 4).
-        b_xyzw: Right factors. Shape (..., 4).
-
-    Returns:
-        Products. Shape (..., 4).
-    """
+    """Quaternion products a b (..., 4): the rotation b followed by the rotation a."""
     a, b = np.asarray(a_xyzw, dtype=float), np.asarray(b_xyzw, dtype=float)
     if a.ndim == b.ndim == 1:
         return np.array(_product(a.tolist(), b.tolist()))
@@ -203,7 +149,7 @@ def multiply(a_xyzw: np.ndarray, b_xyzw: np.ndarray) -> np.ndarray:
 
 
 def _product(a: Sequence[T], b: Sequence[T]) -> tuple[T, T, T, T]:
-    """Components of the product from those of the factors: four numbers each, or four arrays."""
+    """Components of the quaternion product: four floats each, or four arrays."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -217,15 +163,15 @@ def _product(a: Sequence[T], b: Sequence[T]) -> tuple[T, T, T, T]:
 def continuous(rotation_vectors: np.ndarray) -> np.ndarray:
     """Unwrap rotation vectors, so that they do not jump where the angle passes pi.
 
-    Whole turns about its own axis are added to each vector, such that it is nearest to its
+    To each vector the number of whole turns about its axis is added that brings it closest to its
     predecessor.
 
     Args:
-        rotation_vectors: Rotation vectors in the order of time, less than half a turn apart [rad].
+        rotation_vectors: Rotation vectors in temporal order, less than half a turn apart [rad].
             Shape (N, 3).
 
     Returns:
-        Vectors of the same rotations [rad]. Shape (N, 3).
+        Rotation vectors of the same rotations [rad]. Shape (N, 3).
     """
     vectors = np.array(rotation_vectors, dtype=float)
     for previous, vector in itertools.pairwise(vectors):
@@ -241,7 +187,7 @@ def continuous(rotation_vectors: np.ndarray) -> np.ndarray:
 
 
 def interpolate(t: np.ndarray, times: np.ndarray, quat_xyzw: np.ndarray) -> np.ndarray:
-    """Interpolate orientations along the shortest arc; constant before the first, after the last.
+    """Interpolate orientations along the shortest arc; constant outside the samples.
 
     Args:
         t: Times to interpolate at [s]. Shape (M,).

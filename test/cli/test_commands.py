@@ -119,7 +119,7 @@ def test_a_session_whose_answer_cannot_be_shown_has_a_report_without_it(
         trial = practice.next_trial()
         record = practice.learn_assessed(trial, toss(trial, practice.task.settings))
         session.append(record.model_copy(update={"truth": {"caught": True}}))
-    why = "policy answer-quiet is of another arm"
+    why = "policy answer-quiet belongs to another arm"
     monkeypatch.setattr("wam_power_ros.cli.commands._last_error", lambda command, gl: why)
     assert main.main(["report", str(folder)]) == 0
     assert f"No film in the report: {why}" in capsys.readouterr().out
@@ -217,5 +217,5 @@ def test_a_bag_of_another_arm_is_not_replayed(
     path = writer.close({"arm": arm_identity.to_json(theirs)})
     folder = tmp_path / "replay"
     assert main.main(["replay", str(path), "--folder", str(folder)]) == 2
-    assert "is of another arm: of cobot7" in capsys.readouterr().err
+    assert "belongs to another arm: cobot7" in capsys.readouterr().err
     assert not folder.exists()  # no node was started

@@ -49,7 +49,7 @@ def rollout(controller: Controller, plant: Plant) -> SimpleNamespace:
 def deviation(result: SimpleNamespace, policy: Policy) -> tuple[float, float]:
     """Rms of position [m] and angle [deg] against Eq. 1 as it would run on an ideal arm."""
     tables = dmp.tabulate(policy)
-    steps = tables.rows
+    steps = len(tables.b)
     x, _ = reproduced(policy, result.position[0])
     reference = rotations.matrix(policy.orientation_reference)
     vector, omega = rotations.log(result.rotation[0] @ reference.T), np.zeros(3)

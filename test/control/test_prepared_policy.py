@@ -72,7 +72,7 @@ def test_a_policy_of_another_arm_is_refused_and_both_are_named() -> None:
     ours = MODEL.identity()
     theirs = ours._replace(name="cobot7", kinematics="c" * 64)
     settings = replace(SETTINGS, arm=ours)
-    why = f"policy trial-0001 is of another arm: of {theirs}; this one is {ours}"
+    why = f"policy trial-0001 belongs to another arm: {theirs}; this arm is {ours}"
     with pytest.raises(ControllerError, match=re.escape(why)):
         prepare(replace(POLICY, arm=theirs), MODEL.n, LIMITS, settings)
     for arm in (ours, None):

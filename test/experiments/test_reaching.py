@@ -19,7 +19,7 @@ def test_the_shipped_demonstrations_make_a_scenario_of_the_arm() -> None:
     policy = scenario.policy
     stiffness, attractors = policy.stiffness[np.newaxis], policy.attractors[np.newaxis]
     assert scenario.evaluate(stiffness, attractors)[1][0]
-    free = scenario.free(stiffness, attractors)[0]
+    free = scenario.free_paths(stiffness, attractors)[0]
     assert np.linalg.norm(free[-1] - scenario.goal) < 0.04
 
 

@@ -20,7 +20,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.random_search import RandomSearch
 from wam_power_ros.learning.screened_power import ScreenedPower
-from wam_power_ros.tasks.reach.obstacle_model import FreePath
+from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 SCENARIO = synthetic()
 FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
@@ -55,7 +55,7 @@ def test_power_gets_far_beyond_the_demonstration(variant: str) -> None:
 def test_a_run_has_its_best_rollout_and_its_final_mean() -> None:
     learner = Power(FULL.size, POWER, generator(5))
     done = run(learner, 30)
-    assert learner.count == 30 and done.returns.shape == done.means.shape == (30,)
+    assert len(learner._rollouts) == 30 and done.returns.shape == done.means.shape == (30,)
     assert done.best == done.returns.max()
     policy, _ = FULL.policy(learner.mean, "mean")
     assert done.final == pytest.approx(evaluated(policy), rel=1e-12)
@@ -71,7 +71,7 @@ def test_screening_needs_clearly_fewer_rollouts_than_power() -> None:
     screened, power = (
         learn_many(
             [
-                ScreenedPower(FULL.size, settings, generator(seed), FreePath(FULL, SCENARIO))
+                ScreenedPower(FULL.size, settings, generator(seed), ReachModel(FULL, SCENARIO))
                 if screens
                 else Power(FULL.size, POWER, generator(seed))
                 for seed in TUNING[:4]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hill to climb, for tests of the learners, and a crude model of it."""
+"""Return with a single peak, for tests of the learners, and a crude model of it."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ def hill(z: np.ndarray) -> float:
 
 
 class CrudeModel:
-    """Knows roughly where the top is, and counts the rollouts."""
+    """Model with an approximate peak; counts the rollouts."""
 
     def __init__(self) -> None:
         self.count = 0
 
     def predict(self, z: np.ndarray) -> np.ndarray:
-        """Any scale will do."""
+        """Predict returns on an arbitrary scale."""
         return -((z - 0.5) ** 2).sum(axis=1) / (1 + self.count)
 
     def learn(self, z: np.ndarray, ret: float) -> None:
-        """Count."""
+        """Count the rollout."""
         self.count += 1
 
 

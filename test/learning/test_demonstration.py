@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint samples of the WAM -> a smooth movement of its pan."""
+"""Smoothing and trimming of joint samples of the WAM."""
 
 import math
 
@@ -13,14 +13,15 @@ from wam_power_ros.learning.demonstration import (
     Demonstration,
     from_joint_samples,
     from_positions,
+    rotation_from,
     smooth_joints,
 )
 from wam_power_ros.params.resources import share
 
 HOME = np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
-LENGTH = 0.9  # [s] of the movement
-COUNT = 2.0 * math.pi / 4096 / 20  # [rad] of an encoder, at the joint
+LENGTH = 0.9  # duration of the movement [s]
+COUNT = 2.0 * math.pi / 4096 / 20  # resolution of an encoder at the joint [rad]
 
 
 @pytest.fixture(scope="module")
@@ -75,11 +76,12 @@ def test_position_velocity_and_acceleration_are_those_of_the_arm(arm: Arm) -> No
 def test_orientation_is_that_of_the_arm_and_its_vector_starts_at_zero(arm: Arm) -> None:
     demonstration = from_joint_samples(arm, *recording(seed=1))
     reference = rotations.matrix(demonstration.quat_xyzw[0])
-    assert demonstration.rotation_vector[0] == pytest.approx(np.zeros(3), abs=1e-15)
+    vectors = rotation_from(demonstration.quat_xyzw, demonstration.quat_xyzw[0])
+    assert vectors[0] == pytest.approx(np.zeros(3), abs=1e-15)
     for k in range(0, len(demonstration.t), 50):
         _, matrix = arm.tool_pose(demonstration.q[k])
         assert rotations.matrix(demonstration.quat_xyzw[k]) == pytest.approx(matrix, abs=0.002)
-        built = rotations.exp(demonstration.rotation_vector[k]) @ reference
+        built = rotations.exp(vectors[k]) @ reference
         assert rotations.matrix(demonstration.quat_xyzw[k]) == pytest.approx(built, abs=1e-9)
 
 
@@ -118,7 +120,7 @@ def test_late_and_lost_samples_change_little(arm: Arm) -> None:
     rng = np.random.default_rng(0)
     stamps, q = recording()
     base = from_joint_samples(arm, stamps, q, trim=False)
-    # Sampled when stamped, but not on the grid; a tenth is lost.
+    # Sampled at their stamps, but off the grid; a tenth of the samples is lost.
     jitter = rng.integers(-400_000, 400_000, len(stamps))
     late = stamps + jitter
     q_late = joints((late - stamps[0]) * 1e-9 - 0.5)
@@ -193,10 +195,10 @@ def test_positions_alone_make_a_demonstration() -> None:
     assert made.velocity == pytest.approx(np.stack([2.0 * t, t**0, 0.0 * t], axis=1), abs=1e-9)
     assert made.acceleration == pytest.approx(np.tile([2.0, 0.0, 0.0], (100, 1)), abs=1e-6)
     assert made.t == pytest.approx(t) and made.period == 0.01
-    for name in ("t", "q", "position", "velocity", "acceleration", "quat_xyzw", "rotation_vector"):
+    for name in ("t", "q", "position", "velocity", "acceleration", "quat_xyzw"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(made, name)[0] = 1.0
-    assert not made.q.any() and made.q.shape == (100, 1) and not made.rotation_vector.any()
+    assert not made.q.any() and made.q.shape == (100, 1)
     assert made.quat_xyzw.tolist() == [[0.0, 0.0, 0.0, 1.0]] * 100
     assert from_positions(np.zeros((3, 3)), 0.01).duration == pytest.approx(0.02)
     with pytest.raises(ValueError, match="at least 3"):
@@ -210,7 +212,7 @@ def test_rotation_vectors_turn_the_reference_into_each_orientation() -> None:
     quat = rotations.multiply(
         rotations.quat_of_vector(vectors), np.broadcast_to(reference, (60, 4))
     )
-    assert demonstration.rotation_from(quat, reference) == pytest.approx(vectors, abs=1e-12)
+    assert rotation_from(quat, reference) == pytest.approx(vectors, abs=1e-12)
 
 
 def test_smoothing_passes_slow_movement_and_halves_the_power_at_9_hz() -> None:
@@ -234,7 +236,7 @@ def test_samples_on_the_grid_are_kept_and_those_between_lie_on_straight_lines() 
 
 def test_a_movement_begins_at_15_percent_of_the_peak_speed_and_ends_at_5() -> None:
     rising, falling = np.arange(42) / 42.0, 1.0 - np.arange(203) / 202.0
-    slow = np.full(100, 0.04)  # [m/s] of a peak of 1
+    slow = np.full(100, 0.04)  # at a peak of 1 [m/s]
     speed = np.concatenate([slow, rising, falling, slow])
     assert demonstration._movement(speed) == (100 + 7, 142 + 191)
     with pytest.raises(ValueError, match=r"at least 0\.05 m/s"):
@@ -263,7 +265,7 @@ def test_a_whole_recording_is_smoothed_without_trimming(arm: Arm) -> None:
     whole = from_joint_samples(arm, *recording(seed=1), trim=False)
     np.testing.assert_array_equal(t, whole.t)
     np.testing.assert_array_equal(q, whole.q)
-    still = np.tile(HOME, (100, 1))  # nothing needs to move
+    still = np.tile(HOME, (100, 1))  # the arm need not move
     _, q = smooth_joints(np.arange(100) * 2_000_000, still)
     assert q == pytest.approx(still)
     with pytest.raises(ValueError, match="20 samples"):

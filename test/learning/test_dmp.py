@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Eq. 1: its tables, its reproduction and its fit."""
+"""Eq. 1: tables, reproduction and fit."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from open_loop import reproduced
 
 from wam_power_ros import rotations
 from wam_power_ros.learning import dmp
-from wam_power_ros.learning.demonstration import Demonstration, from_positions
+from wam_power_ros.learning.demonstration import Demonstration, from_positions, rotation_from
 from wam_power_ros.learning.dmp import (
     FitSettings,
     activations,
@@ -45,7 +45,7 @@ def toss(n: int = 426, seed: int | None = None) -> Demonstration:
     )
     flat = from_positions(position, DT)
     q = np.tile(np.linspace(0.1, 0.7, 7), (n, 1))
-    return replace(flat, q=q, quat_xyzw=quat, rotation_vector=vectors)
+    return replace(flat, q=q, quat_xyzw=quat)
 
 
 def reach(seed: int) -> Demonstration:
@@ -89,7 +89,7 @@ def test_tabulated_acceleration_is_equation_1() -> None:
     policy = fit([toss()], FLIP_FIT, "p")
     tables = tabulate(policy)
     rng = np.random.default_rng(0)
-    for k in (0, 17, tables.rows - 1, tables.rows + 50):
+    for k in (0, 17, len(tables.b) - 1, len(tables.b) + 50):
         x, xd = rng.normal(size=(2, 3))
         h = activations(policy.basis, np.array([k * DT]))[0]
         expected = sum(
@@ -106,10 +106,10 @@ def test_tabulated_acceleration_is_equation_1() -> None:
 
 def test_the_last_row_holds_for_ever() -> None:
     tables = tabulate(fit([toss()], FLIP_FIT, "p"))
-    assert tables.rows == 426
+    assert len(tables.b) == 426
     state = np.ones(3), np.ones(3), np.zeros(6)
-    end = dmp.acceleration(tables, tables.rows - 1, *state)
-    assert np.array_equal(dmp.acceleration(tables, tables.rows, *state), end)
+    end = dmp.acceleration(tables, len(tables.b) - 1, *state)
+    assert np.array_equal(dmp.acceleration(tables, len(tables.b), *state), end)
     assert np.array_equal(dmp.acceleration(tables, 10**6, *state), end)
 
 
@@ -129,7 +129,7 @@ def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> 
         policies[0].damping,
         x0,
         xd0,
-        steps=600,  # 426 of the movement, then the last weights hold
+        steps=600,  # 426 of the movement, then with the last weights
         dt=DT,
     )
     only = [np.stack([getattr(p, name) for p in policies]) for name in ("stiffness", "attractors")]
@@ -147,7 +147,7 @@ def test_many_reproductions_are_the_acceleration_integrated_velocity_first() -> 
 def test_a_movement_made_by_equation_1_gives_back_its_attractors(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(dmp, "HOLD", 0.0)  # it does not end at rest
+    monkeypatch.setattr(dmp, "HOLD_TIME", 0.0)  # it does not end at rest
     truth = fit([toss()], FLIP_FIT, "p")
     x, _ = reproduced(truth, np.array([0.7, 0.0, 0.9]))
     made = replace(toss(len(x)), position=x)
@@ -198,12 +198,13 @@ def test_the_toss_is_reproduced_to_millimetres_and_a_degree() -> None:
     tables = tabulate(policy)
     x, _ = reproduced(policy, demonstration.position[0], demonstration.velocity[0])
     assert rmse(x, demonstration.position) < 0.005
-    r, omega, path = demonstration.rotation_vector[0], np.zeros(3), []
-    for k in range(tables.rows):
+    vectors = rotation_from(demonstration.quat_xyzw, demonstration.quat_xyzw[0])
+    r, omega, path = vectors[0], np.zeros(3), []
+    for k in range(len(tables.b)):
         path.append(r)
         omega = omega + DT * dmp.acceleration(tables, k, np.zeros(3), r, [0, 0, 0, *omega])[3:]
         r = r + DT * omega
-    assert rmse(np.array(path), demonstration.rotation_vector) < math.radians(1.5)
+    assert rmse(np.array(path), vectors) < math.radians(1.5)
 
 
 def test_solving_the_attractors_again_beats_the_plain_method() -> None:
@@ -253,7 +254,7 @@ def test_the_stiffness_is_the_rescaled_inverse_of_the_residuals_covariance() -> 
 
 
 def along(demonstration: Demonstration, *axes: Sequence[float]) -> Demonstration:
-    """The part of a movement that is along these orthonormal axes, with sensor noise across."""
+    """Project a movement on these orthonormal axes and add sensor noise."""
     axes_ = np.array(axes).T
     part = axes_ @ axes_.T
     noise = np.random.default_rng(0).normal(0.0, 1e-4, demonstration.position.shape)
@@ -289,7 +290,7 @@ def test_an_axis_that_does_not_move_has_the_mean_stiffness_and_leaves_the_range_
     values = np.linalg.eigvalsh(within)
     assert values.min() == pytest.approx(150.0, abs=2.0)
     assert values.max() == pytest.approx(500.0, abs=2.0)
-    if len(moving) == 2:  # and the matrices are not empty
+    if len(moving) == 2:  # the matrices have coupling
         assert np.abs(within[:, 0, 1]).max() > 30.0
 
 

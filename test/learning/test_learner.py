@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every learner has in common."""
+"""Properties of every learner."""
 
 import math
 from typing import Any
@@ -38,7 +38,7 @@ CLIMBERS: list[tuple[LearnerClass, dict[str, Any]]] = [
 ]
 ALL = [*CLIMBERS, (RandomSearch, {})]
 every_learner = pytest.mark.parametrize(("found", "values"), ALL)
-SHARE = ([1e-9, 1.0], [0.0, 1.01])  # what is allowed and what is not
+SHARE = ([1e-9, 1.0], [0.0, 1.01])  # allowed and refused values
 POSITIVE = ([1e-9, 1e9], [0.0, math.inf])
 COUNT = ([1, 10**6], [0])
 SETTINGS: list[tuple[LearnerClass, str, Any, tuple[list[Any], list[Any]]]] = [
@@ -154,7 +154,7 @@ def test_a_learner_given_the_same_rollouts_goes_on_bit_for_bit(
     learner, again = started(found, values, 1), started(found, values, 1)
     for _ in range(count):
         z = learner.ask()
-        again.ask()  # a session that is resumed draws again what its log holds
+        again.ask()  # a resumed session repeats the draws of its log
         learner.tell(z, hill(z))
         again.tell(z, hill(z))
     for _ in range(25):
@@ -220,7 +220,7 @@ def test_returns_that_are_all_zero_are_survived(
     for _ in range(40):
         learner.tell(learner.ask(), 0.0)
     assert np.isfinite(learner.mean).all() and np.isfinite(learner.ask()).all()
-    if found not in (CmaEs, RandomSearch):  # these look at the order of returns alone
+    if found not in (CmaEs, RandomSearch):  # these use only the order of the returns
         assert not learner.mean.any()
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parametrization: policies and the coordinates they are learnt in."""
+"""Parametrization: policies and their learnt coordinates."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from toss_task import demonstrated_policy
 
 from wam_power_ros.learning.parametrization import (
-    FLOOR,
+    EIGENVALUE_FLOOR,
     VARIANTS,
     Direction,
     NoiseScales,
@@ -87,7 +87,7 @@ def test_clipping_touches_only_what_is_learnt_and_what_is_too_soft(variant: str)
         np.testing.assert_array_equal(policy.attractors[:, 1], p.policy0.attractors[:, 1])
     if variant == "diagonal":
         assert not (policy.stiffness * (1.0 - np.eye(3))).any()
-    small = 0.05 * wanted  # nothing of this is near the floor
+    small = 0.05 * wanted  # all eigenvalues are far above the floor
     np.testing.assert_array_equal(p.clip(small), small)
 
 
@@ -130,7 +130,7 @@ def test_a_direction_moves_all_attractors_along_its_pattern_and_nothing_else(var
     np.testing.assert_array_equal(policy.stiffness, before.stiffness)
 
 
-ENTRIES = {  # of K_i, mu_i and r_i, in the order of the parameters
+ENTRIES = {  # learnt entries of K_i, mu_i and r_i, in the order of the parameters
     "full": ([(i, j) for i in range(3) for j in range(3)], [0, 1, 2], []),
     "diagonal": ([(0, 0), (1, 1), (2, 2)], [0, 1, 2], []),
     "symmetric": ([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)], [0, 1, 2], []),
@@ -195,7 +195,7 @@ def test_what_cannot_be_is_refused_with_its_reason() -> None:
         p.clip(np.full(98, np.nan))
     with pytest.raises(ValueError, match="'lift' has 8 attractors, policy 'flick-1' has 4"):
         Parametrization(demonstrated_policy(count=4), "full", NOISE, (LIFT,))
-    with pytest.raises(ValueError, match="'attractors' has the name of another group"):
+    with pytest.raises(ValueError, match="'attractors' of a direction is already used"):
         Parametrization(demonstrated_policy(), "full", NOISE, (replace(LIFT, name="attractors"),))
     with pytest.raises(ValueError, match=r"scale = 0\.0"):
         Direction("lift", 0.0, PATTERN, PATTERN)
@@ -207,7 +207,9 @@ def test_the_floor_is_below_every_demonstrated_stiffness() -> None:
     for seed in range(20):
         p = parametrization("full", seed)
         low = np.linalg.eigvalsh(symmetric_part(p.policy0.stiffness)).min()
-        assert p.stiffness_min == pytest.approx(FLOOR * low) and 0.0 < p.stiffness_min < low
+        assert (
+            p.stiffness_min == pytest.approx(EIGENVALUE_FLOOR * low) and 0.0 < p.stiffness_min < low
+        )
 
 
 @variants

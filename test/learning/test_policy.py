@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A policy cannot be wrong, and its text is the policy to the last bit."""
+"""Invalid policies are refused, and JSON preserves valid ones bit for bit."""
 
 import json
 import math
@@ -17,7 +17,7 @@ from wam_power_ros.learning.policy import (
     SIZE_MAX,
     Basis,
     Policy,
-    faster,
+    at_tempo,
     from_json,
     to_json,
     with_id,
@@ -64,10 +64,10 @@ def test_another_id_changes_nothing_else() -> None:
 
 
 def followed(policy: Policy, dt: float) -> np.ndarray:
-    """Position and rotation vector at every tick, from rest. Shape (T, 6)."""
+    """Position and rotation vector at every tick of an integration from rest. Shape (T, 6)."""
     tables = tabulate(policy, dt)
-    path, twist = np.full((tables.rows, 6), 0.1), np.zeros(6)
-    for k in range(tables.rows - 1):
+    path, twist = np.full((len(tables.b), 6), 0.1), np.zeros(6)
+    for k in range(len(tables.b) - 1):
         twist = twist + dt * acceleration(tables, k, path[k, :3], path[k, 3:], twist)
         path[k + 1] = path[k] + dt * twist
     return path
@@ -79,7 +79,7 @@ def test_a_faster_policy_moves_and_turns_along_the_same_path_in_the_new_time(
     tempo: float, seed: int
 ) -> None:
     policy = make(seed)
-    quick = faster(policy, tempo)
+    quick = at_tempo(policy, tempo)
     assert quick.basis.duration == pytest.approx(policy.basis.duration / tempo)
     path = followed(policy, 0.005)
     np.testing.assert_allclose(followed(quick, 0.005 / tempo), path, atol=1e-9)
@@ -187,7 +187,7 @@ def test_the_symmetric_part_decides_whether_a_stiffness_is_positive_definite() -
     for allowed in (0.5 * np.eye(3), np.eye(3) + skew):
         assert np.array_equal(with_stiffness(allowed).stiffness[1], allowed)
     coupled = 100.0 * np.eye(3)
-    coupled[0, 1] = 300.0  # symmetric part: 150 beside the diagonal of 100
+    coupled[0, 1] = 300.0  # symmetric part: 150 off the diagonal of 100
     for refused in (np.diag([1.0, 1.0, 0.0]), coupled, coupled.T):
         with pytest.raises(ValueError, match=r"stiffness\[1\] has eigenvalue"):
             with_stiffness(refused)
@@ -311,7 +311,7 @@ def test_a_policy_keeps_the_arm_it_is_of_and_an_old_text_has_none() -> None:
 
 
 def test_an_arm_that_does_not_fit_the_policy_or_is_no_identity_is_refused() -> None:
-    with pytest.raises(ValueError, match="q_start has 7 joints; arm is wam7"):
+    with pytest.raises(ValueError, match="q_start has 7 joints, the arm is wam7"):
         replace(make(), arm=ARM._replace(joint_names=("wam_j1",)))
     text = json.loads(to_json(replace(make(), arm=ARM)))
     text["arm"]["kinematics"] = "x"

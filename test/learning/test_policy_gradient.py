@@ -41,7 +41,7 @@ def test_a_step_is_proportional_to_the_rate(found: type[Reinforce] | type[Enac])
 
 
 def reinforce(eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
-    """Each axis with its own baseline of least variance [Peters2008]."""
+    """Gradient with a minimum-variance baseline per axis [Peters2008]."""
     gradient = []
     for column in eps.T:
         baseline = sum(column**2 * returns) / sum(column**2)
@@ -50,7 +50,7 @@ def reinforce(eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
 
 
 def natural(eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
-    """Least squares of the returns in psi and a constant [Peters2008]."""
+    """Natural gradient: least squares of the returns in psi and a constant [Peters2008]."""
     return np.linalg.lstsq(np.column_stack([eps, np.ones(len(eps))]), returns, rcond=None)[0][:-1]
 
 

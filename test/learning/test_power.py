@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PoWER [Kormushev2010, Eqs. 2-3] and its ask and tell."""
+"""PoWER [Kormushev2010, Eqs. 2-3]: update, choice of sigma, ask and tell."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from wam_power_ros.learning.power import (
-    SIZES,
+    SIGMAS,
     Power,
     choose_sigma,
     power_update,
@@ -133,12 +133,12 @@ def test_noise_shrinks_with_every_rollout() -> None:
     learner = Power(2, Power.Settings(decay=0.9), rng(0))
     for _ in range(3):
         learner.tell(learner.ask(), 1.0)
-    assert learner.noise == pytest.approx(0.9**3)
-    assert learner.count == 3
+    assert learner._noise == pytest.approx(0.9**3)
+    assert len(learner._rollouts) == 3
 
 
 def searched(seed: int, noise: float, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
-    """Rollouts about zero on a slope in 12 dimensions, and returns with some noise."""
+    """Rollouts about zero in 12 dimensions, and noisy returns that are linear in them."""
     generator = rng(seed)
     z = generator.standard_normal((count, 12))
     ret = np.exp(0.3 * z[:, 0]) + noise * generator.standard_normal(count)
@@ -154,7 +154,7 @@ def test_the_elite_is_larger_where_returns_are_noisy() -> None:
 
 def test_without_a_positive_gain_the_elite_has_the_size_of_the_paper() -> None:
     z, ret = searched(0, 0.1)
-    with np.errstate(all="raise"):  # nothing is divided by zero on the way
+    with np.errstate(all="raise"):  # no division by zero
         assert choose_sigma(z[:7], ret[:7]) == 6
         assert choose_sigma(z, np.zeros(60)) == 6
         assert choose_sigma(z, np.ones(60)) == 6
@@ -182,16 +182,16 @@ def test_the_size_of_an_elite_is_a_positive_integer_or_auto() -> None:
 
 
 def test_the_elite_is_chosen_from_eight_sizes_by_the_gain_at_every_number_of_rollouts() -> None:
-    assert SIZES == (2, 3, 4, 6, 8, 12, 16, 24)
+    assert SIGMAS == (2, 3, 4, 6, 8, 12, 16, 24)
     chosen = set()
     for seed in range(16):
         for count in (8, 10, 13, 30):
             z, ret = searched(seed, 0.5, count)
-            gains = {size: _gain(z, ret, size) for size in SIZES if size < count - 1}
+            gains = {size: _gain(z, ret, size) for size in SIGMAS if size < count - 1}
             best = max(gains, key=gains.get)
             assert choose_sigma(z, ret) == (best if gains[best] > 0.0 else 6)
             chosen.add(best)
-    assert chosen == set(SIZES)
+    assert chosen == set(SIGMAS)
 
 
 def _gain(z: np.ndarray, ret: np.ndarray, size: int) -> float:
@@ -207,9 +207,9 @@ def _gain(z: np.ndarray, ret: np.ndarray, size: int) -> float:
 
 def test_a_size_whose_elite_may_have_earned_nothing_is_left_out() -> None:
     z, ret = searched(3, 0.2, 12)
-    few = np.where(np.arange(12) < 2, ret + 0.1, 0.0)  # without one of the two there is one left
-    assert choose_sigma(z, few) in SIZES
-    alone = np.where(np.arange(12) < 1, ret + 0.1, 0.0)  # without it none has earned anything
+    few = np.where(np.arange(12) < 2, ret + 0.1, 0.0)  # one remains when the other is left out
+    assert choose_sigma(z, few) in SIGMAS
+    alone = np.where(np.arange(12) < 1, ret + 0.1, 0.0)  # without it, no return is positive
     assert choose_sigma(z, alone) == 6
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Paths that cannot be are refused with the value and the rule; faults say whose they are."""
+"""Invalid paths are refused with value and rule; faults are attributed to policies."""
 
 from typing import Any
 
@@ -61,7 +61,7 @@ def test_the_two_paths_of_a_rollout_are_of_one_policy() -> None:
     tool = path(EndEffectorPath)
     assert Rollout(tool).body is None and Rollout(tool).fault is None
     assert Rollout(tool, path()).body.id == "a"
-    with pytest.raises(ValueError, match="body is of rollout 'b', the tool's of 'a'"):
+    with pytest.raises(ValueError, match="body path of rollout 'b', but tool path of 'a'"):
         Rollout(tool, path(id="b"))
 
 

@@ -27,7 +27,7 @@ def test_the_number_of_candidates_decreases_with_the_number_of_rollouts() -> Non
             return super().predict(z)
 
     climb(ScreenedPower(SIZE, Settings(candidates=16, half_life=2), rng(1), Counting()), 12)
-    assert asked == [16, 11, 8, 6, 4, 3, 2]  # then one, which needs no prediction
+    assert asked == [16, 11, 8, 6, 4, 3, 2]  # then a single candidate, which needs no prediction
 
 
 def test_with_one_candidate_it_is_power() -> None:
@@ -56,7 +56,7 @@ def test_a_good_model_helps_and_a_wrong_one_leaves_the_measured_returns_to_decid
     for _ in range(30):
         executed.append(wrong.ask())
         wrong.tell(executed[-1], hill(executed[-1]))
-    # Three rollouts make the elite, and the model has no say in which.
+    # The elite has three rollouts, and the model does not influence which.
     elite = sorted(executed, key=hill)[-3:]
     expected = np.average(elite, axis=0, weights=[hill(z) for z in elite])
     np.testing.assert_allclose(wrong.mean, expected)

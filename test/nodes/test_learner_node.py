@@ -36,6 +36,6 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain
         command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
     )
     assert ended.returncode == 2
-    assert f"policy {policy.id} is of another arm: of cobot7" in ended.stderr
-    assert "this one is wam7" in ended.stderr
+    assert f"policy {policy.id} belongs to another arm: cobot7" in ended.stderr
+    assert "this arm is wam7" in ended.stderr
     Session.open(folder).close()  # nothing was written, nothing is held

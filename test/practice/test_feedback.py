@@ -203,7 +203,7 @@ def test_a_better_demonstration_is_learnt_from_anew_with_what_is_left_of_the_bud
     run(practice, 1, worth(0.6))
     why = "return 0.600 against 0.500 of the last 5, from flick-1"
     assert practice.choice == practice.records[-1].note == f"learns from flick-9: {why}"
-    assert practice.learner.count == 1 and practice.parametrization.policy0.id == "flick-9"
+    assert len(practice.learner._rollouts) == 1 and practice.parametrization.policy0.id == "flick-9"
     assert practice.best.policy.id == "trial-0008"
     run(practice, 9, worth(0.7))
     assert {record.demonstration for record in practice.records[8:]} == {"flick-9"}

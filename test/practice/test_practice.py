@@ -79,7 +79,7 @@ def test_every_demonstration_is_reproduced_once_and_one_is_chosen(name: str) -> 
     assert not np.any([record.z for record in first])
     assert first[0].note == "" and first[1].note == practice.choice
     assert practice.choice.startswith("learns from flick-")
-    assert practice.learner.count == 1  # the reproduction, as z = 0
+    assert len(practice.learner._rollouts) == 1  # the reproduction, as z = 0
     assert {record.demonstration for record in run(practice)} == {
         practice.parametrization.policy0.id
     }
@@ -192,13 +192,13 @@ def test_a_session_in_which_nothing_is_ever_seen_ends() -> None:
 def test_a_policy_that_ends_in_over_speed_is_learnt_from_with_return_zero() -> None:
     practice = started("flip")
     run(practice, rollouts=3)
-    before = practice.learner.count
+    before = len(practice.learner._rollouts)
     trial = practice.next_trial()
     record = practice.learn_assessed(
         trial, Assessment(0.0, why="elbow too fast"), fault="elbow at 2.1 m/s"
     )
     assert record.learnt and record.ret == 0.0 and record.fault and practice.used == 4
-    assert practice.learner.count == before + 1
+    assert len(practice.learner._rollouts) == before + 1
 
 
 def test_a_reproduction_that_ended_in_a_fault_is_not_chosen() -> None:
@@ -322,7 +322,7 @@ def test_the_budget_ends_learning_and_the_answer_is_retested_unlearnt(name: str)
     assert practice.stopped == "budget of 15 rollouts used" and practice.finished
     assert [record.kind for record in records[15:]] == ["retest"] * 4
     assert not any(record.learnt for record in records[15:])
-    assert practice.learner.count == 14  # one reproduction was of the other demonstration
+    assert len(practice.learner._rollouts) == 14  # one reproduction was of the other demonstration
     assert records[15].z == practice.parametrization.clip(practice.learner.mean).tolist()
     assert practice.best.policy.id == "trial-0016" and len(practice.best.returns) == 4
     with pytest.raises(ValueError, match="not the one that is due"):
@@ -404,7 +404,7 @@ def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None
     practice = started("flip")
     trial = practice.next_trial()
     pan, pancake = paths(trial, 1.86, np.arange(0.0, 1.85, 1 / 30))
-    with pytest.raises(ValueError, match="path of the body is of rollout 'other'"):
+    with pytest.raises(ValueError, match="body path of rollout 'other'"):
         practice.learn(trial, Rollout(pan, replace(pancake, id="other")))
     with pytest.raises(ValueError, match="paths are of rollout 'other'"):
         practice.learn(trial, Rollout(replace(pan, id="other"), replace(pancake, id="other")))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The offset of two clocks is told from late frames."""
+"""The offset between two clocks is distinguished from late frames."""
 
 import pytest
 
@@ -14,10 +14,12 @@ def test_the_offset_of_two_clocks_is_the_age_that_jitter_cannot_lower() -> None:
     for jitter in (7_000_000, 0, 3_000_000):
         offset.add(START, START + 250_000_000 + jitter)
     assert offset.seconds == pytest.approx(0.25)
-    for index in range(240):  # two seconds of frames at once, to a tracker that could not run
+    for index in range(
+        240
+    ):  # two seconds of frames delivered at once to a tracker that was not scheduled
         offset.add(START + index * 8_333_333, START + 2_500_000_000 + index * 100_000)
     assert offset.seconds == pytest.approx(0.25)
-    for index in range(20):  # but when all are late for long, it is the clocks
+    for index in range(20):  # if all frames are late for long, the clocks differ
         now_ns = START + (5 + index) * 1_000_000_000
         offset.add(now_ns - 600_000_000, now_ns)
     assert offset.seconds == pytest.approx(0.6)

@@ -16,7 +16,7 @@ POSITION = np.array([0.7, -0.1, 0.5])
 
 
 def cloud(rng: np.random.Generator, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """The layout somewhere in space, in any order, and its rotation vector."""
+    """The layout at a random pose and in random order, and its rotation vector."""
     vector = rng.normal(size=3)
     points = marker_fit.LAYOUT @ rotations.exp(vector).T + POSITION
     return rng.permutation(points) + rng.normal(0.0, noise, (4, 3)), vector
@@ -85,9 +85,9 @@ def test_half_a_millimetre_of_noise_gives_half_a_millimetre_and_half_a_degree() 
         (np.zeros((0, 3)), "0 markers in view"),
         (marker_fit.LAYOUT[:2], "2 markers in view"),
         (np.zeros((65, 3)), "65 markers in view"),
-        (marker_fit.LAYOUT * [1.0, -1.0, 1.0] * 1.3, "not among 4"),
+        (marker_fit.LAYOUT * [1.0, -1.0, 1.0] * 1.3, "not found in 4"),
         (np.full((4, 3), np.nan), "must be finite"),
-        (np.vstack([marker_fit.LAYOUT, marker_fit.LAYOUT + 0.5]), "2 ways"),
+        (np.vstack([marker_fit.LAYOUT, marker_fit.LAYOUT + 0.5]), "found 2 times"),
     ],
 )
 def test_a_cloud_without_one_clear_pose_is_refused_by_name(points: np.ndarray, why: str) -> None:

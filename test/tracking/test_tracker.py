@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every fault of a motion capture is refused, and called by its name."""
+"""Every fault of a motion capture is refused and named."""
 
 import dataclasses
 
@@ -123,7 +123,9 @@ def test_a_pose_that_repeats_bit_for_bit_never_enters_and_is_called_frozen() -> 
     tracker.add(stamp(10), held, LEVEL)
     tracker.add(stamp(11), held, LEVEL)
     assert tracker.fault is FrameFault.POSE_REPEATED
-    assert tracker.validity is Validity.OK  # one repeat is a hidden frame, not a frozen system
+    assert (
+        tracker.validity is Validity.OK
+    )  # one repeated pose is a hidden body, not a frozen system
     for index in range(12, 40):
         tracker.add(stamp(index), held, LEVEL)
     assert tracker.validity is Validity.FROZEN
@@ -212,7 +214,7 @@ def test_a_hidden_body_is_extrapolated_for_a_tenth_of_a_second_and_then_lost() -
     assert coasted.validity is tracker.validity is Validity.OCCLUDED
     np.testing.assert_allclose(coasted.position, PAN + velocity * 8 * PERIOD * 1e-9, atol=1e-6)
     assert tracker.at(stamp(6.9)).variance == SETTINGS.noise**2
-    # It may have begun to fall when it was seen last.
+    # It may have started to fall at the last frame.
     fallen = 0.5 * 9.81 * (3 * PERIOD * 1e-9) ** 2
     assert coasted.variance == pytest.approx((SETTINGS.noise + fallen) ** 2, rel=1e-6)
     assert tracker.at(stamp(5 + 2) + 110_000_000) is None
@@ -262,14 +264,16 @@ def test_of_frames_delivered_together_the_last_one_counts() -> None:
     def place(index: float) -> np.ndarray:
         return PAN + velocity * index * PERIOD * 1e-9
 
-    for index in range(6):  # each frame comes with the one exposed half a period before
+    for index in range(
+        6
+    ):  # each frame is delivered together with the one exposed half a period before
         tracker.add(stamp(index) - receipt, place(index - 0.5), LEVEL)
         state = tracker.add(stamp(index), place(index), LEVEL)
     np.testing.assert_allclose(state.velocity, velocity, atol=1e-9)
     path = tracker.path("a", stamp(0), stamp(99))
     np.testing.assert_allclose(path.position, [place(index) for index in range(6)], atol=1e-12)
     assert (tracker.counts["accepted"], tracker.counts["older of a pair"]) == (6, 6)
-    # the same frame twice, or one that is elsewhere, takes nothing away
+    # a repeated frame or a jump does not remove accepted frames
     assert tracker.add(stamp(5) + receipt, place(5), LEVEL) is None
     assert tracker.add(stamp(5) + 2 * receipt, PAN + 1.0, LEVEL) is None
     assert len(tracker.path("a", stamp(0), stamp(99)).t) == 6
@@ -397,5 +401,7 @@ def test_any_frames_give_finite_states_and_a_path_in_order(frames: list) -> None
                 assert np.isfinite(values).all()
     events = tracker.counts["clock set back"] + tracker.counts["found again"]
     assert sum(tracker.counts.values()) - events == len(frames)
-    path = tracker.path("a", -(10**19), 10**19)  # refuses what is not finite or not in order
+    path = tracker.path(
+        "a", -(10**19), 10**19
+    )  # would raise for values that are not finite or not in order
     assert len(path.t) <= tracker.counts["accepted"]

@@ -65,7 +65,7 @@ def check_names(task: str, options: argparse.Namespace) -> None:
     changes = {} if options.trials is None else {"budget": options.trials}
     budget = preset(task, options.preset or "", learner, **changes).practice.budget
     count = len(options.bags) if options.bags else options.demonstrations
-    reproductions = 1 if plugins.task_type(task).together else count
+    reproductions = 1 if plugins.task_type(task).single_policy else count
     if budget <= reproductions:
         raise UsageError(
             f"a budget of {budget} rollouts leaves none to practise after "

@@ -19,7 +19,7 @@ from wam_power_ros import rotations
 from wam_power_ros.conformance.topic_checks import FAIL, OK, PAIR, UNCHECKED, WARN, Row
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
-from wam_power_ros.tracking.free_fall import falling
+from wam_power_ros.tracking.free_fall import free_fall_acceleration
 from wam_power_ros.tracking.tracker import (
     FROZEN_COUNT,
     FROZEN_TIME,
@@ -226,7 +226,7 @@ def _trajectory(frames: Sequence[FrameSample]) -> tuple[np.ndarray, np.ndarray]:
 def _free_fall(t: np.ndarray, position: np.ndarray) -> np.ndarray | None:
     """Acceleration (3,) [m/s^2] of a free fall in a trajectory, None when there is none."""
     level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
-    return falling(BodyPath("dropped", t, position, level))
+    return free_fall_acceleration(BodyPath("dropped", t, position, level))
 
 
 def _to_base(settings: TrackerSettings) -> tuple[np.ndarray, np.ndarray]:

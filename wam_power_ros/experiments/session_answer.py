@@ -38,7 +38,7 @@ ARM = ("peak_", "saturated")  # ground truth about the arm, which the report has
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of an executed policy, as `tasks.task.Judged` has it."""
+    """Outcome of an executed policy, as `tasks.task.LoggedRollout` has it."""
 
     ret: float | None
     observation: Mapping[str, Any] | None

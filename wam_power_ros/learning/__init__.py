@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper: mixture of spring-dampers (Eq. 1), PoWER (Eqs. 2-3), rival learners. Pure."""
+"""The paper: mixture of spring-dampers (Eq. 1), PoWER (Eqs. 2-3); other learners. Pure."""

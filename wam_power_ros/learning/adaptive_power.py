@@ -22,9 +22,9 @@ class AdaptivePower(GaussianLearner):
         """Settings of adaptive PoWER.
 
         Attributes:
-            sigma: Size of the elite that makes the mean.
-            variance_sigma: Size of the elite that makes the variance; larger, so that the variance
-                does not collapse.
+            sigma: Size of the elite for the mean.
+            variance_sigma: Size of the elite for the variance; larger, so that the variance does
+                not collapse.
             smallest: Lower bound of the variances, as a fraction of the initial one.
             largest: Upper bound of the variances, as a multiple of the initial one.
         """
@@ -41,7 +41,7 @@ class AdaptivePower(GaussianLearner):
         if returns.max() <= 0.0:
             return
         elite = best_first(returns)[: self.settings.variance_sigma]
-        # sigma^2 = sum R (theta_k - theta)^2 / sum R, theta being the mean before the update.
+        # sigma^2 = sum R (theta_k - theta)^2 / sum R, with the mean theta before the update.
         weights = returns[elite] / returns.max()
         variance = weighted_mean((rollouts[elite] - self._mean) ** 2, weights)
         self._noise = np.sqrt(np.clip(variance, self.settings.smallest, self.settings.largest))

@@ -17,7 +17,7 @@ class CmaEs(GaussianLearner):
         """Settings of CMA-ES.
 
         Attributes:
-            population: Number of rollouts of a generation; if omitted, the library's
+            population: Number of rollouts per generation; by default that of the library,
                 4 + 3 ln(size).
         """
 
@@ -41,7 +41,7 @@ class CmaEs(GaussianLearner):
 
     def ask(self) -> np.ndarray:
         """Draw the next coordinates from the search distribution. Shape (size,)."""
-        # The library draws from a generator of its own, so that one is seeded before every draw.
+        # The library draws from its own generator, which is therefore seeded before every draw.
         self._optimizer.reseed_rng(int(self._rng.integers(2**32)))
         return self._optimizer.ask()
 

@@ -11,16 +11,16 @@ import numpy as np
 from wam_power_ros import rotations
 from wam_power_ros.learning.policy import PERIOD, read_only
 
-CUTOFF = 9.0  # -3 dB of the smoothing [Hz]; a hand is slower, quantisation noise faster
-# Half the window of a Savitzky-Golay filter of degree 2 or 3, which smooth alike, of this cutoff
+CUTOFF = 9.0  # -3 dB of the smoothing, above hand motion, below quantisation noise [Hz]
+# Half the window of the Savitzky-Golay filter with this cutoff; degrees 2 and 3 smooth alike
 # [Schafer2011] [samples]
 HALF_WINDOW = math.ceil((1.5 / (PERIOD * CUTOFF) + 4.6) / 3.2)
 WINDOW = 2 * HALF_WINDOW + 1  # [samples]
 GAP_MAX = 0.05  # longest gap that is interpolated [s]
 SPEED_MIN = 0.05  # smallest peak speed of a movement [m/s]
-TRIM_START = 0.15  # fraction of the peak speed: a slow beginning would make the fit coarser [1]
-TRIM_END = 0.05  # fraction of the peak speed: the slow end of a catch belongs to the movement [1]
-PAUSE_MAX = 0.25  # longest turning point within a movement; a longer pause ends it [s]
+TRIM_START = 0.15  # fraction of the peak speed; a slow start would coarsen the fit [1]
+TRIM_END = 0.05  # fraction of the peak speed; the slow end of a catch is kept [1]
+PAUSE_MAX = 0.25  # longest pause at a turning point; a longer one ends the movement [s]
 
 
 class ToolPose(Protocol):
@@ -43,7 +43,6 @@ class Demonstration:
         velocity: Velocity of the tool frame [m/s]. Shape (N, 3).
         acceleration: Acceleration of the tool frame [m/s^2]. Shape (N, 3).
         quat_xyzw: Orientation of the tool frame, unit quaternions. Shape (N, 4).
-        rotation_vector: r with R(t) = exp(r(t)) R(0), continuous, from 0 [rad]. Shape (N, 3).
         period: Sampling period [s].
 
     Raises:
@@ -56,7 +55,6 @@ class Demonstration:
     velocity: np.ndarray
     acceleration: np.ndarray
     quat_xyzw: np.ndarray
-    rotation_vector: np.ndarray
     period: float
 
     def __post_init__(self) -> None:
@@ -71,7 +69,6 @@ class Demonstration:
             ("velocity", (count, 3)),
             ("acceleration", (count, 3)),
             ("quat_xyzw", (count, 4)),
-            ("rotation_vector", (count, 3)),
         ):
             object.__setattr__(self, name, read_only(name, getattr(self, name), shape))
 
@@ -88,9 +85,9 @@ def from_joint_samples(
     *,
     trim: bool = True,
 ) -> Demonstration:
-    """Resample by the device's own stamps, smooth without delay, differentiate and trim.
+    """Resample by the device's stamps, smooth without delay, differentiate and trim.
 
-    The grid is the whole multiples of the period, and every step is local in time. The trimmed
+    The grid is the integer multiples of the period, and every step is local in time. The trimmed
     movement is therefore the same, bit for bit, however long the arm rested before or after.
 
     Args:
@@ -102,7 +99,7 @@ def from_joint_samples(
 
     Raises:
         ValueError: If stamps do not increase, there is a gap, a value is not finite, a shape is
-            wrong, the recording is too short or nothing moves in it.
+            wrong, the recording is too short or the tool does not move.
     """
     q = _resampled(stamps_ns, q, arm.n)  # (N, nj)
     poses = [arm.tool_pose(row) for row in q]
@@ -130,7 +127,6 @@ def from_joint_samples(
         velocity=smooth(position, 1),
         acceleration=smooth(position, 2),
         quat_xyzw=quat,
-        rotation_vector=rotation_from(quat, quat[0]),
         period=PERIOD,
     )
 
@@ -139,7 +135,7 @@ def smooth_joints(
     stamps_ns: Sequence[int] | np.ndarray,
     q: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Resample a whole recording by the device's own stamps and smooth it without delay.
+    """Resample a whole recording by the device's stamps and smooth it without delay.
 
     Args:
         stamps_ns: Header stamps, strictly increasing [ns]. Shape (M,).
@@ -149,7 +145,7 @@ def smooth_joints(
         Times from 0 [s], shape (N,), and joint angles [rad], shape (N, n).
 
     Raises:
-        ValueError: As `from_joint_samples`, but without a movement too.
+        ValueError: As `from_joint_samples`, except that the arm need not move.
     """
     joints = np.shape(q)[1] if np.ndim(q) == 2 else 1
     q = _resampled(stamps_ns, q, joints)
@@ -157,7 +153,7 @@ def smooth_joints(
 
 
 def from_positions(position: np.ndarray, period: float) -> Demonstration:
-    """Demonstration of positions only: no arm, no rotation, no smoothing.
+    """Make a demonstration from positions only: no arm, no rotation, no smoothing.
 
     Args:
         position: Position of the tool [m]. Shape (N, 3).
@@ -177,20 +173,16 @@ def from_positions(position: np.ndarray, period: float) -> Demonstration:
         velocity=velocity,
         acceleration=np.gradient(velocity, period, axis=0, edge_order=2),
         quat_xyzw=np.tile([0.0, 0.0, 0.0, 1.0], (len(position), 1)),
-        rotation_vector=np.zeros((len(position), 3)),
         period=period,
     )
 
 
 def rotation_from(quat_xyzw: np.ndarray, reference_xyzw: np.ndarray) -> np.ndarray:
-    """Continuous rotation vectors r with R = exp(r) R_ref [rad].
+    """Continuous rotation vectors r [rad] with R = exp(r) R_ref. Shape (N, 3).
 
     Args:
         quat_xyzw: Orientations R, unit quaternions. Shape (N, 4).
         reference_xyzw: R_ref, unit quaternion. Shape (4,).
-
-    Returns:
-        Rotation vectors. Shape (N, 3).
     """
     inverse = np.asarray(reference_xyzw) * np.array([-1.0, -1.0, -1.0, 1.0])
     relative = rotations.multiply(quat_xyzw, np.broadcast_to(inverse, np.shape(quat_xyzw)))
@@ -202,7 +194,7 @@ def _checked_stamps(stamps_ns: Sequence[int] | np.ndarray) -> np.ndarray:
     if stamps.ndim != 1 or len(stamps) < 2 or not np.issubdtype(stamps.dtype, np.integer):
         raise ValueError(
             f"stamps of shape {stamps.shape} and type {stamps.dtype}; "
-            "at least two integers [ns] in a row are needed"
+            "they must be a list of at least two integers [ns]"
         )
     stamps = stamps.astype(np.int64)
     steps = np.diff(stamps)
@@ -218,11 +210,7 @@ def _checked_stamps(stamps_ns: Sequence[int] | np.ndarray) -> np.ndarray:
 
 
 def _resampled(stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray, joints: int) -> np.ndarray:
-    """Interpolate samples linearly at the multiples of the period. Shape (N, joints).
-
-    Raises:
-        ValueError: As `from_joint_samples`.
-    """
+    """Interpolate samples linearly at the multiples of the period. Shape (N, joints)."""
     stamps = _checked_stamps(stamps_ns)
     q = read_only("q", q, (len(stamps), joints))
     period_ns = round(PERIOD * 1e9)
@@ -239,15 +227,15 @@ def _resampled(stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray, joints: int
 
 
 def _smoothed(values: np.ndarray, derivative: int = 0) -> np.ndarray:
-    """Cubic Savitzky-Golay filter along the first axis, or a derivative by it."""
-    # Imported when used: it is slow to import, and a controller does not smooth at start.
+    """Smooth along the first axis by a cubic Savitzky-Golay filter, or differentiate by it."""
+    # Imported here: the import is slow, and the controller does not need it at its start.
     from scipy.signal import savgol_filter
 
     return savgol_filter(values, WINDOW, 3, deriv=derivative, delta=PERIOD, axis=0)
 
 
 def _movement(speed: np.ndarray) -> tuple[int, int]:
-    """First and last sample of the movement that holds the peak speed [m/s] (N,)."""
+    """First and last sample of the movement around the peak of `speed` [m/s] (N,)."""
     peak = int(np.argmax(speed))
     if speed[peak] < SPEED_MIN:
         raise ValueError(f"peak speed {speed[peak]} m/s; a movement has at least {SPEED_MIN} m/s")
@@ -257,7 +245,7 @@ def _movement(speed: np.ndarray) -> tuple[int, int]:
 
 
 def _extent(fast: np.ndarray) -> int:
-    """Last fast sample, counted from the first on, before a pause longer than PAUSE_MAX."""
+    """Index of the last fast sample before the first pause longer than PAUSE_MAX."""
     samples = np.flatnonzero(fast)
     pauses = np.flatnonzero(np.diff(samples) * PERIOD > PAUSE_MAX)
     return int(samples[pauses[0]] if len(pauses) else samples[-1])

@@ -4,8 +4,8 @@
     xdd = sum_i h_i(t) [K_i (mu_i - x) - kappa_V xd]
 
 is affine in x, so A(t) = sum h_i K_i and b(t) = sum h_i K_i mu_i are tabulated once on the control
-grid; a step then takes microseconds. The canonical system s = exp(-alpha t) is a function of t
-alone, so that time itself, clamped to the movement, is the phase.
+grid; a step then takes microseconds. The canonical system s = exp(-alpha t) depends on t only, so
+time itself, clamped to the movement, serves as the phase.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ from wam_power_ros.learning.policy import PERIOD, Basis, Policy, symmetric_part
 
 ROTATION_STIFFNESS = 400.0  # stiffness of the orientation [1/s^2]
 ROTATION_DAMPING = 36.0  # damping of the orientation [1/s]
-HOLD = 1.0  # [s] after a movement, in which its reproduction is fitted to stay at its end
-# [1] of the spread of the movement along its longest axis: along an axis with less it does not move
-MOVING_MIN = 0.02
+HOLD_TIME = 1.0  # time after the movement over which the fit holds its end position [s]
+# Smallest spread of a movement along an axis, as a fraction of that along its longest axis [1]
+SPREAD_MIN = 0.02
 
 
 def activations(basis: Basis, t: np.ndarray) -> np.ndarray:
@@ -35,7 +35,7 @@ def activations(basis: Basis, t: np.ndarray) -> np.ndarray:
     """
     t = np.clip(np.asarray(t, dtype=float), 0.0, basis.duration)
     exponent = -0.5 * (t[:, None] - basis.centres) ** 2 / basis.variance  # (T, n)
-    # The largest is shifted to exp(0): however narrow the basis, no row underflows to 0/0.
+    # The largest weight is shifted to exp(0), so no row of a narrow basis underflows to 0/0.
     weights = np.exp(exponent - exponent.max(axis=1, keepdims=True))
     return weights / weights.sum(axis=1, keepdims=True)
 
@@ -61,11 +61,6 @@ class Tables:
     rotation_stiffness: float
     rotation_damping: float
     dt: float
-
-    @property
-    def rows(self) -> int:
-        """Number of rows T; after the movement the last one holds."""
-        return len(self.b)
 
 
 def tabulate(policy: Policy, dt: float = PERIOD) -> Tables:
@@ -111,7 +106,7 @@ def acceleration(
 
     Args:
         tables: Tables of the policy.
-        k: Tick since the start, >= 0; after the last row the last row holds.
+        k: Tick since the start, >= 0; beyond the last row, the last row is used.
         position: Position x of the tool [m]. Shape (3,).
         rotation: Rotation vector r of R = exp(r) R_ref, in the base frame [rad]; three numbers.
         twist: Linear [m/s] and angular [rad/s] velocity in the base frame; six numbers.
@@ -121,7 +116,7 @@ def acceleration(
     """
     if k >= len(tables.b):
         k = -1
-    # Plain floats: one operation on three numbers as an array costs more than all of these.
+    # Plain floats: one NumPy operation on three numbers takes longer than all of these.
     x, y, z = tables.b[k].tolist()
     ax, ay, az = tables.a[k].dot(position).tolist()
     u, v, w = tables.rotation_b[k].tolist()
@@ -162,8 +157,8 @@ def reproduce_many(
         damping: Damping kappa_V of all policies [1/s].
         x0: Initial position [m]. Shape (3,) or (B, 3).
         xd0: Initial velocity [m/s]. Shape (3,) or (B, 3).
-        steps: Number of samples, the initial one included; after the duration the last weights
-            hold.
+        steps: Number of samples, including the initial one; after the duration the last weights
+            are kept.
         dt: Time between samples [s].
 
     Returns:
@@ -173,7 +168,7 @@ def reproduce_many(
     count, n = stiffness.shape[:2]
     h = activations(basis, np.arange(max(steps - 1, 1)) * dt)  # (T, n)
     forces = np.matmul(stiffness, np.asarray(attractors)[..., None])[..., 0]  # (B, n, 3)
-    # The policies run along the last axis: every operation of a step is one long row.
+    # The policies are the last axis: every operation of a step works on contiguous rows.
     a = (h @ stiffness.transpose(1, 2, 3, 0).reshape(n, -1)).reshape(-1, 3, 3, count)
     b = (h @ forces.transpose(1, 2, 0).reshape(n, -1)).reshape(-1, 3, count)
     x = np.empty((steps, 3, count))
@@ -200,12 +195,12 @@ class FitSettings:
     Attributes:
         count: Number of spring-dampers.
         width: Standard deviation of each Gaussian, in units of duration / count [1].
-        k_min: Smallest eigenvalue of the K_i along the axes that move [1/s^2].
-        k_max: Largest eigenvalue of the K_i along these axes [1/s^2]; along the others it is the
-            geometric mean of both.
+        k_min: Smallest eigenvalue of the K_i along the axes of the movement [1/s^2].
+        k_max: Largest eigenvalue of the K_i along these axes [1/s^2]; along the other axes the
+            stiffness is the geometric mean of both.
         damping: Damping kappa_V [1/s].
-        refit: Whether the attractors are solved again for the fitted K_i; without it, as in the
-            paper's reference [21], they belong to the mean stiffness.
+        refit: Whether to solve the attractors again for the fitted K_i; if not, as in the paper's
+            reference [21], they are those of the mean stiffness.
 
     Raises:
         ValueError: If a value is out of range.
@@ -231,11 +226,12 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
 
     1. With one mean stiffness k: mu = pinv(H) Y with Y = xdd/k + xd kappa_V/k + x.
     2. S_i: covariance over the samples of h_i (Y - mu_i).
-    3. K_i: the eigenvalues of S_i^-1 rescaled to [k_min, k_max] by their logarithms, over all i, in
-       the space in which the demonstrations move. Across it they say nothing about the stiffness,
-       which is the mean there: the axis of least variance would else take the whole range.
-    4. With `refit`: the attractors are solved again, all together, for these K_i, so that Eq. 1,
-       started at rest where the demonstrations start, moves as they do and stays where they end.
+    3. K_i: the eigenvalues of S_i^-1, over all i, rescaled logarithmically to [k_min, k_max] within
+       the subspace in which the demonstrations move. Orthogonal to it they contain no information
+       on the stiffness, which is the geometric mean there; otherwise the axis of least variance
+       would take the whole range.
+    4. With `refit`: all attractors are solved jointly for these K_i, so that Eq. 1, started at rest
+       at the start of the demonstrations, follows them and stays at their end.
 
     The rotation attractors come from the same least squares on the rotation vectors.
     Demonstrations of different length are stretched in time to their mean duration.
@@ -288,7 +284,7 @@ def fit(demonstrations: Sequence[Demonstration], settings: FitSettings, policy_i
 
 
 def positive_definite(stiffness: np.ndarray, k_min: float) -> np.ndarray:
-    """Raise the eigenvalues of the symmetric parts to at least k_min; the skew parts are kept.
+    """Raise the eigenvalues of the symmetric parts to at least k_min; keep the skew parts.
 
     Args:
         stiffness: Stiffness matrices [1/s^2]. Shape (n, 3, 3).
@@ -343,7 +339,7 @@ def _angular_velocity(r: np.ndarray, rd: np.ndarray) -> np.ndarray:
 def moving_axes(x: np.ndarray) -> np.ndarray:
     """Principal axes along which samples x (N, 3) move, as columns. Shape (3, d), d of 1 to 3."""
     variances, axes = np.linalg.eigh(np.cov(x.T))
-    return axes[:, variances >= MOVING_MIN**2 * variances[-1]]
+    return axes[:, variances >= SPREAD_MIN**2 * variances[-1]]
 
 
 def _fitted_stiffness(
@@ -356,18 +352,18 @@ def _fitted_stiffness(
     covariance = np.matmul(np.swapaxes(residuals, 1, 2), residuals) / (len(y) - 1)
     # Relative, not absolute: 1e-3 m^2 is (3 cm)^2, more than the movement itself.
     trace = np.trace(covariance, axis1=1, axis2=2)
-    smallest = max(float(trace.max()) * 1e-9, 1e-15)  # for a Gaussian without movement
+    smallest = max(float(trace.max()) * 1e-9, 1e-15)  # for a Gaussian during standstill
     d = axes.shape[1]
     covariance += (1e-3 * trace / d + smallest)[:, None, None] * np.eye(d)
     values, vectors = np.linalg.eigh(covariance)
-    values = -np.log(values)  # of the inverse
+    values = -np.log(values)  # logarithms of the eigenvalues of the inverse
     low, high = values.min(), values.max()
     share = (values - low) / (high - low) if high > low else np.full_like(values, 0.5)
     scaled = settings.k_min ** (1.0 - share) * settings.k_max**share
     vectors = axes @ vectors  # (n, 3, d)
     stiffness = np.matmul(vectors * scaled[:, None, :], np.swapaxes(vectors, 1, 2))
-    across = np.eye(3) - axes @ axes.T
-    return symmetric_part(stiffness + np.sqrt(settings.k_min * settings.k_max) * across)
+    orthogonal = np.eye(3) - axes @ axes.T
+    return symmetric_part(stiffness + np.sqrt(settings.k_min * settings.k_max) * orthogonal)
 
 
 def _fitted_attractors(
@@ -375,29 +371,28 @@ def _fitted_attractors(
 ) -> np.ndarray:
     """Step 4 of `fit`. Shape (n, 3).
 
-    The position at any time is linear in the attractors: of each, the answer of the spring-dampers
-    to it alone is a column, and what is to be explained is the movement without their answer to
-    the start.
+    The position is linear in the attractors: a column of the design matrix is the response to one
+    attractor coordinate, and the target is the demonstration minus the response to its start.
     """
     n = basis.count
-    steps = round((basis.duration + HOLD) / PERIOD) + 1
+    steps = round((basis.duration + HOLD_TIME) / PERIOD) + 1
     t = np.arange(steps) * PERIOD
-    alone = np.eye(3 * n).reshape(3 * n, n, 3)
+    unit_attractors = np.eye(3 * n).reshape(3 * n, n, 3)
     starts = np.array([demonstration.position[0] for demonstration in demonstrations])
 
-    def answers(attractors: np.ndarray, x0: np.ndarray) -> np.ndarray:
-        all_alike = np.broadcast_to(stiffness, (len(attractors), *stiffness.shape))
-        still = np.zeros(3)
-        return reproduce_many(basis, all_alike, attractors, damping, x0, still, steps, PERIOD)[0]
+    def response(attractors: np.ndarray, x0: np.ndarray) -> np.ndarray:
+        same = np.broadcast_to(stiffness, (len(attractors), *stiffness.shape))
+        at_rest = np.zeros(3)
+        return reproduce_many(basis, same, attractors, damping, x0, at_rest, steps, PERIOD)[0]
 
-    design = answers(alone, np.zeros(3)).reshape(3 * n, -1).T
-    free = answers(np.zeros((len(starts), n, 3)), starts)
-    wanted = np.array(
+    design = response(unit_attractors, np.zeros(3)).reshape(3 * n, -1).T
+    response_to_start = response(np.zeros((len(starts), n, 3)), starts)
+    demonstrated = np.array(
         [
             np.stack([np.interp(t, d.t * basis.duration / d.duration, x) for x in d.position.T], 1)
             for d in demonstrations
         ]
     )
     # One design for all: the best attractors for several movements are those for their mean.
-    target = (wanted - free).mean(axis=0).ravel()
+    target = (demonstrated - response_to_start).mean(axis=0).ravel()
     return np.linalg.lstsq(design, target, rcond=None)[0].reshape(n, 3)

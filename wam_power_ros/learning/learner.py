@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every learner has in common: the protocol, the past rollouts, the weighted mean.
+"""Common parts of the learners: protocols, past rollouts, weighted mean.
 
-A learner proposes coordinates z to try and is given their returns; a rollout on the robot lies
-between the two. Every learner is a class with a frozen pydantic model `Settings` and the
-constructor of `LearnerClass`. It is a function of its settings, of the draws from its generator
-and of the rollouts it was given: to restore one, give them to a new one in the same order.
+A learner proposes coordinates z (`ask`), a rollout is executed there, and the learner receives its
+return (`tell`). Every learner is a class with a frozen pydantic model `Settings` and the
+constructor of `LearnerClass`. Its state is a function of its settings, of the draws from its
+generator and of the rollouts: to restore it, tell a new learner the same rollouts in order.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from pydantic import BaseModel, ConfigDict
 class Learner(Protocol):
     """A learner of z in R^size, which starts at z = 0 with exploration of unit variance.
 
-    `ask` alone draws from the learner's generator. `tell` accepts points that were not asked for:
-    a demonstration, the mean, a corrected sample.
+    Only `ask` draws from the learner's generator. `tell` accepts coordinates that `ask` did not
+    propose: a demonstration, the mean, a corrected sample.
     """
 
     size: int
@@ -28,11 +28,9 @@ class Learner(Protocol):
     @property
     def mean(self) -> np.ndarray:
         """Current estimate, without exploration noise. Shape (size,)."""
-        ...
 
     def ask(self) -> np.ndarray:
         """Draw the next coordinates to try. Shape (size,)."""
-        ...
 
     def tell(self, z: np.ndarray, ret: float) -> None:
         """Learn from a rollout.
@@ -45,30 +43,27 @@ class Learner(Protocol):
             ValueError: If z or `ret` is not finite, `ret` is negative or z has another shape; the
                 learner is unchanged then.
         """
-        ...
 
 
 class Model(Protocol):
-    """A predictor of returns that is usable before the first rollout and may learn from each.
+    """A predictor of returns, usable before the first rollout, that may learn from every rollout.
 
-    Both methods depend only on the rollouts learnt from, in their order: no generator, no clock.
+    Both methods depend only on the rollouts learnt from and their order: no generator, no clock.
     """
 
     def predict(self, z: np.ndarray) -> np.ndarray:
-        """Predicted returns of candidates z of shape (B, size). Shape (B,)."""
-        ...
+        """Predict the returns of candidates z (B, size). Shape (B,)."""
 
     def learn(self, z: np.ndarray, ret: float) -> None:
-        """Learn that the rollout at z (size,) had the return `ret`."""
-        ...
+        """Learn from a rollout at z (size,) with return `ret`."""
 
 
 class LearnerClass(Protocol):
-    """A class of learners, as an entry point of the group `wam_power_ros.learners` names it.
+    """Class of a learner, registered in the entry-point group `wam_power_ros.learners`.
 
     Attributes:
-        Settings: Model of the settings, which has a default for every field.
-        needs_model: Whether the constructor needs a `Model`; if not, it takes none.
+        Settings: Model of the settings, with a default for every field.
+        needs_model: Whether the constructor needs a `Model`; if not, it accepts none.
     """
 
     Settings: Any
@@ -86,13 +81,12 @@ class LearnerClass(Protocol):
         Args:
             size: Number of parameters.
             settings: Instance of `Settings`.
-            rng: Source of the exploration noise; used by `ask` alone.
+            rng: Source of the exploration noise; used by `ask` only.
             model: Predictor of returns, given if and only if `needs_model`.
 
         Raises:
             ValueError: If `size` is too small, or a model is missing or unused.
         """
-        ...
 
 
 class LearnerSettings(BaseModel):
@@ -105,7 +99,7 @@ class Rollouts:
     """Coordinates and returns of past rollouts, oldest first."""
 
     def __init__(self, size: int) -> None:
-        """Start empty, for rollouts of `size` parameters."""
+        """Start without rollouts; z has `size` elements."""
         self._size = size
         self._z: list[np.ndarray] = []
         self._returns: list[float] = []
@@ -138,14 +132,14 @@ class Rollouts:
         self._returns.append(float(ret))
 
     def clear(self) -> None:
-        """Forget all rollouts: the next batch begins."""
+        """Discard all rollouts to start the next batch."""
         self._z, self._returns = [], []
 
 
 class GaussianLearner(ABC):
-    """A learner that explores with Gaussian noise about its mean; the learners derive from it.
+    """Base class of the learners: Gaussian exploration about the mean.
 
-    A subclass has `Settings` of its own, and `_update`, which follows from the past rollouts.
+    A subclass defines its `Settings` and `_update`, which computes the mean from past rollouts.
 
     Attributes:
         size: Number of parameters.
@@ -168,11 +162,12 @@ class GaussianLearner(ABC):
         name = type(self).__name__
         if size < self.size_min:
             raise ValueError(f"size is {size}, {name} needs at least {self.size_min}")
-        if model is not None and not self.needs_model:
-            raise ValueError(f"{name} uses no model, got {model}")
+        if (model is not None) != self.needs_model:
+            raise ValueError(f"{name} {'needs a' if self.needs_model else 'uses no'} model")
         self.size = size
         self.settings = settings
         self._rng = rng
+        self._model = model
         self._rollouts = Rollouts(size)
         self._mean = np.zeros(size)
         self._noise: float | np.ndarray = 1.0  # standard deviation of the exploration
@@ -193,11 +188,11 @@ class GaussianLearner(ABC):
 
     @abstractmethod
     def _update(self) -> None:
-        """Learn from the rollouts, the newest of which has just been added."""
+        """Update mean and noise after a rollout was added to `_rollouts`."""
 
 
 def best_first(returns: np.ndarray) -> np.ndarray:
-    """Indices by decreasing return; of equal returns the later rollout comes first."""
+    """Indices by decreasing return; of equal returns, the later rollout first."""
     newest_first = np.arange(len(returns))[::-1]
     return newest_first[np.argsort(-returns[newest_first], kind="stable")]
 
@@ -205,20 +200,20 @@ def best_first(returns: np.ndarray) -> np.ndarray:
 def weighted_mean(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Weighted mean of rows (k, n). Shape (n,).
 
-    Summed row by row and not by BLAS, whose order of summation depends on the processor.
+    Summed row by row instead of by BLAS, whose order of summation depends on the processor.
     """
     return (weights[:, np.newaxis] * rows).sum(axis=0) / weights.sum()
 
 
 def generator_state(rng: np.random.Generator) -> dict[str, Any]:
-    """State of a PCG64 generator as data for JSON; its integers have up to 128 bits.
+    """State of a PCG64 generator as JSON data; its integers have up to 128 bits.
 
     Raises:
-        ValueError: If the generator is of another kind.
+        ValueError: If the bit generator is not PCG64.
     """
     state = rng.bit_generator.state
     if state["bit_generator"] != "PCG64":
-        raise ValueError(f"bit generator {state['bit_generator']!r}, expected 'PCG64'")
+        raise ValueError(f"bit generator {state['bit_generator']!r} must be 'PCG64'")
     return {
         "bit_generator": "PCG64",
         "state": {key: int(value) for key, value in state["state"].items()},

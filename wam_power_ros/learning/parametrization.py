@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parametrization of a policy: the parameters that are learnt, and their exploration noise.
+"""Parametrization of a policy: its learnt parameters and their exploration noise.
 
 Stiffness is several hundred 1/s^2 and attractors are tenths of a metre, so "the sigma_i are
-different" ([Kormushev2010], footnote 3). A learner sees neither: theta = theta0 + scale * z with
-one scale per group, and every learner explores z with unit standard deviation.
+different" ([Kormushev2010], footnote 3). Hence theta = theta0 + scale * z with one scale per group,
+and every learner explores z with unit standard deviation.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from wam_power_ros.learning.dmp import positive_definite
-from wam_power_ros.learning.policy import Policy, faster, read_only, symmetric_part
+from wam_power_ros.learning.policy import Policy, at_tempo, read_only, symmetric_part
 
-FLOOR = 0.1  # smallest stiffness of a sample, as a fraction of the smallest one demonstrated [1]
+# Smallest eigenvalue of a sampled K_i, as a fraction of the smallest one of the demonstration [1]
+EIGENVALUE_FLOOR = 0.1
 _XZ = np.ix_((0, 2), (0, 2))
 
 
 class NoiseScales(BaseModel):
-    """Standard deviation of the exploration noise, one for each group of parameters.
+    """Standard deviation of the exploration noise of each group of parameters.
 
     Attributes:
         stiffness: Noise of every entry of K_i, as a fraction of the policy's mean stiffness [1].
@@ -69,10 +70,10 @@ class Direction:
 class _Layout:
     """Learnt entries of each K_i, mu_i and r_i."""
 
-    entries: tuple[tuple[int, int], ...]  # of each K_i
-    paired: bool  # an entry (row, column) moves (column, row) with it
-    axes: tuple[int, ...]  # of each mu_i
-    rotation_axes: tuple[int, ...] = ()  # of each r_i
+    entries: tuple[tuple[int, int], ...]  # learnt entries of K_i
+    symmetric: bool  # entry (column, row) of K_i changes together with (row, column)
+    axes: tuple[int, ...]  # learnt elements of mu_i
+    rotation_axes: tuple[int, ...] = ()  # learnt elements of r_i
 
 
 _DIAGONAL = ((0, 0), (1, 1), (2, 2))
@@ -87,7 +88,7 @@ VARIANTS = tuple(_LAYOUTS)
 
 
 class Parametrization:
-    """The map between coordinates z and policies around one demonstrated policy.
+    """Map from coordinates z to policies around one demonstrated policy.
 
     Variants, for a mixture of n spring-dampers:
         full: K_i and mu_i, 9 n + 3 n parameters (the paper's).
@@ -96,17 +97,17 @@ class Parametrization:
         attractors: mu_i, 3 n.
         planar: A movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, and the rotation
             attractor about y (pitch), 6 n.
-    Each direction is one more parameter, and so is the logarithm of the tempo, see `faster`.
-    Everything else stays as it is in `policy0`.
+    Each direction adds one parameter, and so does the logarithm of the tempo, see `at_tempo`.
+    Everything else is as in `policy0`.
 
     Attributes:
         size: Number of parameters.
         variant: Name of the variant.
         policy0: Policy at z = 0.
-        theta0: Parameters of that policy [1/s^2, m, rad, units of the directions]. Shape (size,).
+        theta0: Parameters of `policy0` [1/s^2, m, rad, units of the directions]. Shape (size,).
         scale: Standard deviation of the exploration noise, in the units of theta. Shape (size,).
         groups: Slice of each group in theta and z: "stiffness", "attractors", "rotation", and the
-            directions by name, "tempo"; a group without parameters is missing.
+            directions by name, "tempo"; groups without parameters are left out.
         stiffness_min: Smallest eigenvalue of the symmetric part of a sampled K_i [1/s^2].
     """
 
@@ -118,19 +119,19 @@ class Parametrization:
         directions: Sequence[Direction] = (),
         tempo: float = 0.0,
     ) -> None:
-        """Take the parameters of `variant`, the directions and the tempo, around `policy0`.
+        """Combine the parameters of `variant` with the directions and the tempo.
 
         Args:
             policy0: Policy at z = 0.
             variant: Name of the variant.
             noise: Standard deviation of the exploration noise of the variant's parameters.
-            directions: Further parameters that move all attractors together.
-            tempo: Standard deviation of the exploration noise of the tempo's logarithm; 0 leaves
-                the tempo as it is.
+            directions: Additional parameters that move all attractors together.
+            tempo: Standard deviation of the exploration noise of the logarithm of the tempo; 0: the
+                tempo is not learnt.
 
         Raises:
-            ValueError: If the variant is unknown, a pattern is not that of n spring-dampers, or the
-                name of a direction is taken.
+            ValueError: If the variant is unknown, a pattern is not one of n spring-dampers, or the
+                name of a direction is already in use.
         """
         if variant not in _LAYOUTS:
             raise ValueError(f"variant {variant!r} is not one of {', '.join(VARIANTS)}")
@@ -148,7 +149,7 @@ class Parametrization:
         mean_stiffness = float(np.trace(symmetric, axis1=1, axis2=2).mean() / 3.0)
         self.variant = variant
         self.policy0 = policy0
-        self.stiffness_min = FLOOR * float(np.linalg.eigvalsh(symmetric).min())
+        self.stiffness_min = EIGENVALUE_FLOOR * float(np.linalg.eigvalsh(symmetric).min())
         self._layout = layout
         self._directions = tuple(directions)
         self._n = n
@@ -174,7 +175,7 @@ class Parametrization:
         start = 0
         for group, value, _ in blocks:
             if group in self.groups:
-                raise ValueError(f"direction {group!r} has the name of another group")
+                raise ValueError(f"name {group!r} of a direction is already used by another group")
             self.groups[group] = slice(start, start + len(value))
             start += len(value)
         self.theta0.setflags(write=False)
@@ -192,7 +193,7 @@ class Parametrization:
             policy_id: Id of the new policy.
 
         Returns:
-            The policy and its coordinates, `clip(z)`: these are to be learnt from.
+            The policy and its coordinates, `clip(z)`, which are the ones to learn from.
             `policy(clip(z), policy_id)` is the same policy, bit for bit.
         """
         z = self.clip(z)
@@ -205,19 +206,19 @@ class Parametrization:
             attractors=attractors,
             rotation_attractors=rotation,
         )
-        return (faster(policy, float(self.tempo(z))) if "tempo" in self.groups else policy), z
+        return (at_tempo(policy, float(self.tempo(z))) if "tempo" in self.groups else policy), z
 
     def tempo(self, z: np.ndarray) -> np.ndarray:
-        """Tempo at z (..., size) as a share of that of `policy0` [1]. Shape (...)."""
+        """Tempo at z (..., size), relative to that of `policy0` [1]. Shape (...)."""
         if "tempo" not in self.groups:
             return np.ones(z.shape[:-1])
         index = self.groups["tempo"].start
         return np.exp(self.scale[index] * z[..., index])
 
     def arrays(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Arrays of the policies at many z at once, in the time of `policy0`.
+        """Arrays of the policies at many z at once, at the tempo of `policy0`.
 
-        At a tempo of one they are those of `policy` up to rounding.
+        At a tempo of one they equal those of `policy` up to rounding.
 
         Args:
             z: Requested coordinates. Shape (B, size).
@@ -234,18 +235,18 @@ class Parametrization:
         return stiffness, *self._attractors(delta)
 
     def clip(self, z: np.ndarray) -> np.ndarray:
-        """Coordinates of the nearest policy whose stiffness matrices are positive definite.
+        """Coordinates of the nearest policy with positive definite stiffness matrices.
 
         Eigenvalues of the symmetric part below `stiffness_min` are raised to it, the skew part is
-        kept; matrices above the limit keep their coordinates bit for bit. Shape (size,).
-        Convex combinations of clipped vectors need no clipping.
+        kept; matrices above the limit keep their coordinates bit for bit. Convex combinations of
+        clipped vectors need no clipping. Shape (size,).
         """
         z = self._checked(z).copy()
         if "stiffness" not in self.groups:
             return z
         stiffness = self._stiffness(self.scale * z)
         low = np.linalg.eigvalsh(symmetric_part(stiffness))[:, 0]  # (n,)
-        # A clipped matrix may be a rounding error below the limit; it must not be clipped again.
+        # A clipped matrix may be below the limit by a rounding error; do not clip it again.
         bad = low < self.stiffness_min * (1.0 - 1e-9)
         if bad.any():
             raised = self._raised(stiffness[bad])
@@ -256,7 +257,7 @@ class Parametrization:
         return z
 
     def _checked(self, z: np.ndarray) -> np.ndarray:
-        """Coordinates as floats; ValueError if the shape is wrong or one is not finite."""
+        """Coordinates as floats; ValueError if the shape is wrong or a value is not finite."""
         z = np.asarray(z, dtype=float)
         if z.shape != (self.size,):
             raise ValueError(f"z has shape {z.shape}, variant {self.variant!r} has ({self.size},)")
@@ -265,8 +266,8 @@ class Parametrization:
         return z
 
     def _entries(self, stiffness: np.ndarray) -> np.ndarray:
-        """Learnt entries of matrices (m, 3, 3), flat."""
-        if self._layout.paired:
+        """Learnt entries of matrices (m, 3, 3), flattened."""
+        if self._layout.symmetric:
             stiffness = symmetric_part(stiffness)
         columns = [stiffness[:, row, column] for row, column in self._layout.entries]
         return np.stack(columns, axis=1).ravel()
@@ -279,7 +280,7 @@ class Parametrization:
             moved = delta[..., self.groups["stiffness"]].reshape(*batch, self._n, -1)
             for k, (row, column) in enumerate(self._layout.entries):
                 stiffness[..., row, column] += moved[..., k]
-                if self._layout.paired and row != column:
+                if self._layout.symmetric and row != column:
                     stiffness[..., column, row] += moved[..., k]
         return stiffness
 
@@ -300,18 +301,18 @@ class Parametrization:
         return attractors, rotation
 
     def _raised(self, stiffness: np.ndarray) -> np.ndarray:
-        """Make matrices (m, 3, 3) positive definite by changing learnt entries only."""
+        """Make matrices (m, 3, 3) positive definite, changing only learnt entries."""
         if self.variant != "planar":
             return positive_definite(stiffness, self.stiffness_min)
-        # K_yy and the coupling b of y to x and z are kept. K - k_min 1 is positive semidefinite if
-        # and only if the Schur complement P - k_min 1 - b b^T / (K_yy - k_min) is: clip that one.
+        # K_yy and the coupling b of y to x and z are fixed. K - k_min 1 is positive semidefinite if
+        # and only if the Schur complement P - k_min 1 - b b^T / (K_yy - k_min) is: clip the latter.
         symmetric = symmetric_part(stiffness)
         raised = stiffness.copy()
         for k, matrix in enumerate(symmetric):
             b = matrix[[0, 2], 1]
             coupling = np.outer(b, b) / (matrix[1, 1] - self.stiffness_min)
-            alone = np.diag([0.0, matrix[1, 1], 0.0])
-            alone[_XZ] = matrix[_XZ] - coupling
-            clipped = positive_definite(alone[np.newaxis], self.stiffness_min)[0]
-            raised[k][_XZ] += clipped[_XZ] - alone[_XZ]
+            uncoupled = np.diag([0.0, matrix[1, 1], 0.0])
+            uncoupled[_XZ] = matrix[_XZ] - coupling
+            clipped = positive_definite(uncoupled[np.newaxis], self.stiffness_min)[0]
+            raised[k][_XZ] += clipped[_XZ] - uncoupled[_XZ]
         return raised

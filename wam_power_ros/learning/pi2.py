@@ -16,9 +16,9 @@ class Pi2(GaussianLearner):
         """Settings of PI2-BB.
 
         Attributes:
-            population: Number of rollouts of an update.
+            population: Number of rollouts per update.
             eliteness: h of the weights exp(h (R - R_max) / (R_max - R_min)).
-            decay: Factor on the exploration noise for each update.
+            decay: Factor on the exploration noise after each update.
         """
 
         population: int = Field(default=10, ge=2)
@@ -33,7 +33,7 @@ class Pi2(GaussianLearner):
         returns = self._rollouts.returns
         spread = float(np.ptp(returns))
         if spread > 0.0:
-            # P_k = exp(-h (S_k - S_min) / (S_max - S_min)) / sum, the cost S = -R;
+            # P_k = exp(-h (S_k - S_min) / (S_max - S_min)) / sum, with the cost S = -R;
             # theta = sum P_k theta_k [Stulp2013].
             share = (returns - returns.max()) / spread
             self._mean = weighted_mean(self._rollouts.z, np.exp(self.settings.eliteness * share))

@@ -15,18 +15,17 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from wam_power_ros.arm_identity import ArmIdentity, identity_of
+from wam_power_ros.arm_identity import JOINTS_MAX, ArmIdentity, identity_of
 
-SCHEMA = "wam_power_ros/policy/2"  # 1, which is read as well, does not say of which arm
+SCHEMA = "wam_power_ros/policy/2"  # version 1, without the identity of the arm, is still read
 PERIOD = 0.002  # control period [s]
-SIZE_MAX = 1_000_000  # size of the JSON text [byte]
-COUNT_MAX = 200  # number of spring-dampers
-JOINTS_MAX = 16  # number of joints
-DURATION_MAX = 60.0  # duration of a movement [s]
-STIFFNESS_MAX = 1e5  # any element of a stiffness, translation or rotation [1/s^2]
-DAMPING_MAX = 1e3  # damping that is stable at the control period is below 1000 [1/s]
-POSITION_MAX = 10.0  # coordinate of an attractor [m]
-ANGLE_MAX = 30.0  # element of a rotation vector or a joint angle [rad]
+SIZE_MAX = 1_000_000  # largest JSON text [byte]
+COUNT_MAX = 200  # largest number of spring-dampers
+DURATION_MAX = 60.0  # longest movement [s]
+STIFFNESS_MAX = 1e5  # largest element of a translational or rotational stiffness [1/s^2]
+DAMPING_MAX = 1e3  # damping above 2 / PERIOD is unstable at the control period [1/s]
+POSITION_MAX = 10.0  # largest coordinate of an attractor [m]
+ANGLE_MAX = 30.0  # largest joint angle or element of a rotation vector [rad]
 
 _ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
@@ -40,7 +39,7 @@ def check_id(policy_id: str) -> None:
     if not isinstance(policy_id, str) or not _ID.fullmatch(policy_id):
         shown = repr(policy_id)
         shown = shown if len(shown) <= 100 else shown[:100] + "..."
-        raise ValueError(f"id {shown} must match [A-Za-z0-9_.-]{{1,64}}")
+        raise ValueError(f"id {shown} must match {_ID.pattern}")
 
 
 def read_only(
@@ -49,10 +48,10 @@ def read_only(
     shape: tuple[int, ...],
     limit: float = np.inf,
 ) -> np.ndarray:
-    """Return a read-only float copy of an array, checked.
+    """Check an array and return a read-only float copy of it.
 
     Args:
-        name: Name of the value in the error.
+        name: Name of the value in error messages.
         value: Array or nested sequence.
         shape: Expected shape.
         limit: Largest absolute value allowed.
@@ -70,7 +69,7 @@ def read_only(
     bad = ~np.isfinite(array) | (np.abs(array) > limit)
     if bad.any():
         at = tuple(int(i) for i in np.argwhere(bad)[0])
-        rule = "finite" if limit == np.inf else f"finite and at most {limit} in size"
+        rule = "finite" if limit == np.inf else f"finite and at most {limit} in magnitude"
         raise ValueError(f"{name}{list(at)} = {array[at]} must be {rule}")
     array.setflags(write=False)
     return array
@@ -138,10 +137,10 @@ class Policy:
         rotation_stiffness: Stiffness of the orientation [1/s^2].
         rotation_damping: Damping of the orientation [1/s].
         q_start: Joint angles at the start of the demonstration [rad]. Shape (nj,).
-        arm: Arm that it was learnt on; None if unknown.
+        arm: Identity of the arm that the policy was learnt on; None if unknown.
 
     Raises:
-        ValueError: If a value is out of range; names the value and the rule.
+        ValueError: If a value is out of range; the message names the value and the rule.
     """
 
     id: str
@@ -178,7 +177,7 @@ class Policy:
         if not 1 <= len(self.q_start) <= JOINTS_MAX:
             raise ValueError(f"q_start has {len(self.q_start)} joints; 1..{JOINTS_MAX} allowed")
         if self.arm is not None and len(self.arm.joint_names) != len(self.q_start):
-            raise ValueError(f"q_start has {len(self.q_start)} joints; arm is {self.arm}")
+            raise ValueError(f"q_start has {len(self.q_start)} joints, the arm is {self.arm}")
         norm = float(np.linalg.norm(self.orientation_reference))
         if abs(norm - 1.0) > 1e-6:
             raise ValueError(f"orientation_reference has length {norm}; it must be 1")
@@ -196,13 +195,13 @@ def symmetric_part(matrices: np.ndarray) -> np.ndarray:
     return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))
 
 
-def faster(policy: Policy, tempo: float) -> Policy:
-    """The same movement at a share `tempo` of its speed, along the same way in space.
+def at_tempo(policy: Policy, tempo: float) -> Policy:
+    """Policy that moves along the same path at `tempo` times the speed.
 
-    Eq. 1 in the time t' = tempo t: damping grows with the tempo, stiffness with its square.
+    Eq. 1 in the time t' = tempo t: damping is multiplied by the tempo, stiffness by its square.
 
     Raises:
-        ValueError: The tempo takes a value out of its range.
+        ValueError: If a value of the new policy is out of range.
     """
     return replace(
         policy,
@@ -279,13 +278,10 @@ def to_json(policy: Policy) -> str:
 
 
 def from_json(text: str) -> Policy:
-    """Parse a policy.
-
-    Args:
-        text: JSON text as `to_json` writes it, at most SIZE_MAX bytes.
+    """Parse a policy from JSON text of `to_json`, of at most SIZE_MAX bytes.
 
     Raises:
-        ValueError: If anything is wrong with the text; names it.
+        ValueError: If the text is not a valid policy; the message names the first defect.
     """
     if not isinstance(text, str):
         raise ValueError(f"a policy is JSON text, not {type(text).__name__}")
@@ -320,8 +316,8 @@ def from_json(text: str) -> Policy:
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     keys = [key for key, _ in pairs]
     if len(set(keys)) != len(keys):
-        twice = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"key {twice!r} appears twice")
+        repeated = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"key {repeated!r} appears twice")
     return dict(pairs)
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Episodic policy gradients: REINFORCE [Williams1992] and natural actor-critic [Peters2008].
 
-Ours: returns are divided by their standard deviation in the batch, so that one rate serves every
-scale of returns, and the step is in units of the exploration noise.
+Not in the papers: returns are divided by their standard deviation in the batch, so that one
+learning rate suits any scale of returns, and the step is in units of the exploration noise.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class _PolicyGradient(GaussianLearner):
         """Settings of a policy gradient.
 
         Attributes:
-            population: Number of rollouts of an update.
+            population: Number of rollouts per update.
             rate: Learning rate, in units of the exploration noise.
-            decay: Factor on the exploration noise for each update.
+            decay: Factor on the exploration noise after each update.
         """
 
         population: int
@@ -51,16 +51,16 @@ class _PolicyGradient(GaussianLearner):
 
 
 class Reinforce(_PolicyGradient):
-    """Episodic REINFORCE with the baseline of least variance [Williams1992]."""
+    """Episodic REINFORCE with the minimum-variance baseline [Williams1992]."""
 
     class Settings(_PolicyGradient.Settings):
-        """Settings of REINFORCE; see there."""
+        """Settings of REINFORCE."""
 
         population: int = Field(default=10, ge=2)
         decay: float = Field(default=0.95, gt=0.0, le=1.0)
 
     def _gradient(self, eps: np.ndarray, returns: np.ndarray) -> np.ndarray:
-        # b = sum psi^2 R / sum psi^2;  grad = mean psi (R - b), each axis alone
+        # b = sum psi^2 R / sum psi^2;  grad = mean psi (R - b), per axis
         # [Peters2008, episodic REINFORCE with optimal baseline].
         square = eps**2
         baseline = (square * returns[:, np.newaxis]).sum(axis=0)
@@ -72,9 +72,9 @@ class Enac(_PolicyGradient):
     """Episodic natural actor-critic [Peters2008]."""
 
     class Settings(_PolicyGradient.Settings):
-        """Settings of the natural actor-critic; see there.
+        """Settings of the natural actor-critic.
 
-        With a population below size + 1 the smallest gradient that explains the returns is taken.
+        With a population below size + 1, the minimum-norm gradient that fits the returns is used.
         """
 
         population: int = Field(default=20, ge=2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Policies as shapes that can be drawn: the path that is planned, and ellipsoids of stiffness."""
+"""Shapes to draw a policy: its planned path and its stiffness ellipsoids."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from wam_power_ros import rotations
 from wam_power_ros.learning.dmp import reproduce_many
 from wam_power_ros.learning.policy import PERIOD, Policy, symmetric_part
 
-ELLIPSOID = 0.06  # longest semi-axis of all ellipsoids of a policy [m]
-PLAN_STEP = 5  # samples of a plan between two that are drawn
+SEMI_AXIS_MAX = 0.06  # longest semi-axis of all ellipsoids of a policy [m]
+PLAN_STRIDE = 5  # control periods between two points of a planned path
 
 
 class Ellipsoids(NamedTuple):
-    """Attractors with their stiffness.
+    """Stiffness ellipsoids at the attractors.
 
     Attributes:
         centres: Attractors mu_i [m]. Shape (n, 3).
-        semi_axes: In proportion to the eigenvalues of K_i [m]. Shape (n, 3).
-        quats_wxyz: Orientation of the axes. Shape (n, 4).
+        semi_axes: Semi-axes, in proportion to the eigenvalues of K_i [m]. Shape (n, 3).
+        quats_wxyz: Orientation of the semi-axes, unit quaternions. Shape (n, 4).
     """
 
     centres: np.ndarray
@@ -30,15 +30,15 @@ class Ellipsoids(NamedTuple):
 
 
 def ellipsoids(policy: Policy) -> Ellipsoids:
-    """Stiffness ellipsoids of a policy: long where it is stiff."""
+    """Stiffness ellipsoids of a policy, longest along the stiffest axis."""
     values, axes = np.linalg.eigh(symmetric_part(policy.stiffness))
     axes[..., 0] *= np.linalg.det(axes)[:, None]  # a rotation, not a reflection
     quats = np.roll(rotations.quat_xyzw(axes), 1, axis=-1)
-    return Ellipsoids(policy.attractors, ELLIPSOID * values / values.max(), quats)
+    return Ellipsoids(policy.attractors, SEMI_AXIS_MAX * values / values.max(), quats)
 
 
 def plan(policy: Policy, start: np.ndarray) -> np.ndarray:
-    """Path that Eq. 1 gives from rest at `start` (3,) [m]. Shape (T, 3)."""
+    """Path of Eq. 1, integrated open loop from rest at `start` (3,) [m]. Shape (T, 3)."""
     steps = round(policy.basis.duration / PERIOD) + 1
     x, _ = reproduce_many(
         policy.basis,
@@ -50,4 +50,4 @@ def plan(policy: Policy, start: np.ndarray) -> np.ndarray:
         steps,
         PERIOD,
     )
-    return x[0, ::PLAN_STEP]
+    return x[0, ::PLAN_STRIDE]

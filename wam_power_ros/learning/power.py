@@ -16,9 +16,9 @@ from wam_power_ros.learning.learner import (
 )
 
 Weights = Literal["return", "sharpened"]
-SIZES = (2, 3, 4, 6, 8, 12, 16, 24)  # sizes of an elite that `choose_sigma` chooses from
-SIGMA_DEFAULT = 6  # size of the elite in the paper
-COUNT_MIN = 8  # number of rollouts from which `choose_sigma` chooses
+SIGMAS = (2, 3, 4, 6, 8, 12, 16, 24)  # elite sizes that `choose_sigma` chooses from
+SIGMA_DEFAULT = 6  # elite size of the paper
+ROLLOUTS_MIN = 8  # smallest number of rollouts with which `choose_sigma` chooses
 
 
 def power_update(
@@ -34,8 +34,8 @@ def power_update(
         theta' = theta + sum_k (theta_k - theta) R_k / sum_k R_k,
 
     with k over the `sigma` rollouts of highest return among ALL past ones. theta cancels: theta' is
-    the weighted mean of the elite, so the order of the rollouts does not matter. Of equal returns
-    at the elite's edge the later rollouts are taken: they were sampled nearest to the current mean.
+    the weighted mean of the elite, so the order of the rollouts does not matter. Ties at the edge
+    of the elite go to the later rollouts, which were sampled closer to the current mean.
 
     Args:
         theta: Current parameters. Shape (n,).
@@ -61,7 +61,7 @@ def power_update(
             "must be (n,), (m, n) and (m,)"
         )
     if sigma < 1:
-        raise ValueError(f"sigma is {sigma}, an elite has at least one rollout")
+        raise ValueError(f"sigma is {sigma}, must be at least 1")
     bad = ~(np.isfinite(returns) & (returns >= 0.0))
     if bad.any():
         raise ValueError(f"returns must be finite and >= 0, got {returns[bad][:3]}")
@@ -74,29 +74,29 @@ def power_update(
 
 
 def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
-    """Choose the size of the elite of the largest expected gain, by leave-one-out. Ours.
+    """Choose the elite size with the largest expected gain, by leave-one-out. Not in the paper.
 
     For each size s, and each rollout k left out in turn, m is the return-weighted mean of the s
-    best of the others and c the plain mean of the others:
+    best of the others and c the unweighted mean of the others:
 
         d_k = m - c,    p_k = (theta_k - c) . d_k / |d_k|,
         gain(s) = mean_k |d_k| cov_k(p, R) / var_k(p),
 
-    the length of the step from the searched region to the elite's mean, times the slope of the
-    return along it for the rollouts left out. A small elite makes a large step, and without noise
-    in the returns the step is uphill; but if its returns are high by chance, the rollout left out
-    does not confirm it, the slope is small and a larger elite, which averages noise, is chosen.
+    the length of the step from the centre of the rollouts to the mean of the elite, times the slope
+    of the return along that step at the rollouts left out. A small elite makes a large step, which
+    is uphill without noise in the returns. If its returns are high by chance, the rollouts left out
+    show a small slope, and a larger elite, which averages the noise, is chosen.
 
     Args:
         rollouts: Parameters of the past rollouts, oldest first. Shape (m, n).
         returns: Returns of the past rollouts, >= 0. Shape (m,).
 
     Returns:
-        The size out of `SIZES` of the largest gain, the smaller one of equals; SIGMA_DEFAULT for
-        fewer than COUNT_MIN rollouts or if no gain is positive.
+        The size in `SIGMAS` with the largest gain, the smaller one of equals; SIGMA_DEFAULT with
+        fewer than ROLLOUTS_MIN rollouts or if no gain is positive.
     """
     count = len(returns)
-    if count < COUNT_MIN:
+    if count < ROLLOUTS_MIN:
         return SIGMA_DEFAULT
     order = best_first(returns)
     rollouts, returns = rollouts[order], returns[order]
@@ -104,10 +104,10 @@ def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
     weights = np.cumsum(returns)
     centre = (rollouts.sum(axis=0) - rollouts) / (count - 1)  # (m, n), mean of all but k
     best, chosen = 0.0, SIGMA_DEFAULT
-    for size in SIZES:
+    for size in SIGMAS:
         if size >= count - 1:
             break
-        inside = np.arange(count) < size  # if k is inside, the next one takes its place
+        inside = np.arange(count) < size  # if k is in the elite, the next best replaces it
         total = np.where(inside, weights[size] - returns, weights[size - 1])
         if not (total > 0.0).all():
             continue
@@ -128,7 +128,7 @@ def choose_sigma(rollouts: np.ndarray, returns: np.ndarray) -> int:
 
 
 def _weights(returns: np.ndarray, kind: Weights, sharpness: float) -> np.ndarray:
-    """Weights of an elite, the largest being one, so that their sum is positive. Shape (k,)."""
+    """Weights of an elite, scaled to a largest weight of 1. Shape (k,)."""
     best = returns.max()
     if kind == "return":
         return returns / best
@@ -147,12 +147,12 @@ class Power(GaussianLearner):
         """Settings of PoWER.
 
         Attributes:
-            sigma: Size of the elite, the number of best past rollouts that make the mean; "auto":
+            sigma: Size of the elite, the best past rollouts whose weighted mean is taken; "auto":
                 chosen by `choose_sigma` after every rollout.
-            weights: Weights of the elite: "return", its returns (the paper), or "sharpened",
-                exp((R - R_max) / (sharpness (R_max - R_min))), R_min and R_max those of the elite.
+            weights: Weights of the elite: "return", the returns (the paper), or "sharpened",
+                exp((R - R_max) / (sharpness (R_max - R_min))), with R_min and R_max of the elite.
             sharpness: Width of the sharpened weights, in units of R_max - R_min.
-            decay: Factor on the exploration noise for each rollout; 1: constant (the paper).
+            decay: Factor on the exploration noise after each rollout; 1: constant (the paper).
         """
 
         sigma: Annotated[int, Field(ge=1)] | Literal["auto"] = SIGMA_DEFAULT
@@ -163,24 +163,14 @@ class Power(GaussianLearner):
     settings: Settings
 
     @property
-    def noise(self) -> float:
-        """Standard deviation of the next exploration, in units of z."""
-        return self.settings.decay ** len(self._rollouts)
-
-    @property
     def sigma(self) -> int:
-        """Size of the elite that made the mean, or will make the first."""
+        """Size of the elite of the present rollouts."""
         if self.settings.sigma != "auto":
             return self.settings.sigma
         return choose_sigma(self._rollouts.z, self._rollouts.returns)
 
-    @property
-    def count(self) -> int:
-        """Number of rollouts learnt from."""
-        return len(self._rollouts)
-
     def _update(self) -> None:
-        self._noise = self.noise
+        self._noise = self.settings.decay ** len(self._rollouts)
         returns = self._rollouts.returns
         if returns.max() > 0.0:
             self._mean = power_update(

@@ -1,20 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random search, the baseline that a learner has to exceed."""
+"""Random search, the baseline of all learners."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from wam_power_ros.learning.learner import GaussianLearner, LearnerSettings
+from wam_power_ros.learning.learner import GaussianLearner
 
 
 class RandomSearch(GaussianLearner):
     """The best of independent samples about z = 0."""
-
-    class Settings(LearnerSettings):
-        """Settings of random search: none."""
-
-    settings: Settings
 
     def ask(self) -> np.ndarray:
         """Draw the next coordinates about z = 0. Shape (size,)."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finished rollouts: path of the tool, path of the tracked body, and the fault that ended one."""
+"""Finished rollouts: path of the tool, path of the tracked body, fault that ended the rollout."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from wam_power_ros.learning.policy import check_id, read_only
 
 
 class FaultKind(str, enum.Enum):
-    """Kind of a fault of the controller; decisions depend on it and never on the fault's text."""
+    """Kind of a controller fault; decisions depend on the kind, never on the fault's text."""
 
-    # Caused by the policy: the rollout's return is 0, and it is not tried again.
-    JOINT_POSITION = "joint_position"  # beyond a joint's limit
+    # Caused by the policy: the return of the rollout is 0 and the policy is not retried.
+    JOINT_POSITION = "joint_position"  # joint position limit exceeded
     JOINT_SPEED = "joint_speed"
-    GUARDED_SPEED = "guarded_speed"  # of a guarded point, such as elbow or forearm
+    GUARDED_SPEED = "guarded_speed"  # speed of a guarded point, such as the elbow or the forearm
     TOOL_SPEED = "tool_speed"
     WORKSPACE = "workspace"  # the tool left its box
     PLANE = "plane"  # a guarded point or the tool is behind the keep-out plane
     # Not caused by the policy: the rollout is not learnt from.
     TRACKING = "tracking"  # a joint is far from its reference
-    COMPUTATION = "computation"  # a torque that is not finite, or none
+    COMPUTATION = "computation"  # computed torque missing or not finite
     STATES_LOST = "states_lost"  # no joint state for too long
-    STATES_REFUSED = "states_refused"  # too many joint states that are not valid
-    JUMP = "jump"  # a joint's position jumped from one state to the next
+    STATES_REFUSED = "states_refused"  # too many invalid joint states
+    JUMP = "jump"  # joint position jumped from one state to the next
     VELOCITY = "velocity"  # positions and velocities contradict each other
-    EXTERNAL_TORQUE = "external_torque"  # the arm does not move as our torques move it
+    EXTERNAL_TORQUE = "external_torque"  # motion not explained by the commanded torques
     STAMPS = "stamps"  # the stamps do not advance with real time
     RELEASED = "released"  # the enabling switch was released
-    SECOND_COMMANDER = "second_commander"
+    SECOND_COMMANDER = "second_commander"  # another node publishes torques
     OVERLOAD = "overload"  # too many control periods missed
-    SOFTWARE = "software"  # a callback failed
+    SOFTWARE = "software"  # a callback raised an exception
 
     @property
     def of_policy(self) -> bool:
-        """Whether the policy caused it: a limit of motion was exceeded."""
+        """Whether the policy caused the fault by exceeding a motion limit."""
         return self in _OF_POLICY
 
 
@@ -50,7 +50,7 @@ class Fault:
 
     Attributes:
         kind: Kind of the fault.
-        text: Sentence for a person, with the value and the limit.
+        text: Description for the operator, with the value and the limit.
     """
 
     kind: FaultKind
@@ -58,13 +58,13 @@ class Fault:
 
 
 @dataclass(frozen=True, eq=False)
-class EndEffectorPath:
-    """Path of the tool frame in the base frame during one rollout.
+class _Path:
+    """Path of a frame in the base frame during one rollout; arrays are copied and read-only.
 
     Attributes:
         id: Id of the policy that was executed.
-        t: Time since the start of the rollout, strictly increasing [s]. Shape (T,), T >= 1.
-        position: Origin of the tool frame [m]. Shape (T, 3).
+        t: Time since the start of the rollout, strictly increasing [s]. Shape (T,).
+        position: Origin of the frame [m]. Shape (T, 3).
         quat_xyzw: Orientation, unit quaternions. Shape (T, 4).
 
     Raises:
@@ -78,34 +78,36 @@ class EndEffectorPath:
     quat_xyzw: np.ndarray
 
     def __post_init__(self) -> None:
-        _check_path(self)
+        check_id(self.id)
+        name = f"path {self.id}"
+        count = np.size(self.t)
+        for field, shape in (("t", (count,)), ("position", (count, 3)), ("quat_xyzw", (count, 4))):
+            array = read_only(f"{name}: {field}", getattr(self, field), shape)
+            object.__setattr__(self, field, array)
+        steps = np.diff(self.t)
+        if np.any(steps <= 0.0):
+            at = int(np.argmax(steps <= 0.0))
+            raise ValueError(
+                f"{name}: t[{at + 1}] = {self.t[at + 1]} follows {self.t[at]}; it must increase"
+            )
+        norms = np.linalg.norm(self.quat_xyzw, axis=1)
+        wrong = np.abs(norms - 1.0) > 1e-3
+        if np.any(wrong):
+            at = int(np.argmax(wrong))
+            raise ValueError(f"{name}: quat_xyzw[{at}] has length {norms[at]}; it must be 1")
+
+
+class EndEffectorPath(_Path):
+    """Path of the tool frame, with at least one pose."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.t) == 0:
             raise ValueError(f"end-effector path {self.id} is empty; at least one pose is needed")
 
 
-@dataclass(frozen=True, eq=False)
-class BodyPath:
-    """Measured path of the tracked body in the base frame during one rollout.
-
-    Attributes:
-        id: Id of the policy that was executed.
-        t: Time since the start of the rollout, strictly increasing, with gaps where the body was
-            hidden [s]. Shape (M,); M may be 0.
-        position: Centre of the body [m]. Shape (M, 3).
-        quat_xyzw: Orientation, unit quaternions. Shape (M, 4).
-
-    Raises:
-        ValueError: If a shape is wrong, a value is not finite, time does not increase or a
-            quaternion is not of unit length.
-    """
-
-    id: str
-    t: np.ndarray
-    position: np.ndarray
-    quat_xyzw: np.ndarray
-
-    def __post_init__(self) -> None:
-        _check_path(self)
+class BodyPath(_Path):
+    """Measured path of the tracked body, with gaps where it was hidden; may be empty."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +117,10 @@ class Rollout:
     Attributes:
         tool: Path of the tool.
         body: Path of the tracked body, None for a task that tracks none.
-        fault: Fault of the controller that ended the rollout, None when there was none.
+        fault: Controller fault that ended the rollout, None without a fault.
 
     Raises:
-        ValueError: The two paths are of different policies.
+        ValueError: If the two paths belong to different policies.
     """
 
     tool: EndEffectorPath
@@ -128,28 +130,5 @@ class Rollout:
     def __post_init__(self) -> None:
         if self.body is not None and self.body.id != self.tool.id:
             raise ValueError(
-                f"path of the body is of rollout {self.body.id!r}, the tool's of {self.tool.id!r}"
+                f"body path of rollout {self.body.id!r}, but tool path of {self.tool.id!r}"
             )
-
-
-def _check_path(path: EndEffectorPath | BodyPath) -> None:
-    """Replace the arrays of a path by checked, read-only ones."""
-    check_id(path.id)
-    name = f"path {path.id}"
-    count = np.size(path.t)
-    object.__setattr__(path, "t", read_only(f"{name}: t", path.t, (count,)))
-    object.__setattr__(path, "position", read_only(f"{name}: position", path.position, (count, 3)))
-    object.__setattr__(
-        path, "quat_xyzw", read_only(f"{name}: quat_xyzw", path.quat_xyzw, (count, 4))
-    )
-    steps = np.diff(path.t)
-    if np.any(steps <= 0.0):
-        at = int(np.argmax(steps <= 0.0))
-        raise ValueError(
-            f"{name}: t[{at + 1}] = {path.t[at + 1]} follows {path.t[at]}; it must increase"
-        )
-    norms = np.linalg.norm(path.quat_xyzw, axis=1)
-    wrong = np.abs(norms - 1.0) > 1e-3
-    if np.any(wrong):
-        at = int(np.argmax(wrong))
-        raise ValueError(f"{name}: quat_xyzw[{at}] has length {norms[at]}; it must be 1")

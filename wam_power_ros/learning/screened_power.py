@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PoWER with model-based screening: of many candidates, the one of highest predicted return."""
+"""PoWER with model-based screening: execute the candidate with the highest predicted return."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from wam_power_ros.learning.power import power_update
 
 
 class ScreenedPower(GaussianLearner):
-    """PoWER with screened exploration; ours.
+    """PoWER with screened exploration. Not in the paper.
 
     Much of a skill is known before the first rollout: the path of Eq. 1 and the return of a path.
-    Unknown is the world: an obstacle, how a pancake leaves the pan. A model predicts what it can
-    and learns the rest from the rollouts (`Model`). Each exploration then is:
+    The environment is unknown: an obstacle, how a pancake leaves the pan. A model predicts the
+    known part and learns the rest from rollouts (`Model`). Every exploration then has three steps:
 
-    1. Draw `candidates` points from PoWER's own distribution, the mean plus noise.
-    2. Predict the return of each with the model.
-    3. Execute the best one. The measured return is learnt from, not the predicted one.
+    1. Draw `candidates` samples from PoWER's distribution, the mean plus noise.
+    2. Predict the return of each sample with the model.
+    3. Execute the best one and learn from its measured return, not from the predicted one.
 
-    The mean stays PoWER's weighted mean of the best rollouts (Eqs. 2-3), so a wrong model costs
-    rollouts but cannot pass for success: with a constant model this is PoWER itself. The noise
-    may be wide, for a bad candidate costs a prediction and not a rollout.
+    The mean is still the weighted mean of the best rollouts (Eqs. 2-3), so a wrong model costs
+    rollouts but is never mistaken for success: with a constant model this is PoWER. The noise may
+    be large, because a bad candidate costs a prediction and not a rollout.
 
-    A model is right about large differences and wrong about small ones: the number of candidates
-    decreases with the number of rollouts, until PoWER alone refines the result.
+    A model predicts large differences well and small ones badly, so the number of candidates
+    decreases with the number of rollouts until only PoWER refines the result.
     """
 
     class Settings(LearnerSettings):
@@ -34,10 +34,10 @@ class ScreenedPower(GaussianLearner):
 
         Attributes:
             sigma: Size of the elite.
-            decay: Factor on the exploration noise for each rollout.
+            decay: Factor on the exploration noise after each rollout.
             candidates: Number of candidates of the first exploration; 1: plain PoWER.
-            half_life: Number of rollouts after which the number of candidates is halved; it never
-                falls below one.
+            half_life: Number of rollouts after which the number of candidates is halved, down to
+                one.
         """
 
         sigma: int = Field(default=3, ge=1)
@@ -47,22 +47,10 @@ class ScreenedPower(GaussianLearner):
 
     settings: Settings
     needs_model = True
-
-    def __init__(
-        self,
-        size: int,
-        settings: Settings,
-        rng: np.random.Generator,
-        model: Model | None = None,
-    ) -> None:
-        """Start at z = 0 with a model that has learnt nothing; see `LearnerClass`."""
-        super().__init__(size, settings, rng, model)
-        if model is None:
-            raise ValueError("ScreenedPower needs a model of the returns")
-        self._model = model
+    _model: Model
 
     def ask(self) -> np.ndarray:
-        """Draw candidates; return the first one of highest predicted return. Shape (size,)."""
+        """Draw candidates; return the one with the highest predicted return. Shape (size,)."""
         halvings = len(self._rollouts) / self.settings.half_life
         count = max(1, round(self.settings.candidates * 0.5**halvings))
         candidates = self._mean + self._noise * self._rng.standard_normal((count, self.size))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""PoWER with a warm-up, rank weights and mirrored sampling; all three are not in the paper."""
+"""PoWER with a warm-up, rank weights and mirrored sampling. Not in the paper."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class ShapedPower(GaussianLearner):
         Attributes:
             sigma: Size of the elite.
             weights: As in `power_update`, or "rank": w_i = ln(sigma + 1/2) - ln(i).
-            decay: Factor on the exploration noise for each rollout after the warm-up.
-            warm_up: Number of rollouts at the start during which the mean stays at z = 0.
-            mirrored: Whether every second sample is its predecessor mirrored at the mean that
-                was sampled about.
+            decay: Factor on the exploration noise after each rollout beyond the warm-up.
+            warm_up: Number of initial rollouts during which the mean stays at z = 0.
+            mirrored: Whether every second sample mirrors its predecessor about the mean at which
+                that was drawn.
         """
 
         sigma: int = Field(default=3, ge=1)
@@ -42,7 +42,7 @@ class ShapedPower(GaussianLearner):
     _centre: np.ndarray  # mean about which the current pair is sampled
 
     def ask(self) -> np.ndarray:
-        """Draw the next coordinates, or mirror the last ones. Shape (size,)."""
+        """Draw the next coordinates, or mirror the last rollout. Shape (size,)."""
         if self.settings.mirrored and len(self._rollouts) % 2 == 1:
             return 2.0 * self._centre - self._rollouts.z[-1]
         return super().ask()

@@ -61,7 +61,7 @@ class Demonstrations:
                 read[number] = self.read(bag)
             except ValueError as error:
                 leave_out(f"demonstration {number}", error)
-        groups = [tuple(read)] if self._kind.together and read else [(each,) for each in read]
+        groups = [tuple(read)] if self._kind.single_policy and read else [(each,) for each in read]
         for group in groups:
             named = ", ".join(bags[number - 1] for number in group)
             try:

@@ -28,7 +28,7 @@ from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.tracking.clock_offset import ClockOffset
-from wam_power_ros.tracking.free_fall import falling
+from wam_power_ros.tracking.free_fall import free_fall_acceleration
 from wam_power_ros.tracking.tracker import (
     FrameFault,
     TrackedState,
@@ -160,7 +160,7 @@ class PancakeTracker(Node):
         rollout, self._owed = self._owed, None
         name = f"rollout-{rollout.start_ns}"
         path = self._tracker.path(name, rollout.start_ns, rollout.end_ns)
-        down = falling(path)
+        down = free_fall_acceleration(path)
         if down is not None and down[2] > -0.87 * math.hypot(*down):  # 30 degrees
             self._complain(
                 f"the {self._params.body} falls along {down.round(1)}: up_axis or world_to_base?"

@@ -9,7 +9,7 @@ import numpy as np
 
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import PracticeSettings
-from wam_power_ros.tasks.task import Judged
+from wam_power_ros.tasks.task import LoggedRollout
 
 
 class StoppingRule:
@@ -25,7 +25,9 @@ class StoppingRule:
         confirms: Whether a success counts, see `Task.confirms`.
     """
 
-    def __init__(self, settings: PracticeSettings, confirms: Callable[[Judged], bool]) -> None:
+    def __init__(
+        self, settings: PracticeSettings, confirms: Callable[[LoggedRollout], bool]
+    ) -> None:
         self._settings = settings
         self._confirms = confirms
         self.z: np.ndarray | None = None

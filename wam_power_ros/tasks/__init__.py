@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a skill is: return, success, parametrization and model of each task. Pure."""
+"""Tasks: return, success criterion, parametrization and model of each skill. Pure."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A task: what a skill is to a session that practises it.
+"""Protocol of a task: everything that a session needs to know about one skill.
 
 A class that satisfies `Task` is found by its entry point in the group `wam_power_ros.tasks`, so a
-laboratory's own task lives in the laboratory's own package. Everything that is about one task only
-(its return, its tracked body, its corrections) stands in its class and nowhere else.
+laboratory can keep its task in a package of its own. Everything specific to one task (its return,
+its tracked body, its corrections) belongs to its class and nowhere else.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault, Rollout
 
-CUT_SHORT = 0.05  # [s] by which a path may be shorter than its rollout and still count as complete
+MISSING_MAX = 0.05  # largest missing part at the end of a path that counts as complete [s]
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Assessment:
     """Return and success of one rollout.
 
     Attributes:
-        ret: Return, at least 0; None when the rollout says nothing about its policy.
+        ret: Return, at least 0; None if the policy cannot be judged by this rollout.
         terms: Terms of the return, by name.
-        observation: Observation of the rollout, as data for JSON; None when there is none.
-        success: Whether the rollout met the task's criterion of success.
+        observation: What was measured of the rollout, as JSON data; None if nothing.
+        success: Whether the rollout met the success criterion of the task.
         why: Reason for a missing return, or a remark; may be empty.
     """
 
@@ -51,12 +51,7 @@ class Pose(NamedTuple):
 
 
 class BodyState(Protocol):
-    """State of the tracked body in the base frame, as the tracker estimates it.
-
-    Attributes:
-        position: Position of the centre [m]. Shape (3,).
-        velocity: Linear velocity [m/s]. Shape (3,).
-    """
+    """State of the tracked body in the base frame, as the tracker estimates it."""
 
     @property
     def position(self) -> np.ndarray:
@@ -67,8 +62,8 @@ class BodyState(Protocol):
         """Linear velocity [m/s]. Shape (3,)."""
 
 
-class Judged(Protocol):
-    """The part of a logged rollout that a task's report may use; see `session_log.Record`."""
+class LoggedRollout(Protocol):
+    """Logged rollout as far as a task may use it; see `session_log.Record`."""
 
     kind: str
     ret: float | None
@@ -84,58 +79,58 @@ class Task(Protocol):
 
     Class attributes:
         name: Name of the task, as in `--task NAME`.
-        body: Name of the rigid body that is tracked, "" for none; topics are called after it.
-        together: Whether all demonstrations are fitted by one policy; otherwise each by its own,
-            and the one that reproduces best is learnt from.
-        Settings: Model of the task's own settings; frozen, unknown fields refused.
+        body: Name of the tracked rigid body, which its topics contain; "" for none.
+        single_policy: Whether one policy is fitted to all demonstrations; otherwise one to each,
+            and learning starts from the one that reproduces best.
+        Settings: Model of the task's settings; frozen, unknown fields refused.
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. The first preset is the default.
 
-    A task is made from its settings and from `context`, which `context_of` derived from the
-    demonstrations when the session began and the session has kept.
+    A task is constructed from its settings and from `context`: the session stores what `context_of`
+    derives from the demonstrations at its start.
     """
 
     name: ClassVar[str]
     body: ClassVar[str]
-    together: ClassVar[bool]
+    single_policy: ClassVar[bool]
     Settings: ClassVar[type[BaseModel]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
-        """Make the task; `settings` are of its own `Settings`."""
+        """Construct the task; `settings` is an instance of `Settings`."""
 
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
         """Fit a policy to demonstrations.
 
         Raises:
-            ValueError: Nothing can be fitted to them, with the reason.
+            ValueError: If no policy can be fitted; the message gives the reason.
         """
 
     @classmethod
     def context_of(
         cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
     ) -> dict[str, Any]:
-        """What the task must remember of the beginning of a session, as data for JSON.
+        """Data that the session stores for the constructor, as JSON data.
 
         Args:
-            demonstrations: All of the session.
+            demonstrations: All demonstrations of the session.
             obstacle: Sphere that ends a rollout, x, y, z and radius [m]; radius 0 for none.
         """
 
     @property
     def settle_time(self) -> float:
-        """Time a rollout goes on after the movement [s]."""
+        """Time that a rollout continues after the movement [s]."""
 
     def parametrization(self, policy: Policy) -> Parametrization:
-        """What is learnt of a policy."""
+        """Learnt parameters of a policy and their exploration noise."""
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
-        """What is missing before a rollout may begin, for a person; empty when nothing is.
+        """Reason why a rollout must not begin yet, for the operator; empty if it may.
 
         Args:
-            body: State of the tracked body, None when it was not seen or there is none.
+            body: State of the tracked body, None if it is not seen or there is none.
             tool: Pose of the tool at the start of the policy.
         """
 
@@ -145,39 +140,38 @@ class Task(Protocol):
     def hindsight(
         self, assessment: Assessment, parametrization: Parametrization
     ) -> Sequence[np.ndarray]:
-        """Shifts of the coordinates that together would have done better; none for no correction.
+        """Hindsight corrections: shifts of z that would have reduced the measured errors.
 
-        What was executed is learnt from at the shifted coordinates. A measured error has a
-        direction, which a return does not have.
+        The rollout is learnt from at the shifted coordinates. A measured error has a direction,
+        which a return has not.
 
         Returns:
-            Shifts of z, shape (size,) each, one for each error; where the arm cannot follow all of
-            them, each in turn as far as it can.
+            Shifts of z, shape (size,) each, one for each error, empty for no correction; if the sum
+            is not feasible, each is applied in turn as far as it is.
         """
 
-    def confirms(self, record: Judged) -> bool:
-        """Whether a successful rollout of the mean succeeded by a margin that counts."""
+    def confirms(self, record: LoggedRollout) -> bool:
+        """Whether a successful rollout of the mean counts towards the stopping rule."""
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
-        """Prediction of returns for learners that screen candidates; None when there is none.
+        """Model of the returns for learners that screen candidates; None if the task has none.
 
         Args:
-            parametrization: Meaning of the coordinates.
+            parametrization: Map from coordinates to policies.
             start: Position of the tool at the start of the policy [m]. Shape (3,).
         """
 
-    def outcome(self, record: Judged) -> str:
-        """Outcome of a logged rollout in a few words: one cell of every table."""
+    def outcome(self, record: LoggedRollout) -> str:
+        """Outcome of a logged rollout in a few words, for one cell of a table."""
 
-    def summary(self, records: Sequence[Judged]) -> list[str]:
-        """Lines about the outcome of a session, for its end and for its report."""
+    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
+        """Lines that summarise a session, printed at its end and in its report."""
 
 
 def fault_assessment(fault: Fault) -> Assessment:
-    """Assessment of a rollout that a fault ended.
+    """Assessment of a rollout that was ended by a fault.
 
-    A limit of motion was exceeded by the policy itself: its return is 0. Any other fault says
-    nothing about the policy.
+    The return is 0 if the policy exceeded a motion limit; any other fault says nothing about it.
     """
     if fault.kind.of_policy:
         return Assessment(0.0, why=f"{fault.text}: counts as return 0")
@@ -185,15 +179,12 @@ def fault_assessment(fault: Fault) -> Assessment:
 
 
 def cut_short(policy: Policy, rollout: Rollout, settle_time: float) -> str:
-    """Why a path ends before its rollout does; empty when it is complete.
+    """Return why the tool path of a rollout is incomplete; empty if it is complete.
 
-    Args:
-        policy: Policy that was executed.
-        rollout: Its rollout.
-        settle_time: Time a rollout goes on after the movement [s].
+    A rollout lasts as long as its policy and `settle_time` [s].
     """
     duration = policy.basis.duration + settle_time
     t = rollout.tool.t
-    if len(t) and t[-1] >= duration - CUT_SHORT:
+    if len(t) and t[-1] >= duration - MISSING_MAX:
         return ""
     return f"cut short at {t[-1] if len(t) else 0.0:.2f} s of {duration:.2f} s"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free fall in a path, which tells the true vertical of a motion capture."""
+"""Free fall in a path: reveals the true vertical of the motion capture."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from wam_power_ros.tracking.tracker import GRAVITY
 FALL_SPAN = 0.2  # time over which a parabola is fitted [s]
 
 
-def falling(path: BodyPath) -> np.ndarray | None:
-    """Acceleration of a body where its path is clearly a free fall.
+def free_fall_acceleration(path: BodyPath) -> np.ndarray | None:
+    """Acceleration of a body in the parts of its path that are clearly in free fall.
 
-    It must be along -z: if not, `up_axis` or `world_to_base` is wrong.
+    It must point along -z; otherwise `up_axis` or `world_to_base` is wrong.
 
     Args:
         path: Path of a rollout.

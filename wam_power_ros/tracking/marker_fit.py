@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose of a rigid body from an unlabelled marker cloud, by the shape of its marker layout.
+"""Pose of a rigid body from an unlabelled marker cloud, found by its marker layout.
 
-Marker labels of the motion capture are not used: they swap after an occlusion. Markers are told
-apart by their distances, which is why the layout's six distances all differ. The pose is then the
-least-squares rigid fit [Kabsch1976].
+Marker labels of the motion capture are not used, because they swap after occlusions. Markers are
+identified by their mutual distances, so the six distances of the layout are all different. The pose
+is then the least-squares rigid fit [Kabsch1976].
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ import numpy as np
 
 from wam_power_ros import rotations
 
-LAYOUT = np.array(  # (4, 3) [m] in the body's frame: centre at 0, flat; distances differ by 18 mm
+# Markers in the body frame, whose origin is the centre [m]; their distances differ by 18 mm. (4, 3)
+LAYOUT = np.array(
     [
         [-0.056, -0.037, 0.0],
         [-0.022, 0.072, 0.0],
@@ -26,17 +27,17 @@ LAYOUT = np.array(  # (4, 3) [m] in the body's frame: centre at 0, flat; distanc
 )
 LAYOUT.flags.writeable = False
 
-TOLERANCE = 0.006  # error of a distance between two markers [m]
-COUNT_MIN = 3  # number of markers that determine a pose
-COUNT_MAX = 64  # number of points of a cloud that is searched
+TOLERANCE = 0.006  # largest error of a distance between two markers [m]
+COUNT_MIN = 3  # smallest number of markers that determine a pose
+COUNT_MAX = 64  # largest number of points of a cloud that is searched
 
 
 class MarkerFit(NamedTuple):
-    """A pose found in a cloud.
+    """Pose of the layout in a marker cloud.
 
     Attributes:
-        position: Position of the layout's origin, in the frame of the cloud [m]. Shape (3,).
-        quat_xyzw: Orientation of the layout. Shape (4,).
+        position: Position of the origin of the layout, in the frame of the cloud [m]. Shape (3,).
+        quat_xyzw: Orientation of the layout, unit quaternion. Shape (4,).
         rms: Root mean square of the distances between markers and points [m].
         markers: Number of markers in view.
     """
@@ -48,14 +49,14 @@ class MarkerFit(NamedTuple):
 
 
 def fit(points: np.ndarray) -> MarkerFit:
-    """Find the layout in a cloud with points of other objects; one marker may be hidden.
+    """Find the layout in a cloud, which may have other points; one marker may be hidden.
 
     Args:
         points: Points in any order [m]. Shape (m, 3).
 
     Raises:
-        ValueError: If there are too few points or too many, or the layout is found nowhere among
-            them or more than once.
+        ValueError: If there are too few or too many points, or the layout is not found or is
+            ambiguous.
     """
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
@@ -74,10 +75,12 @@ def fit(points: np.ndarray) -> MarkerFit:
         ]
         fits = [candidate for candidate in fits if candidate.rms < TOLERANCE]
         if len(fits) > 1:
-            raise ValueError(f"{len(fits)} ways to see the layout in {len(points)} markers")
+            raise ValueError(
+                f"layout found {len(fits)} times in {len(points)} markers; it must be unique"
+            )
         if fits:
             return fits[0]
-    raise ValueError(f"the layout is not among {len(points)} markers")
+    raise ValueError(f"layout not found in {len(points)} markers")
 
 
 def _distances(points: np.ndarray) -> np.ndarray:
@@ -86,7 +89,7 @@ def _distances(points: np.ndarray) -> np.ndarray:
 
 
 def _matches(expected: np.ndarray, measured: np.ndarray) -> Iterator[tuple[int, ...]]:
-    """Yield every choice of points with the expected distances (k, k), grown marker by marker."""
+    """Yield every selection of points with the expected distances (k, k), by depth-first search."""
     size = len(expected)
     stack: list[tuple[int, ...]] = [(point,) for point in range(len(measured))]
     while stack:
@@ -100,7 +103,7 @@ def _matches(expected: np.ndarray, measured: np.ndarray) -> Iterator[tuple[int, 
 
 
 def _rigid(body: np.ndarray, points: np.ndarray) -> MarkerFit:
-    """Rotation and translation from body (k, 3) to points (k, 3) by least squares."""
+    """Least-squares rotation and translation from body (k, 3) to points (k, 3)."""
     body_mean, mean = body.mean(axis=0), points.mean(axis=0)
     u, _, vt = np.linalg.svd((points - mean).T @ (body - body_mean))
     turn = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])  # a rotation, not a reflection

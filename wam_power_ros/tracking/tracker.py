@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracking of a rigid body in motion capture: every frame is checked, a bad one refused by name.
+"""Tracking of a rigid body in motion capture: every frame is checked, faulty ones are refused.
 
-A motion capture loses sight of a body, repeats its last pose as if it were new, sends zeros, swaps
-bodies and stamps late. Such a frame is counted under its fault and becomes neither state nor path.
+Motion capture loses sight of a body, repeats its last pose with a new stamp, sends zeros, swaps
+bodies and stamps late. Such frames are counted by fault and enter neither the state nor the path.
 Stamps are `int` nanoseconds and never summed, so results do not depend on absolute time.
 """
 
@@ -22,21 +22,21 @@ from wam_power_ros.tracking import marker_fit
 
 SECOND = 1_000_000_000  # [ns]
 GRAVITY = 9.81  # [m/s^2]
-HISTORY = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
-INTERVAL_MIN = SECOND // 1000  # frames stamped closer together were stamped on delivery [ns]
-FROZEN_COUNT = 10  # bit-identical poses in a row that count as frozen, if over FROZEN_TIME
-FROZEN_TIME = 3 * SECOND // 10  # [ns]
-JUMP_COUNT = 5  # jumps in a row after which the body is lost
-REACQUIRE_COUNT = 5  # frames that agree with each other after which the body is found again
-SET_BACK_COUNT = 10  # frames in a row from the past after which the clock was set back
+HISTORY_TIME = 20 * SECOND  # age of the oldest frame that is kept for paths [ns]
+INTERVAL_MIN = SECOND // 1000  # frames with closer stamps were stamped on delivery [ns]
+FROZEN_COUNT = 10  # consecutive bit-identical poses, over FROZEN_TIME, that count as frozen
+FROZEN_TIME = 3 * SECOND // 10  # shortest duration of a frozen pose [ns]
+JUMP_COUNT = 5  # consecutive jumps after which the body is lost
+REACQUIRE_COUNT = 5  # consecutive consistent frames after which a lost body is found again
+SET_BACK_COUNT = 10  # consecutive older stamps that mean that the clock was set back
 COAST_TIME = SECOND // 10  # extrapolation of a hidden body at constant velocity [ns]
-VELOCITY_WINDOW = SECOND // 10  # [ns], or two periods if that is longer
-UNIT_TOLERANCE = 1e-3  # deviation of a quaternion's length from 1 [1]
+VELOCITY_WINDOW = SECOND // 10  # window of the velocity estimate, at least two periods [ns]
+UNIT_TOLERANCE = 1e-3  # largest deviation of a quaternion's length from 1 [1]
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # (x, y, z) -> (x, -z, y)
 
 
 class FrameFault(Enum):
-    """Why a frame was refused, in words for people."""
+    """Reason for refusing a frame; the value is the text for messages."""
 
     MESSAGE = "message not valid"
     NOT_FINITE = "not finite"
@@ -51,7 +51,7 @@ class FrameFault(Enum):
 
 
 class Validity(Enum):
-    """Validity of the state, by the newest frames."""
+    """Validity of the state, judged by the newest frames."""
 
     OK = "ok"
     OCCLUDED = "occluded"  # no frame for more than two periods: extrapolated
@@ -61,16 +61,16 @@ class Validity(Enum):
 
 
 class TrackedState(NamedTuple):
-    """State of the body at one time; all of it, the twist too, in the base frame.
+    """State of the body at one time, in the base frame.
 
     Attributes:
-        stamp_ns: Time of the exposure [ns].
+        stamp_ns: Time of exposure [ns].
         position: Position, measured or extrapolated [m]. Shape (3,).
         quat_xyzw: Orientation, measured or extrapolated. Shape (4,).
-        velocity: Slope of the positions of the last 0.1 s by least squares, without gravity: in
-            free flight it lags by 0.05 s [m/s]. Shape (3,).
-        angular_velocity: Slope of the rotations, likewise [rad/s]. Shape (3,).
-        variance: Variance of the position along an axis, which grows while occluded [m^2].
+        velocity: Least-squares slope of the positions of the last 0.1 s, without a model of
+            gravity: in free flight it lags by 0.05 s [m/s]. Shape (3,).
+        angular_velocity: Least-squares slope of the rotations, likewise [rad/s]. Shape (3,).
+        variance: Variance of the position along an axis; grows while occluded [m^2].
         validity: OK, or OCCLUDED when extrapolated.
     """
 
@@ -85,21 +85,21 @@ class TrackedState(NamedTuple):
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Settings of the tracker, about the motion capture and the body.
+    """Settings of the tracker: properties of the motion capture and of the body.
 
     Attributes:
         rate: Frame rate [Hz].
         up_axis: Vertical axis of the motion capture, "z" or "y".
-        world_to_base: Pose of the motion capture's origin, z up, in the arm's base frame:
-            x, y, z [m] and quaternion xyzw.
-        latency_offset: Delay of the stamps after the exposure [s].
+        world_to_base: Pose of the origin of the motion capture, z up, in the base frame of the
+            arm: x, y, z [m] and quaternion xyzw.
+        latency_offset: Delay from exposure to stamp [s].
         workspace_low: Smallest plausible position in the base frame [m].
         workspace_high: Largest plausible position in the base frame [m].
         speed_max: Largest plausible speed of the body [m/s].
         noise: Standard deviation of a position along an axis [m].
 
     Raises:
-        ValueError: If a value is out of its range; names it.
+        ValueError: If a value is out of range; the message names it.
     """
 
     rate: float
@@ -121,9 +121,7 @@ class TrackerSettings:
         if pose.shape != (7,) or not np.isfinite(pose).all():
             raise ValueError(f"world_to_base {self.world_to_base} must be 7 numbers: xyz, xyzw")
         if abs(np.linalg.norm(pose[3:]) - 1.0) > UNIT_TOLERANCE:
-            raise ValueError(
-                f"quaternion of world_to_base {self.world_to_base} must be of length 1"
-            )
+            raise ValueError(f"quaternion of world_to_base {self.world_to_base} must have length 1")
         if not abs(self.latency_offset) < 1.0:
             raise ValueError(f"latency_offset {self.latency_offset} s must be within 1 s")
         box = np.array([self.workspace_low, self.workspace_high], dtype=float)
@@ -132,7 +130,7 @@ class TrackerSettings:
 
 
 class _Frame(NamedTuple):
-    """A pose in the base frame: stamp [ns], position [m] (3,) and orientation (4,)."""
+    """Pose in the base frame: stamp [ns], position [m] (3,) and orientation (4,)."""
 
     stamp_ns: int
     position: np.ndarray
@@ -140,13 +138,13 @@ class _Frame(NamedTuple):
 
 
 class Tracker:
-    """State and path of one rigid body, from the raw frames of a motion capture.
+    """Estimates state and path of one rigid body from raw frames of the motion capture.
 
     Attributes:
         validity: Validity of the state.
-        counts: Number of frames by outcome: "accepted", or the fault they were refused for.
+        counts: Number of frames by outcome: "accepted", or the fault of refused ones.
         fault: Fault of the newest frame, None if it was accepted.
-        latest_ns: Newest stamp of any frame, less the latency offset; 0 before the first [ns].
+        latest_ns: Newest stamp of any frame minus the latency offset; 0 before the first [ns].
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
@@ -155,8 +153,8 @@ class Tracker:
         matrix = rotations.matrix(pose[3:]) @ (Y_UP if settings.up_axis == "y" else np.eye(3))
         self._rotation, self._quat, self._origin = matrix, rotations.quat_xyzw(matrix), pose[:3]
         self._latency = round(settings.latency_offset * 1e9)
-        self._patience = round(2e9 / settings.rate)  # time without a frame before an occlusion [ns]
-        self._window = max(VELOCITY_WINDOW, self._patience) + INTERVAL_MIN
+        self._gap_max = round(2e9 / settings.rate)  # longest gap that is not an occlusion [ns]
+        self._window = max(VELOCITY_WINDOW, self._gap_max) + INTERVAL_MIN
         self.counts: Counter[str] = Counter()
         self.fault: FrameFault | None = None
         self._restart()
@@ -165,16 +163,16 @@ class Tracker:
         self.validity = Validity.LOST
         self.latest_ns = 0
         self._frames: deque[_Frame] = deque()
-        self._since = 0  # stamp since which the frames are one continuous movement [ns]
+        self._track_start = 0  # stamp from which on the frames are one continuous movement [ns]
         self._state: TrackedState | None = None
         self._raw, self._raw_since, self._repeats = b"", 0, 0  # last pose, its first stamp, count
-        self._behind = self._jumps = self._agree = 0
-        self._candidate: _Frame | None = None
+        self._older_stamps = self._jumps = self._consistent = 0  # consecutive frames
+        self._candidate: _Frame | None = None  # last frame that jumped
 
     def add(
         self, stamp_ns: int, position: np.ndarray, quat_xyzw: np.ndarray
     ) -> TrackedState | None:
-        """Add one frame, in the coordinates and with the stamp of the motion capture.
+        """Add one frame, in the coordinates and on the clock of the motion capture.
 
         Args:
             stamp_ns: Stamp of the message [ns].
@@ -182,11 +180,11 @@ class Tracker:
             quat_xyzw: Orientation of the body, unit quaternion. Shape (4,).
 
         Returns:
-            The state; None if the frame was refused (see `fault`), or if it is the first one after
-            a gap, which has no velocity yet.
+            The state; None if the frame was refused (see `fault`) or is the first one after a gap,
+            without a velocity yet.
 
         Raises:
-            ValueError: If an array has another shape.
+            ValueError: If an array has a wrong shape.
         """
         position, quat_xyzw = np.asarray(position, dtype=float), np.asarray(quat_xyzw, dtype=float)
         fault = _pose_fault(position, quat_xyzw) or self._stamp_fault(stamp_ns - self._latency)
@@ -196,8 +194,8 @@ class Tracker:
         frame = self._in_base(stamp_ns - self._latency, position, quat_xyzw)
         self.latest_ns = frame.stamp_ns
         if self._is_repeated(frame.stamp_ns, position.tobytes() + quat_xyzw.tobytes()):
-            held = frame.stamp_ns - self._raw_since
-            frozen = self._repeats >= FROZEN_COUNT and held >= FROZEN_TIME
+            duration = frame.stamp_ns - self._raw_since
+            frozen = self._repeats >= FROZEN_COUNT and duration >= FROZEN_TIME
             self.refuse(FrameFault.POSE_REPEATED, Validity.FROZEN if frozen else None)
             return None
         low, high = self._settings.workspace_low, self._settings.workspace_high
@@ -205,7 +203,7 @@ class Tracker:
         if not all(least <= x <= most for least, x, most in bounds):
             self.refuse(FrameFault.OUTSIDE)
             return None
-        # Of frames delivered together only the stamp of the last one is right.
+        # Of frames that were delivered together, only the last one has a correct stamp.
         pair = self._frames and frame.stamp_ns - self._frames[-1].stamp_ns < INTERVAL_MIN
         older = [self._frames.pop()] if pair else []
         if not self._is_reachable(frame):
@@ -220,7 +218,7 @@ class Tracker:
         return self._accept(frame)
 
     def add_markers(self, stamp_ns: int, points: np.ndarray) -> TrackedState | None:
-        """Add one unlabelled marker cloud (m, 3) [m], by the pose of the layout; see `add`."""
+        """Add the pose of the marker layout in one unlabelled cloud (m, 3) [m]; see `add`."""
         try:
             pose = marker_fit.fit(points)
         except ValueError:
@@ -230,7 +228,7 @@ class Tracker:
         return self.add(stamp_ns, pose.position, pose.quat_xyzw)
 
     def refuse(self, fault: FrameFault, validity: Validity | None = None) -> None:
-        """Count a refused frame under its fault; `validity` stays as it is if omitted."""
+        """Count a refused frame by its fault; set `validity` unless omitted."""
         self.counts[fault.value] += 1
         self.fault = fault
         if validity is not None:
@@ -240,16 +238,16 @@ class Tracker:
         """State at a time [ns] not before the newest frame; updates `validity`.
 
         Returns:
-            The last state, extrapolated at constant velocity if there was no frame for two periods;
+            The last state, extrapolated at constant velocity after two periods without a frame;
             None while the body is frozen, jumping or lost.
         """
         state = self._state
         if state is None or self.validity not in (Validity.OK, Validity.OCCLUDED):
             return None
         age = stamp_ns - state.stamp_ns
-        if age <= self._patience:
+        if age <= self._gap_max:
             return state
-        if age > self._patience + COAST_TIME:
+        if age > self._gap_max + COAST_TIME:
             self.validity = Validity.LOST
             return None
         self.validity = Validity.OCCLUDED
@@ -264,7 +262,7 @@ class Tracker:
         )
 
     def path(self, rollout_id: str, t0_ns: int, t1_ns: int) -> BodyPath:
-        """Path of the accepted frames from `t0_ns` to `t1_ns`, inclusive; t is since `t0_ns`."""
+        """Path of the accepted frames from `t0_ns` to `t1_ns`, inclusive, in time since `t0_ns`."""
         frames = [frame for frame in self._frames if t0_ns <= frame.stamp_ns <= t1_ns]
         return BodyPath(
             id=rollout_id,
@@ -278,19 +276,19 @@ class Tracker:
         return _Frame(stamp_ns, self._rotation @ position + self._origin, quat)
 
     def _stamp_fault(self, stamp_ns: int) -> FrameFault | None:
-        """Fault of a stamp, if any; restarts the track when the clock was set back."""
+        """Fault of a stamp, if any; restarts the track if the clock was set back."""
         if stamp_ns < self.latest_ns:
-            self._behind += 1
-            if self._behind < SET_BACK_COUNT:
+            self._older_stamps += 1
+            if self._older_stamps < SET_BACK_COUNT:
                 return FrameFault.STAMP_BACK
             self.counts["clock set back"] += 1
             self._restart()
             return None
-        self._behind = 0
+        self._older_stamps = 0
         return FrameFault.STAMP_REPEATED if stamp_ns == self.latest_ns else None
 
     def _is_repeated(self, stamp_ns: int, raw: bytes) -> bool:
-        """Whether a pose is the last one bit for bit, which no measurement with noise is."""
+        """Whether a pose equals the last one bit for bit, which noise makes impossible."""
         if raw == self._raw:
             self._repeats += 1
             return True
@@ -298,31 +296,35 @@ class Tracker:
         return False
 
     def _is_reachable(self, frame: _Frame) -> bool:
-        """Whether the body could have moved here, or was near here for several frames."""
+        """Whether the body can have moved here, or was seen near here for several frames."""
         if not self._frames:
             return True
-        patience = self._patience if self._jumps else HISTORY  # after a jump the gate stops growing
-        if self._gate(self._frames[-1], frame, patience):
+        time_max = (
+            self._gap_max if self._jumps else HISTORY_TIME
+        )  # after a jump the gate stops growing
+        if self._gate(self._frames[-1], frame, time_max):
             return True
-        agrees = self._candidate is not None and self._gate(self._candidate, frame, HISTORY)
-        self._agree = self._agree + 1 if agrees else 1
+        consistent = self._candidate is not None and self._gate(
+            self._candidate, frame, HISTORY_TIME
+        )
+        self._consistent = self._consistent + 1 if consistent else 1
         self._candidate = frame
-        if self._agree < REACQUIRE_COUNT:
+        if self._consistent < REACQUIRE_COUNT:
             return False
         self.counts["found again"] += 1
-        self._since = frame.stamp_ns
+        self._track_start = frame.stamp_ns
         return True
 
-    def _gate(self, last: _Frame, frame: _Frame, patience: int) -> bool:
-        """Whether the body can have moved from one frame to another; time counts up to patience."""
-        dt = min(frame.stamp_ns - last.stamp_ns, patience) * 1e-9
+    def _gate(self, last: _Frame, frame: _Frame, time_max: int) -> bool:
+        """Whether the body can have moved from one frame to another within at most `time_max`."""
+        dt = min(frame.stamp_ns - last.stamp_ns, time_max) * 1e-9
         step = math.dist(frame.position, last.position)
         return step <= self._settings.speed_max * dt + 5.0 * self._settings.noise
 
     def _accept(self, frame: _Frame) -> TrackedState | None:
-        self._jumps = self._agree = 0
+        self._jumps = self._consistent = 0
         self._frames.append(frame)
-        while frame.stamp_ns - self._frames[0].stamp_ns > HISTORY:
+        while frame.stamp_ns - self._frames[0].stamp_ns > HISTORY_TIME:
             self._frames.popleft()
         self.validity, self.fault = Validity.OK, None
         self.counts["accepted"] += 1
@@ -330,9 +332,10 @@ class Tracker:
         return self._state
 
     def _estimate(self, last: _Frame) -> TrackedState | None:
+        """State at the last frame, None if it is the only one in the velocity window."""
         recent: list[_Frame] = []
         for frame in reversed(self._frames):
-            if frame.stamp_ns < max(last.stamp_ns - self._window, self._since):
+            if frame.stamp_ns < max(last.stamp_ns - self._window, self._track_start):
                 break
             recent.append(frame)
         if len(recent) < 2:

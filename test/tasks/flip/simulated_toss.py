@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated toss of a light disc in air, and what motion capture sees of it: a tests' helper."""
+"""Simulated toss of a light disc in air, and its motion-capture frames, for tests."""
 
 import math
 from dataclasses import dataclass
@@ -10,22 +10,22 @@ from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.tasks.flip.flight import DELTA_H
 
-STEP = 0.0005  # [s]
-END = 2.0  # [s]
+STEP = 0.0005  # time step [s]
+END = 2.0  # end of the simulation [s]
 GRAVITY = 9.81  # [m/s^2]
 RADIUS = 0.09  # [m]
 
 
 @dataclass(frozen=True)
 class Toss:
-    """Truth about a toss at every step, and the path of the pan."""
+    """Ground truth of a toss at every step, and the path of the pan."""
 
     t: np.ndarray  # (T,)
     pan: EndEffectorPath
     position: np.ndarray  # (T, 3)
     matrix: np.ndarray  # (T, 3, 3) body frame; the body's own axes are arbitrary
     normal: np.ndarray  # (T, 3)
-    winding: np.ndarray  # (T,) turned from rest about the spin axis
+    winding: np.ndarray  # (T,) rotation from rest about the spin axis [rad]
     release: float
     t_f: float
 
@@ -46,7 +46,7 @@ def toss(
     vz = rng.uniform(1.9, 2.7) if vz is None else vz
     release = rng.uniform(0.35, 0.6)
     late = np.maximum(t - release, 0.0)
-    # The pan: dips and tilts until the release, then slows down and moves under the pancake.
+    # Pan: it dips and tilts until the release, then slows down and moves under the pancake.
     share = np.clip(t / release, 0.0, 1.0)
     tilt = rng.uniform(0.0, 0.25)
     pan_z = 0.9 - 0.08 * np.sin(math.pi * share) ** 2 + 0.05 * (1.0 - np.exp(-late / 0.05))
@@ -59,7 +59,7 @@ def toss(
     pan = EndEffectorPath(
         "t", t[every], pan_position[every], rotations.quat_of_vector(vectors[every])
     )
-    # The flight.
+    # Flight.
     k = int(np.searchsorted(t, release))
     centre = pan_position + 0.0025 * pan_matrix[:, :, 2]
     position = centre.copy()
@@ -70,7 +70,7 @@ def toss(
     # A symmetric top: the normal turns about a fixed axis that leans towards it by the precession.
     axis = axis + precession * pan_matrix[k, :, 2]
     axis /= np.linalg.norm(axis)
-    decay = 0.12 * air  # the drag's torque grows with the square of the spin
+    decay = 0.12 * air  # the torque of the drag is proportional to the square of the spin
     turned = np.log1p(decay * rate * late) / decay if decay else rate * late
     attitude = rotations.exp(turned[:, None] * axis)
     matrix = np.where((t >= release)[:, None, None], attitude @ pan_matrix[k], pan_matrix)
@@ -90,7 +90,7 @@ def toss(
         if i > k + 100 and gap < RADIUS * math.sqrt(max(0.0, 1.0 - normal[i + 1, 2] ** 2)):
             landed = i + 1
             break
-    # Afterwards it lies flat, on the side it fell on.
+    # After the landing it lies flat on the side that it fell on.
     on = position[landed:]
     side = np.sign(normal[landed - 1, 2])
     stay = position[landed - 1] - pan_position[landed - 1] if landed < len(t) else np.zeros(3)
@@ -128,11 +128,11 @@ def capture(
 
 
 def without(path: BodyPath, lost: np.ndarray) -> BodyPath:
-    """The path without the frames that `lost` marks."""
+    """Path without the frames marked by `lost`."""
     return BodyPath(path.id, path.t[~lost], path.position[~lost], path.quat_xyzw[~lost])
 
 
 def at(toss: Toss, t: float, values: np.ndarray) -> np.ndarray:
-    """Truth at a time between two steps."""
+    """Interpolate ground truth at a time between two steps."""
     k = int(t / STEP)
     return values[k] + (t / STEP - k) * (values[k + 1] - values[k])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Assessment of a rollout of the flip: what it is worth, and when it says nothing."""
+"""Assessment of a rollout of the flip: return, success, and rollouts that cannot be judged."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SETTINGS = preset("flip").task_settings
 
 
 def paths(end: float, seen: np.ndarray) -> tuple[EndEffectorPath, BodyPath]:
-    """A pan that rests and a pancake that rests in it, seen at some times."""
+    """Rollout of a pan at rest with the pancake at rest in it, seen at some times."""
     t = np.arange(0.0, end, 0.01)
     level = [0.0, 0.0, 0.0, 1.0]
     pan = EndEffectorPath(POLICY.id, t, np.tile([0.6, 0.0, 0.5], (len(t), 1)), [level] * len(t))
@@ -45,8 +45,8 @@ def toss(half_turns: float, aside: float = 0.0) -> tuple[EndEffectorPath, BodyPa
         (1.0, 0.0, 150.0, True),
         (2.0, 0.0, 150.0, False),  # rests in the pan with the same side up
         (1.0, 0.2, 150.0, False),  # the other side up, but beside the pan
-        (1.0, 0.0, 190.0, False),  # not turned as far as asked for
-        (2.0, 0.0, 0.0, True),  # the side does not matter where no turn is asked for
+        (1.0, 0.0, 190.0, False),  # less rotation than required
+        (2.0, 0.0, 0.0, True),  # the side does not matter if no rotation is required
     ],
 )
 def test_a_success_rests_in_the_pan_the_other_side_up_having_turned_far_enough(
@@ -58,7 +58,7 @@ def test_a_success_rests_in_the_pan_the_other_side_up_having_turned_far_enough(
     )
     assert assessment.observation["tossed"] and assessment.observation["seen"]
     assert assessment.success is success
-    # Beyond its own return nothing is a success, whatever it did.
+    # With a required return above its own, no rollout is a success.
     for least, met in ((assessment.ret, success), (assessment.ret + 1e-6, False)):
         asked = SETTINGS.model_copy(update={**update, "success_return": least})
         assert assess(POLICY, Rollout(*toss(half_turns, aside)), asked).success is met
@@ -78,7 +78,7 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     gap = frames[(frames < 0.5) | (frames > 0.9)]
     assert why(seen=gap).startswith("the pancake was lost from view for 0.43 s from 0.48 s")
     assert why(seen=frames[frames < 1.0]) == (
-        "the pancake was lost from view at 0.98 s, not having fallen"
+        "the pancake was lost from view at 0.98 s, before it fell"
     )
     assert (
         why(fault=Fault(FaultKind.STATES_LOST, "no joint state for 12 ms"))
@@ -120,7 +120,7 @@ def test_a_stall_of_the_cameras_makes_a_rollout_unusable_rather_than_wrong(name:
 
 @pytest.mark.parametrize("kind", list(FaultKind))
 def test_limits_of_motion_are_the_policys_own_fault_and_nothing_else_is(kind: FaultKind) -> None:
-    fault = Fault(kind, "wrist at 2.10 m/s, limit 2.00")  # whatever the words are
+    fault = Fault(kind, "wrist at 2.10 m/s, limit 2.00")  # the text does not matter
     assessment = assess(POLICY, Rollout(*paths(0.5, np.arange(0.0, 0.5, 1 / 30)), fault), SETTINGS)
     own = kind.name in (
         "JOINT_POSITION",

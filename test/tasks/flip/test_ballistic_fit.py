@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parabola with drag through the frames of a flight, against a simulated toss."""
+"""Ballistic fit with drag to the frames of a flight, against a simulated toss."""
 
 from dataclasses import replace
 
@@ -39,7 +39,7 @@ def test_an_arc_falls_with_gravity_and_drag() -> None:
     for _ in range(4000):
         a = -0.3 * np.linalg.norm(v) * v - [0.0, 0.0, GRAVITY]
         position, v = position + step * v + 0.5 * step**2 * a, v + step * a
-    # w is taken along the plain parabola, which leaves a difference of second order in the drag.
+    # w is integrated along the drag-free parabola: the difference is of second order in the drag.
     vacuum = theta[:3] + 0.4 * velocity - [0.0, 0.0, 0.5 * GRAVITY * 0.4**2]
     assert arc.position(np.array([0.7]))[0] == pytest.approx(position, abs=0.005)
     assert np.linalg.norm(position - vacuum) > 0.03
@@ -120,7 +120,7 @@ def test_the_crossing_is_uncertain_in_time_not_in_height() -> None:
     rng = np.random.default_rng(17)
     truth = toss(rng, vz=2.4, half_turns=1.0)
     path = capture(truth, rng)
-    gap = (path.t > truth.t_f - 0.15) & (path.t < truth.t_f + 0.1)  # not seen where it matters
+    gap = (path.t > truth.t_f - 0.15) & (path.t < truth.t_f + 0.1)  # not seen near the crossing
     near, far = crossing_of(truth, path), crossing_of(truth, without(path, gap))
     assert far.t_std > 2.0 * near.t_std
     assert far.position_std[0] > 2.0 * near.position_std[0]
@@ -135,12 +135,12 @@ def test_the_covariance_grows_with_the_scatter_of_the_frames() -> None:
     noisy = arc_through(truth, capture(truth, np.random.default_rng(1), noise=20.0))
     assert noisy.covariance[0, 0] > 10.0 * calm.covariance[0, 0]
     exact = arc_through(truth, capture(truth, np.random.default_rng(1), noise=0.0))
-    # The noise of the cameras is expected: it is no scatter.
+    # The noise of the cameras is expected and does not scale the covariance.
     assert calm.covariance[0, 0] == pytest.approx(exact.covariance[0, 0], rel=0.3)
 
 
 def test_the_release_is_found_between_two_frames() -> None:
-    # A level pan at rest; the pancake lies 2.5 mm over its floor and leaves it at 2 m/s.
+    # A level pan at rest; the pancake lies 2.5 mm above its floor and leaves it at 2 m/s.
     pan_t = np.linspace(0.0, 1.0, 101)
     level = [0.0, 0.0, 0.0, 1.0]
     pan = EndEffectorPath("t", pan_t, np.zeros((101, 3)), np.tile(level, (101, 1)))
@@ -152,7 +152,7 @@ def test_the_release_is_found_between_two_frames() -> None:
         frames = frames_from_pan(pan, BodyPath("t", t, position, np.tile(level, (len(t), 1))))
         arc = fit_arc(frames)
         assert arc is not None
-        # 10 mm over the floor counts as parted, but not before a frame below the rim.
+        # It is released 10 mm above the floor, but not before a frame below the rim.
         expected = max(release + 0.004, t[~frames.flying & (t < arc.t[0])][-1])
         assert release_time(frames, arc, pan) == pytest.approx(expected, abs=0.003)
 

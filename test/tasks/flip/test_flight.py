@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flights of a simulated light disc, seen at 30 Hz, against what it truly did."""
+"""Observed flights of a simulated light disc, at 30 Hz, against ground truth."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ def true_angle(toss: Toss) -> float:
 
 
 def errors(toss: Toss, flight: Flight) -> dict[str, tuple[float, float]]:
-    """Error and stated standard deviation, quantity by quantity."""
+    """Error and estimated standard deviation of each quantity."""
     position = flight.position - at(toss, toss.t_f, toss.position)
     normal = at(toss, toss.t_f, toss.normal)
     worst = int(np.argmax(np.abs(position) / flight.position_std))
@@ -61,7 +61,7 @@ def test_errors_stay_within_three_stated_standard_deviations(
         [[abs(e) / s for e, s in errors(truth, flight).values()] for truth, flight in seen]
     )
     assert np.mean(ratios <= 3.0) >= 0.98
-    # The stated figures are not merely large: errors come up to a good share of them.
+    # The estimated deviations are not merely large: errors reach a good part of them.
     t_f, position, normal, angle = np.sqrt(np.mean(ratios**2, axis=0))
     assert min(t_f, position) > 0.2 and normal > 0.8 and angle > 0.5
     assert np.median([flight.t_f_std for _, flight in seen]) < 0.001
@@ -179,7 +179,7 @@ def test_losing_the_view_is_reported_and_never_breaks_the_numbers() -> None:
     for vz in (0.8, 2.3):
         truth = toss(rng, vz=vz, half_turns=1.0)
         path = capture(truth, rng)
-        for keep in range(len(path.t) + 1):  # the view is lost for ever after `keep` frames
+        for keep in range(len(path.t) + 1):  # the body is hidden after `keep` frames
             _assert_finite(observe_flight(truth.pan, without(path, np.arange(len(path.t)) >= keep)))
             _assert_finite(observe_flight(truth.pan, without(path, np.arange(len(path.t)) < keep)))
         nothing = observe_flight(truth.pan, without(path, path.t > 0.0))

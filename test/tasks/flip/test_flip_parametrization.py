@@ -19,7 +19,7 @@ NOISE = FlipNoise(
 
 
 def moved(group: str, value: float) -> tuple[Policy, Policy]:
-    """The demonstrated policy, and the one whose `group` is moved by `value` deviations."""
+    """Demonstrated policy, and the policy with `group` moved by `value` standard deviations."""
     p = flip_parametrization(demonstrated_policy(), "planar", NOISE)
     z = np.zeros(p.size)
     z[p.groups[group]] = value

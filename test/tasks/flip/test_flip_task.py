@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a flip may begin, when it counts towards stopping, and what a table says of it."""
+"""Flip task: readiness, stopping rule and the outcome in tables."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -84,6 +85,24 @@ def test_the_model_predicts_the_return_that_is_learnt_from(name: str) -> None:
     terms = planned_terms(plan_tosses(parametrization, z, start), weights)
     predicted = task.model(parametrization, start).predict(z)
     np.testing.assert_allclose(predicted, terms.sum(axis=1), rtol=1e-9)
+
+
+def test_the_model_predicts_tosses_above_the_height_of_the_settings() -> None:
+    settings = preset("flip", "paper").task_settings
+    higher = settings.model_copy(update={"delta_h": 0.5})
+    start = np.array([0.6, 0.0, 0.5])
+    lifted = np.outer([0.0, 0.0, 0.0, 0.6, 0.6, -0.2, 0.0, 0.0], [0.0, 0.0, 1.0])
+    policy = replace(
+        lift("lift"), attractors=start + lifted, rotation_attractors=0.5 * lifted[:, [0, 2, 1]]
+    )
+    parametrization = Flip(settings, {}).parametrization(policy)
+    z = np.zeros((1, parametrization.size))
+    for task in (Flip(settings, {}), Flip(higher, {})):
+        tosses = plan_tosses(parametrization, z, start, task.settings.delta_h)
+        terms = planned_terms(tosses, settings.pancake_weights)
+        predicted = task.model(parametrization, start).predict(z)
+        np.testing.assert_allclose(predicted, terms.sum(axis=1), rtol=1e-9)
+    assert not np.allclose(predicted, Flip(settings, {}).model(parametrization, start).predict(z))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of the pancake relative to the pan: flying or not, at rest or not, and its normal."""
+"""Frames of the pancake relative to the pan: in flight, at rest, normal."""
 
 import math
 from dataclasses import replace
@@ -21,7 +21,7 @@ from wam_power_ros.tasks.flip.frames import (
 )
 
 PAN = np.array([0.6, 0.1, 0.9])
-TILT = np.array([0.0, 0.2, 0.0])  # [rad] of the pan
+TILT = np.array([0.0, 0.2, 0.0])  # rotation vector of the pan [rad]
 NORMAL = rotations.exp(TILT)[:, 2]
 
 
@@ -46,7 +46,7 @@ def test_height_is_along_the_normal_of_the_tilted_pan_and_aside_along_its_floor(
     along = rotations.exp(TILT)[:, 0]
     frames = seen_from_still_pan([0.2 * NORMAL + 0.05 * along])
     assert frames.height[-1] == pytest.approx(0.2)
-    assert frames.aside[-1] == pytest.approx(0.05)
+    assert frames.offset[-1] == pytest.approx(0.05)
     assert frames.cosine == pytest.approx(1.0)
     assert frames.resting_frames == 5
 
@@ -58,7 +58,7 @@ def test_a_pancake_flies_when_its_lower_edge_is_above_the_rim(edge_on: bool, low
 
 
 def test_beside_the_pan_only_the_height_above_it_counts() -> None:
-    # The floor of the tilted pan, extended, passes above one of these and below the other.
+    # The plane of the tilted pan's floor is above one of these and below the other.
     far = PAN_RADIUS + 2.0 * PANCAKE_RADIUS + 0.3
     uphill, downhill = np.array([-far, 0.0, 0.0]), np.array([far, 0.0, 0.0])
     up = np.array([0.0, 0.0, 0.125])
@@ -84,7 +84,7 @@ def test_the_normal_of_a_pancake_never_seen_at_rest_is_unknown() -> None:
 
 def test_the_normal_is_the_true_one_whatever_the_axes_of_the_tracked_body() -> None:
     rng = np.random.default_rng(4)
-    truth = toss(rng, vz=2.3, half_turns=1.0)  # of a body with axes drawn at random
+    truth = toss(rng, vz=2.3, half_turns=1.0)  # body axes are random
     path = capture(truth, rng, noise=0.0)
     frames = frames_from_pan(truth.pan, path)
     true = truth.normal[np.searchsorted(truth.t, path.t)]
@@ -98,7 +98,7 @@ def test_the_frames_at_rest_before_the_toss_end_where_the_pancake_turns_in_the_p
     frames = frames_from_pan(truth.pan, path)
     before = int(np.sum(path.t < truth.release))
     assert before - 2 <= frames.resting_frames <= before + 1
-    assert len(path.t) > 2 * before  # it rests again afterwards, on its other side
+    assert len(path.t) > 2 * before  # at the end it rests on its other side
 
 
 def test_one_bad_frame_before_the_toss_spoils_nothing() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a toss missed corrects its own coordinates, each by its share and up to its limit."""
+"""Hindsight correction of a toss: gains and limits of each parameter."""
 
 import math
 
@@ -20,7 +20,7 @@ GAINS = ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain")
 def shifts(
     angle: float, error: float = 0.0, tossed: bool = True, seen: bool = True
 ) -> dict[str, float]:
-    """What is corrected by, in the units of its parameter; one shift for each parameter."""
+    """Corrections in the units of their parameters; one shift for each parameter."""
     flight = {"tossed": tossed, "seen": seen, "angle": angle, "landing_error": [error, 9.0, 9.0]}
     found = landing_correction(Assessment(0.5, observation=flight), PLANAR, SETTINGS)
     names = {

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The toss as planned, against the tosses of the stand-in."""
+"""Planned tosses, against tosses of the simulated arm."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -52,12 +52,12 @@ def test_a_pan_moved_towards_the_landing_reduces_the_miss_and_beyond_it_reverses
         rotation_attractors=np.zeros((8, 3)),
     )
     p = flip_parametrization(policy, "planar", NOISE)
-    shifts = np.array([-0.1, 0.0, 0.05, 0.1])  # [m] of the pan along x at the catch
+    shifts = np.array([-0.1, 0.0, 0.05, 0.1])  # shift of the pan along x at the catch [m]
     z = np.zeros((len(shifts), p.size))
     z[:, p.groups["catch_shift"]] = shifts[:, np.newaxis] / p.scale[p.groups["catch_shift"]]
     tosses = plan_tosses(p, z, start)
     assert tosses.tossed.all()
-    # Pancake less pan, as `observe_flight` measures it and `landing_correction` needs it.
+    # Pancake minus pan, as `observe_flight` measures it and `landing_correction` needs it.
     np.testing.assert_allclose(tosses.landing_error[:, 0], -shifts, atol=1e-3)
     np.testing.assert_allclose(tosses.landing_error[:, 1], 0.0, atol=1e-9)
 
@@ -70,7 +70,7 @@ def test_a_faster_toss_is_planned_as_that_of_the_faster_policy() -> None:
     planned = plan_tosses(p, z, start)
     alone = plan_tosses(faster, z[:1], start)
     assert planned.apex[1] > planned.apex[0] + 0.02
-    assert planned.apex[1] == pytest.approx(alone.apex[0], abs=0.003)  # of other steps in time
+    assert planned.apex[1] == pytest.approx(alone.apex[0], abs=0.003)  # sampled at other times
     assert planned.tossed[1] == alone.tossed[0]
     assert planned.angle[1] == pytest.approx(alone.angle[0], abs=0.05)
 
@@ -110,9 +110,9 @@ def test_a_planned_toss_is_worth_what_one_seen_like_it_is() -> None:
             landing_error=[*miss[k], 0.1],
             resting=True,
         )
-        # Whether it is caught is not planned: it is likely near the middle of the pan.
+        # The plan has no catch, only its likelihood, which is high near the centre of the pan.
         likely = np.exp(-((np.linalg.norm(miss[k]) / CATCH_RADIUS) ** 2))
-        expected = landing_return(seen).terms
+        expected = landing_return(seen, LandingWeights()).terms
         expected["caught"] *= likely
         np.testing.assert_allclose(terms[k], list(expected.values()), rtol=1e-12)
 
@@ -122,7 +122,7 @@ def test_a_model_learns_what_the_plan_misses() -> None:
     start, z = np.array([0.6, 0.0, 0.5]), some(40, p.size)
     terms = planned_terms(plan_tosses(p, z, start), PancakeWeights())
     returns = terms @ np.array([0.6, 1.2, 0.9]) + 0.05
-    model = TossModel(p, start)
+    model = TossModel(p, start, PancakeWeights())
     before = np.abs(model.predict(z) - returns).mean()
     for one, ret in zip(z, returns, strict=True):
         model.learn(one, float(ret))
@@ -130,13 +130,13 @@ def test_a_model_learns_what_the_plan_misses() -> None:
 
 
 def test_the_plan_tells_good_tosses_from_bad_ones() -> None:
-    """Before any rollout: that is what makes it worth screening with."""
+    """Before any rollout, which is what screening needs."""
     bench, settings = Environment(World(seed=21)), preset("flip", "paper").task_settings
     (policy,) = teach(bench, 21, 1)
     p = flip_parametrization(policy, "full", NOISE)
     start, _ = bench.arm.tool_pose(policy.q_start)
     z = some(12, p.size)
-    planned = TossModel(p, start).predict(z)
+    planned = TossModel(p, start, settings.pancake_weights).predict(z)
     returns = []
     for k in range(len(z)):
         tried, _ = p.policy(z[k], f"trial-{k}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Constant spin of the normal, against exact spins and against a simulated toss."""
+"""Spin fit, against exact spins and against a simulated toss."""
 
 import math
 
@@ -99,7 +99,7 @@ def test_the_covariance_of_the_normal_is_that_of_the_parameters_and_of_the_time(
     )
     assert normal == pytest.approx(uncertain.normal(0.8)[0])
     assert covariance == pytest.approx(np.cov(drawn.T), abs=0.1 * np.trace(covariance))
-    assert normal @ covariance @ normal < 1e-9  # a direction has no uncertain length
+    assert normal @ covariance @ normal < 1e-9  # no variance along the normal, whose length is 1
     assert np.trace(uncertain.normal_with_covariance(0.8, 0.0)[1]) < np.trace(covariance)
 
 

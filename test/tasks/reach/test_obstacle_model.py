@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The model of a reach learns where rollouts were stopped."""
+"""The model of reaching learns where rollouts were stopped."""
 
 import numpy as np
 
 from wam_power_ros.experiments.studies.reaching_runs import NOISE
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.parametrization import Parametrization
-from wam_power_ros.tasks.reach.obstacle_model import FreePath
+from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 SCENARIO = synthetic()
 FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
 
 
 def test_a_model_predicts_a_free_path_exactly_and_a_stopped_one_better_each_time() -> None:
-    model = FreePath(FULL, SCENARIO)
+    model = ReachModel(FULL, SCENARIO)
     z = np.random.default_rng(3).standard_normal((300, FULL.size)) * 6.0
     stiffness, attractors, _ = FULL.arrays(z)
     returns, collided = SCENARIO.evaluate(stiffness, attractors)

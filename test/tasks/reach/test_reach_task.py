@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task of reaching: Eq. 4 of executed paths, stopped at the obstacle."""
+"""Reaching task: Eq. 4 of executed paths that are stopped at the obstacle."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wam_power_ros.learning.demonstration import Demonstration, from_positions
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.reach.returns import reaching_return
-from wam_power_ros.tasks.reach.scenario import middle, stretched
+from wam_power_ros.tasks.reach.scenario import midpoint, resampled
 from wam_power_ros.tasks.reach.task import Reach
 
 RADIUS = 0.05
@@ -27,7 +27,7 @@ def demonstrations(count: int = 2) -> list[Demonstration]:
 
 
 DEMONSTRATIONS = demonstrations()
-OBSTACLE = [*middle(stretched(DEMONSTRATIONS)), RADIUS]
+OBSTACLE = [*midpoint(resampled(DEMONSTRATIONS)), RADIUS]
 POLICY = Reach.policy_of(DEMONSTRATIONS, "trial-0001")
 
 
@@ -36,7 +36,7 @@ def task(obstacle: list[float] = OBSTACLE) -> Reach:
 
 
 def path(y: np.ndarray, z: np.ndarray) -> EndEffectorPath:
-    """A path of the tool that holds its last position for the time in which the arm settles."""
+    """Path of the tool that holds its last position during the settle time."""
     t = np.arange(0.0, POLICY.basis.duration + 1.0, 0.01)
     along = np.minimum(t / POLICY.basis.duration, 1.0)
     grid = np.linspace(0.0, 1.0, len(y))
@@ -65,7 +65,7 @@ def test_a_path_around_the_obstacle_is_worth_equation_4_and_a_success() -> None:
     assert sum(assessment.terms.values()) == pytest.approx(assessment.ret)
     t = np.linspace(0.0, POLICY.basis.duration, 200)
     sampled = np.stack([np.interp(t, around().t, x) for x in around().position.T], axis=1)
-    demonstrated = stretched(DEMONSTRATIONS).mean(axis=0)
+    demonstrated = resampled(DEMONSTRATIONS).mean(axis=0)
     expected = reaching_return(sampled[np.newaxis], demonstrated, demonstrated[-1])
     assert assessment.ret == pytest.approx(float(expected[0]))
     nearest = float(np.linalg.norm(sampled - OBSTACLE[:3], axis=1).min())
@@ -76,7 +76,7 @@ def test_a_path_into_the_obstacle_is_worth_what_it_is_when_it_stays_there() -> N
     through = task().assess(POLICY, Rollout(straight()))
     stopped = task().assess(POLICY, Rollout(cut(straight(), 0.45 * POLICY.basis.duration)))
     assert through.observation["touched"] and stopped.observation["touched"]
-    assert stopped.ret == pytest.approx(through.ret)  # what came after contact does not matter
+    assert stopped.ret == pytest.approx(through.ret)  # the path after the contact does not matter
     assert through.ret < task().assess(POLICY, Rollout(around())).ret
     assert not through.success
     free = task([*OBSTACLE[:3], 0.0]).assess(POLICY, Rollout(straight()))
@@ -110,7 +110,7 @@ def test_the_model_knows_the_free_path_and_learns_where_it_was_stopped() -> None
     model = reach.model(parametrization, np.array([0.7, -0.25, 0.6]))
     z = np.zeros((1, parametrization.size))
     free = float(model.predict(z)[0])
-    assert free > 0.8  # it does not know the obstacle
+    assert free > 0.8  # the model has not learnt the obstacle
     model.learn(z[0], 0.35)
     assert float(model.predict(z)[0]) < free
 
@@ -128,5 +128,5 @@ def test_a_table_names_the_distance_and_the_contact() -> None:
     unseen.fault = "stopped"
     assert task().outcome(unseen) == "fault: stopped"
     assert task().summary([row, unseen]) == [
-        "re-tests of the answer: 1 of 1 passed the obstacle, least clearance -10 mm"
+        "re-tests of the answer: 1 of 1 passed the obstacle, smallest clearance -10 mm"
     ]

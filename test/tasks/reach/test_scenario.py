@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A reach past an obstacle: where paths stop, and what they return (Sec. III-A, Eq. 4)."""
+"""Reaching around an obstacle: stopped paths and their returns (Sec. III-A, Eq. 4)."""
 
 import dataclasses
 
@@ -44,7 +44,7 @@ def arrays(policies: list[Policy]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def paths(policies: list[Policy]) -> tuple[np.ndarray, np.ndarray]:
-    return SCENARIO.stopped(SCENARIO.free(*arrays(policies)))
+    return SCENARIO.stopped_paths(SCENARIO.free_paths(*arrays(policies)))
 
 
 def test_the_demonstrations_are_those_of_the_scenario() -> None:
@@ -68,7 +68,7 @@ def test_the_demonstrated_policy_meets_the_obstacle_and_stays_there() -> None:
 
 def test_without_the_obstacle_the_demonstrated_policy_follows_the_demonstration() -> None:
     path = plain_path(SCENARIO.policy)
-    # Two primitives, started at rest, lag behind half a metre of minimum jerk by a decimetre.
+    # Two spring-dampers, started at rest, lag behind a minimum-jerk reach of 0.5 m by 0.1 m.
     assert np.linalg.norm(path - SCENARIO.demonstrated, axis=1).max() < 0.12
     assert np.linalg.norm(path[-1] - SCENARIO.goal) < 0.03
 
@@ -82,14 +82,14 @@ def test_no_sample_of_a_path_is_inside_the_obstacle() -> None:
 def test_a_path_that_jumps_over_the_obstacle_between_two_samples_collides() -> None:
     side = np.where(np.arange(200) < 100, -0.2, 0.2)
     path = SCENARIO.obstacle + np.outer(side, [1.0, 0.0, 0.0])
-    stopped, collided = SCENARIO.stopped(path[None])
+    stopped, collided = SCENARIO.stopped_paths(path[None])
     assert collided[0]
     np.testing.assert_array_equal(stopped[0], np.tile(path[0], (200, 1)))
 
 
 def test_a_path_that_passes_the_obstacle_is_unchanged() -> None:
     path = SCENARIO.demonstrated + np.array([0.1, 0.0, 0.0])
-    stopped, collided = SCENARIO.stopped(path[None])
+    stopped, collided = SCENARIO.stopped_paths(path[None])
     assert not collided[0]
     np.testing.assert_array_equal(stopped[0], path)
 
@@ -105,7 +105,7 @@ def test_a_return_is_that_of_the_policy_alone_and_of_equation_1_as_written() -> 
     alone = [SCENARIO.evaluate(*arrays([policy]))[0][0] for policy in policies]
     np.testing.assert_allclose(returns, alone, rtol=1e-9)
     plain = np.stack([plain_path(policy) for policy in policies])
-    path, plain_collided = SCENARIO.stopped(plain)
+    path, plain_collided = SCENARIO.stopped_paths(plain)
     np.testing.assert_allclose(path, paths(policies)[0], atol=1e-9)
     np.testing.assert_array_equal(collided, plain_collided)
 

@@ -23,7 +23,7 @@ from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
-from wam_power_ros.tasks.reach.obstacle_model import FreePath
+from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 VARIANT = "full"  # on both tasks
 NOVICE = 5.0  # [rad/s] intended pitch rate of the demonstrator: leaves something to learn
@@ -40,7 +40,7 @@ def reaching_runs(
     """
     scenario = synthetic()
     parameters = Parametrization(scenario.policy, VARIANT, scales(stiffness, attractor))
-    size, model = parameters.size, lambda: FreePath(parameters, scenario)
+    size, model = parameters.size, lambda: ReachModel(parameters, scenario)
     learners = [learner_of(settings, size, seed, model()) for seed in seeds]
     runs = learn_many(learners, parameters, scenario, rollouts)
     return {

@@ -4,7 +4,7 @@
     python -m wam_power_ros.experiments.studies.equal_knowledge [--folder DIR] [--only ROW ...]
 
 prints, for each row, what it was told and its final return without and with noise in the returns.
-The model is that of screened PoWER (`FreePath`): Eqs. 1 and 4, start and goal, but no obstacle.
+The model is that of screened PoWER (`ReachModel`): Eqs. 1 and 4, start and goal, but no obstacle.
 Settings and explorations are those of `comparison.TUNED`, found without a model and without noise.
 """
 
@@ -27,7 +27,7 @@ from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.random_search import RandomSearch
-from wam_power_ros.tasks.reach.obstacle_model import FreePath
+from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 HELD_OUT = range(481, 493)  # seeds without any tuning
 ROLLOUTS = 50
@@ -140,7 +140,7 @@ def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, A
         return {"early": start.tolist() * len(seeds), "final": start.tolist() * len(seeds)}
     learners = []
     for seed in seeds:
-        known = FreePath(parameters, scenario, max(SURE * noise, 1e-9))
+        known = ReachModel(parameters, scenario, max(SURE * noise, 1e-9))
         rng = np.random.default_rng([seed, 1])
         if name == "planner":
             own: Learner = Planner(parameters.size, generator(seed), known)

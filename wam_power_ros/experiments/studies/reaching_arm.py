@@ -26,7 +26,7 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.params.resources import share
-from wam_power_ros.tasks.reach.scenario import Scenario, taught
+from wam_power_ros.tasks.reach.scenario import Scenario, scenario_of
 
 # studies
 TAUGHT, EXECUTED, PRACTISED = "reaching-taught", "reaching-executed", "reaching-practised"
@@ -62,7 +62,7 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     parameters = Parametrization(scenario.policy, variant, NOISE[variant])
     policy, _ = parameters.policy(run.mean, "reach-0001")
     executed, fault = _executed(Environment(World(seed=NOISE_SEED)), policy, scenario)
-    planned = scenario.free(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
+    planned = scenario.free_paths(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
     shown = np.linspace(0, scenario.steps - 1, reaching_runs.DRAWN).round().astype(int)
     deviation = np.linalg.norm(executed - planned, axis=1)
     return {
@@ -76,7 +76,9 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
         "clearance": _clearance(executed, scenario),
         "planned_clearance": _clearance(planned, scenario),
         "planned_return": run.final,
-        "executed_return": float(scenario.worth(scenario.stopped(executed[np.newaxis])[0])[0]),
+        "executed_return": float(
+            scenario.returns(scenario.stopped_paths(executed[np.newaxis])[0])[0]
+        ),
     }
 
 
@@ -94,8 +96,8 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
 
     def returned(z: np.ndarray, policy_id: str) -> tuple[np.ndarray, str, float]:
         path, fault = _executed(environment, parameters.policy(z, policy_id)[0], scenario)
-        stopped, _ = scenario.stopped(path[np.newaxis])
-        return path, fault, 0.0 if fault else float(scenario.worth(stopped)[0])
+        stopped, _ = scenario.stopped_paths(path[np.newaxis])
+        return path, fault, 0.0 if fault else float(scenario.returns(stopped)[0])
 
     returns, faults = [], 0
     for k in range(rollouts):
@@ -137,4 +139,4 @@ def taught_scenario() -> Scenario:
     arm = Environment(World(seed=NOISE_SEED)).arm
     bags = sorted(share("bags").glob("reach_*"))
     demonstrations = [from_joint_samples(arm, *read_demonstration(bag, JOINTS)) for bag in bags]
-    return taught(demonstrations)
+    return scenario_of(demonstrations)

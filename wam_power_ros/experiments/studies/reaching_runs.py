@@ -114,7 +114,7 @@ def as_data(
     """Runs of one variant as data for JSON, with the paths of their last means."""
     parameters = Parametrization(scenario.policy, variant, NOISE[variant])
     stiffness, attractors, _ = parameters.arrays(np.stack([run.mean for run in runs]))
-    path, _ = scenario.stopped(scenario.free(stiffness, attractors))
+    path, _ = scenario.stopped_paths(scenario.free_paths(stiffness, attractors))
     shown = np.linspace(0, scenario.steps - 1, DRAWN).round().astype(int)
     start, _ = scenario.evaluate(
         scenario.policy.stiffness[np.newaxis], scenario.policy.attractors[np.newaxis]

@@ -7,7 +7,7 @@ import numpy as np
 
 from wam_power_ros.learning.demonstration import from_positions
 from wam_power_ros.learning.dmp import fit
-from wam_power_ros.tasks.reach.scenario import RADIUS, STEPS, Scenario, middle
+from wam_power_ros.tasks.reach.scenario import RADIUS, STEPS, Scenario, midpoint
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 
@@ -56,4 +56,4 @@ def synthetic(
     paths[..., 2] += (arc + offset[:, 6:]) * np.sin(np.pi * s)
     period = duration / (steps - 1)
     policy = fit([from_positions(path, period) for path in paths], REACH_FIT, "demonstration")
-    return Scenario(paths, period, radius, policy, np.array(start), middle(paths))
+    return Scenario(paths, period, radius, policy, np.array(start), midpoint(paths))

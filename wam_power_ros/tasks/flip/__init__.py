@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flipping a pancake (Eq. 5, and a return for a true flip that lands)."""
+"""Flipping a pancake (Eq. 5, and a return for a full flip that lands in the pan)."""

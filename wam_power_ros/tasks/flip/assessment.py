@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Assessment of a rollout of the flip: the observed flight, its return, its success."""
+"""Assessment of a flip: observed flight, return and success of a rollout."""
 
 from __future__ import annotations
 
@@ -16,18 +16,12 @@ from wam_power_ros.tasks.flip.returns import landing_return, pancake_return
 from wam_power_ros.tasks.flip.settings import FlipSettings
 from wam_power_ros.tasks.task import Assessment, cut_short, fault_assessment
 
-_GAP_MAX = 0.2  # [s] without a frame after which the pancake counts as lost: six frames at 30 Hz
-_FALLEN_DEPTH = 0.05  # [m] under the pan's floor: a pancake last seen there was dropped, not lost
+_GAP_MAX = 0.2  # longest gap in the frames, six at 30 Hz, before the pancake counts as lost [s]
+_FALLEN_DEPTH = 0.05  # depth below the pan's floor at which a pancake was dropped, not lost [m]
 
 
 def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessment:
-    """Return and success of a rollout, or the reason why it says nothing about its policy.
-
-    Args:
-        policy: Policy that was executed.
-        rollout: Paths of pan and pancake, and the fault if any.
-        settings: Settings of the task.
-    """
+    """Return and success of a rollout of `policy`, or the reason why it cannot be judged."""
     if rollout.fault is not None:
         return fault_assessment(rollout.fault)
     if why := cut_short(policy, rollout, settings.settle_time):
@@ -52,7 +46,7 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
 
 
 def flight_of(observation: Mapping[str, Any]) -> Flight | None:
-    """The flight that `assess` noted in an observation; None when it is not a whole one."""
+    """Flight from an observation of `assess`; None if fields are missing."""
     if set(observation) != {field.name for field in dataclasses.fields(Flight)}:
         return None
     fields: dict[str, Any] = {
@@ -63,7 +57,7 @@ def flight_of(observation: Mapping[str, Any]) -> Flight | None:
 
 
 def _plain(flight: Flight) -> dict[str, Any]:
-    """Fields of a flight as data for JSON."""
+    """Fields of a flight as JSON data."""
     return {
         name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
         for name, value in dataclasses.asdict(flight).items()
@@ -71,19 +65,19 @@ def _plain(flight: Flight) -> dict[str, Any]:
 
 
 def _lost_from_view(pan: EndEffectorPath, pancake: BodyPath, flight: Flight) -> str:
-    """Why the pancake was not seen well enough to judge the rollout, empty when it was."""
+    """Return why the pancake was not seen well enough to judge the rollout; empty if it was."""
     end = float(pan.t[-1])
     seen = np.clip(np.concatenate([[0.0], pancake.t]), 0.0, end)
     needed = min(flight.t_f, end) if flight.tossed else end
     gaps = np.diff(seen)
-    late = np.flatnonzero((gaps > _GAP_MAX) & (seen[:-1] < needed))
-    if len(late):
-        at = seen[late[0]]
-        return f"the pancake was lost from view for {gaps[late[0]]:.2f} s from {at:.2f} s on"
+    too_long = np.flatnonzero((gaps > _GAP_MAX) & (seen[:-1] < needed))
+    if len(too_long):
+        first = too_long[0]
+        return f"the pancake was lost from view for {gaps[first]:.2f} s from {seen[first]:.2f} s on"
     if flight.tossed and not flight.seen:
-        return "the pancake was not seen coming down"
+        return "the descent of the pancake was not seen"
     if end - seen[-1] > _GAP_MAX:
         height = pancake.position[-1, 2] - np.interp(seen[-1], pan.t, pan.position[:, 2])
         if height > -_FALLEN_DEPTH:
-            return f"the pancake was lost from view at {seen[-1]:.2f} s, not having fallen"
+            return f"the pancake was lost from view at {seen[-1]:.2f} s, before it fell"
     return ""

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parabola with drag through the frames of a flight: release, apex and crossing of a height.
+"""Ballistic fit with drag to the frames of a flight: release, apex and crossing of a height.
 
     p(t) = p0 + v s + (g + a) s^2/2 + j s^3/6 + c w(s),   s = t - origin
 
-w is the double integral of -|v| v along the plain parabola, c the drag of a disc of middling
-attitude; a and j, both small, are the effect of the true attitude and of draught. p0, v, a and j
-are fitted to all frames by robust weighted least squares, with covariance.
+w is the double integral of -|v| v along the drag-free parabola and c the drag coefficient of a disc
+at an average attitude; a and j, both small, model the true attitude and air draughts. p0, v, a and
+j are fitted to all frames by robust weighted least squares, with covariance.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.tasks.flip.frames import POSITION_NOISE, Frames, interpolate, pan_normal
 
-HUBER_THRESHOLD = 2.5  # [standard deviations] beyond which a frame counts less
-_GRAVITY = 9.81  # [m/s^2]
-_DRAG = 0.3  # [1/m] c in xdd = g - c |v| v, of a middling attitude
-_ACCELERATION_STD = 0.5  # [m/s^2] of what attitude and draught add to that, at mid-flight
-_JERK_STD = 5.0  # [m/s^3] of its rate of change
-_INLIER_DISTANCE = 0.025  # [m] from a plain parabola within which a frame belongs to the flight
-_RELEASE_HEIGHT = 0.01  # [m] of the centre above the pan's floor, below which both are in contact
+HUBER_THRESHOLD = 2.5  # residual above which a frame is weighted less [standard deviations]
+GRAVITY = 9.81  # [m/s^2]
+_DRAG = 0.3  # drag coefficient c in xdd = g - c |v| v at an average attitude [1/m]
+_ACCELERATION_STD = 0.5  # prior of a, the effect of attitude and draughts at mid-flight [m/s^2]
+_JERK_STD = 5.0  # prior of j, its rate of change [m/s^3]
+_INLIER_DISTANCE = 0.025  # largest distance of an inlier from a drag-free parabola [m]
+_RELEASE_HEIGHT = 0.01  # height of the centre above the pan's floor up to which both touch [m]
 _GRID_STEP = 0.001  # [s]
 _DRAG_GRID_STEP = 0.002  # [s]
 
@@ -34,13 +34,13 @@ class Arc:
     """Fitted path of the pancake's centre.
 
     Attributes:
-        t: Times of the frames used [s]. Shape (m,).
-        used: Indices of these frames. Shape (m,).
-        origin: Mean time of these frames, s = 0 [s].
+        t: Times of the inlier frames [s]. Shape (m,).
+        used: Indices of the inlier frames. Shape (m,).
+        origin: Mean time of the inlier frames, s = 0 [s].
         theta: p0 [m], v [m/s], a [m/s^2], j [m/s^3]. Shape (12,).
         covariance: Covariance of theta. Shape (12, 12).
-        drag_velocity: Velocity at the origin of the plain parabola along which w is integrated
-            [m/s]. Shape (3,).
+        drag_velocity: Velocity at the origin of the drag-free parabola along which w is
+            integrated [m/s]. Shape (3,).
     """
 
     t: np.ndarray
@@ -62,10 +62,10 @@ class Crossing:
 
     Attributes:
         t: Time of the crossing [s].
-        t_std: Standard deviation of that [s].
-        position: Position at that time, base frame [m]. Shape (3,).
-        position_std: Standard deviation of that [m]. Shape (3,).
-        apex: Greatest height of the arc, base frame [m].
+        t_std: Standard deviation of `t` [s].
+        position: Position at time `t`, base frame [m]. Shape (3,).
+        position_std: Standard deviation of `position` [m]. Shape (3,).
+        apex: Largest height of the arc, base frame [m].
     """
 
     t: float
@@ -76,10 +76,10 @@ class Crossing:
 
 
 def fit_arc(frames: Frames) -> Arc | None:
-    """Arc through the frames of the flight, by robust weighted least squares.
+    """Fit an arc to the frames of the flight by robust weighted least squares.
 
     Returns:
-        The arc; None with fewer than two frames in flight, or none at rest before.
+        The arc; None with fewer than two frames in flight, or without a frame at rest before.
     """
     run = _highest_run(frames)
     if len(run) < 2:
@@ -103,7 +103,7 @@ def fit_arc(frames: Frames) -> Arc | None:
         residual = distance / POSITION_NOISE
         weights = np.minimum(1.0, HUBER_THRESHOLD / np.maximum(residual, 1e-9))
         velocity = theta[3:6]
-    # Frames that scatter more than the cameras do: the covariance grows with the scatter.
+    # If the frames scatter more than POSITION_NOISE, the covariance is scaled up accordingly.
     freedom = 3 * len(t) - 12
     if freedom > 0:
         excess = float(np.sum(weights * residual**2)) / freedom
@@ -112,15 +112,15 @@ def fit_arc(frames: Frames) -> Arc | None:
 
 
 def find_crossing(arc: Arc, pan: EndEffectorPath, delta_h: float) -> Crossing | None:
-    """First time after the apex at which the arc falls through a height above the pan.
+    """Find the first downward crossing of a height above the pan after the apex.
 
     Args:
-        arc: Fitted arc; it is evaluated from 0.1 s before its frames to 0.5 s after them.
+        arc: Fitted arc, evaluated from 0.1 s before its frames to 0.5 s after them.
         pan: Path of the pan.
         delta_h: Height above the pan [m].
 
     Returns:
-        The crossing; None when the arc stays below that height, or above it.
+        The crossing; None if the arc stays below or above the height.
     """
     start = max(arc.t[0] - 0.1, pan.t[0])
     end = min(arc.t[-1] + 0.5, pan.t[-1])
@@ -143,13 +143,7 @@ def find_crossing(arc: Arc, pan: EndEffectorPath, delta_h: float) -> Crossing | 
 
 
 def release_time(frames: Frames, arc: Arc, pan: EndEffectorPath) -> float:
-    """Time at which pancake and pan parted [s]: the last one with the arc down at the pan's floor.
-
-    Args:
-        frames: Frames that the arc was fitted to.
-        arc: Fitted arc.
-        pan: Path of the pan.
-    """
+    """Time of release [s]: the last time at which the arc of `frames` is at the pan's floor."""
     before = frames.t[: arc.used[0]][~frames.flying[: arc.used[0]]]
     earliest = float(before[-1]) if len(before) else float(pan.t[0])
     count = max(int((arc.t[0] - earliest) / _GRID_STEP), 1)
@@ -161,7 +155,7 @@ def release_time(frames: Frames, arc: Arc, pan: EndEffectorPath) -> float:
 
 
 def _highest_run(frames: Frames) -> np.ndarray:
-    """Indices of the flying frames in a row around the highest of them."""
+    """Indices of the consecutive frames in flight that contain the highest one."""
     if not frames.flying.any() or not frames.resting_frames:
         return np.zeros(0, dtype=int)
     flying = np.flatnonzero(frames.flying)
@@ -171,8 +165,8 @@ def _highest_run(frames: Frames) -> np.ndarray:
 
 
 def _consensus(t: np.ndarray, position: np.ndarray) -> np.ndarray:
-    """Frames near the parabola, through two of them, that most agree with. Shape (m,), bool."""
-    lifted = position + 0.5 * _GRAVITY * np.outer(t**2, [0.0, 0.0, 1.0])  # straight lines
+    """Inliers of the best parabola through two of the frames (consensus). Shape (m,), bool."""
+    lifted = position + 0.5 * GRAVITY * np.outer(t**2, [0.0, 0.0, 1.0])  # straight lines
     picks = np.unique(np.linspace(0, len(t) - 1, min(len(t), 25)).round().astype(int))
     first, second = (picks[index] for index in np.triu_indices(len(picks), 1))
     slope = (lifted[second] - lifted[first]) / (t[second] - t[first])[:, None]
@@ -184,9 +178,9 @@ def _consensus(t: np.ndarray, position: np.ndarray) -> np.ndarray:
 
 
 def _at_crossing(arc: Arc, t: float, slope: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Position at t, its standard deviation, and that of t: the crossing moves with the fit.
+    """Position at t and the standard deviations of both; the crossing time depends on the fit.
 
-    `slope` is the rate at which the height above the pan changes there [m/s].
+    `slope` is the rate of change of the height above the pan at t [m/s].
     """
     step = 1e-4
     before, now, after = arc.position(t + step * np.array([-1.0, 0.0, 1.0]))
@@ -207,14 +201,14 @@ def _powers(s: np.ndarray) -> np.ndarray:
 
 def _fall(s: np.ndarray) -> np.ndarray:
     """Free fall g s^2/2 [m]. Shape (m, 3)."""
-    return np.outer(-0.5 * _GRAVITY * s * s, [0.0, 0.0, 1.0])
+    return np.outer(-0.5 * GRAVITY * s * s, [0.0, 0.0, 1.0])
 
 
 def _drag(s: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """Double integral c w(s) of -c |v| v from s = 0 along a parabola [m]. Shape (m, 3)."""
     low, high = min(float(s.min()), 0.0) - _GRID_STEP, max(float(s.max()), 0.0) + _GRID_STEP
     grid = np.linspace(low, high, max(int((high - low) / _DRAG_GRID_STEP), 8))
-    v = velocity + np.outer(grid, [0.0, 0.0, -_GRAVITY])
+    v = velocity + np.outer(grid, [0.0, 0.0, -GRAVITY])
     rate = _integral(-_DRAG * np.linalg.norm(v, axis=1, keepdims=True) * v, grid)
     return interpolate(s, grid, _integral(rate, grid))
 

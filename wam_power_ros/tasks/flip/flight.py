@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free flight of the pancake, from motion-capture frames: what one toss did, with uncertainty.
+"""Free flight of the pancake, estimated from motion-capture frames, with uncertainty.
 
-At 30 frames/s the pancake falls 7-10 cm from one frame to the next and turns 20 degrees, so the
-nearest frame is a poor measurement of the instant t_f at which it passes Delta_h above the pan
-(Eq. 5). Free flight has few unknowns: a position, a velocity and a little drag; a normal, an
-angular velocity and a little decay. They are fitted to all frames of the flight and evaluated at
-the crossing of the fitted height with the height of the pan.
+At 30 frames/s the pancake falls 7-10 cm and turns 20 degrees from one frame to the next, so the
+nearest frame is a poor measurement at the time t_f at which it passes Delta_h above the pan
+(Eq. 5). Free flight has few unknowns: position, velocity and a small drag; normal, angular velocity
+and a small decay. They are fitted to all frames of the flight and evaluated at t_f, where the
+fitted height crosses the height of the pan plus Delta_h.
 """
 
 from __future__ import annotations
@@ -28,40 +28,39 @@ from wam_power_ros.tasks.flip.frames import (
 )
 from wam_power_ros.tasks.flip.spin_fit import angle_between, axis_between, fit_spin
 
-DELTA_H = 0.12  # [m] must exceed the pancake's radius: its edge may not have touched the pan yet
-_POSITION_STD_MAX = 0.1  # [m] a less certain position at t_f counts as lost from view
-_UNKNOWN_STD = 1.0  # [m], [s] or [rad] of what was not seen
+DELTA_H = 0.12  # larger than the pancake's radius, so that its edge is still above the pan [m]
+_POSITION_STD_MAX = 0.1  # with a larger one at t_f the pancake counts as lost from view [m]
+_UNKNOWN_STD = 1.0  # standard deviation of an unknown value [m, s or rad]
 
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """One toss, as observed. Every number is finite.
+    """Observed toss. Every number is finite.
 
     Attributes:
-        tossed: It rose above the pan by more than Delta_h.
-        seen: Its position at t_f is known. When False, `position` is the last one seen, its
+        tossed: Whether it rose above the pan by more than Delta_h.
+        seen: Whether its position at t_f is known. If not, `position` is the last known one, its
             standard deviation is 1 m, and `landing_error` is 0.
-        t_f: Time at which it falls through the pan's height + Delta_h [s]; the path's end when
-            never tossed.
+        t_f: Time at which it falls through the pan's height + Delta_h [s]; the end of the path if
+            not tossed.
         t_f_std: Standard deviation of t_f [s].
         position: Position of its centre at t_f, base frame [m]. Shape (3,).
         position_std: Standard deviation of `position` [m]. Shape (3,).
         pan_position: Position of the pan at t_f, base frame [m]. Shape (3,).
-        normal_start: v0, its normal at rest, which is the pan's at the start, base frame.
-            Shape (3,).
-        normal: v_tf, its normal at t_f, base frame. Shape (3,).
+        normal_start: Normal v0 at rest, that of the pan at the start, base frame. Shape (3,).
+        normal: Normal v_tf at t_f, base frame. Shape (3,).
         normal_std: Standard deviation of the direction of `normal` [rad].
-        angle: Angle turned from rest to t_f [rad]: arccos(v0 . v_tf), unfolded by the half turns
-            made about the spin axis, so that cos(angle) = v0 . v_tf always; 0 when never tossed.
+        angle: Rotation from rest to t_f [rad]: arccos(v0 . v_tf), unfolded by the number of half
+            turns about the spin axis, so that cos(angle) = v0 . v_tf; 0 if not tossed.
         angle_std: Standard deviation of `angle` [rad].
-        spin_axis: Unit vector about which the spin is positive, base frame. Shape (3,).
+        spin_axis: Unit vector about which the rotation is positive, base frame. Shape (3,).
         spin_rate: Spin rate at t_f [rad/s].
         apex: Highest point above the pan's height at the start [m].
-        landing_error: Pancake - pan at t_f, base frame [m]; the horizontal part matters; 0 when
-            never tossed. Shape (3,).
-        resting: It lies flat in the pan at the path's end.
-        flipped: At the path's end its normal is opposite to the pan's.
-        frames: Number of frames in free flight that were used.
+        landing_error: Position of pancake minus pan at t_f, base frame [m]; only the horizontal
+            part matters; 0 if not tossed. Shape (3,).
+        resting: Whether it lies flat in the pan at the end of the path.
+        flipped: Whether its normal is opposite to the pan's at the end of the path.
+        frames: Number of frames of the free flight that were used.
     """
 
     tossed: bool
@@ -86,12 +85,13 @@ class Flight:
 
 
 def observe_flight(pan: EndEffectorPath, pancake: BodyPath, delta_h: float = DELTA_H) -> Flight:
-    """Flight of the pancake, with uncertainty, from the paths of pan and pancake.
+    """Estimate the flight of the pancake, with uncertainty, from the paths of pan and pancake.
 
-    The pancake's body-frame normal is the direction that is the pan's normal while it rests in
-    the pan at the start, so the tracker's choice of axes does not matter. Where the paper is
-    silent: of several crossings, the first downward one after the apex counts; never above the
-    height, `tossed` is False and t_f the end; not enough frames to know, `seen` is False.
+    The body-frame normal of the pancake is taken from the pan's normal while the pancake rests in
+    the pan at the start, so it does not depend on the axes chosen in the motion capture. The paper
+    does not define the following cases: of several crossings, the first downward one after the apex
+    counts; if it never rises above the height, `tossed` is False and t_f the end of the path; with
+    too few frames, `seen` is False.
 
     Args:
         pan: Path of the pan through the rollout.
@@ -99,10 +99,12 @@ def observe_flight(pan: EndEffectorPath, pancake: BodyPath, delta_h: float = DEL
         delta_h: Height above the pan at which the flight ends [m].
 
     Raises:
-        ValueError: The paths belong to different rollouts, or delta_h is not positive.
+        ValueError: If the paths belong to different rollouts or delta_h is not positive.
     """
     if pan.id != pancake.id:
-        raise ValueError(f"pan path {pan.id!r} and pancake path {pancake.id!r} must be one rollout")
+        raise ValueError(
+            f"pan path {pan.id!r} and pancake path {pancake.id!r} must be of one rollout"
+        )
     if not 0.0 < delta_h < math.inf:
         raise ValueError(f"delta_h = {delta_h} m must be positive")
     frames = frames_from_pan(pan, pancake)
@@ -114,7 +116,7 @@ def observe_flight(pan: EndEffectorPath, pancake: BodyPath, delta_h: float = DEL
 
 
 def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Crossing) -> Flight:
-    """Flight whose crossing was found."""
+    """Flight with a known crossing."""
     spin = fit_spin(frames, arc, pan)
     normal, normal_cov = spin.normal_with_covariance(crossing.t, crossing.t_std)
     normal_cov += TILT_NOISE**2 / frames.resting_frames * np.eye(3)
@@ -149,7 +151,7 @@ def _flight_on_arc(pan: EndEffectorPath, frames: Frames, arc: Arc, crossing: Cro
 
 
 def _flight_without_arc(pan: EndEffectorPath, frames: Frames, delta_h: float) -> Flight:
-    """Flight of a pancake never tossed, or not seen often enough in the air to fit an arc."""
+    """Flight of a pancake that was not tossed, or has too few frames in flight to fit an arc."""
     end = float(pan.t[-1])
     last_pan = pan.position[-1]
     resting, flipped = frames.end_state(end)

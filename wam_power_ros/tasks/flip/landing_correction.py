@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hindsight correction: shift z by what landing and rotation missed, for lack of a toss too."""
+"""Hindsight correction of a toss: shift z by the measured errors of landing and rotation."""
 
 from __future__ import annotations
 
@@ -16,24 +16,19 @@ from wam_power_ros.tasks.task import Assessment
 def landing_correction(
     assessment: Assessment, parametrization: Parametrization, settings: FlipSettings
 ) -> list[np.ndarray]:
-    """Shifts of catch shift, flick, vigour and tempo by what landing and rotation missed.
+    """Correct catch shift, flick, vigour and tempo by the errors of landing and rotation.
 
-    The catch shift goes to where the pancake came down, the others to where it would have made half
-    a turn. A pancake that was not thrown made none of it, so all of it is missing.
-
-    Args:
-        assessment: Assessment of a rollout, with its flight as the observation.
-        parametrization: Meaning of the coordinates.
-        settings: Gains and limits.
+    The catch shift is moved to where the pancake came down, the others to where it would have made
+    half a turn. A pancake that was not tossed has not turned, so it lacks the whole half turn.
 
     Returns:
-        Shifts of z, shape (size,) each; none without gains, or when the toss was not seen.
+        Shifts of z, shape (size,) each; empty without gains, or if the toss was not seen.
     """
     flight = assessment.observation
     if flight is None or (flight["tossed"] and not flight["seen"]):
         return []
-    missing = math.pi - float(flight["angle"])  # of half a turn
-    error = float(flight["landing_error"][0])  # along x
+    missing = math.pi - float(flight["angle"])  # rotation missing to half a turn [rad]
+    error = float(flight["landing_error"][0])  # landing error along x [m]
     shifts = []
     for group, gain, wanted, limit in (
         ("catch_shift", settings.landing_gain, error, settings.landing_limit),

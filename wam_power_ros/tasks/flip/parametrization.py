@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parametrization of a toss: its policy, vigour, tempo, a flick and a catch shift."""
+"""Parametrization of a toss: its policy, vigour, tempo, flick and catch shift."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from pydantic import Field
 from wam_power_ros.learning.parametrization import Direction, NoiseScales, Parametrization
 from wam_power_ros.learning.policy import Policy
 
-CATCH_PROFILE = (0.5, 1.0, 1.0)  # shift of the last three attractors for a catch shift of one [1]
-TURN_OF_FLICK = 2.0  # additional turn of a toss for a flick of one, measured on wrist flicks [rad]
-TURN_OF_VIGOUR = 3.0  # the same for a vigour of one [rad]
-# For a log tempo of one: spin and time of flight grow with it, and half a turn with both [rad].
+CATCH_PROFILE = (0.5, 1.0, 1.0)  # shift of the last three attractors per unit of catch shift [1]
+TURN_OF_FLICK = 2.0  # additional rotation per unit of flick, measured on wrist flicks [rad]
+TURN_OF_VIGOUR = 3.0  # additional rotation per unit of vigour [rad]
+# Additional rotation per unit of log tempo [rad]: both spin and time of flight, whose product is a
+# rotation of pi, are proportional to the tempo.
 TURN_OF_TEMPO = 6.0
 
 
@@ -35,11 +36,11 @@ class FlipNoise(NoiseScales):
 def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Parametrization:
     """Parametrization of a toss around a demonstrated policy.
 
-    The variant "planar" learns the tempo, too, and has three parameters of its own:
-        vigour: Enlarges the whole demonstrated movement in the plane, mu_i - mu_1 and r_i - r_1,
-            by this share [1]: Eq. 1 is linear in its attractors, so that all speeds and
-            accelerations grow by it, in the same time.
-        flick: Enlarges the demonstrated turn of the pan, r_i - r_1 about y, by this share [1].
+    The variant "planar" also has the tempo and three more parameters:
+        vigour: Scales the demonstrated movement in the plane, mu_i - mu_1 and r_i - r_1, by
+            1 + vigour [1]. Eq. 1 is linear in its attractors, so all speeds and accelerations grow
+            by the same factor, in the same time.
+        flick: Scales the demonstrated rotation of the pan about y, r_i - r_1, by 1 + flick [1].
         catch_shift: Moves mu_x of the last three attractors by 0.5, 1 and 1 times this [m].
 
     Raises:
@@ -53,14 +54,14 @@ def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Para
             f"variant {variant!r} shifts the last {len(CATCH_PROFILE)} attractors, "
             f"policy {policy.id!r} has {n}"
         )
-    swing, turn, shift, still = np.zeros((4, n, 3))
+    swing, turn, shift, zeros = np.zeros((4, n, 3))
     swing[:, [0, 2]] = (policy.attractors - policy.attractors[0])[:, [0, 2]]
     pitch = policy.rotation_attractors[:, 1]
     turn[:, 1] = pitch - pitch[0]
     shift[-len(CATCH_PROFILE) :, 0] = CATCH_PROFILE
     directions = (
         Direction("vigour", noise.vigour, attractors=swing, rotation=turn),
-        Direction("flick", noise.flick, attractors=still, rotation=turn),
-        Direction("catch_shift", noise.catch_shift, attractors=shift, rotation=still),
+        Direction("flick", noise.flick, attractors=zeros, rotation=turn),
+        Direction("catch_shift", noise.catch_shift, attractors=shift, rotation=zeros),
     )
     return Parametrization(policy, variant, noise, directions, noise.tempo)

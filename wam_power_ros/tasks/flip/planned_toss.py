@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction of a policy's toss before any rollout: the movement of Eq. 1, then free flight.
+"""Prediction of the toss of a policy before any rollout: Eq. 1, then free flight.
 
-The pan follows Eq. 1 exactly. The pancake lies at its centre and leaves when the pan's
-acceleration along its normal falls below gravity's; it keeps the pan's velocity and a share of its
-rotation, and flies without drag. That is crude, but it ranks policies, which is all that the
-screening of candidates needs.
+The pan follows Eq. 1 exactly. The pancake lies at its centre and is released when the acceleration
+of the pan along its normal falls below that of gravity. It then has the velocity of the pan and a
+fraction of its angular velocity, and flies without drag. The model is crude, but it ranks policies,
+which suffices for the screening of candidates.
 """
 
 from __future__ import annotations
@@ -16,15 +16,17 @@ import numpy as np
 from wam_power_ros import rotations
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.tasks.flip.ballistic_fit import GRAVITY
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
-GRAVITY = 9.81  # [m/s^2]
-PERIOD = 0.005  # [s] of the planned movement; 0.002 predicts no better
-TAIL = 1.0  # [s] after the movement, in the time of the demonstration, that is predicted as well
-CATCH_RADIUS = 0.1  # [m] of landing error at which a catch has become unlikely
-SPIN_SHARE = 0.6  # of the pan's turning that the pancake keeps; fits tosses of tuning seeds
-RIDGE = (0.05 / 0.3) ** 2  # of `TossModel`: scatter of a return, over that of w before a rollout
+PERIOD = 0.005  # sampling period of the movement [s]; 0.002 s does not predict better
+TAIL = 1.0  # time after the movement that is predicted too, at the tempo of the demonstration [s]
+CATCH_RADIUS = 0.1  # landing error at which a catch is unlikely [m]
+SPIN_SHARE = (
+    0.6  # fraction of the pan's angular velocity at release, from tosses of tuning seeds [1]
+)
+RIDGE = (0.05 / 0.3) ** 2  # prior variance ratio of `TossModel`: noise of a return to w [1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +35,9 @@ class Tosses:
 
     Attributes:
         tossed: Whether the pancake rises above the pan by more than Delta_h. Shape (B,).
-        angle: Rotation when it falls through that height [rad]; 0 when not tossed. Shape (B,).
+        angle: Rotation when it falls through that height [rad]; 0 if not tossed. Shape (B,).
         apex: Highest point above the pan's height at the start [m]. Shape (B,).
-        landing_error: Position of pancake less pan at that time, x and y [m]. Shape (B, 2).
+        landing_error: Position of pancake minus pan at that time, x and y [m]. Shape (B, 2).
     """
 
     tossed: np.ndarray
@@ -44,44 +46,47 @@ class Tosses:
     landing_error: np.ndarray
 
 
-def plan_tosses(parameters: Parametrization, z: np.ndarray, start: np.ndarray) -> Tosses:
-    """Predicted tosses of many policies.
+def plan_tosses(
+    parameters: Parametrization, z: np.ndarray, start: np.ndarray, delta_h: float = DELTA_H
+) -> Tosses:
+    """Predict the tosses of many policies.
 
     Args:
         parameters: Parametrization of the policies.
         z: Coordinates. Shape (B, size).
         start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
+        delta_h: Height above the pan at which the flight ends [m].
     """
     position, velocity, rotation, omega = _movement(parameters, z, start)
-    tempo = parameters.tempo(z)  # (B,); the movement is in the time of the demonstration
+    tempo = parameters.tempo(z)  # (B,); the movement is at the tempo of the demonstration
     velocity, omega, period = velocity * tempo, omega * tempo, PERIOD / tempo
     steps = len(position)
     normal = _normals(rotation, parameters.policy0.orientation_reference)  # (T, 3, B)
     acceleration = np.gradient(velocity, axis=0) / period
     acceleration[:, 2] += GRAVITY
-    free = (acceleration * normal).sum(axis=1) < 0.0  # (T, B)
-    left = free.any(axis=0)
-    release = np.where(left, free.argmax(axis=0), steps - 1)  # (B,)
-    everyone = np.arange(len(release))
+    lifted = (acceleration * normal).sum(axis=1) < 0.0  # (T, B)
+    released = lifted.any(axis=0)
+    release = np.where(released, lifted.argmax(axis=0), steps - 1)  # (B,)
+    policies = np.arange(len(release))
 
-    t = np.maximum(np.arange(steps)[:, None] - release, 0) * period  # (T, B) of the flight
-    at = position[release, :, everyone].T  # (3, B)
-    flying = at + velocity[release, :, everyone].T * t[:, None]  # (T, 3, B)
+    t = np.maximum(np.arange(steps)[:, None] - release, 0) * period  # (T, B), since the release
+    start_of_flight = position[release, :, policies].T  # (3, B)
+    flying = start_of_flight + velocity[release, :, policies].T * t[:, None]  # (T, 3, B)
     flying[:, 2] -= 0.5 * GRAVITY * t**2
-    above = (flying[:, 2] - position[:, 2] > DELTA_H) & (t > 0.0)
-    tossed = left & above.any(axis=0)
-    # the last instant above it: a pan that follows the pancake upwards crosses more than once
+    above = (flying[:, 2] - position[:, 2] > delta_h) & (t > 0.0)
+    tossed = released & above.any(axis=0)
+    # The last sample above it: a pan that follows the pancake upwards crosses more than once.
     down = np.where(tossed, steps - 1 - above[::-1].argmax(axis=0), steps - 1)  # (B,)
-    # turned in the pan, then with a share of its angular velocity
-    turned = (normal[0] * normal[release, :, everyone].T).sum(axis=0)
-    spin = np.linalg.norm(omega[release, :, everyone], axis=-1)
-    angle = np.arccos(np.clip(turned, -1.0, 1.0)) + SPIN_SHARE * spin * t[down, everyone]
-    miss = (flying - position)[down, :2, everyone]  # (B, 2)
+    # Rotation in the pan, then at a fraction of the pan's angular velocity.
+    cosine = (normal[0] * normal[release, :, policies].T).sum(axis=0)
+    spin = np.linalg.norm(omega[release, :, policies], axis=-1)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0)) + SPIN_SHARE * spin * t[down, policies]
+    miss = (flying - position)[down, :2, policies]  # (B, 2)
     rise = np.where(t > 0.0, flying[:, 2], position[:, 2]).max(axis=0) - start[2]
     return Tosses(
         tossed=tossed,
         angle=np.where(tossed, angle, 0.0),
-        apex=np.where(left, rise, 0.0),
+        apex=np.where(released, rise, 0.0),
         landing_error=np.where(tossed[:, None], miss, 0.0),
     )
 
@@ -95,7 +100,7 @@ def planned_terms(tosses: Tosses, weights: PancakeWeights | LandingWeights) -> n
             (terms rotation, altitude, landing, caught).
 
     Returns:
-        Shape (B, 3) or (B, 4).
+        Terms. Shape (B, 3) or (B, 4).
     """
     miss = np.linalg.norm(tosses.landing_error, axis=1)
     apex = np.maximum(tosses.apex, 0.0)
@@ -126,45 +131,48 @@ def planned_terms(tosses: Tosses, weights: PancakeWeights | LandingWeights) -> n
 class TossModel:
     """A `learner.Model`: the return of the planned toss, corrected by the returns of rollouts.
 
-    The return is modelled as sum_j (1 + w_j) term_j + w_0, with the terms of the planned toss and
-    w normal about zero: a ridge regression, solved anew after every rollout.
+    The return is modelled as sum_j (1 + w_j) term_j + w_0, with the terms of the planned toss and a
+    zero-mean normal prior of w: a ridge regression, solved again after every rollout.
     """
 
     def __init__(
         self,
         parameters: Parametrization,
         start: np.ndarray,
-        weights: PancakeWeights | LandingWeights | None = None,
+        weights: PancakeWeights | LandingWeights,
+        delta_h: float = DELTA_H,
     ) -> None:
-        """Start without any rollout.
+        """Start without rollouts.
 
         Args:
             parameters: Parametrization of the policies.
             start: Position of the pan's centre at the start, base frame [m]. Shape (3,).
-            weights: Weights of the return; the paper's of Eq. 5 when omitted.
+            weights: Weights of the return.
+            delta_h: Height above the pan at which the flight ends [m].
         """
         self._parameters, self._start = parameters, np.asarray(start, dtype=float)
-        self._weights = PancakeWeights() if weights is None else weights
+        self._weights, self._delta_h = weights, delta_h
         self._terms: list[np.ndarray] = []
-        self._left_over: list[float] = []
-        self._w: np.ndarray | None = None  # of the terms and a constant, None before a rollout
+        self._residuals: list[float] = []
+        self._w: np.ndarray | None = None  # weights of the features, None before the first rollout
 
     def predict(self, z: np.ndarray) -> np.ndarray:
-        """Returns to expect at z (B, size). Shape (B,)."""
+        """Predict the returns at z (B, size). Shape (B,)."""
         terms = self._planned(z)
-        known = terms.sum(axis=1)
-        return known if self._w is None else known + self._features(terms) @ self._w
+        planned = terms.sum(axis=1)
+        return planned if self._w is None else planned + self._features(terms) @ self._w
 
     def learn(self, z: np.ndarray, ret: float) -> None:
-        """Take in that z (size,) returned `ret`."""
+        """Fit w again, including a rollout at z (size,) with return `ret`."""
         terms = self._planned(z[np.newaxis])
         self._terms.append(self._features(terms)[0])
-        self._left_over.append(ret - float(terms.sum()))
-        x, y = np.stack(self._terms), np.array(self._left_over)
+        self._residuals.append(ret - float(terms.sum()))
+        x, y = np.stack(self._terms), np.array(self._residuals)
         self._w = np.linalg.solve(x.T @ x + RIDGE * np.eye(x.shape[1]), x.T @ y)
 
     def _planned(self, z: np.ndarray) -> np.ndarray:
-        return planned_terms(plan_tosses(self._parameters, z, self._start), self._weights)
+        tosses = plan_tosses(self._parameters, z, self._start, self._delta_h)
+        return planned_terms(tosses, self._weights)
 
     @staticmethod
     def _features(terms: np.ndarray) -> np.ndarray:
@@ -174,7 +182,7 @@ class TossModel:
 def _movement(
     parameters: Parametrization, z: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Eq. 1 and the same law of the rotation vector: x, xd, r, rd. Shape (T, 3, B) each."""
+    """Integrate Eq. 1 and the same law for the rotation: x, xd, r, rd. Shape (T, 3, B) each."""
     policy = parameters.policy0
     stiffness, attractors, rotation = parameters.arrays(z)
     count = len(stiffness)
@@ -201,7 +209,7 @@ def _movement(
 
 
 def _normals(rotation: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Pan's normal when turned by rotation vectors (T, 3, B) from `reference` (xyzw). Same."""
+    """Normals of the pan at rotation vectors (T, 3, B) from `reference` (xyzw). Shape (T, 3, B)."""
     axis = rotations.matrix(reference[np.newaxis])[0][:, 2]  # (3,)
     angle = np.linalg.norm(rotation, axis=1, keepdims=True)  # (T, 1, B)
     unit = rotation / np.maximum(angle, 1e-12)

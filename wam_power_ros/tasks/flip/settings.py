@@ -10,10 +10,11 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from wam_power_ros.learning.dmp import FitSettings
+from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.parametrization import FlipNoise
 from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
-# 8 spring-dampers as in the paper; the rest is tuned for a movement of about 0.85 s.
+# 8 spring-dampers as in the paper; the other values are tuned for a movement of about 0.85 s.
 FLIP_FIT = FitSettings(count=8, width=0.5, k_min=150.0, k_max=500.0, damping=32.0)
 
 
@@ -21,31 +22,31 @@ class FlipSettings(BaseModel):
     """Settings of the task.
 
     Attributes:
-        variant: Part of the policy that is learnt, see `flip_parametrization`.
-        noise: Standard deviation of exploration of each group of parameters.
-        ret: Return that is learnt from: "eq5" (Eq. 5) or "landing" (`landing_return`).
+        variant: Learnt parameters, see `flip_parametrization`.
+        noise: Standard deviation of the exploration noise of each group of parameters.
+        ret: Return of the session: "eq5" (Eq. 5) or "landing" (`landing_return`).
         pancake_weights: Weights of Eq. 5.
         landing_weights: Weights of `landing_return`.
-        landing_gain: Share of a measured landing error by which a rollout's catch shift is
-            corrected before it is learnt from; 0 for none. Needs the variant "planar".
-        landing_limit: Largest correction of the catch shift for one rollout [m].
-        turn_gain: Share of the rotation that was missing to half a turn by which a rollout's flick
-            is corrected before it is learnt from; 0 for none. Needs the variant "planar".
-        turn_limit: Largest correction of the flick for one rollout [1].
-        vigour_gain: The same for the vigour, of which more throws higher, too.
-        vigour_limit: Largest correction of the vigour for one rollout [1].
-        tempo_gain: The same for the logarithm of the tempo: a faster toss spins faster and flies
-            longer, in the same range of the joints.
-        tempo_limit: Largest correction of that logarithm for one rollout [1].
-        success_return: Least return of a success; 0 when the return does not matter.
-        success_angle: Least rotation in the air of a success, which must also be caught and
-            flipped [rad]; 0 when the flip does not matter.
-        confirm_margin: Rotation beyond `success_angle` that a success must have to count towards
-            the stopping rule [rad]: stopping at the first streak selects policies that barely
-            succeed.
-        confirm_landing: Largest landing error of a success that counts towards it [m].
-        delta_h: Height above the pan at which a falling pancake is judged [m].
-        settle_time: Time a rollout goes on after the movement [s].
+        landing_gain: Fraction of the landing error by which the catch shift of a rollout is
+            corrected in hindsight [1]; 0: no correction. Needs the variant "planar".
+        landing_limit: Largest correction of the catch shift per rollout [m].
+        turn_gain: Fraction of the rotation missing to half a turn for which the flick of a rollout
+            is corrected in hindsight [1]; 0: no correction. Needs the variant "planar".
+        turn_limit: Largest correction of the flick per rollout [1].
+        vigour_gain: As `turn_gain`, for the vigour, which also makes the toss higher.
+        vigour_limit: Largest correction of the vigour per rollout [1].
+        tempo_gain: As `turn_gain`, for the logarithm of the tempo: a faster toss spins faster and
+            flies longer, within the same joint range.
+        tempo_limit: Largest correction of the logarithm of the tempo per rollout [1].
+        success_return: Smallest return of a success; 0: any return.
+        success_angle: Smallest rotation in flight of a success, which must also be caught and
+            flipped [rad]; 0: no flip required.
+        confirm_margin: Rotation beyond `success_angle` with which a success counts towards the
+            stopping rule [rad]: stopping at the first streak selects policies that barely succeed.
+        confirm_landing: Largest landing error of a success that counts towards the stopping rule
+            [m].
+        delta_h: Height above the pan at which the falling pancake is assessed [m].
+        settle_time: Time that a rollout continues after the movement [s].
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -67,16 +68,16 @@ class FlipSettings(BaseModel):
     success_angle: float = Field(ge=0.0, allow_inf_nan=False)
     confirm_margin: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     confirm_landing: float = Field(default=1.0, gt=0.0, le=1.0)
-    delta_h: float = Field(default=0.12, gt=0.0, le=1.0)
+    delta_h: float = Field(default=DELTA_H, gt=0.0, le=1.0)
     settle_time: float = Field(default=1.0, ge=0.0, le=10.0)
 
     @model_validator(mode="after")
-    def _fit_together(self) -> FlipSettings:
+    def _check_consistency(self) -> FlipSettings:
         for name in ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"):
             if getattr(self, name) > 0.0 and self.variant != "planar":
                 raise ValueError(
                     f"{name} {getattr(self, name)} needs a parameter that only the variant "
-                    f"'planar' has, not {self.variant!r}"
+                    f"'planar' has; the variant is {self.variant!r}"
                 )
         if self.success_return == 0.0 and self.success_angle == 0.0:
             raise ValueError("a success needs a success_return or a success_angle")

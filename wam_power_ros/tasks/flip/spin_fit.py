@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Constant spin of the pancake's normal through the frames of a flight: axis, rate, angle turned.
+"""Spin fit to the frames of a flight: axis, rate and rotation of the pancake's normal.
 
     n(t) = exp(Omega ln(1 + d s) / d) n0,   s = t - origin
 
-The spin Omega / (1 + d s) is that of a drag which grows with its square. A disc turning freely is
+The spin Omega / (1 + d s) results from a drag proportional to its square. A freely turning disc is
 a symmetric top: its normal moves on a cone about a constant axis at a constant rate, whatever its
-angular velocity, so "constant spin of the normal" is exact in vacuum. n0, Omega and d are fitted
-to all frames by robust weighted least squares, with covariance.
+angular velocity, so a constant spin of the normal is exact in vacuum. n0, Omega and d are fitted to
+all frames by robust weighted least squares, with covariance.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.tasks.flip.ballistic_fit import HUBER_THRESHOLD, Arc, release_time
 from wam_power_ros.tasks.flip.frames import TILT_NOISE, Frames, pan_normal, unit
 
-_DECAY = 0.8  # [1/s] prior mean of the relative decay of the spin at mid-flight
-_DECAY_STD = 0.8  # [1/s]
-# Prior of the angular velocity, each way; decides only where the frames are too far apart to count
-# the turns.
-_SPIN_STD = 12.0  # [rad/s]
-_PRECESSION_STD = 3.0  # [rad/s] of the spin about the disc's own normal, seen in the normal's path
-_RELEASE_STD = 0.35  # [rad] of the pancake's normal against the pan's when they part
-_SLOWING_MIN = 0.2  # [1] 1 + d s below which the spin is not extrapolated
-_SPARSE_INTERVAL = 0.07  # [s] between frames, from which on they may hide a larger turn
-_AXIS_ANGLE_MIN = 0.2  # [rad] turned in flight, below which the spin axis means nothing
-_AMBIGUOUS_COST = 6.0  # [1] above the least cost, up to which another spin is as plausible
-_OTHER_SPIN_MIN = 1.0  # [rad/s] from the best spin, from which on another one is not the same
-_DIFFERENCE_STEP = math.sqrt(float(np.finfo(float).eps))  # [1] share of a parameter
+_DECAY = 0.8  # prior mean of d, the relative decay of the spin at mid-flight [1/s]
+_DECAY_STD = 0.8  # prior standard deviation of d [1/s]
+# Prior standard deviation of Omega along an axis [rad/s]; matters only where the frames are too far
+# apart to count the turns.
+_SPIN_STD = 12.0
+_PRECESSION_STD = 3.0  # prior of the spin about the disc's own normal [rad/s]
+_RELEASE_STD = 0.35  # angle between the normals of pancake and pan at the release [rad]
+_SLOWING_MIN = 0.2  # smallest 1 + d s to which the spin is extrapolated [1]
+_SPARSE_INTERVAL = 0.07  # time between frames from which on the number of turns is ambiguous [s]
+_AXIS_ANGLE_MIN = 0.2  # smallest rotation in flight that defines the spin axis [rad]
+_AMBIGUOUS_COST = 6.0  # largest cost above the best one of an equally plausible spin [1]
+_OTHER_SPIN_MIN = 1.0  # smallest distance between different spins [rad/s]
+_DIFFERENCE_STEP = math.sqrt(float(np.finfo(float).eps))  # step, relative to a parameter [1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,11 +43,11 @@ class Spin:
 
     Attributes:
         origin: Time at which s = 0 [s].
-        release: Time at which pancake and pan parted [s].
-        normal0: Unit vector that the first two parameters turn into n0. Shape (3,).
-        theta: Turn of normal0 about its two tangents [rad], Omega [rad/s], d [1/s]. Shape (6,).
+        release: Time of release from the pan [s].
+        normal0: Unit vector that the first two parameters rotate to n0. Shape (3,).
+        theta: Rotation of normal0 about its two tangents [rad], Omega [rad/s], d [1/s]. Shape (6,).
         covariance: Covariance of theta. Shape (6, 6).
-        ambiguous: Another number of turns fits the frames almost as well.
+        ambiguous: Whether another number of turns fits the frames almost as well.
     """
 
     origin: float
@@ -67,7 +67,7 @@ class Spin:
         return float(np.linalg.norm(self.theta[2:5]) / max(slowing, _SLOWING_MIN))
 
     def normal_with_covariance(self, t: float, t_std: float) -> tuple[np.ndarray, np.ndarray]:
-        """Normal at time t [s] and its covariance, that of t included. Shapes (3,), (3, 3)."""
+        """Normal at time t [s] and its covariance, including t_std [s]. Shapes (3,), (3, 3)."""
         step = 1e-5
         columns = [
             _spun(self.theta + step * row, np.array([t - self.origin]), self.normal0)[0]
@@ -88,8 +88,8 @@ class Spin:
             t: Time after the release [s].
 
         Returns:
-            Spin axis, unit, shape (3,), and the angle between `start` and the normal at t,
-            unfolded by the half turns made about that axis [rad].
+            Spin axis, a unit vector of shape (3,), and the angle between `start` and the normal at
+            t, unfolded by the number of half turns about that axis [rad].
         """
         omega = self.theta[2:5]
         speed = float(np.linalg.norm(omega))
@@ -108,12 +108,9 @@ class Spin:
 
 
 def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:
-    """Spin through the normals of the flight, by robust weighted least squares.
+    """Fit a spin to the normals of the arc's inlier frames by robust weighted least squares.
 
-    Args:
-        frames: Frames of the pancake.
-        arc: Arc fitted to them; its frames are used.
-        pan: Path of the pan, whose normal at the release is the pancake's, roughly.
+    The normal of the pan at the release is roughly that of the pancake and serves as a prior.
     """
     normals = frames.normal[arc.used]
     t, origin = arc.t, arc.origin
@@ -127,11 +124,11 @@ def fit_spin(frames: Frames, arc: Arc, pan: EndEffectorPath) -> Spin:
     )
     fits = []
     for omega in _spin_guesses(np.append(release, t), np.vstack([release_normal, normals])):
-        turn = _turn_guess(problem.normal0, omega, t, origin, normals)
+        rotation = _rotation_guess(problem.normal0, omega, t, origin, normals)
         fits.append(
             scipy.optimize.least_squares(
                 problem.residuals,
-                np.concatenate([turn, omega, [_DECAY]]),
+                np.concatenate([rotation, omega, [_DECAY]]),
                 problem.jacobian,
                 loss="huber",
                 f_scale=HUBER_THRESHOLD,
@@ -158,8 +155,8 @@ class _SpinProblem:
 
     Attributes:
         s: Times of the targets since the origin [s]. Shape (m,).
-        targets: Normals seen, and the pan's at the release. Shape (m, 3).
-        noise: Standard deviation of each target, each way. Shape (m, 1).
+        targets: Measured normals, and the normal of the pan at the release. Shape (m, 3).
+        noise: Standard deviation of each target along an axis [1]. Shape (m, 1).
         normal0: As in `Spin`. Shape (3,).
     """
 
@@ -169,11 +166,11 @@ class _SpinProblem:
     normal0: np.ndarray
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
-        """Residuals in standard deviations, of theta (6,)."""
+        """Residuals at theta (6,), in standard deviations. Shape (n,)."""
         return self._residuals_of_many(theta[np.newaxis])[0]
 
     def jacobian(self, theta: np.ndarray) -> np.ndarray:
-        """Derivatives of the residuals: forward differences, all in one go. Shape (n, 6)."""
+        """Derivatives of the residuals by forward differences. Shape (n, 6)."""
         steps = _DIFFERENCE_STEP * np.maximum(1.0, np.abs(theta))
         rows = self._residuals_of_many(np.vstack([theta, theta + np.diag(steps)]))
         return (rows[1:] - rows[0]).T / steps
@@ -186,8 +183,8 @@ class _SpinProblem:
             (thetas[:, 5:] - _DECAY) / _DECAY_STD,
             along[:, None] / _PRECESSION_STD,
         )
-        misses = (modelled[:, :-1] - self.targets) / self.noise
-        return np.concatenate([misses.reshape(len(thetas), -1), *priors], axis=1)
+        errors = (modelled[:, :-1] - self.targets) / self.noise
+        return np.concatenate([errors.reshape(len(thetas), -1), *priors], axis=1)
 
 
 def angle_between(a: np.ndarray, b: np.ndarray) -> float:
@@ -196,7 +193,7 @@ def angle_between(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def axis_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Unit axis that turns unit vector a into b; any axis across `a` when they are parallel."""
+    """Unit axis that rotates unit vector a to b; any axis normal to `a` if they are parallel."""
     axis = np.cross(a, b)
     length = float(np.linalg.norm(axis))
     return axis / length if length > 1e-9 else _tangents(a)[0]
@@ -213,10 +210,10 @@ def _spun(theta: np.ndarray, s: np.ndarray, normal0: np.ndarray) -> np.ndarray:
     return (turns @ start[..., None, :, None])[..., 0]
 
 
-def _turn_guess(
+def _rotation_guess(
     normal0: np.ndarray, omega: np.ndarray, t: np.ndarray, origin: float, normals: np.ndarray
 ) -> np.ndarray:
-    """First guess of the turn of normal0: the frame nearest the origin, spun to it. Shape (2,)."""
+    """Initial guess of the rotation of normal0, from the frame nearest the origin. Shape (2,)."""
     nearest = int(np.argmin(np.abs(t - origin)))
     at_origin = rotations.exp(omega * (origin - t[nearest])) @ normals[nearest]
     turn = np.cross(normal0, at_origin)
@@ -224,7 +221,7 @@ def _turn_guess(
 
 
 def _spin_guesses(t: np.ndarray, normals: np.ndarray) -> list[np.ndarray]:
-    """Angular velocities [rad/s] between frames in succession; the first entry is the release."""
+    """Initial guesses of Omega [rad/s] from successive normals; the first is at the release."""
     turn = np.cross(normals[:-1], normals[1:])
     sine = np.linalg.norm(turn, axis=1)
     angle = np.arctan2(sine, np.sum(normals[:-1] * normals[1:], axis=1))
@@ -236,7 +233,7 @@ def _spin_guesses(t: np.ndarray, normals: np.ndarray) -> list[np.ndarray]:
     speed = float(np.linalg.norm(omega))
     if shortest < _SPARSE_INTERVAL or speed < 1e-6:
         return [omega]
-    # Frames this far apart may hide a larger turn, or one the other way.
+    # Between frames this far apart, one more turn in either direction is possible.
     axis = omega / speed
     return [omega, omega - 2.0 * math.pi / shortest * axis, omega + 2.0 * math.pi / shortest * axis]
 

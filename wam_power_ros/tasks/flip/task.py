@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flipping a pancake: toss it out of the pan, half a turn in the air, catch it (Eq. 5)."""
+"""Flipping a pancake: toss it, half a turn in the air, catch it (Eq. 5)."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
-from wam_power_ros.tasks.task import Assessment, BodyState, Judged, Pose
+from wam_power_ros.tasks.task import Assessment, BodyState, LoggedRollout, Pose
 
-_AT_CENTRE = 0.10  # [m] from the pan's centre, at most, before a rollout
-_HEIGHTS = (-0.01, 0.03)  # [m] of the pancake's centre above the pan's floor
-_AT_REST_SPEED = 0.05  # [m/s]
+_OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
+_HEIGHT_RANGE = (-0.01, 0.03)  # height of its centre above the pan's floor before a rollout [m]
+_REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
 class Flip:
@@ -32,44 +32,41 @@ class Flip:
 
     name: ClassVar[str] = "flip"
     body: ClassVar[str] = "pancake"
-    together: ClassVar[bool] = False
+    single_policy: ClassVar[bool] = False
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
 
     def __init__(self, settings: FlipSettings, context: Mapping[str, Any]) -> None:
-        """Make the task; it needs no context."""
+        """Construct the task; no context is needed."""
         self.settings = settings
+        self.settle_time = settings.settle_time
 
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        """Fit eight primitives; see `Task`."""
+        """Fit a policy of eight spring-dampers; see `Task`."""
         return fit(demonstrations, FLIP_FIT, policy_id)
 
     @classmethod
     def context_of(
         cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
     ) -> dict[str, Any]:
-        """Nothing to remember; see `Task`."""
+        """No data is needed; see `Task`."""
         return {}
 
-    @property
-    def settle_time(self) -> float:
-        """Time a rollout goes on after the movement [s]."""
-        return self.settings.settle_time
-
     def parametrization(self, policy: Policy) -> Parametrization:
-        """What is learnt of a policy."""
+        """Learnt parameters of a policy; see `Task`."""
         return flip_parametrization(policy, self.settings.variant, self.settings.noise)
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
-        """Whether the pancake rests in the pan, which may be tilted; see `Task`."""
+        """Check that the pancake rests in the pan, which may be tilted; see `Task`."""
         if body is None:
             return "the pancake is not seen"
         x, y, height = tool.rotation.T @ (body.position - tool.position)
-        if math.hypot(x, y) >= _AT_CENTRE or not _HEIGHTS[0] < height < _HEIGHTS[1]:
-            return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m from its floor"
+        low, high = _HEIGHT_RANGE
+        if math.hypot(x, y) >= _OFFSET_MAX or not low < height < high:
+            return f"the pancake is not in the pan: {x:.3f}, {y:.3f}, {height:.3f} m in its frame"
         speed = float(np.linalg.norm(body.velocity))
-        return "" if speed < _AT_REST_SPEED else f"the pancake moves at {speed:.2f} m/s"
+        return "" if speed < _REST_SPEED_MAX else f"the pancake moves at {speed:.2f} m/s"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
@@ -81,26 +78,25 @@ class Flip:
         """Correct catch shift, flick, vigour and tempo; see `landing_correction`."""
         return landing_correction(assessment, parametrization, self.settings)
 
-    def confirms(self, record: Judged) -> bool:
-        """Whether the pancake turned by `confirm_margin` further than it must, and fell well in."""
+    def confirms(self, record: LoggedRollout) -> bool:
+        """Whether rotation and landing meet `confirm_margin` and `confirm_landing`; see `Task`."""
         settings, flight = self.settings, record.observation
         if settings.success_angle == 0.0:
             return True
         if flight is None:
             return False
-        miss = math.hypot(*flight["landing_error"][:2])  # not how high it was judged
-        turned = abs(flight["angle"])
-        least = settings.success_angle + settings.confirm_margin
-        return turned >= least and miss <= settings.confirm_landing
+        miss = math.hypot(*flight["landing_error"][:2])  # horizontal part
+        angle_min = settings.success_angle + settings.confirm_margin
+        return abs(flight["angle"]) >= angle_min and miss <= settings.confirm_landing
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
-        """The toss that a policy plans, corrected by what rollouts returned."""
+        """Return of the planned toss, corrected by the returns of rollouts; see `Task`."""
         settings = self.settings
         weights = settings.pancake_weights if settings.ret == "eq5" else settings.landing_weights
-        return TossModel(parametrization, start, weights)
+        return TossModel(parametrization, start, weights, settings.delta_h)
 
-    def outcome(self, record: Judged) -> str:
-        """Rotation of the pancake and where it ended, as the tracker saw it."""
+    def outcome(self, record: LoggedRollout) -> str:
+        """Rotation and end state of the pancake, as tracked; see `Task`."""
         if record.fault:
             return f"fault: {record.fault}"
         flight = record.observation
@@ -112,8 +108,8 @@ class Flip:
         turned = f"{abs(math.degrees(flight.get('angle', 0.0))):.0f}° "
         return turned + (f"flipped, {caught}" if flight.get("flipped") else caught)
 
-    def summary(self, records: Sequence[Judged]) -> list[str]:
-        """Flips, catches, Eq. 5 and, in simulation, true flips of the re-tests."""
+    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
+        """Flips, catches, Eq. 5 and, in simulation, true flips of the re-tests; see `Task`."""
         retests = [record for record in records if record.kind == "retest"]
         if not retests:
             return []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prediction of a reach: the free path of Eq. 1, and obstacles inferred from stopped rollouts."""
+"""Model of reaching: the free path of Eq. 1, and obstacles inferred from stopped rollouts."""
 
 from __future__ import annotations
 
@@ -8,58 +8,58 @@ import numpy as np
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.reach.scenario import Scenario, held
 
-REACH = 0.04  # [m] radius about a contact within which another contact is predicted
-AHEAD = 0.02  # [m] of a contact beyond the first sample that was not reached
-EVERY = 4  # samples between those of a path that are checked: 4 cm at most
+CONTACT_RADIUS = 0.04  # distance from a known contact within which contact is predicted [m]
+CONTACT_OFFSET = 0.02  # distance of an inferred contact beyond the first sample not reached [m]
+CHECK_STRIDE = 4  # samples of a path from one contact check to the next, at most 4 cm apart
 
 
-class FreePath:
+class ReachModel:
     """A `learner.Model` of Eq. 4: the path of Eq. 1, stopped at contacts of earlier rollouts.
 
-    It is given Eq. 1, the demonstration and the return, but no obstacle: the place of a contact
-    is inferred from the return of a rollout, its path being known. Later paths are predicted to
-    stop within `REACH` of it. The inference is exact for returns without noise.
+    Eq. 1, the demonstration and the return are known, the obstacle is not: the location of a
+    contact is inferred from the known path and the return of a rollout. Later paths are predicted
+    to stop within CONTACT_RADIUS of it. The inference is exact for returns without noise.
     """
 
     def __init__(
         self, parameters: Parametrization, scenario: Scenario, tolerance: float = 1e-9
     ) -> None:
-        """Start without any contact; the obstacle of `scenario` is not used.
+        """Start without contacts.
 
         Args:
-            parameters: Meaning of the coordinates.
-            scenario: Reach without its obstacle.
-            tolerance: Deviation of a return from that of the free path that is no contact yet.
+            parameters: Map from coordinates to policies.
+            scenario: Demonstrations and return; its obstacle is not used.
+            tolerance: Largest deviation from the return of the free path that is not a contact.
         """
         self._tolerance = tolerance
         self._parameters = parameters
         self._scenario = scenario
-        self._met: list[np.ndarray] = []  # (3,) each
+        self._contacts: list[np.ndarray] = []  # (3,) each [m]
 
     def predict(self, z: np.ndarray) -> np.ndarray:
-        """Predicted returns at z (B, size). Shape (B,)."""
+        """Predict the returns at z (B, size). Shape (B,)."""
         path = self._free(z)
-        seen = path[:, ::EVERY]
-        blocked = np.zeros(seen.shape[:2], dtype=bool)
-        for place in self._met:
-            blocked |= ((seen - place) ** 2).sum(axis=-1) < REACH**2
-        stop = np.maximum(blocked.argmax(axis=1) * EVERY - 1, 0)
+        checked = path[:, ::CHECK_STRIDE]
+        blocked = np.zeros(checked.shape[:2], dtype=bool)
+        for contact in self._contacts:
+            blocked |= ((checked - contact) ** 2).sum(axis=-1) < CONTACT_RADIUS**2
+        stop = np.maximum(blocked.argmax(axis=1) * CHECK_STRIDE - 1, 0)
         last = np.where(blocked.any(axis=1), stop, path.shape[1] - 1)
-        return self._scenario.worth(held(path, last))
+        return self._scenario.returns(held(path, last))
 
     def learn(self, z: np.ndarray, ret: float) -> None:
-        """Infer from its return whether the rollout at z (size,) was stopped, and where."""
+        """Infer from the return whether and where the rollout at z (size,) was stopped."""
         path = self._free(z[np.newaxis])
         steps = path.shape[1]
         stops = held(np.repeat(path, steps, axis=0), np.arange(steps))  # (T, T, 3)
-        off = np.abs(self._scenario.worth(stops) - ret)
-        if off[-1] <= off.min() + self._tolerance:
-            return  # it went all the way
-        last = int(off.argmin())
+        deviation = np.abs(self._scenario.returns(stops) - ret)
+        if deviation[-1] <= deviation.min() + self._tolerance:
+            return  # not stopped
+        last = int(deviation.argmin())
         step = path[0, last + 1] - path[0, last]
         length = max(float(np.linalg.norm(step)), 1e-9)
-        self._met.append(path[0, last + 1] + AHEAD / length * step)
+        self._contacts.append(path[0, last + 1] + CONTACT_OFFSET / length * step)
 
     def _free(self, z: np.ndarray) -> np.ndarray:
         stiffness, attractors, _ = self._parameters.arrays(z)
-        return self._scenario.free(stiffness, attractors)
+        return self._scenario.free_paths(stiffness, attractors)

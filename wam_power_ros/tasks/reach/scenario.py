@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A movement that is demonstrated four times, and a sphere in its way (Sec. III-A)."""
+"""Scenario of reaching: demonstrations of a movement and a sphere in its way (Sec. III-A)."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.tasks.reach.returns import reaching_return
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 
-STEPS = 200  # T of Eq. 4
-RADIUS = 0.09  # [m] of the sphere
+STEPS = 200  # number of samples T of Eq. 4
+RADIUS = 0.09  # radius of the sphere [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """Demonstrations, one obstacle, one return (Eq. 4).
+    """Demonstrations, a spherical obstacle and the return of Eq. 4.
 
     Attributes:
-        demonstrations: Positions [m]. Shape (count, T, 3).
+        demonstrations: Positions of the tool [m]. Shape (count, T, 3).
         period: Time between samples [s].
         radius: Radius of the obstacle, a sphere [m]; 0 for none.
-        policy: The least-squares fit, two primitives: where learning starts.
-        start: Position at which rollouts begin [m]. Shape (3,).
+        policy: Least-squares fit to the demonstrations, from which learning starts.
+        start: Initial position of rollouts [m]. Shape (3,).
         obstacle: Centre of the sphere [m]. Shape (3,).
-        demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
-        goal: x_G, its last position [m]. Shape (3,).
+        demonstrated: Mean demonstration x_D [m]. Shape (T, 3).
+        goal: Last position x_G of the mean demonstration [m]. Shape (3,).
 
     Raises:
-        ValueError: A shape or a value out of range.
+        ValueError: If a shape is wrong or a value is out of range.
     """
 
     demonstrations: np.ndarray
@@ -66,17 +66,18 @@ class Scenario:
 
     @property
     def steps(self) -> int:
-        """Samples T of a rollout."""
+        """Number of samples T of a rollout."""
         return len(self.demonstrated)
 
-    def free(self, stiffness: np.ndarray, attractors: np.ndarray) -> np.ndarray:
-        """Paths of Eq. 1 from the start, were there no obstacle.
+    def free_paths(self, stiffness: np.ndarray, attractors: np.ndarray) -> np.ndarray:
+        """Paths of Eq. 1 from `start` without the obstacle.
 
-        A stiffness too large for the period makes a path overflow; it is then far from everywhere.
+        A path that diverges, because its stiffness is too large for the period, is clipped to 1 km.
 
         Args:
-            stiffness: K_i of each policy, with the basis and damping of `policy`. (B, n, 3, 3).
-            attractors: mu_i of each. Shape (B, n, 3).
+            stiffness: K_i of each policy; basis and damping are those of `policy` [1/s^2].
+                Shape (B, n, 3, 3).
+            attractors: mu_i of each policy [m]. Shape (B, n, 3).
 
         Returns:
             Positions [m]. Shape (B, T, 3).
@@ -95,23 +96,23 @@ class Scenario:
             )
         return np.clip(np.nan_to_num(path, nan=1e3), -1e3, 1e3)
 
-    def stopped(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Paths that stay at the last free sample before the obstacle, and who met it.
+    def stopped_paths(self, path: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stop paths at their last sample before the obstacle.
 
-        The way between samples counts too: a fast rollout does not jump through the sphere.
+        The segments between samples are checked: a fast rollout does not jump through the sphere.
 
         Args:
-            path: [m]. Shape (B, T, 3). Not modified.
+            path: Positions [m]. Shape (B, T, 3). Not modified.
 
         Returns:
-            Positions [m], shape (B, T, 3), and who collided, shape (B,).
+            Positions [m], shape (B, T, 3), and whether each path collided, shape (B,).
         """
         step = np.diff(path, axis=1)  # (B, T-1, 3)
-        away = self.obstacle - path[:, :-1]
-        length = np.maximum((step**2).sum(axis=-1), 1e-300)
-        share = np.clip((away * step).sum(axis=-1) / length, 0.0, 1.0)
-        nearest = np.linalg.norm(away - share[..., None] * step, axis=-1)  # (B, T-1)
-        hit = nearest < self.radius
+        offset = self.obstacle - path[:, :-1]
+        length2 = np.maximum((step**2).sum(axis=-1), 1e-300)
+        share = np.clip((offset * step).sum(axis=-1) / length2, 0.0, 1.0)
+        distance = np.linalg.norm(offset - share[..., None] * step, axis=-1)  # (B, T-1)
+        hit = distance < self.radius
         collided = hit.any(axis=1)
         last_free = np.where(collided, hit.argmax(axis=1), self.steps - 1)  # (B,)
         return held(path, last_free), collided
@@ -119,52 +120,45 @@ class Scenario:
     def evaluate(
         self, stiffness: np.ndarray, attractors: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Noise-free returns (Eq. 4), and who collided; arguments of `free`. Shape (B,) each."""
-        path, collided = self.stopped(self.free(stiffness, attractors))
-        return self.worth(path), collided
+        """Noise-free returns and collisions of policies, see `free_paths`. Shape (B,) each."""
+        path, collided = self.stopped_paths(self.free_paths(stiffness, attractors))
+        return self.returns(path), collided
 
-    def worth(self, path: np.ndarray) -> np.ndarray:
-        """Return (Eq. 4) of paths (B, T, 3). Shape (B,)."""
+    def returns(self, path: np.ndarray) -> np.ndarray:
+        """Returns (Eq. 4) of paths (B, T, 3). Shape (B,)."""
         return np.asarray(reaching_return(path, self.demonstrated, self.goal))
 
 
-def middle(demonstrations: np.ndarray) -> np.ndarray:
-    """Middle of the mean of demonstrations (count, T, 3): where the obstacle stands [m]. (3,)."""
+def midpoint(demonstrations: np.ndarray) -> np.ndarray:
+    """Midpoint in time of the mean of demonstrations (count, T, 3) [m]. Shape (3,)."""
     mean = np.asarray(demonstrations).mean(axis=0)
     half = (len(mean) - 1) // 2
     return np.asarray(0.5 * (mean[half] + mean[len(mean) // 2]))
 
 
 def held(path: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """Paths (B, T, 3) that stay at sample `last` (B,) of theirs from there on."""
+    """Hold paths (B, T, 3) at their sample `last` (B,) from there on. Shape (B, T, 3)."""
     index = np.minimum(np.arange(path.shape[1]), last[:, None])  # (B, T)
     return np.take_along_axis(path, index[..., None], axis=1)
 
 
-def taught(demonstrations: Sequence[Demonstration]) -> Scenario:
-    """The tool's movements in demonstrations of an arm, stretched in time to their mean duration.
+def scenario_of(demonstrations: Sequence[Demonstration]) -> Scenario:
+    """Scenario of an arm's demonstrations, scaled in time to their mean duration.
 
-    The obstacle stands in the middle of the mean demonstration.
-
-    Args:
-        demonstrations: At least one.
+    The obstacle is at the midpoint of the mean demonstration.
 
     Raises:
-        ValueError: A value out of range.
+        ValueError: If there is no demonstration or a value is out of range.
     """
     policy = fit(demonstrations, REACH_FIT, "demonstration")
-    paths = stretched(demonstrations)
-    start = demonstrations[0].position[0]  # where the tool is at the policy's q_start
+    paths = resampled(demonstrations)
+    start = demonstrations[0].position[0]  # tool position at the q_start of the policy
     period = policy.basis.duration / (STEPS - 1)
-    return Scenario(paths, period, RADIUS, policy, start, middle(paths))
+    return Scenario(paths, period, RADIUS, policy, start, midpoint(paths))
 
 
-def stretched(demonstrations: Sequence[Demonstration]) -> np.ndarray:
-    """Positions of the tool at `STEPS` instants, evenly over each demonstration [m].
-
-    Returns:
-        Shape (count, STEPS, 3).
-    """
+def resampled(demonstrations: Sequence[Demonstration]) -> np.ndarray:
+    """Tool positions at STEPS evenly spaced times of each demonstration [m]. (count, STEPS, 3)."""
     grid = np.linspace(0.0, 1.0, STEPS)
     return np.stack(
         [

@@ -12,8 +12,8 @@ from wam_power_ros.learning.dmp import FitSettings
 from wam_power_ros.learning.parametrization import NoiseScales
 
 # 2 spring-dampers as in the paper; stiffness and damping of Calinon's public example code. Its
-# variance of 0.08 duration / count is a width of 0.28 for a movement of 2 s. With 0.5 PoWER ends
-# higher on tuning seeds, with full and with diagonal matrices.
+# variance of 0.08 duration / count is a width of 0.28 for a movement of 2 s. A width of 0.5 gave
+# PoWER higher returns on the tuning seeds, with full and with diagonal matrices.
 REACH_FIT = FitSettings(count=2, width=0.5, k_min=100.0, k_max=200.0, damping=20.0)
 
 
@@ -21,10 +21,10 @@ class ReachSettings(BaseModel):
     """Settings of the task.
 
     Attributes:
-        variant: Part of the policy that is learnt, see `Parametrization`.
-        noise: Standard deviation of exploration of each group of parameters.
-        goal_tolerance: Largest distance of the tool from the goal at the end of a success [m].
-        settle_time: Time a rollout goes on after the movement [s].
+        variant: Learnt parameters, see `Parametrization`.
+        noise: Standard deviation of the exploration noise of each group of parameters.
+        goal_tolerance: Largest final distance of the tool from the goal in a success [m].
+        settle_time: Time that a rollout continues after the movement [s].
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -36,7 +36,7 @@ class ReachSettings(BaseModel):
 
 
 _COMMON: Mapping[str, Any] = {
-    "learner": {"name": "power", "sigma": 3, "decay": 0.965},  # of the authors' own scripts
+    "learner": {"name": "power", "sigma": 3, "decay": 0.965},  # as in the authors' scripts
     "budget": 60,
     "mean_every": 5,
     "confirm": 0,

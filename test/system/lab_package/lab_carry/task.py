@@ -18,7 +18,7 @@ from wam_power_ros.tasks.reach.settings import REACH_FIT
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
-    Judged,
+    LoggedRollout,
     Pose,
     cut_short,
     fault_assessment,
@@ -37,7 +37,7 @@ class Carry:
 
     name = "carry"
     body = "ball"
-    together = False
+    single_policy = False
     Settings = CarrySettings
     presets = {
         "carry": {
@@ -87,15 +87,15 @@ class Carry:
     def hindsight(self, assessment: Assessment, parametrization: Parametrization) -> tuple[()]:
         return ()
 
-    def confirms(self, record: Judged) -> bool:
+    def confirms(self, record: LoggedRollout) -> bool:
         return True
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> None:
         return None
 
-    def outcome(self, record: Judged) -> str:
+    def outcome(self, record: LoggedRollout) -> str:
         seen = record.observation
         return record.why if seen is None else f"ball {1000 * seen['off']:.0f} mm off"
 
-    def summary(self, records: Sequence[Judged]) -> list[str]:
+    def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         return [f"calm in {sum(record.success for record in records)} of {len(records)} rollouts"]
