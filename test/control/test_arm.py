@@ -128,7 +128,7 @@ def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm
 
 
 def test_an_arm_is_not_copied_with_arrays_over_another_ones_buffers(arm: Arm) -> None:
-    with pytest.raises(TypeError, match="make another"):
+    with pytest.raises(TypeError, match="create another"):
         copy.deepcopy(arm)
 
 
@@ -164,7 +164,7 @@ def test_what_does_not_fit_is_named() -> None:
         Arm(URDF, NAMES[::-1])
     with pytest.raises(ValueError, match=r"'spoon'.*pan"):
         Arm(URDF, NAMES, tool_frame="spoon")
-    with pytest.raises(ValueError, match="no URDF"):
+    with pytest.raises(ValueError, match="not a URDF"):
         Arm("<robot", NAMES)
     with pytest.raises(ValueError, match="continuous"):
         Arm(URDF.replace('name="wam_j7" type="revolute"', 'name="wam_j7" type="continuous"'), NAMES)
@@ -225,7 +225,7 @@ def test_guarded_points_are_read_three_numbers_each() -> None:
         (names, links, [*offsets, 0.0, 0.0, 0.0]),
         (names[:1], links[:1], offsets[:2]),
     ):
-        with pytest.raises(ValueError, match="must be three for each"):
+        with pytest.raises(ValueError, match="must be three numbers"):
             guarded_points(*wrong)
     with pytest.raises(ValueError, match=r"guarded point elbow .* must be 3 finite numbers"):
         Arm(URDF, NAMES, guarded=[Guarded("elbow", "wam_link4", (0.0, np.nan, 0.0))])

@@ -113,7 +113,7 @@ def test_the_pan_may_turn_as_far_as_its_law_holds(turn: float, mode: Mode) -> No
         assert plant.q[6] == pytest.approx(1.8, abs=0.05)
         assert deviation(result, policy)[1] < 3.0
     else:
-        assert "turned by more" in controller.latched.text
+        assert "rotated by" in controller.latched.text
 
 
 def test_the_path_covers_the_movement_and_the_settling_and_is_handed_out_once() -> None:

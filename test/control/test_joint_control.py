@@ -45,7 +45,7 @@ def test_a_reference_that_moves_is_fed_forward_with_most_of_the_friction() -> No
     control.move(goal, 0.3)
     control.torque(0, HOME, STILL)
     assert not control.holding
-    course = control._course.reference
+    course = control._references.reference
     for ms in (200, 400, 600):
         q, qd, qdd = course.at(ms * 1e-3)
         # 80 % of the friction of the joints, in the direction in which the reference moves
@@ -74,7 +74,7 @@ def test_a_joint_that_is_0_3_rad_off_is_lost_at_rest_and_on_its_way(
         q[joint] += 0.299 * sign
         control.torque(1 if on_its_way else 202 * MS, q, STILL)
         q[joint] = HOME[joint] + 0.301 * sign
-        with pytest.raises(TrackingLost, match=r"0\.301 rad away"):
+        with pytest.raises(TrackingLost, match=r"0\.301 rad from its reference"):
             control.torque(2 if on_its_way else 204 * MS, q, STILL)
 
 
@@ -95,7 +95,7 @@ def test_a_reference_goes_on_from_the_last_one_and_after_a_release_from_the_arm(
             control.release()
         control.begin()
         control.torque(300 * MS, carried, STILL)
-        assert np.array_equal(control._course.reference.at(0.0)[0], begins)
+        assert np.array_equal(control._references.reference.at(0.0)[0], begins)
 
 
 def test_only_the_states_of_a_replay_count_for_its_error() -> None:

@@ -4,7 +4,13 @@
 import numpy as np
 import pytest
 
-from wam_power_ros.control.joint_references import Brake, Course, MinJerk, Sampled, interpolated
+from wam_power_ros.control.joint_references import (
+    Brake,
+    MinJerk,
+    ReferenceSequence,
+    Sampled,
+    interpolated,
+)
 
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 LOW, HIGH = HOME - 3.0, HOME + 3.0
@@ -69,7 +75,7 @@ def test_a_move_keeps_its_peak_speed_and_rests_at_both_ends() -> None:
 def test_a_course_goes_from_move_to_replay_to_brake_without_a_step() -> None:
     t = np.linspace(0.0, 1.0, 101)
     recorded = HOME + 0.2 * np.sin(2.0 * t)[:, None] * np.ones(7)
-    course = Course(brake)
+    course = ReferenceSequence(brake)
     away = HOME + 0.31
     course.begin(lambda q: MinJerk(q, recorded[0], 0.5), interpolated(t, recorded, 1.0, 0.002))
     assert course.reference is None
@@ -89,7 +95,7 @@ def test_a_course_goes_from_move_to_replay_to_brake_without_a_step() -> None:
 
 
 def test_a_course_without_steps_brakes_and_a_new_one_forgets_the_old() -> None:
-    course = Course(brake)
+    course = ReferenceSequence(brake)
     course.begin(MinJerk(HOME, HOME + 1.0, 0.3))
     course.at(0, HOME, np.zeros(7))
     course.begin()

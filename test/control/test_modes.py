@@ -4,12 +4,12 @@
 import pytest
 
 from wam_power_ros.control.modes import (
-    BOXED,
-    HELD,
-    MOVING,
-    PASSIVE,
-    REFERENCED,
+    MOVING_MODES,
+    PASSIVE_MODES,
+    REFERENCE_MODES,
+    SWITCH_MODES,
     TRANSITIONS,
+    WORKSPACE_MODES,
     ControllerError,
     Mode,
     Refusal,
@@ -49,12 +49,15 @@ def test_the_way_out_of_a_fault_is_its_reset_to_hold() -> None:
 
 def test_whatever_moves_the_arm_can_end_in_hold_and_in_a_fault() -> None:
     assert set(TRANSITIONS) == set(Mode)
-    for mode in set(Mode) - set(PASSIVE):
+    for mode in set(Mode) - set(PASSIVE_MODES):
         assert {Mode.FAULT, Mode.INACTIVE} <= TRANSITIONS[mode]
-    for mode in MOVING:
+    for mode in MOVING_MODES:
         assert TRANSITIONS[mode] == {Mode.INACTIVE, Mode.HOLD, Mode.FAULT}
-    assert set(BOXED) <= set(MOVING) and Mode.GRAVITY_COMPENSATION not in REFERENCED
-    assert set(HELD) == {Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT}
+    assert (
+        set(WORKSPACE_MODES) <= set(MOVING_MODES)
+        and Mode.GRAVITY_COMPENSATION not in REFERENCE_MODES
+    )
+    assert set(SWITCH_MODES) == {Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT}
 
 
 def test_a_refusal_carries_its_values_beside_its_text() -> None:

@@ -113,7 +113,7 @@ def test_a_tool_that_is_turned_too_far_is_lost() -> None:
     turned[6] += 1.99
     assert answer(rollout, 0, turned) is not None
     turned[6] += 0.02
-    with pytest.raises(TrackingLost, match="turned by more than"):
+    with pytest.raises(TrackingLost, match="rotated by"):
         answer(rollout, 1, turned)
 
 

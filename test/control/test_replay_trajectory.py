@@ -13,7 +13,7 @@ from wam_power_ros.bags import reader
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.modes import ControllerError, Refusal
-from wam_power_ros.control.replay_trajectory import EASE, movement, sampled
+from wam_power_ros.control.replay_trajectory import EASE_TIME, movement, sampled
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
@@ -35,7 +35,7 @@ def test_a_replay_goes_from_rest_to_rest_through_what_was_recorded(speed: float)
     stamps_ns, q = recording()
     t, followed = movement(stamps_ns, q, speed)
     assert t[0] == 0.0
-    assert t[-1] == pytest.approx(2.0 / speed + EASE)
+    assert t[-1] == pytest.approx(2.0 / speed + EASE_TIME)
     np.testing.assert_allclose(followed[[0, -1]], q[[0, -1]], atol=1e-4)
     spline = CubicSpline(t, followed)
     assert np.abs(spline(t[[0, -1]], 1)).max() < 0.02
@@ -44,7 +44,7 @@ def test_a_replay_goes_from_rest_to_rest_through_what_was_recorded(speed: float)
     assert away.max() < 2e-3
     middle = np.abs(t - 0.5 * t[-1]) < 0.25 * t[-1]  # where it has come to its speed
     recorded = CubicSpline((stamps_ns - stamps_ns[0]) * 1e-9, q)
-    at = (t[middle] - 0.5 * EASE) * speed
+    at = (t[middle] - 0.5 * EASE_TIME) * speed
     np.testing.assert_allclose(followed[middle], recorded(at), atol=1e-3)
     np.testing.assert_allclose(spline(t[middle], 1), speed * recorded(at, 1), atol=0.02 * speed)
 
@@ -65,8 +65,8 @@ def test_a_replay_gathers_speed_smoothly_and_ends_as_it_began() -> None:
     assert len(t) == 131 and np.diff(t).max() < 0.01  # in 1.298 s
     speed = CubicSpline(t, followed[:, 0])
     for part, expected in ((0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (0.75, 0.84375), (1.0, 1.0)):
-        assert speed(part * EASE, 1) == pytest.approx(expected, abs=2e-3)
-        assert speed(0.998 + EASE - part * EASE, 1) == pytest.approx(expected, abs=2e-3)
+        assert speed(part * EASE_TIME, 1) == pytest.approx(expected, abs=2e-3)
+        assert speed(0.998 + EASE_TIME - part * EASE_TIME, 1) == pytest.approx(expected, abs=2e-3)
 
 
 def test_a_recording_shorter_than_its_easing_goes_from_rest_to_rest_too() -> None:

@@ -63,7 +63,7 @@ def test_soft_springs_push_inwards_and_only_near_a_limit() -> None:
 @given(qd=st.lists(st.floats(-5.0, 5.0), min_size=7, max_size=7).map(np.array))
 def test_the_live_fallback_never_feeds_energy_in(qd: np.ndarray) -> None:
     gravity = ARM.gravity(Q)
-    tau = safety.live_fallback(gravity, ARM.mass_matrix(Q), qd, 20.0)
+    tau = safety.damped_gravity(gravity, ARM.mass_matrix(Q), qd, 20.0)
     assert qd @ (tau - gravity) <= 1e-12  # what rounding leaves
 
 
@@ -76,7 +76,7 @@ def test_teaching_damping_grows_with_the_square_of_the_speed() -> None:
 def exceeded(q: np.ndarray, qd: np.ndarray, **settings: object) -> Fault | None:
     limits = safety.limits_of(ARM, **({"workspace_min": (-1.5, -1.5, -1.5)} | settings))
     motion = ARM.motion(q, qd)
-    return safety.exceeded(
+    return safety.motion_fault(
         q.tolist(), qd.tolist(), motion, ARM.guarded, limits, limits.tool_speed, True
     )
 
@@ -111,19 +111,19 @@ def test_each_motion_limit_is_named_when_exceeded() -> None:
 def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
     tilted = safety.limits_of(ARM, plane=(0.6, 0.0, 0.8, 0.5))
     before, behind = [0.5, 9.0, 0.3], [0.3, 0.0, 0.3]  # 0.54 and 0.42
-    assert safety.behind_plane({"elbow": before, "tool": before}, tilted) is None
-    assert safety.behind_plane({"elbow": behind, "tool": before}, tilted).text.startswith(
+    assert safety.plane_fault({"elbow": before, "tool": before}, tilted) is None
+    assert safety.plane_fault({"elbow": behind, "tool": before}, tilted).text.startswith(
         "elbow is 0.080 m behind"
     )
-    fault = safety.behind_plane({"wrist": behind}, tilted)
+    fault = safety.plane_fault({"wrist": behind}, tilted)
     assert fault.kind is FaultKind.PLANE and fault.kind.of_policy
-    assert safety.behind_plane({"tool": [math.nan] * 3}, tilted) is not None
+    assert safety.plane_fault({"tool": [math.nan] * 3}, tilted) is not None
     for axis in range(3):
         for sign in (1.0, -1.0):
             normal = sign * np.eye(3)[axis]
             wall = safety.limits_of(ARM, plane=(*normal, 0.2))
-            assert safety.behind_plane({"tool": (0.2 * normal).tolist()}, wall) is None
-            assert "is 0.100 m behind" in safety.behind_plane({"tool": 0.1 * normal}, wall).text
+            assert safety.plane_fault({"tool": (0.2 * normal).tolist()}, wall) is None
+            assert "is 0.100 m behind" in safety.plane_fault({"tool": 0.1 * normal}, wall).text
 
 
 @pytest.mark.requirement("S-24")
@@ -264,22 +264,22 @@ def moving(**change: object) -> Motion:
 
 
 def test_an_arm_is_at_rest_below_5_cm_a_second_and_0_2_radians_a_second() -> None:
-    assert safety.unrest(moving()) == ""
+    assert safety.rest_violation(moving()) == ""
     twist = np.zeros(6)
     for rest, unrest, text in (
         ({"tool_speed": 0.05}, {"tool_speed": 0.0501}, "moves at 0.050 m/s"),
         ({"guarded_speeds": [0.0, 0.05]}, {"guarded_speeds": [0.06, 0.0]}, "moves at 0.060 m/s"),
     ):
-        assert safety.unrest(moving(**rest)) == ""
-        assert text in safety.unrest(moving(**unrest))
+        assert safety.rest_violation(moving(**rest)) == ""
+        assert text in safety.rest_violation(moving(**unrest))
     for axis in (3, 4, 5):
         for sign in (1.0, -1.0):
             twist = np.zeros(6)
             twist[axis] = 0.2 * sign
-            assert safety.unrest(moving(twist=twist)) == ""
+            assert safety.rest_violation(moving(twist=twist)) == ""
             twist[axis] = 0.21 * sign
-            assert "turns at 0.210 rad/s" in safety.unrest(moving(twist=twist))
-    assert safety.unrest(moving(guarded_speeds=[])) == ""
+            assert "turns at 0.210 rad/s" in safety.rest_violation(moving(twist=twist))
+    assert safety.rest_violation(moving(guarded_speeds=[])) == ""
 
 
 def test_at_its_limits_an_arm_is_not_beyond_them() -> None:
@@ -287,7 +287,7 @@ def test_at_its_limits_an_arm_is_not_beyond_them() -> None:
 
     def found(motion: Motion | Speeds, boxed: bool = True) -> Fault | None:
         state = Q.tolist(), still.tolist()
-        return safety.exceeded(*state, motion, ARM.guarded, LIMITS, 4.0, boxed)
+        return safety.motion_fault(*state, motion, ARM.guarded, LIMITS, 4.0, boxed)
 
     for speed, fault in ((4.0, None), (4.001, FaultKind.TOOL_SPEED)):
         for motion in (moving(tool_speed=speed), Speeds([0.0, 0.0], speed)):

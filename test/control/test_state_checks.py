@@ -13,7 +13,6 @@ from wam_power_ros.control.state_checks import (
     IMPLAUSIBLE_QD,
     JointState,
     StateChecks,
-    Unanswered,
     plausible,
 )
 from wam_power_ros.learning.rollout import FaultKind
@@ -33,7 +32,7 @@ def checks() -> StateChecks:
 def test_a_state_with_the_last_stamp_is_the_last_state_again() -> None:
     states = checks()
     last = states.last
-    assert states.take(0, Q + 1.0, ZERO, restart=True) is Unanswered.REPEATED
+    assert states.take(0, Q + 1.0, ZERO, restart=True) is None
     assert states.last is last and states.counters["repeated"] == 1
 
 
@@ -63,7 +62,7 @@ def test_one_impossible_value_makes_a_vector_implausible(value: float, i: int) -
 )
 def test_a_state_that_is_not_valid_is_refused_whole(stamp: object, q: object, qd: object) -> None:
     states = checks()
-    assert states.take(stamp, q, qd, restart=False) is Unanswered.REFUSED
+    assert states.take(stamp, q, qd, restart=False) is None
     assert (states.last.stamp_ns, states.refused_in_row, states.fault) == (0, 1, None)
     assert np.array_equal(states.last.q, Q) and np.array_equal(states.last.qd, ZERO)
     assert states.counters["older" if stamp == -1 else "rejected"] == 1
@@ -199,7 +198,7 @@ def test_gaps_and_jumps_are_measured_from_the_last_state_whatever_the_clock_says
 
 def test_the_very_first_state_may_be_refused() -> None:
     states = StateChecks(7, 0.002, 180.0)
-    assert states.take(0, Q * math.nan, ZERO, restart=False) is Unanswered.REFUSED
+    assert states.take(0, Q * math.nan, ZERO, restart=False) is None
     assert (states.last, states.refused_in_row) == (None, 1)
 
 

@@ -26,7 +26,7 @@ def state(tick: int, q: np.ndarray = HOME, qd: np.ndarray = STILL) -> JointState
 
 def doubts(watch: Supervision, mode: Mode, ticks: int = 60) -> FaultKind | None:
     for tick in range(1, ticks):
-        if fault := watch.doubt(mode, state(tick - 1), state(tick)):
+        if fault := watch.plausibility_fault(mode, state(tick - 1), state(tick)):
             return fault.kind
     return None
 
@@ -57,11 +57,11 @@ def test_limits_count_anew_when_the_mode_changes() -> None:
     watch, fast = supervision(), np.full(7, 100.0)
     moving = state(0, qd=fast)
     motion = MODEL.motion(HOME, fast)
-    seen = [watch.exceeded(Mode.ROLLOUT, moving, motion) for _ in range(2)]
+    seen = [watch.limit_fault(Mode.ROLLOUT, moving, motion) for _ in range(2)]
     watch.mode_changed()
-    seen += [watch.exceeded(Mode.REPLAY, moving, motion) for _ in range(2)]
+    seen += [watch.limit_fault(Mode.REPLAY, moving, motion) for _ in range(2)]
     assert seen == [None] * 4
-    fault = watch.exceeded(Mode.REPLAY, moving, motion)
+    fault = watch.limit_fault(Mode.REPLAY, moving, motion)
     assert fault is not None and fault.kind is FaultKind.JOINT_SPEED
 
 
@@ -70,12 +70,12 @@ def test_a_faulted_arm_has_rested_only_after_a_stated_time_without_motion() -> N
     watch.faulted()
     ticks = REST_NS // PERIOD_NS
     for tick in range(ticks):
-        watch.after_fault(state(tick), motion, new=tick == 0)
+        watch.estimate(state(tick), motion, new=tick == 0)
         assert not watch.rested(state(tick).stamp_ns)
-    watch.after_fault(state(ticks), motion, new=False)
+    watch.estimate(state(ticks), motion, new=False)
     assert watch.rested(state(ticks).stamp_ns)
     moved = MODEL.motion(HOME, np.full(7, 0.2))
-    watch.after_fault(state(ticks + 1), moved, new=False)
+    watch.estimate(state(ticks + 1), moved, new=False)
     assert not watch.rested(state(ticks + 1).stamp_ns)
 
 
@@ -83,10 +83,10 @@ def test_the_arm_is_estimated_from_the_state_of_the_fault_and_follows_those_afte
     strong, motion = GRAVITY + 0.2 * MODEL.tau_max, MODEL.motion(HOME, STILL)
     watch = supervision(strong)
     watch.faulted()
-    first = watch.after_fault(state(0), motion, new=True)
+    first = watch.estimate(state(0), motion, new=True)
     np.testing.assert_array_equal(first.q, HOME)
     np.testing.assert_array_equal(first.qd, STILL)
-    second = watch.after_fault(state(1), motion, new=False)
+    second = watch.estimate(state(1), motion, new=False)
     assert not np.array_equal(second.qd, STILL)
 
 
@@ -94,11 +94,11 @@ def test_without_states_the_arm_goes_on_as_its_model_says_until_one_is_trusted()
     watch, qd = supervision(), np.zeros(7)
     qd[1] = 0.5
     last = state(0, qd=qd)
-    first = watch.without_state(last, 0.002)
-    second = watch.without_state(last, 0.002)
+    first = watch.predict(last, 0.002)
+    second = watch.predict(last, 0.002)
     assert HOME[1] < first.q[1] < second.q[1]
-    watch.trust()
-    np.testing.assert_array_equal(watch.without_state(last, 0.002).q, first.q)
+    watch.end_estimate()
+    np.testing.assert_array_equal(watch.predict(last, 0.002).q, first.q)
 
 
 def test_the_last_of_the_states_before_a_silence_is_believed_with_its_motion() -> None:
@@ -106,7 +106,7 @@ def test_the_last_of_the_states_before_a_silence_is_believed_with_its_motion() -
     qd[0] = 0.5
     states = [state(tick, HOME + tick * 0.002 * qd, qd) for tick in range(100)]
     for before, after in pairwise(states):
-        watch.doubt(Mode.GRAVITY_COMPENSATION, before, after)
-    silent = watch.without_state(states[-1], 0.002)
+        watch.plausibility_fault(Mode.GRAVITY_COMPENSATION, before, after)
+    silent = watch.predict(states[-1], 0.002)
     np.testing.assert_allclose(silent.q, states[-1].q + 0.002 * qd, atol=5e-4)
     np.testing.assert_allclose(silent.qd, qd, atol=0.05)

@@ -21,7 +21,7 @@ def test_what_acts_is_what_was_asked_for_whoever_adds_the_gravity(compensated: b
     out = output(compensated)
     wanted = GRAVITY + 0.5
     out.send(wanted, HOME, None)
-    np.testing.assert_allclose(out.acting(HOME), wanted, atol=1e-12)
+    np.testing.assert_allclose(out.motor_torque(HOME), wanted, atol=1e-12)
 
 
 def test_the_motors_of_a_driver_that_adds_gravity_stay_within_their_limit() -> None:
@@ -29,7 +29,7 @@ def test_the_motors_of_a_driver_that_adds_gravity_stay_within_their_limit() -> N
     beyond = 10.0 * LIMITS.torque * np.sign(GRAVITY + 1e-9)
     for dt in (None, 1.0, 1.0):
         out.send(beyond, HOME, dt)
-        assert np.all(np.abs(out.acting(HOME)) <= LIMITS.torque + 1e-9)
+        assert np.all(np.abs(out.motor_torque(HOME)) <= LIMITS.torque + 1e-9)
 
 
 def test_a_change_is_limited_and_counted_but_not_while_nothing_is_sent() -> None:

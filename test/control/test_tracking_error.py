@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.tracking_error import TOOL_EVERY, TrackingError
+from wam_power_ros.control.tracking_error import TOOL_STRIDE, TrackingError
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
@@ -39,11 +39,11 @@ def test_before_any_state_all_errors_are_zero() -> None:
 
 def test_the_tool_is_compared_every_few_states_and_every_joint_in_each() -> None:
     error = TrackingError(ARM)
-    for k in range(10 * TOOL_EVERY):
+    for k in range(10 * TOOL_STRIDE):
         error.add(Q + 0.001 * k, Q)
-    assert error.count == 10 * TOOL_EVERY
+    assert error.count == 10 * TOOL_STRIDE
     assert error.largest[3] == pytest.approx(0.001 * (error.count - 1))
-    last = TOOL_EVERY * (error.count // TOOL_EVERY - 1)  # compared
+    last = TOOL_STRIDE * (error.count // TOOL_STRIDE - 1)  # compared
     apart = ARM.tool_pose(Q + 0.001 * last)[0] - ARM.tool_pose(Q)[0]
     assert error.tool()[1] == pytest.approx(np.linalg.norm(apart))
 

@@ -26,7 +26,7 @@ def fresh() -> Watchdog:
     watchdog.check(-MS)
     watchdog.arrived(0)
     watchdog.sent_ns = 0
-    watchdog._excused_ns = 0  # the very first check excuses itself
+    watchdog._grace_ns = 0  # the very first check excuses itself
     return watchdog
 
 

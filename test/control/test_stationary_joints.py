@@ -8,7 +8,7 @@ import pytest
 from rigid_arm import HOME, MODEL, PERIOD_NS, Plant, begin, make
 
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.control.standing import StandingJoints
+from wam_power_ros.control.stationary_joints import StationaryJoints
 from wam_power_ros.control.tracking_error import TrackingLost
 
 DT = PERIOD_NS * 1e-9
@@ -19,30 +19,30 @@ INERTIA = MODEL.mass_matrix(HOME).diagonal()
 BENT = np.array([-0.02, 0.1, -0.06, 0.24, -0.1, -0.1, 0.31])  # ways of the joints to the start
 
 
-def pushed(joints: StandingJoints, torque: float, due: float = 0.1) -> float:
+def pushed(joints: StationaryJoints, torque: float, due: float = 0.1) -> float:
     """What is left of a push at joint 6, when it stands and its reference is so far away."""
     push = torque * np.eye(7)[J6]
-    found = joints.suspects(HOME, HOME + due * np.eye(7)[J6])
+    found = joints.joints(HOME, HOME + due * np.eye(7)[J6])
     return joints.bounded(found, push, INERTIA, DT)[J6]
 
 
-def stood() -> StandingJoints:
-    joints = StandingJoints(MODEL)
-    assert joints.suspects(HOME, HOME) == []
+def stood() -> StationaryJoints:
+    joints = StationaryJoints(MODEL)
+    assert joints.joints(HOME, HOME) == []
     return joints
 
 
 def test_a_joint_stands_when_its_position_is_the_same_and_its_reference_has_moved() -> None:
     joints, far = stood(), HOME + 0.01
-    assert joints.suspects(HOME, HOME + 4e-4) == []
-    assert joints.suspects(HOME, HOME - 6e-4) == list(range(7))
-    assert joints.suspects(HOME, far) == list(range(7))
+    assert joints.joints(HOME, HOME + 4e-4) == []
+    assert joints.joints(HOME, HOME - 6e-4) == list(range(7))
+    assert joints.joints(HOME, far) == list(range(7))
     count = 1e-5 * np.eye(7)[2]
-    assert 2 not in joints.suspects(HOME + count, far)
-    assert joints.suspects(HOME + count, far) == [0, 1, 3, 4, 5, 6]
-    assert joints.suspects(HOME + count, far - 0.01) == [2]
+    assert 2 not in joints.joints(HOME + count, far)
+    assert joints.joints(HOME + count, far) == [0, 1, 3, 4, 5, 6]
+    assert joints.joints(HOME + count, far - 0.01) == [2]
     joints.begin()
-    assert joints.suspects(HOME + count, far) == []
+    assert joints.joints(HOME + count, far) == []
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -60,8 +60,8 @@ def test_a_joint_that_might_be_fast_already_is_braked_and_pushed_no_more(sign: f
     states = 0.2 * INERTIA[J6] / (2.5 * FRICTION) / DT  # until it would be at rest
     assert sum(push == -torque for push in pushes) == pytest.approx(states, abs=1.0)
     assert set(pushes[-50:]) == {0.0}
-    joints.suspects(HOME + 1e-4, HOME)  # it moves
-    joints.suspects(HOME, HOME)
+    joints.joints(HOME + 1e-4, HOME)  # it moves
+    joints.joints(HOME, HOME)
     assert pushed(joints, torque) == torque
 
 
@@ -69,7 +69,7 @@ def test_a_joint_that_friction_cannot_hold_is_pushed_in_full_and_must_move() -> 
     for torque in (1.01 * HOLDS, -1.01 * HOLDS):
         joints = stood()
         assert {pushed(joints, torque) for _ in range(10)} == {torque}
-        with pytest.raises(TrackingLost, match="joint 6 stands, pushed with"):
+        with pytest.raises(TrackingLost, match="joint 6 does not move under a feedback torque of"):
             pushed(joints, torque)
 
 
