@@ -125,7 +125,7 @@ def rows(*verdicts: Verdict) -> list[Row]:
 
 def test_one_failure_decides_and_every_doubt_is_named() -> None:
     result, said = topic_checks.verdict(rows(Verdict.OK, Verdict.FAIL, Verdict.WARN))
-    assert (result, said) == (Verdict.FAIL, "DOES NOT CONFORM, let nothing move: row 1.")
+    assert (result, said) == (Verdict.FAIL, "DOES NOT CONFORM, do not move the arm: row 1.")
     result, said = topic_checks.verdict(rows(Verdict.OK, Verdict.WARN, Verdict.UNCHECKED))
     assert result is Verdict.WARN
     assert "row 1" in said and "Not checked: row 2" in said

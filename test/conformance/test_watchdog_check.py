@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 
 from wam_power_ros.conformance.topic_checks import Row, Verdict
-from wam_power_ros.conformance.watchdog_check import FRICTION_SHARE, GIVE, CommandCheck
+from wam_power_ros.conformance.watchdog_check import FRICTION_SHARE, MOTION_MAX, CommandCheck
 from wam_power_ros.control.arm import Arm
 
 NAMES = tuple(f"wam_j{i}" for i in range(1, 8))
@@ -100,7 +100,7 @@ def test_zero_sent_to_a_driver_that_adds_nothing_ends_the_test_at_once() -> None
 
 
 def test_an_arm_that_moves_ends_the_test() -> None:
-    row, sent = played(slip=0.2 * GIVE)
+    row, sent = played(slip=0.2 * MOTION_MAX)
     assert (row.verdict, "moved by" in row.found) == (Verdict.FAIL, True)
     assert len(sent) < 15
 
