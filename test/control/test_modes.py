@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of modes, and refusals that machines can read."""
+"""The table of transitions, and refusals with reason codes."""
 
 import pytest
 
@@ -47,7 +47,7 @@ def test_the_way_out_of_a_fault_is_its_reset_to_hold() -> None:
             check_transition(Mode.FAULT, target, FAULT, reset=True)
 
 
-def test_whatever_moves_the_arm_can_end_in_hold_and_in_a_fault() -> None:
+def test_every_moving_mode_can_end_in_hold_and_in_a_fault() -> None:
     assert set(TRANSITIONS) == set(Mode)
     for mode in set(Mode) - set(PASSIVE_MODES):
         assert {Mode.FAULT, Mode.INACTIVE} <= TRANSITIONS[mode]
@@ -60,7 +60,7 @@ def test_whatever_moves_the_arm_can_end_in_hold_and_in_a_fault() -> None:
     assert set(SWITCH_MODES) == {Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT}
 
 
-def test_a_refusal_carries_its_values_beside_its_text() -> None:
+def test_a_refusal_has_values_in_addition_to_its_text() -> None:
     error = ControllerError(Refusal.NOT_AT_START, "away", {"policy": "trial-0001"})
     assert (str(error), error.refusal, error.values) == (
         "away",

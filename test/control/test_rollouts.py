@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loaded policy and the rollouts of it."""
+"""The loaded policy and its rollouts."""
 
 import dataclasses
 
@@ -30,7 +30,7 @@ def state(tick: int) -> JointState:
 
 
 def run(them: Rollouts, ticks: int) -> int:
-    """States that were answered, of so many, before the rollout was over."""
+    """Number of states, up to `ticks`, that got a torque before the rollout was over."""
     them.begin()
     for tick in range(ticks):
         if them.torque(state(tick), MOTION) is None:
@@ -59,7 +59,7 @@ def test_a_rollout_begins_only_at_the_start_of_its_policy() -> None:
     assert refused.value.values == {"policy": POLICY.id}
 
 
-def test_a_policy_counts_as_tried_only_after_a_whole_rollout_whatever_its_id() -> None:
+def test_a_policy_counts_as_completed_only_after_a_whole_rollout_whatever_its_id() -> None:
     them = rollouts()
     run(them, 100)
     them.end(state(100))
@@ -75,14 +75,14 @@ def test_a_policy_counts_as_tried_only_after_a_whole_rollout_whatever_its_id() -
     assert not them.completed_before
 
 
-def test_a_rollout_that_ends_in_the_obstacle_does_not_count_as_tried() -> None:
+def test_a_rollout_that_ends_in_the_obstacle_does_not_count_as_completed() -> None:
     them = rollouts(dataclasses.replace(SETTINGS, obstacle=(*MOTION.position.tolist(), 0.01)))
     assert run(them, 1000) == 0
     them.end(state(0))
     assert not them.completed_before
 
 
-def test_a_path_is_handed_out_once_and_forgotten_when_the_next_rollout_begins() -> None:
+def test_a_path_is_returned_once_and_dropped_when_the_next_rollout_begins() -> None:
     them = rollouts()
     run(them, 100)
     assert them.active_id == POLICY.id and them.take_path() is None

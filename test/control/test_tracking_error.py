@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of how well a replay was followed."""
+"""Statistics of the tracking error of a replay."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_the_tool_is_compared_every_few_states_and_every_joint_in_each() -> None
     assert error.tool()[1] == pytest.approx(np.linalg.norm(apart))
 
 
-def test_errors_of_either_sign_count_alike_from_the_first_state_on() -> None:
+def test_errors_of_both_signs_count_equally_from_the_first_state_on() -> None:
     for sign in (1.0, -1.0):
         error = TrackingError(ARM)
         error.add(Q, Q + 0.01 * sign)

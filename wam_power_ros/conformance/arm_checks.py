@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -249,7 +249,8 @@ def _mistake(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> 
             moved = [i for i in range(arm.n) if order[i] != i]
             wrong, found = (", ".join(names[j] for j in js) for js in (moved, order[moved]))
             return f"wrong order of joints: {wrong} fit the values received as {found}"
-    for joints in _subsets(arm.n):
+    subsets = (itertools.combinations(range(arm.n), size) for size in range(1, arm.n + 1))
+    for joints in itertools.chain.from_iterable(subsets):
         signs = np.ones(arm.n)
         signs[list(joints)] = -1.0
         if fits(signs * q, signs * tau, sharp=True):
@@ -271,13 +272,7 @@ def _indistinguishable(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence
 
 
 class _Fit:
-    """Decides whether torques agree with gravity at the given positions.
-
-    Args:
-        q: Positions as received [rad], shape (n,).
-        tau: Torques as received [N m], shape (n,).
-        arm: Model of the arm.
-    """
+    """Decides whether torques agree with g(q); a mistake must fit far better than the values."""
 
     def __init__(self, q: np.ndarray, tau: np.ndarray, arm: Arm) -> None:
         self._arm = arm
@@ -301,11 +296,6 @@ def _orders(n: int) -> list[np.ndarray]:
     orders = itertools.permutations(range(n))
     ranked = sorted(orders, key=lambda order: sum(i != joint for i, joint in enumerate(order)))
     return [np.array(order) for order in ranked[1:]]
-
-
-def _subsets(n: int) -> Iterator[tuple[int, ...]]:
-    for size in range(1, n + 1):
-        yield from itertools.combinations(range(n), size)
 
 
 def led(record: ArmRecord, joint: int) -> Row:

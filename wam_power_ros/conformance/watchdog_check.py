@@ -79,13 +79,7 @@ class CommandCheck:
         )
 
     def step(self, stamp_ns: int, q: np.ndarray, tau: np.ndarray) -> np.ndarray | None:
-        """Return the torque that answers one state, None to send nothing.
-
-        Args:
-            stamp_ns: Stamp of the state [ns].
-            q: Positions [rad], shape (n,).
-            tau: Torques that the driver reports [N m], shape (n,).
-        """
+        """Torque for a state: stamp [ns], q (n,) [rad], tau (n,) [N m]; None sends nothing."""
         if self.over:
             return None
         self._start_ns = self._start_ns or stamp_ns

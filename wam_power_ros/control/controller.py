@@ -13,11 +13,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wam_power_ros.control import replay_trajectory, safety
+from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import JointControl
-from wam_power_ros.control.joint_references import JointTrajectory, Sampled
+from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import (
     PASSIVE_MODES,
     REFERENCE_MODES,
@@ -206,22 +206,11 @@ class Controller:
         """
         self._move(Mode.MOVE_TO_START, self._rollouts.loaded("move_to_start").q_start)
 
-    def start_replay(self, trajectory: JointTrajectory, speed: float = 1.0) -> None:
+    def start_replay(self, movement: Sampled) -> None:
         """Move to the start of a recorded joint movement, then follow it, then hold.
 
         Args:
-            trajectory: Movement; see `replay_trajectory.sampled`.
-            speed: Speed relative to the recording.
-
-        Raises:
-            ControllerError: The arm moves, the mode does not allow it, the enabling switch is not
-                held, or the movement is not within the arm's limits.
-        """
-        period, limits = self.settings.period, self.limits
-        self.start_sampled(replay_trajectory.sampled(trajectory, speed, period, limits))
-
-    def start_sampled(self, movement: Sampled) -> None:
-        """Replay a movement that `replay_trajectory.sampled` has checked for this arm.
+            movement: Movement that `replay_trajectory.sampled` has checked for this arm.
 
         Raises:
             ControllerError: The arm moves, the mode does not allow it, or the enabling switch is

@@ -32,7 +32,7 @@ LATENCY_STATES = 7  # states until a torque shows in velocities: 8 ms of delay, 
 CONTRADICTIONS_TO_FAULT = 3  # consecutive states beyond a bound that are a fault
 HISTORY_LENGTH = 100  # states kept for the estimate that begins at a fault
 HISTORY_STRIDE = 4  # states in one step of this estimate
-SUSPECT_STRIDES = 4  # latest strides that may be false when a fault is found
+SUSPECT_STATES = 4 * HISTORY_STRIDE  # latest states that may be false when a fault is found
 FRICTION_FACTOR = 2.0  # multiple of a joint's Coulomb friction that may be unexplained
 STANDSTILL_STATES = 12  # states with the same position after which a joint stands still
 
@@ -230,9 +230,7 @@ class Plausibility:
         self._history.append(_PastState(last.q, last.qd, tau, state.span))
         return fault
 
-    def estimate(
-        self, last: JointState, suspect: int = SUSPECT_STRIDES * HISTORY_STRIDE
-    ) -> Estimate:
+    def estimate(self, last: JointState, suspect: int = SUSPECT_STATES) -> Estimate:
         """Estimate the arm's state: measured where joints were observed to move, else by the model.
 
         Args:

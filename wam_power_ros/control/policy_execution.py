@@ -88,10 +88,8 @@ class Execution:
             self._sample(k, motion)
         vector = rotations.log(motion.rotation.dot(self._reference)).tolist()
         if (angle := math.hypot(*vector)) > ROTATION_ERROR_MAX:
-            raise TrackingLost(
-                f"the tool is rotated by {angle:.2f} rad from its reference, limit "
-                f"{ROTATION_ERROR_MAX}"
-            )
+            text = f"the tool is rotated by {angle:.2f} rad from its reference"
+            raise TrackingLost(f"{text}, limit {ROTATION_ERROR_MAX}")
         twist = motion.twist.tolist()
         acceleration = dmp.acceleration(self._tables, k, motion.position, vector, twist)
         return self._law(motion, self._arm.dynamics(q, qd), acceleration)

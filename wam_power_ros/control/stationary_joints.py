@@ -46,12 +46,7 @@ class StationaryJoints:
         self._overdue = [0] * n  # states under more torque than friction can hold
 
     def joints(self, q: np.ndarray, q_ref: np.ndarray) -> list[int]:
-        """Update by one state; returns the joints that stand still while their reference moves.
-
-        Args:
-            q: Joint positions [rad]. Shape (n,).
-            q_ref: Reference positions [rad]. Shape (n,).
-        """
+        """Joints that stand still while their reference moves; q, q_ref (n,) [rad] are new."""
         found = []
         for i, (position, reference) in enumerate(zip(q.tolist(), q_ref.tolist(), strict=True)):
             if position != self._q[i]:

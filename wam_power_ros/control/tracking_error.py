@@ -5,20 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
+from wam_power_ros.control.arm import Arm
+
 TOOL_STRIDE = 5  # states from one comparison of tool positions to the next
-
-
-class ToolPose(Protocol):
-    """Forward kinematics of an arm, such as `Arm`."""
-
-    n: int
-
-    def tool_pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position [m] (3,) and rotation matrix (3, 3) of the tool frame in the base frame."""
 
 
 class TrackingLost(RuntimeError):
@@ -36,7 +28,7 @@ class TrackingError:
         arm: Model of the arm, for its forward kinematics.
     """
 
-    def __init__(self, arm: ToolPose) -> None:
+    def __init__(self, arm: Arm) -> None:
         self._arm = arm
         self.count = 0
         self.largest = np.zeros(arm.n)

@@ -24,9 +24,7 @@ class PancakeTrackerParams(Params):
     body: str  # name of the tracked body
     pose_topic: str
     markers_topic: str
-    rate: float = Field(
-        ge=10.0, le=1000.0, description="in Hz: a lower rate misses a flight of 0.4 s"
-    )
+    rate: float = Field(ge=10.0, le=1000.0, description="in Hz: below, a flight of 0.4 s is missed")
     up_axis: str
     world_to_base: WorldToBase = Field(description="in m: a room of 50 m; unit quaternion")
     latency_offset: float = Field(
@@ -35,9 +33,7 @@ class PancakeTrackerParams(Params):
     workspace_low: Corner = Field(description="in m: a room of 50 m")
     workspace_high: Corner = Field(description="in m: a room of 50 m")
     speed_max: float = Field(
-        ge=1.0,
-        le=50.0,
-        description="in m/s: a toss reaches 4; 50 is 0.5 m between frames at 100 Hz",
+        ge=1.0, le=50.0, description="in m/s: a toss has 4; 50 is 0.5 m between frames at 100 Hz"
     )
     noise: float = Field(
         ge=1e-6, le=0.05, description="in m: resolution of cameras, and radius of a pancake"

@@ -64,7 +64,7 @@ class TorqueControllerParams(Params):
     period: float = Field(
         ge=0.0005,
         le=0.02,
-        description="in s: below, a Python loop is too slow; above, control is unstable",
+        description="in s: below, Python is too slow; above, control is unstable",
     )
     state_timeout: float = Field(
         ge=0.0, le=60.0, description="in s: a slow simulation sends a state within a minute"
@@ -83,9 +83,7 @@ class TorqueControllerParams(Params):
         tuple[Length, ...], Field(min_length=1, max_length=24, description=REACH)
     ]
     elbow_speed_max: float = Field(
-        ge=0.05,
-        le=3.0,
-        description="in m/s: below, no skill is possible; the WAM's safety board allows up to 2",
+        ge=0.05, le=3.0, description="in m/s: below, no skill is possible; the WAM's board allows 2"
     )
     tool_speed_max: Speed = Field(
         description="in m/s: below, no skill is possible; a toss needs 2.7, no task here needs 6"
@@ -172,11 +170,7 @@ class TorqueControllerParams(Params):
         return self
 
     def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
-        """Build the controller for the arm of a URDF.
-
-        Args:
-            urdf: Text of the URDF.
-            latched: Fault that is still latched, None without one.
+        """Build the controller for the arm of a URDF, with a fault that is still latched.
 
         Raises:
             ValueError: The URDF does not have the joints and frames that these parameters name, or
