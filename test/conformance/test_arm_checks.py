@@ -194,12 +194,12 @@ def test_velocities_of_a_separate_topic_count() -> None:
 
 
 def test_the_guided_joint_must_be_the_one_that_moves_and_in_the_requested_direction() -> None:
-    assert arm_checks.led(record(led(2)), 2).verdict is Verdict.OK
-    other = arm_checks.led(record(led(4)), 2)
+    assert arm_checks.hand_movement(record(led(2)), 2).verdict is Verdict.OK
+    other = arm_checks.hand_movement(record(led(4)), 2)
     assert (other.verdict, "wam_j5 is the name of this one" in other.advice) == (Verdict.FAIL, True)
-    assert "reversed" in arm_checks.led(record(led(2, by=-0.4)), 2).advice
-    assert arm_checks.led(record(at_rest()), 2).verdict is Verdict.UNCHECKED
-    silent = arm_checks.led(record([]), 2)
+    assert "reversed" in arm_checks.hand_movement(record(led(2, by=-0.4)), 2).advice
+    assert arm_checks.hand_movement(record(at_rest()), 2).verdict is Verdict.UNCHECKED
+    silent = arm_checks.hand_movement(record([]), 2)
     assert (silent.verdict, silent.found) == (Verdict.FAIL, "no states of these joints")
 
 
@@ -208,4 +208,4 @@ def test_the_guided_joint_must_be_the_one_that_moves_and_in_the_requested_direct
 )
 def test_the_direction_in_which_to_guide_a_joint_is_named(joint: int, fragment: str) -> None:
     q = np.array([0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0])
-    assert fragment in arm_checks.heading(model(), q, joint)
+    assert fragment in arm_checks.tool_direction(model(), q, joint)

@@ -50,7 +50,7 @@ def dropped(turn: np.ndarray | None = None) -> np.ndarray:
 
 
 def usable(seen: list[FrameSample], **refused: int) -> dict[str, Row]:
-    return {row.name: row for row in mocap_checks.usable(seen, SETTINGS, refused)}
+    return {row.name: row for row in mocap_checks.frame_quality(seen, SETTINGS, refused)}
 
 
 def test_frames_of_a_body_in_view_conform() -> None:
@@ -111,21 +111,21 @@ def test_latency_is_relative_to_the_arms_clock(
 def test_the_marker_layout_is_searched_in_every_cloud() -> None:
     points = marker_fit.LAYOUT + np.array([0.7, 0.0, 0.5])
     clouds = [CloudSample(0, i * SECOND, points) for i in range(10)]
-    seen, row = mocap_checks.poses(clouds)
+    seen, row = mocap_checks.marker_poses(clouds)
     assert (len(seen), row.verdict) == (10, Verdict.OK)
     np.testing.assert_allclose(seen[0].position, [0.7, 0.0, 0.5], atol=1e-9)
-    _, row = mocap_checks.poses([cloud._replace(points=1000 * points) for cloud in clouds])
+    _, row = mocap_checks.marker_poses([cloud._replace(points=1000 * points) for cloud in clouds])
     assert (row.verdict, "metres" in row.advice) == (Verdict.FAIL, True)
-    assert mocap_checks.poses([])[1].verdict is Verdict.UNCHECKED
+    assert mocap_checks.marker_poses([])[1].verdict is Verdict.UNCHECKED
 
 
 def test_a_body_in_the_pan_is_measured_in_the_pan() -> None:
     pan = np.array([0.76, 0.0, 0.49])
     seen = frames(lying())
-    assert mocap_checks.place(seen, SETTINGS, pan).verdict is Verdict.OK
+    assert mocap_checks.body_position(seen, SETTINGS, pan).verdict is Verdict.OK
     moved = replace(SETTINGS, world_to_base=(0.5, 0.0, 0.0, *LEVEL))
-    assert mocap_checks.place(seen, moved, pan).verdict is Verdict.WARN
-    assert mocap_checks.place(seen, SETTINGS, None).verdict is Verdict.UNCHECKED
+    assert mocap_checks.body_position(seen, moved, pan).verdict is Verdict.WARN
+    assert mocap_checks.body_position(seen, SETTINGS, None).verdict is Verdict.UNCHECKED
 
 
 FORWARD_UP = rotations.matrix(np.array([0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]))  # z to x
@@ -147,16 +147,16 @@ TILT = rotations.matrix(rotations.quat_of_vector(np.array([np.deg2rad(15.0), 0.0
 def test_a_fall_shows_the_vertical_axis(
     turn: np.ndarray, up_axis: str, expected: Verdict, fragment: str
 ) -> None:
-    row = mocap_checks.fall(frames(dropped(turn)), replace(SETTINGS, up_axis=up_axis))
+    row = mocap_checks.fall_direction(frames(dropped(turn)), replace(SETTINGS, up_axis=up_axis))
     assert row.verdict is expected
     assert fragment in row.advice
 
 
 def test_a_fall_in_millimetres_is_named_and_without_a_fall_nothing_is_checked() -> None:
-    row = mocap_checks.fall(frames(1000.0 * dropped()), SETTINGS)
+    row = mocap_checks.fall_direction(frames(1000.0 * dropped()), SETTINGS)
     assert (row.verdict, row.advice) == (Verdict.FAIL, "send metres")
     for seen in (frames(lying()), []):
-        assert mocap_checks.fall(seen, SETTINGS).verdict is Verdict.UNCHECKED
+        assert mocap_checks.fall_direction(seen, SETTINGS).verdict is Verdict.UNCHECKED
 
 
 def test_frames_in_pairs_and_lost_ones_do_not_hide_a_fall() -> None:
@@ -164,4 +164,4 @@ def test_frames_in_pairs_and_lost_ones_do_not_hide_a_fall() -> None:
     pairs = [twin for f in seen for twin in (f, f._replace(stamp_ns=f.stamp_ns + 100_000))]
     nowhere = pairs[5]._replace(stamp_ns=pairs[5].stamp_ns + 1, position=np.full(3, np.nan))
     pairs.insert(6, nowhere)
-    assert mocap_checks.fall(pairs, SETTINGS).verdict is Verdict.OK
+    assert mocap_checks.fall_direction(pairs, SETTINGS).verdict is Verdict.OK

@@ -115,7 +115,7 @@ def test_a_command_path_has_one_driver_and_no_commander(
 def test_a_configured_service_must_be_offered_with_its_type() -> None:
     services = {"/wam/idle": "std_srvs/srv/Trigger", "/other": "std_srvs/srv/SetBool"}
     found = [
-        topic_checks.offered("idle", "std_srvs/srv/Trigger", services, name).verdict
+        topic_checks.service("idle", "std_srvs/srv/Trigger", services, name).verdict
         for name in ("/wam/idle", "/other", "/none", "")
     ]
     assert found == [Verdict.OK, Verdict.FAIL, Verdict.FAIL, Verdict.WARN]
@@ -135,8 +135,8 @@ def test_one_failure_decides_and_every_warning_is_named() -> None:
 
 
 def test_only_existing_rows_can_be_accepted() -> None:
-    table = topic_checks.accepted(rows(Verdict.OK, Verdict.FAIL), ["row 1", "row 0"])
+    table = topic_checks.accept(rows(Verdict.OK, Verdict.FAIL), ["row 1", "row 0"])
     assert [row.verdict for row in table] == [Verdict.OK, Verdict.WARN]
     assert table[1].advice == "accepted. do"
     with pytest.raises(ValueError, match=r"no row \['row 9'\].*row 1"):
-        topic_checks.accepted(rows(Verdict.OK, Verdict.FAIL), ["row 9"])
+        topic_checks.accept(rows(Verdict.OK, Verdict.FAIL), ["row 9"])

@@ -52,9 +52,9 @@ def tested(
         in_transit.append(torque)
         if torque is not None:
             sent.append(torque.copy())
-        if check.over:
+        if check.finished:
             break
-    assert check.over
+    assert check.finished
     return check.row, sent
 
 

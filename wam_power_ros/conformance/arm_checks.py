@@ -298,7 +298,7 @@ def _orders(n: int) -> list[np.ndarray]:
     return [np.array(order) for order in ranked[1:]]
 
 
-def led(record: ArmRecord, joint: int) -> Row:
+def hand_movement(record: ArmRecord, joint: int) -> Row:
     """Whether a movement by hand moved the joint with this index, in positive direction."""
     names = record.joint_names
     row = partial(Row, f"{names[joint]} by hand", f"{names[joint]} alone, increasing")
@@ -316,7 +316,7 @@ def led(record: ArmRecord, joint: int) -> Row:
     return row(found, OK)
 
 
-def heading(arm: Arm, q: np.ndarray, joint: int) -> str:
+def tool_direction(arm: Arm, q: np.ndarray, joint: int) -> str:
     """Direction in which the tool moves when a joint increases, for a person facing the arm.
 
     Args:

@@ -60,7 +60,7 @@ class CloudSample(NamedTuple):
     points: np.ndarray  # (m, 3)
 
 
-def poses(clouds: Sequence[CloudSample]) -> tuple[list[FrameSample], Row]:
+def marker_poses(clouds: Sequence[CloudSample]) -> tuple[list[FrameSample], Row]:
     """Fit the marker layout to clouds; returns its poses, and the row about how often it fits."""
     expected = f"the {len(marker_fit.LAYOUT)} markers of the layout in every cloud"
     row, frames, errors = partial(Row, "mocap markers", expected), [], []
@@ -83,7 +83,7 @@ def poses(clouds: Sequence[CloudSample]) -> tuple[list[FrameSample], Row]:
     return frames, row(text, FAIL, f"{advice}reflective objects; send metres")
 
 
-def usable(
+def frame_quality(
     frames: Sequence[FrameSample], settings: TrackerSettings, refused: Mapping[str, int]
 ) -> list[Row]:
     """Rows about frozen poses, and about the share of frames that the tracker accepts.
@@ -163,7 +163,9 @@ def latency(
     return row(text, OK)
 
 
-def place(frames: Sequence[FrameSample], settings: TrackerSettings, pan: np.ndarray | None) -> Row:
+def body_position(
+    frames: Sequence[FrameSample], settings: TrackerSettings, pan: np.ndarray | None
+) -> Row:
     """Position of the body in the arm's base frame, and its distance from the pan.
 
     Args:
@@ -185,7 +187,7 @@ def place(frames: Sequence[FrameSample], settings: TrackerSettings, pan: np.ndar
     return row(text, WARN, "if it lies in the pan, world_to_base or up_axis is wrong")
 
 
-def fall(frames: Sequence[FrameSample], settings: TrackerSettings) -> Row:
+def fall_direction(frames: Sequence[FrameSample], settings: TrackerSettings) -> Row:
     """Direction in which a dropped body fell, which shows the vertical axis."""
     expected = f"a fall along -z of the base frame, with up_axis: {settings.up_axis}"
     row = partial(Row, "mocap axes", expected)

@@ -62,7 +62,7 @@ class Endpoint(NamedTuple):
     latched: bool
 
 
-def accepted(rows: Sequence[Row], names: Collection[str]) -> list[Row]:
+def accept(rows: Sequence[Row], names: Collection[str]) -> list[Row]:
     """Turn failures that a person has accepted by name into warnings.
 
     Raises:
@@ -92,7 +92,7 @@ def verdict(rows: Sequence[Row]) -> tuple[Verdict, str]:
     return (WARN, f"CONFORMS as far as checked.{remarks}") if remarks else (OK, "CONFORMS.")
 
 
-def heard(name: str, topic: str, count: int, seconds: float, ends: Sequence[Endpoint]) -> Row:
+def reception(name: str, topic: str, count: int, seconds: float, ends: Sequence[Endpoint]) -> Row:
     """Whether messages arrive on a topic: `count` of them in `seconds` [s]."""
     found = f"{count} messages in {seconds:.1f} s from {_nodes(ends)}"
     advice = "start the driver, or configure the topic it publishes; is it on this ROS_DOMAIN_ID? "
@@ -197,7 +197,7 @@ def _nodes(ends: Sequence[Endpoint]) -> str:
     return ", ".join(sorted(end.node for end in ends)) or "nobody"
 
 
-def offered(name: str, kind: str, services: dict[str, str], wanted: str) -> Row:
+def service(name: str, kind: str, services: dict[str, str], wanted: str) -> Row:
     """Whether the wanted service is among `services` (name -> type) and has the right type."""
     if not wanted:
         advice = "without one, loss of states only leads to braking and gravity compensation"

@@ -32,8 +32,8 @@ class CommandCheck:
     """Answers each state with one torque or none, and results in a row.
 
     Attributes:
-        over: Whether the test has ended.
-        carrier: Torque that carries the arm, as far as known [N m], shape (n,).
+        finished: Whether the test has ended.
+        carrying_torque: Torque that carries the arm, as far as known [N m], shape (n,).
         row: Result.
 
     Args:
@@ -64,8 +64,10 @@ class CommandCheck:
         self._gravity = arm.gravity(q)
         self._loaded = int(np.argmax(np.abs(self._gravity)))  # joint with the most gravity torque
         self._driver_adds_gravity = driver_compensates_gravity
-        self.carrier = np.zeros(arm.n) if driver_compensates_gravity else self._gravity.copy()
-        self.over = self._silent = self._reported = False
+        self.carrying_torque = (
+            np.zeros(arm.n) if driver_compensates_gravity else self._gravity.copy()
+        )
+        self.finished = self._silent = self._reported = False
         self._start_ns = self._last_ns = 0  # stamps of the first state and of the last command
         self.row = _row("states stopped arriving", UNCHECKED)
 
@@ -80,7 +82,7 @@ class CommandCheck:
 
     def step(self, stamp_ns: int, q: np.ndarray, tau: np.ndarray) -> np.ndarray | None:
         """Torque for a state: stamp [ns], q (n,) [rad], tau (n,) [N m]; None sends nothing."""
-        if self.over:
+        if self.finished:
             return None
         self._start_ns = self._start_ns or stamp_ns
         if (failure := self._failure(q, tau)) is not None:
@@ -90,11 +92,11 @@ class CommandCheck:
         if not self._silent:
             self._last_ns = stamp_ns
             if elapsed_ns < CARRY_NS:
-                return self.carrier
+                return self.carrying_torque
             wait = not self._reported and elapsed_ns < OFFSET_END_NS
             if elapsed_ns < CARRY_NS + OFFSET_NS or wait:
                 self._reported |= offset > 0.5 * self._offset
-                torque = self.carrier.copy()
+                torque = self.carrying_torque.copy()
                 torque[self._joint] += self._offset
                 return torque
             if not self._reported:
@@ -115,16 +117,16 @@ class CommandCheck:
         return None
 
     def _failure(self, q: np.ndarray, tau: np.ndarray) -> Row | None:
-        """Row that ends the test at once, or None; corrects the carrier if gravity is wrong."""
+        """Row that ends the test at once, or None; corrects a wrong `carrying_torque`."""
         name, g = self._names[self._loaded], self._gravity[self._loaded]
         if abs(g) > GRAVITY_MIN:
             share, share_at_rest = tau[self._loaded] / g, self._rest[self._loaded] / g
             if not self._driver_adds_gravity and share > 1.5:
-                self.carrier = np.zeros_like(q)
+                self.carrying_torque = np.zeros_like(q)
                 advice = "the driver adds gravity itself: driver_compensates_gravity: true"
                 return _row(f"gravity twice on {name}", FAIL, advice)
             if self._driver_adds_gravity and share_at_rest > 0.5 and share < 0.5:
-                self.carrier = self._gravity.copy()
+                self.carrying_torque = self._gravity.copy()
                 advice = "the driver does not add gravity: driver_compensates_gravity: false"
                 return _row(f"no gravity on {name} while zero was sent", FAIL, advice)
         moved = int(np.argmax(np.abs(q - self._q)))
@@ -136,5 +138,5 @@ class CommandCheck:
 
     def _end(self, row: Row) -> np.ndarray:
         """End the test with the torque that carries the arm, as the driver may hold it."""
-        self.over, self.row = True, row
-        return self.carrier
+        self.finished, self.row = True, row
+        return self.carrying_torque
