@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wam_power_ros.control.arm import WAM_GUARDED, Arm, Guarded, guarded_points
+from wam_power_ros.control.arm import WAM_GUARDED_POINTS, Arm, GuardedPoint, guarded_points
 from wam_power_ros.params.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()
@@ -112,8 +112,8 @@ def test_guarded_points_move_as_their_positions_do(arm: Arm) -> None:
 
 
 def test_guarded_points_are_configurable_and_an_unknown_link_is_named(arm: Arm) -> None:
-    wrist = Guarded("wrist", "wam_link6", (0.03, -0.05, 0.1))
-    other = Arm(URDF, NAMES, guarded=(*WAM_GUARDED, wrist, WAM_GUARDED[0]))
+    wrist = GuardedPoint("wrist", "wam_link6", (0.03, -0.05, 0.1))
+    other = Arm(URDF, NAMES, guarded=(*WAM_GUARDED_POINTS, wrist, WAM_GUARDED_POINTS[0]))
     assert other.guarded == ("elbow", "forearm", "wrist", "elbow")
     speeds, tool = other.speeds(HOME, np.ones(7))
     assert (speeds[:2], tool) == arm.speeds(HOME, np.ones(7))
@@ -215,7 +215,7 @@ def test_limits_are_those_of_the_urdf(arm: Arm) -> None:
 def test_guarded_points_are_read_three_numbers_each() -> None:
     names, links = ["elbow", "forearm"], ["wam_link4", "wam_link4"]
     offsets = [0.0, 0.0, 0.0, -0.045, -0.35, 0.0]
-    assert guarded_points(names, links, offsets) == WAM_GUARDED
+    assert guarded_points(names, links, offsets) == WAM_GUARDED_POINTS
     assert guarded_points([""], [""], [0.0]) == ()
     for wrong in (
         (names, links[:1], offsets),
@@ -228,7 +228,7 @@ def test_guarded_points_are_read_three_numbers_each() -> None:
         with pytest.raises(ValueError, match="must be three numbers"):
             guarded_points(*wrong)
     with pytest.raises(ValueError, match=r"guarded point elbow .* must be 3 finite numbers"):
-        Arm(URDF, NAMES, guarded=[Guarded("elbow", "wam_link4", (0.0, np.nan, 0.0))])
+        Arm(URDF, NAMES, guarded=[GuardedPoint("elbow", "wam_link4", (0.0, np.nan, 0.0))])
 
 
 def changed(pattern: str, replacement: str) -> str:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from wam_power_ros.control.arm import WAM_GUARDED, Arm
+from wam_power_ros.control.arm import WAM_GUARDED_POINTS, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import Feasibility, simulate_policy, speed_margin
 from wam_power_ros.control.safety import limits_of
@@ -136,7 +136,7 @@ def test_a_margin_to_the_position_limits_is_kept(
 
 def test_the_fastest_of_the_guarded_points_is_reported(arm: Arm, free: Feasibility) -> None:
     peaks = []
-    for guarded in (WAM_GUARDED[:1], WAM_GUARDED[1:]):
+    for guarded in (WAM_GUARDED_POINTS[:1], WAM_GUARDED_POINTS[1:]):
         with_one = Arm(share("urdf/wam7.urdf").read_text(), JOINTS, guarded=guarded)
         peaks.append(simulate_policy(with_one, SETTINGS, lift(arm, 0.25)).elbow_peak)
     assert free.elbow_peak == max(peaks) > min(peaks) > 0.1

@@ -23,7 +23,7 @@ FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # origin of the tool, axes of the base
 
 
-class Guarded(NamedTuple):
+class GuardedPoint(NamedTuple):
     """A point of the arm, in addition to the tool, whose speed and position are limited.
 
     Attributes:
@@ -38,15 +38,15 @@ class Guarded(NamedTuple):
 
 
 # Points whose speed the Barrett WAM's safety board limits: elbow, and 350 mm along the forearm.
-WAM_GUARDED = (
-    Guarded("elbow", "wam_link4", (0.0, 0.0, 0.0)),
-    Guarded("forearm", "wam_link4", (-0.045, -0.35, 0.0)),
+WAM_GUARDED_POINTS = (
+    GuardedPoint("elbow", "wam_link4", (0.0, 0.0, 0.0)),
+    GuardedPoint("forearm", "wam_link4", (-0.045, -0.35, 0.0)),
 )
 
 
 def guarded_points(
     names: Sequence[str], links: Sequence[str], offsets: Sequence[float]
-) -> tuple[Guarded, ...]:
+) -> tuple[GuardedPoint, ...]:
     """Build the guarded points from parameters; one name "" means none: ROS has no empty lists.
 
     Args:
@@ -65,7 +65,7 @@ def guarded_points(
             f"for each of guarded_names {names}"
         )
     points = [tuple(offsets[i : i + 3]) for i in range(0, len(offsets), 3)]
-    return tuple(Guarded(*row) for row in zip(names, links, points, strict=True))
+    return tuple(GuardedPoint(*row) for row in zip(names, links, points, strict=True))
 
 
 class Motion(NamedTuple):
@@ -149,7 +149,7 @@ class Arm:
         urdf: str,
         joint_names: Sequence[str],
         tool_frame: str = "pan",
-        guarded: Sequence[Guarded] = WAM_GUARDED,
+        guarded: Sequence[GuardedPoint] = WAM_GUARDED_POINTS,
     ) -> None:
         try:
             full = pin.buildModelFromXML(urdf)
