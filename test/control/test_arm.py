@@ -238,7 +238,7 @@ def changed(pattern: str, replacement: str) -> str:
 
 
 @pytest.mark.requirement("S-59")
-def test_an_arm_is_known_again_and_another_one_is_not_taken_for_it(arm: Arm) -> None:
+def test_an_arm_is_recognised_and_another_one_is_not_mistaken_for_it(arm: Arm) -> None:
     ours = arm.identity()
     arm.motion(HOME, HOME)  # independent of the contents of its buffers
     assert arm.identity() == ours == Arm(URDF, NAMES).identity()
@@ -264,7 +264,7 @@ def test_an_arm_is_known_again_and_another_one_is_not_taken_for_it(arm: Arm) -> 
         (r'<robot name="[^"]*"', '<robot name="other"', {"name"}),
     ],
 )
-def test_the_identity_has_geometry_and_masses_apart_and_no_limits(
+def test_the_identity_separates_geometry_and_masses_and_ignores_limits(
     arm: Arm, pattern: str, replacement: str, differ: set[str]
 ) -> None:
     ours = arm.identity()._asdict()

@@ -138,7 +138,7 @@ def test_a_blocked_move_is_a_fault() -> None:
 
 
 @pytest.mark.requirement("S-25")
-def test_a_held_arm_that_was_carried_off_does_not_spring_back() -> None:
+def test_a_held_arm_that_was_moved_away_does_not_spring_back() -> None:
     def idle(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         cut = np.zeros(7) if t < 0.3 else -np.array(sent[-1])  # no torque reaches the motors
         return cut - 3.0 * qd * (t >= 0.3)

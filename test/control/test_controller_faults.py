@@ -178,7 +178,7 @@ def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> 
 
 
 @pytest.mark.requirement("S-30")
-def test_hold_to_run_is_asked_for_and_its_release_is_a_fault_in_the_same_state() -> None:
+def test_hold_to_run_is_required_and_its_release_is_a_fault_in_the_same_state() -> None:
     def teach(controller: Controller) -> None:
         controller.set_gravity_compensation(True)
 
@@ -274,7 +274,7 @@ def test_a_driver_that_starts_again_from_zero_faults_and_can_be_reset() -> None:
 
 @pytest.mark.requirement("S-41")
 @pytest.mark.parametrize("friction", [0.5, 1.0, 2.0])
-def test_without_states_the_arm_is_braked_on_its_model_alone(friction: float) -> None:
+def test_without_states_the_arm_is_braked_by_its_model_alone(friction: float) -> None:
     assert np.array_equal(make().stale_torque(), np.zeros(7))
     controller, plant = begin(friction=friction)
     controller.execute()
@@ -292,7 +292,7 @@ def test_without_states_the_arm_is_braked_on_its_model_alone(friction: float) ->
 
 @pytest.mark.requirement("S-41")
 @pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
-def test_a_silence_noticed_late_is_braked_from_where_the_arm_is_then(moment: float) -> None:
+def test_a_loss_of_states_detected_late_is_braked_from_the_predicted_state(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     tau = run(controller, plant, moment)[-1]
@@ -324,7 +324,7 @@ def test_without_a_velocity_from_the_driver_positions_are_differentiated() -> No
 
 
 @pytest.mark.requirement("S-02")
-def test_a_law_that_finds_no_torque_is_a_fault_and_no_exception(
+def test_a_law_without_a_torque_is_a_fault_and_not_an_exception(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def singular(*_: object) -> np.ndarray:

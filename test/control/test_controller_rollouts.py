@@ -299,7 +299,7 @@ def test_a_policy_that_met_the_obstacle_does_not_count_as_completed() -> None:
 
 
 @pytest.mark.requirement("S-04")
-def test_no_rest_of_the_gravity_is_sent_to_a_driver_that_compensates_it() -> None:
+def test_no_residual_gravity_is_sent_to_a_driver_that_compensates_it() -> None:
     controller = make(driver_compensates_gravity=True)
     controller, plant = begin(controller=controller, adds_gravity=True)
     torques = run(controller, plant, 0.2)

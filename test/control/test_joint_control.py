@@ -62,7 +62,7 @@ def test_a_moving_reference_is_fed_forward_with_most_of_the_friction() -> None:
 @pytest.mark.requirement("S-25")
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_joint_that_is_0_3_rad_off_is_lost_at_rest_and_on_its_way(
+def test_a_joint_0_3_rad_off_its_reference_is_a_fault_at_rest_and_in_motion(
     joint: int, sign: float
 ) -> None:
     for on_its_way in (False, True):

@@ -150,7 +150,7 @@ def test_a_false_state_in_a_rollout_ends_in_a_stop(name: str, moment: str, nomin
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("moment", [0.22, 0.27, 0.33, 0.4, 0.48, 0.6])
-def test_an_arm_frozen_with_velocities_zero_is_noticed_once_it_has_stood(moment: float) -> None:
+def test_an_arm_frozen_with_velocity_zero_is_detected_after_standing_still(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     run(controller, plant, moment)
@@ -161,7 +161,9 @@ def test_an_arm_frozen_with_velocities_zero_is_noticed_once_it_has_stood(moment:
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("moment", [0.27, 0.48])
 @pytest.mark.parametrize("name", FALSIFICATIONS)
-def test_the_truth_after_a_lie_moves_nothing_and_can_be_reset(name: str, moment: float) -> None:
+def test_true_states_after_false_ones_move_nothing_and_allow_a_reset(
+    name: str, moment: float
+) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     run(controller, plant, moment)
@@ -180,7 +182,7 @@ def test_the_truth_after_a_lie_moves_nothing_and_can_be_reset(name: str, moment:
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
-def test_states_that_come_all_at_once_in_a_fault_do_not_look_fast(moment: float) -> None:
+def test_a_burst_of_states_in_a_fault_does_not_look_fast(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     tau = run(controller, plant, moment)[-1]
@@ -224,7 +226,7 @@ def test_a_false_state_of_an_arm_at_rest_moves_nothing(name: str, teaching: bool
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("adds_gravity", [False, True])
-def test_torques_of_another_commander_are_noticed(adds_gravity: bool) -> None:
+def test_torques_of_another_commander_are_detected(adds_gravity: bool) -> None:
     def foreign(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         return np.array([0.0, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0]) * (t > 0.3)
 
@@ -261,7 +263,7 @@ def test_a_contact_of_30_newtons_stops_a_replay_within_60_milliseconds(
 @pytest.mark.requirement("S-93")
 @pytest.mark.parametrize("friction", [0.5, 2.0])
 @pytest.mark.parametrize("delay", [0, 4])
-def test_what_the_model_has_wrong_is_no_fault(friction: float, delay: int) -> None:
+def test_model_errors_are_no_fault(friction: float, delay: int) -> None:
     controller, plant = begin(START, friction=friction, delay=delay, sensing=True)
     scale = np.array([1.05, 0.95, 1.05, 0.95, 1.05, 0.95, 1.05])
     obey = plant.step
@@ -274,7 +276,7 @@ def test_what_the_model_has_wrong_is_no_fault(friction: float, delay: int) -> No
 
 
 @pytest.mark.requirement("S-93")
-def test_a_fast_replay_that_sensors_and_motors_follow_late_is_no_contact() -> None:
+def test_a_fast_replay_with_sensor_and_motor_lag_is_no_contact() -> None:
     t = np.linspace(0.0, 1.0, 101)
     x = np.clip((t - 0.3) / 0.25, 0.0, 1.0)
     flick = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)  # from rest to rest
@@ -287,7 +289,7 @@ def test_a_fast_replay_that_sensors_and_motors_follow_late_is_no_contact() -> No
 
 
 @pytest.mark.requirement("S-93")
-def test_a_velocity_that_a_filter_delays_is_no_lie_and_one_that_is_too_small_is() -> None:
+def test_a_velocity_delayed_by_a_filter_is_plausible_and_one_too_small_is_not() -> None:
     def first_fault(lag: float, scale: float) -> int | None:
         check, dt, filtered, last = VelocityCheck(7), 0.002, 0.0, None
         for k in range(40):  # 200 rad/s^2 from rest for 40 ms, then at that speed

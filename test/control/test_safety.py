@@ -61,7 +61,7 @@ def test_soft_springs_push_inwards_and_only_near_a_limit() -> None:
 
 @pytest.mark.requirement("S-26")
 @given(qd=st.lists(st.floats(-5.0, 5.0), min_size=7, max_size=7).map(np.array))
-def test_the_live_fallback_never_feeds_energy_in(qd: np.ndarray) -> None:
+def test_the_fallback_torque_never_adds_energy(qd: np.ndarray) -> None:
     gravity = ARM.gravity(Q)
     tau = safety.damped_gravity(gravity, ARM.mass_matrix(Q), qd, 20.0)
     assert qd @ (tau - gravity) <= 1e-12  # rounding error
@@ -108,7 +108,7 @@ def test_each_motion_limit_is_named_when_exceeded() -> None:
 
 
 @pytest.mark.requirement("S-23")
-def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
+def test_a_point_behind_the_plane_is_named_with_its_depth() -> None:
     tilted = safety.limits_of(ARM, plane=(0.6, 0.0, 0.8, 0.5))
     before, behind = [0.5, 9.0, 0.3], [0.3, 0.0, 0.3]  # 0.54 and 0.42
     assert safety.plane_fault({"elbow": before, "tool": before}, tilted) is None
@@ -127,7 +127,7 @@ def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
 
 
 @pytest.mark.requirement("S-24")
-def test_a_joint_beyond_its_limit_may_move_back_but_not_on() -> None:
+def test_a_joint_beyond_its_limit_may_move_back_but_not_further() -> None:
     assert LIMITS.q_max[3] + 0.05 == pytest.approx(3.19, abs=0.01)
     for i in range(7):
         for end, out in ((LIMITS.q_max[i], 1.0), (LIMITS.q_min[i], -1.0)):
@@ -343,7 +343,7 @@ def test_three_states_in_a_row_beyond_a_limit_of_the_mode_are_a_fault() -> None:
 
 @pytest.mark.requirement("S-01")
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_torque_within_its_size_is_reached_at_the_limit_of_change(sign: float) -> None:
+def test_a_torque_within_its_limit_is_reached_at_the_rate_limit(sign: float) -> None:
     for joint in range(7):
         wanted = sign * 0.9 * LIMITS.torque[joint] * np.eye(7)[joint]
         for dt in (1e-6, 0.001):

@@ -119,7 +119,7 @@ def test_a_joint_that_freezes_in_a_slow_move_ends_it_before_the_arm_is_fast(
 
 @pytest.mark.requirement("S-93")
 @pytest.mark.parametrize("delay", [0, 4])
-def test_twice_the_friction_is_no_joint_that_stands(delay: int) -> None:
+def test_twice_the_friction_is_not_mistaken_for_a_frozen_joint(delay: int) -> None:
     controller, plant = begin(HOME + 0.2 * BENT, make(), friction=2.0, delay=delay, sensing=True)
     controller.move_to_start()
     for _ in range(500):

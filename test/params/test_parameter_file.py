@@ -63,7 +63,7 @@ def test_a_number_is_decimal_and_all_else_is_text(tmp_path: Path, text: str, val
         ("    - heat\n", "oven.yaml"),
     ],
 )
-def test_what_a_reader_would_have_to_guess_is_refused_with_its_line(
+def test_ambiguous_contents_are_refused_with_their_line(
     tmp_path: Path, text: str, why: str
 ) -> None:
     file = written(tmp_path, text)

@@ -116,7 +116,7 @@ def test_a_real_arm_has_stricter_bounds_than_a_simulation(
 
 
 @pytest.mark.requirement("S-18")
-def test_a_real_arm_does_not_go_by_simulated_time(domain_id: int) -> None:
+def test_a_real_arm_refuses_simulated_time(domain_id: int) -> None:
     values = parameter_file.of_nodes(FILE)["torque_controller"] | {"simulation": False}
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain_id)
