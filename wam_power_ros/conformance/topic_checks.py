@@ -101,9 +101,9 @@ def reception(name: str, topic: str, count: int, seconds: float, ends: Sequence[
     return Row(name, f"messages on {topic}", found, *result)
 
 
-def rate(name: str, stamp_ns: np.ndarray, wanted: float) -> Row:
+def rate(name: str, stamp_ns: np.ndarray, expected: float) -> Row:
     """Compare the rate of stamps (n,) [ns] with the expected rate [Hz], and count losses."""
-    row = partial(Row, name, f"{wanted:.4g} Hz")
+    row = partial(Row, name, f"{expected:.4g} Hz")
     intervals = np.diff(np.unique(stamp_ns))
     intervals = intervals[intervals >= PAIR_NS]
     if len(intervals) < 3:
@@ -114,10 +114,10 @@ def rate(name: str, stamp_ns: np.ndarray, wanted: float) -> Row:
     missing = int(np.maximum(np.rint(intervals / typical) - 1, 0).sum())
     share = missing / (len(intervals) + 1 + missing)
     text = f"{found:.1f} Hz, {share:.1%} missing"
-    error = abs(found / wanted - 1.0)
+    error = abs(found / expected - 1.0)
     if error > RATE_ERROR_FAIL:
-        slow = "; below 200 Hz torque control is not stable" if found < 200.0 < wanted else ""
-        return row(text, FAIL, f"set the driver to {wanted:.4g} Hz{slow}")
+        slow = "; below 200 Hz torque control is not stable" if found < 200.0 < expected else ""
+        return row(text, FAIL, f"set the driver to {expected:.4g} Hz{slow}")
     if error > RATE_ERROR_WARN or share > 0.05:
         return row(text, WARN, "is the machine or the network busy?")
     return row(text, OK)
@@ -197,12 +197,12 @@ def _nodes(ends: Sequence[Endpoint]) -> str:
     return ", ".join(sorted(end.node for end in ends)) or "nobody"
 
 
-def service(name: str, kind: str, services: dict[str, str], wanted: str) -> Row:
-    """Whether the wanted service is among `services` (name -> type) and has the right type."""
-    if not wanted:
+def service(name: str, kind: str, services: dict[str, str], configured: str) -> Row:
+    """Whether the configured service is among `services` (name -> type) and has the right type."""
+    if not configured:
         advice = "without one, loss of states only leads to braking and gravity compensation"
         return Row(name, "a service that idles the arm", "none configured", WARN, advice)
-    row, found = partial(Row, name, f"{wanted}, {kind}"), services.get(wanted)
+    row, found = partial(Row, name, f"{configured}, {kind}"), services.get(configured)
     if found == kind:
         return row("offered", OK)
     advice = 'set idle_service to the service of the driver, or to "" for none'

@@ -86,24 +86,24 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     derived.setdefault("wam_sim", {})["obstacle"] = chosen["torque_controller"]["obstacle"]
     tracked = {name: chosen["pancake_tracker"][name] for name in ("body", "pose_topic")}
     derived["optitrack_sim"] = tracked | derived.get("optitrack_sim", {})
-    whole = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
+    parameters = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
     if simulated or not names:  # the stand-ins do what a person does in the lab
-        whole["torque_controller"] |= {
+        parameters["torque_controller"] |= {
             "simulation": True,
             "hold_to_run": False,
             "allow_no_realtime": True,
         }
-        whole["learner"] |= {"scene_reset": True, "reset_faults": True}
-        whole["demonstration_recorder"]["source"] = "sim"
-        if whole["wam_sim"]["pace"] == "lockstep":  # wam_sim publishes the time for all nodes
+        parameters["learner"] |= {"scene_reset": True, "reset_faults": True}
+        parameters["demonstration_recorder"]["source"] = "sim"
+        if parameters["wam_sim"]["pace"] == "lockstep":  # wam_sim publishes the time for all nodes
             for node in set(NODES) - set(STAND_INS):
-                whole[node]["use_sim_time"] = True
+                parameters[node]["use_sim_time"] = True
             # Nobody stands beside a simulated arm: at the usual speed, moves to the start would
             # take two thirds of a session. Lockstep never waits for the clock, so that a node with
             # real-time priority would leave no time to the others.
             in_lockstep = {"move_speed": MOVE_SPEED, "realtime_priority": 0}
-            whole["torque_controller"] |= in_lockstep | given["torque_controller"]
-    return whole
+            parameters["torque_controller"] |= in_lockstep | given["torque_controller"]
+    return parameters
 
 
 def text(setup: Setup, namespace: str = "") -> str:
@@ -134,8 +134,8 @@ def _read(file: Path) -> Setup:
     """Read the parameters by node from one file."""
     found = parameter_file.of_nodes(file)
     for values in found.values():  # the URDF path may be relative to the set-up file
-        if values.get("urdf") and (beside := file.parent / str(values["urdf"])).is_file():
-            values["urdf"] = str(beside.resolve())
+        if values.get("urdf") and (urdf := file.parent / str(values["urdf"])).is_file():
+            values["urdf"] = str(urdf.resolve())
     return found
 
 
