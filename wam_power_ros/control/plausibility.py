@@ -149,7 +149,7 @@ class TorqueCheck:
             last: Previous state.
             state: Current state.
             unchanged: Number of states for which each joint's position has stayed the same.
-            tau: Torque sent between the two [N m]. Shape (n,).
+            tau: Motor torque commanded between the two [N m]. Shape (n,).
             bound: Bound on the residual in addition to friction.
         """
         arm = self._arm
@@ -211,7 +211,7 @@ class Plausibility:
         Args:
             last: Previous state, None when it is too long ago to compare with.
             state: Current state.
-            tau: Torque sent between the two [N m]. Shape (n,).
+            tau: Motor torque commanded between the two [N m]. Shape (n,).
             bound: Bound on the torque residual, None while a person guides the arm.
         """
         if last is None:
