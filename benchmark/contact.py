@@ -89,7 +89,9 @@ class Replay:
         environment.place(f"replay-{self._count}", movement.q[0])
         for _ in range(100):
             environment.tick()
-        environment.controller.start_replay(movement)
+        controller = environment.controller
+        period, limits = controller.settings.period, controller.limits
+        controller.start_replay(replay_trajectory.sampled(movement, 1.0, period, limits))
         environment.world.release()
         while environment.controller.mode is not Mode.REPLAY:
             environment.tick()

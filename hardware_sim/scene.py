@@ -12,7 +12,7 @@ import numpy as np
 from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes import Scene
 from hardware_sim.wam import JOINTS
-from wam_power_ros.control.arm import WAM_GUARDED, Guarded
+from wam_power_ros.control.arm import WAM_GUARDED_POINTS, GuardedPoint
 from wam_power_ros.tasks.flip.frames import PAN_RADIUS
 
 TIMESTEP = 0.001  # [s] of the physics
@@ -28,7 +28,7 @@ def build(
     scene: Scene,
     friction: float,
     tool: str = "pan",
-    guarded: Sequence[Guarded] = WAM_GUARDED,
+    guarded: Sequence[GuardedPoint] = WAM_GUARDED_POINTS,
     joints: Sequence[str] = JOINTS,
     payload: float = 0.0,
 ) -> mujoco.MjModel:

@@ -9,7 +9,7 @@ from typing import Literal
 
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, N, check_range
-from wam_power_ros.control.arm import WAM_GUARDED, Guarded
+from wam_power_ros.control.arm import WAM_GUARDED_POINTS, GuardedPoint
 
 PITCH_RATE = 7.6  # [rad/s] of a practised person: most such tosses reproduce at 90 degrees or more
 
@@ -33,7 +33,7 @@ class ArmSettings:
     urdf: str = "urdf/wam7.urdf"
     joints: tuple[str, ...] = JOINTS
     tool: str = "pan"
-    guarded: tuple[Guarded, ...] = WAM_GUARDED
+    guarded: tuple[GuardedPoint, ...] = WAM_GUARDED_POINTS
     home: tuple[float, ...] | None = None
     drives: Literal["wam", "direct"] = "wam"
 

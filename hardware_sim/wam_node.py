@@ -27,7 +27,7 @@ from hardware_sim.sensors import MocapFrame, MocapSettings
 from hardware_sim.settings import ArmSettings, SceneSettings, WorldSettings
 from hardware_sim.wam import FOLDED, PERIOD, N
 from hardware_sim.world import World
-from wam_power_ros.control.arm import Arm, Guarded, guarded_points
+from wam_power_ros.control.arm import Arm, GuardedPoint, guarded_points
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
@@ -87,7 +87,7 @@ class WamSimParams(Params):
         """Settings of the world; where no point is guarded, the tool is logged instead."""
         tool = self.tool_frame
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
-        guarded = guarded or (Guarded("tool", tool, (0.0, 0.0, 0.0)),)
+        guarded = guarded or (GuardedPoint("tool", tool, (0.0, 0.0, 0.0)),)
         own = {field.name for field in dataclasses.fields(WorldSettings)} & set(
             type(self).model_fields
         )

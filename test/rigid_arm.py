@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wam_power_ros import rotations
-from wam_power_ros.control import safety
+from wam_power_ros.control import replay_trajectory, safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
@@ -117,6 +117,11 @@ def begin(q: np.ndarray = HOME, controller: Controller | None = None, **plant: o
     controller.hold()
     run(controller, plant, 0.1)
     return controller, plant
+
+
+def start_replay(controller: Controller, trajectory: object, speed: float = 1.0) -> None:
+    period, limits = controller.settings.period, controller.limits
+    controller.start_replay(replay_trajectory.sampled(trajectory, speed, period, limits))
 
 
 def run(

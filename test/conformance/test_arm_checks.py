@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes of a driver show in what an arm reports at rest, or led by hand."""
+"""Mistakes of a driver show in the states of an arm at rest, or guided by hand."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wam_power_ros.control.arm import Arm
 
 NAMES = tuple(f"wam_j{i}" for i in range(1, 8))
 POSTURE = np.array([0.3, 0.4, -0.2, 1.9, 0.25, -0.5, 0.4])
-UNLOADED = {0, 4, 6}  # joints that gravity does not pull at there, more than a driver may be wrong
+UNLOADED = {0, 4, 6}  # joints with gravity torques below the tolerance in this posture
 HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])
 TICK = 2_000_000  # [ns]
 
@@ -29,7 +29,7 @@ def model() -> Arm:
 
 
 def at_rest(q: np.ndarray = POSTURE, names: tuple[str, ...] = NAMES) -> list[StateSample]:
-    """Reports of a correct driver of an arm that it carries."""
+    """States of a correct driver that carries the arm."""
     noise = np.random.default_rng(21).normal(scale=1e-5, size=(50, 7))
     tau = model().gravity(q)
     return [
@@ -39,10 +39,10 @@ def at_rest(q: np.ndarray = POSTURE, names: tuple[str, ...] = NAMES) -> list[Sta
 
 
 def led(joint: int, by: float = 0.4, scale: float = 1.0) -> list[StateSample]:
-    """One joint led by a person; velocities times `scale`."""
+    """States while a person guides one joint by `by` [rad]; velocities times `scale`."""
     phase = np.linspace(0.0, 1.0, 500)
     moves = 0.5 * by * (1.0 - np.cos(np.pi * phase))
-    speeds = 0.5 * by * np.pi * np.sin(np.pi * phase)  # in a second
+    speeds = 0.5 * by * np.pi * np.sin(np.pi * phase)  # movement of one second
     axis = np.eye(7)[joint]
     return [
         StateSample(i * TICK, (i + 1) * TICK, NAMES, POSTURE + axis * q, axis * v * scale, axis * 0)
@@ -54,7 +54,7 @@ def record(samples: list[StateSample]) -> ArmRecord:
     return arm_checks.collect(samples, NAMES)[0]
 
 
-def test_joints_are_found_by_name_beside_other_devices() -> None:
+def test_joints_are_found_by_name_among_other_devices() -> None:
     order = np.array([3, 6, 0, 2, 5, 1, 4])
     samples = [
         s._replace(names=(*(NAMES[i] for i in order), "finger"), q=np.append(s.q[order], 9.0))
@@ -69,7 +69,7 @@ def test_joints_are_found_by_name_beside_other_devices() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "fragment"),
     [
         ({"names": tuple(f"q{i}" for i in range(1, 8))}, "q1 q2"),
         ({"names": NAMES[:6], "q": np.zeros(6)}, "without wam_j7"),
@@ -79,11 +79,11 @@ def test_joints_are_found_by_name_beside_other_devices() -> None:
     ],
 )
 def test_states_without_every_joint_once_do_not_conform(
-    change: dict[str, object], said: str
+    change: dict[str, object], fragment: str
 ) -> None:
     found, row = arm_checks.collect([s._replace(**change) for s in at_rest()], NAMES)
     assert row.verdict is Verdict.FAIL
-    assert said in row.found
+    assert fragment in row.found
     assert len(found.q) == 0
     assert arm_checks.positions(found, model()).verdict is Verdict.UNCHECKED
 
@@ -98,7 +98,7 @@ def test_positions_are_radians_within_the_limits() -> None:
     assert "wam_j2, wam_j4" in row.advice
 
 
-def test_a_correct_driver_passes_and_joints_that_rest_cannot_distinguish_are_named() -> None:
+def test_a_correct_driver_passes_and_joints_indistinguishable_at_rest_are_named() -> None:
     for q, alike in ((POSTURE, {0, 4, 6}), (HOME, {0, 2, 4, 6})):
         row = arm_checks.gravity(record(at_rest(q)), model())
         assert row.verdict is Verdict.OK
@@ -152,7 +152,7 @@ def test_torques_reversed_or_of_another_payload_are_a_failure() -> None:
     assert "payload" in arm_checks.gravity(record(heavy), model()).advice
 
 
-def test_gravity_is_not_checked_where_it_shows_nothing() -> None:
+def test_gravity_is_not_checked_where_its_torques_are_small() -> None:
     gravity = arm_checks.gravity
     upright = at_rest(np.zeros(7))
     idle = [s._replace(tau=np.zeros(7)) for s in at_rest()]
@@ -162,7 +162,7 @@ def test_gravity_is_not_checked_where_it_shows_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("samples", "expected", "said"),
+    ("samples", "expected", "fragment"),
     [
         (at_rest(), Verdict.OK, ""),
         (led(3), Verdict.OK, ""),
@@ -175,15 +175,15 @@ def test_gravity_is_not_checked_where_it_shows_nothing() -> None:
         ([s._replace(qd=np.full(7, np.inf)) for s in at_rest()], Verdict.FAIL, "must not"),
     ],
 )
-def test_velocities_are_those_of_the_positions(
-    samples: list[StateSample], expected: Verdict, said: str
+def test_velocities_must_be_the_derivative_of_the_positions(
+    samples: list[StateSample], expected: Verdict, fragment: str
 ) -> None:
     row = arm_checks.velocity(record(samples))
     assert row.verdict is expected
-    assert said in row.advice
+    assert fragment in row.advice
 
 
-def test_velocities_of_a_topic_of_their_own_count() -> None:
+def test_velocities_of_a_separate_topic_count() -> None:
     samples = led(2)
     bare = record([s._replace(qd=np.empty(0)) for s in samples])
     received = np.array([s.received_ns for s in samples])
@@ -193,19 +193,19 @@ def test_velocities_of_a_topic_of_their_own_count() -> None:
     assert arm_checks.velocity(silent, "/velocities").found == "no velocity"
 
 
-def test_the_joint_that_is_led_must_be_the_one_that_moves_and_the_way_asked() -> None:
-    assert arm_checks.led(record(led(2)), 2).verdict is Verdict.OK
-    other = arm_checks.led(record(led(4)), 2)
+def test_the_guided_joint_must_be_the_one_that_moves_and_in_the_requested_direction() -> None:
+    assert arm_checks.hand_movement(record(led(2)), 2).verdict is Verdict.OK
+    other = arm_checks.hand_movement(record(led(4)), 2)
     assert (other.verdict, "wam_j5 is the name of this one" in other.advice) == (Verdict.FAIL, True)
-    assert "reversed" in arm_checks.led(record(led(2, by=-0.4)), 2).advice
-    assert arm_checks.led(record(at_rest()), 2).verdict is Verdict.UNCHECKED
-    silent = arm_checks.led(record([]), 2)
+    assert "reversed" in arm_checks.hand_movement(record(led(2, by=-0.4)), 2).advice
+    assert arm_checks.hand_movement(record(at_rest()), 2).verdict is Verdict.UNCHECKED
+    silent = arm_checks.hand_movement(record([]), 2)
     assert (silent.verdict, silent.found) == (Verdict.FAIL, "no states of these joints")
 
 
 @pytest.mark.parametrize(
-    ("joint", "said"), [(0, "to its left"), (1, "down"), (6, "turns clockwise")]
+    ("joint", "fragment"), [(0, "to its left"), (1, "down"), (6, "turns clockwise")]
 )
-def test_the_advice_names_which_way_to_lead_a_joint(joint: int, said: str) -> None:
+def test_the_direction_in_which_to_guide_a_joint_is_named(joint: int, fragment: str) -> None:
     q = np.array([0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0])
-    assert said in arm_checks.heading(model(), q, joint)
+    assert fragment in arm_checks.tool_direction(model(), q, joint)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes of a motion capture show in its frames."""
+"""Mistakes of a motion capture driver show in its frames."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def lying(count: int = 60) -> np.ndarray:
 
 
 def dropped(turn: np.ndarray | None = None) -> np.ndarray:
-    """At rest, in free fall for 0.4 s, at rest again; as cameras turned so see it."""
+    """Positions at rest, in free fall for 0.4 s, and at rest again, in a rotated camera frame."""
     fall = np.clip(np.arange(40) / 30.0 - 0.5, 0.0, 0.4)
     positions = lying(40) - np.outer(0.5 * 9.81 * fall**2, [0.0, 0.0, 1.0])
     return positions if turn is None else positions @ turn.T
 
 
 def usable(seen: list[FrameSample], **refused: int) -> dict[str, Row]:
-    return {row.name: row for row in mocap_checks.usable(seen, SETTINGS, refused)}
+    return {row.name: row for row in mocap_checks.frame_quality(seen, SETTINGS, refused)}
 
 
 def test_frames_of_a_body_in_view_conform() -> None:
@@ -69,17 +69,17 @@ def test_a_pose_that_repeats_is_frozen_and_a_lost_frame_is_not() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "fragment"),
     [
         (lambda f: f._replace(position=np.zeros(3)), "sends zeros"),
         (lambda f: f._replace(position=1000.0 * f.position), "not metres"),
         (lambda f: f._replace(quat_xyzw=2.0 * LEVEL), "unit quaternions"),
     ],
 )
-def test_poses_that_the_tracker_refuses_are_named(change: object, said: str) -> None:
+def test_poses_that_the_tracker_refuses_are_named(change: object, fragment: str) -> None:
     row = usable([change(frame) for frame in frames(lying())])["mocap poses"]
     assert row.verdict is Verdict.FAIL
-    assert said in row.advice
+    assert fragment in row.advice
 
 
 def test_messages_that_cannot_be_read_count() -> None:
@@ -98,32 +98,34 @@ def test_messages_that_cannot_be_read_count() -> None:
         (0.5, 0.0, Verdict.FAIL),
     ],
 )
-def test_latency_is_by_the_arms_clock(age: float, offset: float, expected: Verdict) -> None:
+def test_latency_is_relative_to_the_arms_clock(
+    age: float, offset: float, expected: Verdict
+) -> None:
     stamps = np.arange(10) * SECOND
-    arm_age = 7.0  # however far this machine's clock is from both
+    arm_age = 7.0  # independent of this machine's clock
     received = stamps + round((arm_age + age) * 1e9)
     row = mocap_checks.latency(received, stamps, arm_age, offset, 0.2)
     assert row.verdict is expected
 
 
-def test_the_layout_is_looked_for_in_every_cloud() -> None:
+def test_the_marker_layout_is_searched_in_every_cloud() -> None:
     points = marker_fit.LAYOUT + np.array([0.7, 0.0, 0.5])
     clouds = [CloudSample(0, i * SECOND, points) for i in range(10)]
-    seen, row = mocap_checks.poses(clouds)
+    seen, row = mocap_checks.marker_poses(clouds)
     assert (len(seen), row.verdict) == (10, Verdict.OK)
     np.testing.assert_allclose(seen[0].position, [0.7, 0.0, 0.5], atol=1e-9)
-    _, row = mocap_checks.poses([cloud._replace(points=1000 * points) for cloud in clouds])
+    _, row = mocap_checks.marker_poses([cloud._replace(points=1000 * points) for cloud in clouds])
     assert (row.verdict, "metres" in row.advice) == (Verdict.FAIL, True)
-    assert mocap_checks.poses([])[1].verdict is Verdict.UNCHECKED
+    assert mocap_checks.marker_poses([])[1].verdict is Verdict.UNCHECKED
 
 
-def test_a_body_in_the_pan_is_seen_there() -> None:
+def test_a_body_in_the_pan_is_measured_in_the_pan() -> None:
     pan = np.array([0.76, 0.0, 0.49])
     seen = frames(lying())
-    assert mocap_checks.place(seen, SETTINGS, pan).verdict is Verdict.OK
+    assert mocap_checks.body_position(seen, SETTINGS, pan).verdict is Verdict.OK
     moved = replace(SETTINGS, world_to_base=(0.5, 0.0, 0.0, *LEVEL))
-    assert mocap_checks.place(seen, moved, pan).verdict is Verdict.WARN
-    assert mocap_checks.place(seen, SETTINGS, None).verdict is Verdict.UNCHECKED
+    assert mocap_checks.body_position(seen, moved, pan).verdict is Verdict.WARN
+    assert mocap_checks.body_position(seen, SETTINGS, None).verdict is Verdict.UNCHECKED
 
 
 FORWARD_UP = rotations.matrix(np.array([0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)]))  # z to x
@@ -131,7 +133,7 @@ TILT = rotations.matrix(rotations.quat_of_vector(np.array([np.deg2rad(15.0), 0.0
 
 
 @pytest.mark.parametrize(
-    ("turn", "up_axis", "expected", "said"),
+    ("turn", "up_axis", "expected", "fragment"),
     [
         (np.eye(3), "z", Verdict.OK, ""),
         (Y_UP.T, "y", Verdict.OK, ""),
@@ -142,19 +144,19 @@ TILT = rotations.matrix(rotations.quat_of_vector(np.array([np.deg2rad(15.0), 0.0
         (TILT, "z", Verdict.WARN, "15 degrees off"),
     ],
 )
-def test_a_fall_shows_which_way_is_up(
-    turn: np.ndarray, up_axis: str, expected: Verdict, said: str
+def test_a_fall_shows_the_vertical_axis(
+    turn: np.ndarray, up_axis: str, expected: Verdict, fragment: str
 ) -> None:
-    row = mocap_checks.fall(frames(dropped(turn)), replace(SETTINGS, up_axis=up_axis))
+    row = mocap_checks.fall_direction(frames(dropped(turn)), replace(SETTINGS, up_axis=up_axis))
     assert row.verdict is expected
-    assert said in row.advice
+    assert fragment in row.advice
 
 
 def test_a_fall_in_millimetres_is_named_and_without_a_fall_nothing_is_checked() -> None:
-    row = mocap_checks.fall(frames(1000.0 * dropped()), SETTINGS)
+    row = mocap_checks.fall_direction(frames(1000.0 * dropped()), SETTINGS)
     assert (row.verdict, row.advice) == (Verdict.FAIL, "send metres")
     for seen in (frames(lying()), []):
-        assert mocap_checks.fall(seen, SETTINGS).verdict is Verdict.UNCHECKED
+        assert mocap_checks.fall_direction(seen, SETTINGS).verdict is Verdict.UNCHECKED
 
 
 def test_frames_in_pairs_and_lost_ones_do_not_hide_a_fall() -> None:
@@ -162,4 +164,4 @@ def test_frames_in_pairs_and_lost_ones_do_not_hide_a_fall() -> None:
     pairs = [twin for f in seen for twin in (f, f._replace(stamp_ns=f.stamp_ns + 100_000))]
     nowhere = pairs[5]._replace(stamp_ns=pairs[5].stamp_ns + 1, position=np.full(3, np.nan))
     pairs.insert(6, nowhere)
-    assert mocap_checks.fall(pairs, SETTINGS).verdict is Verdict.OK
+    assert mocap_checks.fall_direction(pairs, SETTINGS).verdict is Verdict.OK

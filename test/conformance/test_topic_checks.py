@@ -19,7 +19,7 @@ def grid(count: int, period_ms: int) -> np.ndarray:
 @pytest.mark.parametrize(
     ("period_ms", "expected"), [(2, Verdict.OK), (10, Verdict.FAIL), (1, Verdict.FAIL)]
 )
-def test_the_rate_is_that_of_the_stamps(period_ms: int, expected: Verdict) -> None:
+def test_the_rate_is_computed_from_the_stamps(period_ms: int, expected: Verdict) -> None:
     row = topic_checks.rate("rate", grid(500, period_ms), 500.0)
     assert row.verdict is expected
     assert f"{1000 / period_ms:.1f} Hz" in row.found
@@ -31,13 +31,13 @@ def test_lost_messages_are_reported_and_do_not_change_the_rate() -> None:
     assert (row.verdict, row.found) == (Verdict.WARN, "500.0 Hz, 19.8% missing")
 
 
-def test_a_grid_of_another_clock_does_not_change_the_rate() -> None:
+def test_a_coarse_clock_resolution_does_not_change_the_rate() -> None:
     stamps = START + (np.arange(60) * 1000 // 30 // 2) * 2 * MS  # 30 Hz in steps of 2 ms
     assert topic_checks.rate("rate", stamps, 30.0).verdict is Verdict.OK
 
 
 @pytest.mark.parametrize(
-    ("stamps", "expected", "said"),
+    ("stamps", "expected", "fragment"),
     [
         (grid(100, 2), Verdict.OK, "in order"),
         (np.zeros(100, dtype=np.int64), Verdict.FAIL, "not set"),
@@ -47,10 +47,12 @@ def test_a_grid_of_another_clock_does_not_change_the_rate() -> None:
         (grid(0, 2), Verdict.UNCHECKED, "none"),
     ],
 )
-def test_stamps_must_be_set_and_increase(stamps: np.ndarray, expected: Verdict, said: str) -> None:
+def test_stamps_must_be_set_and_increase(
+    stamps: np.ndarray, expected: Verdict, fragment: str
+) -> None:
     row = topic_checks.stamps("stamps", stamps)
     assert row.verdict is expected
-    assert said in row.found
+    assert fragment in row.found
 
 
 def test_stamps_of_another_clock_are_a_warning() -> None:
@@ -87,7 +89,7 @@ OTHER = Endpoint("teleop", STATE, True, False)
 
 
 @pytest.mark.parametrize(
-    ("drivers", "commanders", "count", "expected", "said"),
+    ("drivers", "commanders", "count", "expected", "fragment"),
     [
         ([DRIVER], [], 0, Verdict.OK, "driver"),
         ([], [], 0, Verdict.FAIL, "nobody"),
@@ -103,17 +105,17 @@ def test_a_command_path_has_one_driver_and_no_commander(
     commanders: list[Endpoint],
     count: int,
     expected: Verdict,
-    said: str,
+    fragment: str,
 ) -> None:
     row = topic_checks.command_path("/commands", STATE, drivers, commanders, count)
     assert row.verdict is expected
-    assert said in row.found
+    assert fragment in row.found
 
 
-def test_a_service_that_is_configured_must_be_offered_in_its_type() -> None:
+def test_a_configured_service_must_be_offered_with_its_type() -> None:
     services = {"/wam/idle": "std_srvs/srv/Trigger", "/other": "std_srvs/srv/SetBool"}
     found = [
-        topic_checks.offered("idle", "std_srvs/srv/Trigger", services, name).verdict
+        topic_checks.service("idle", "std_srvs/srv/Trigger", services, name).verdict
         for name in ("/wam/idle", "/other", "/none", "")
     ]
     assert found == [Verdict.OK, Verdict.FAIL, Verdict.FAIL, Verdict.WARN]
@@ -123,18 +125,18 @@ def rows(*verdicts: Verdict) -> list[Row]:
     return [Row(f"row {i}", "", "", verdict, "do") for i, verdict in enumerate(verdicts)]
 
 
-def test_one_failure_decides_and_every_doubt_is_named() -> None:
-    result, said = topic_checks.verdict(rows(Verdict.OK, Verdict.FAIL, Verdict.WARN))
-    assert (result, said) == (Verdict.FAIL, "DOES NOT CONFORM, let nothing move: row 1.")
-    result, said = topic_checks.verdict(rows(Verdict.OK, Verdict.WARN, Verdict.UNCHECKED))
+def test_one_failure_decides_and_every_warning_is_named() -> None:
+    result, fragment = topic_checks.verdict(rows(Verdict.OK, Verdict.FAIL, Verdict.WARN))
+    assert (result, fragment) == (Verdict.FAIL, "DOES NOT CONFORM, do not move the arm: row 1.")
+    result, fragment = topic_checks.verdict(rows(Verdict.OK, Verdict.WARN, Verdict.UNCHECKED))
     assert result is Verdict.WARN
-    assert "row 1" in said and "Not checked: row 2" in said
+    assert "row 1" in fragment and "Not checked: row 2" in fragment
     assert topic_checks.verdict(rows(Verdict.OK)) == (Verdict.OK, "CONFORMS.")
 
 
-def test_only_failures_that_are_there_can_be_accepted() -> None:
-    table = topic_checks.accepted(rows(Verdict.OK, Verdict.FAIL), ["row 1", "row 0"])
+def test_only_existing_rows_can_be_accepted() -> None:
+    table = topic_checks.accept(rows(Verdict.OK, Verdict.FAIL), ["row 1", "row 0"])
     assert [row.verdict for row in table] == [Verdict.OK, Verdict.WARN]
     assert table[1].advice == "accepted. do"
     with pytest.raises(ValueError, match=r"no row \['row 9'\].*row 1"):
-        topic_checks.accepted(rows(Verdict.OK, Verdict.FAIL), ["row 9"])
+        topic_checks.accept(rows(Verdict.OK, Verdict.FAIL), ["row 9"])

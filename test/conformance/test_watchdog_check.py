@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The watchdog test shows whether there is a watchdog and cannot move the arm."""
+"""The watchdog test detects a watchdog and cannot move the arm."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 
 from wam_power_ros.conformance.topic_checks import Row, Verdict
-from wam_power_ros.conformance.watchdog_check import FRICTION_SHARE, GIVE, CommandCheck
+from wam_power_ros.conformance.watchdog_check import FRICTION_SHARE, MOTION_MAX, CommandCheck
 from wam_power_ros.control.arm import Arm
 
 NAMES = tuple(f"wam_j{i}" for i in range(1, 8))
@@ -23,90 +23,90 @@ def model() -> Arm:
     return Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES)
 
 
-def played(
+def tested(
     adds: bool = False,
     configured: bool | None = None,
     watchdog: int | None = 5,
     delay: int = 3,
     slip: float = 0.0,
-    deaf: bool = False,
+    ignores: bool = False,
 ) -> tuple[Row, list[np.ndarray]]:
-    """The row of a test on an arm that is played, and the torques it was sent.
+    """Run the test on a simulated driver; returns the row and the torques sent.
 
-    Its driver adds gravity or not, shows commands after `delay` ticks unless it is deaf, and goes
-    back to its own torque `watchdog` ticks after the last command, or never.
+    The driver adds gravity or not, reports commands after `delay` ticks unless it ignores them,
+    and returns to its own torque `watchdog` ticks after the last command, or never.
     """
     gravity = model().gravity(Q)
     check = CommandCheck(model(), NAMES, adds if configured is None else configured, Q, gravity)
     sent: list[np.ndarray] = []
-    under_way: list[np.ndarray | None] = [None] * delay
+    in_transit: list[np.ndarray | None] = [None] * delay
     command, silent, q = None, 10**6, Q.copy()
     for tick in range(1, 2000):
-        arrived = under_way.pop(0)
+        arrived = in_transit.pop(0)
         silent = 0 if arrived is not None else silent + 1
         command = command if arrived is None else arrived
-        own = command is None or deaf or (watchdog is not None and silent > watchdog)
+        own = command is None or ignores or (watchdog is not None and silent > watchdog)
         tau = gravity if own else command + (gravity if adds else 0.0)
         q = q + (0.0 if own else slip)
         torque = check.step(tick * TICK, q, tau)
-        under_way.append(torque)
+        in_transit.append(torque)
         if torque is not None:
             sent.append(torque.copy())
-        if check.over:
+        if check.finished:
             break
-    assert check.over
+    assert check.finished
     return check.row, sent
 
 
 @pytest.mark.parametrize("adds", [False, True])
-def test_a_driver_with_a_watchdog_passes_and_is_sent_no_more_than_friction_holds(
+def test_a_driver_with_a_watchdog_passes_and_gets_no_offset_above_friction(
     adds: bool,
 ) -> None:
-    row, sent = played(adds)
+    row, sent = tested(adds)
     assert row.verdict is Verdict.OK
     carrier = np.zeros(7) if adds else model().gravity(Q)
     extra = np.abs(np.array(sent) - carrier)
     assert (extra <= FRICTION_SHARE * model().friction + 1e-9).all()
     assert extra.max() > 0.1
-    np.testing.assert_array_equal(sent[-1], carrier)  # what a driver may hold from now on
+    np.testing.assert_array_equal(sent[-1], carrier)  # a driver may hold this one from now on
 
 
 @pytest.mark.parametrize("adds", [False, True])
-def test_a_driver_that_holds_the_last_torque_fails_and_is_left_with_what_carries_the_arm(
+def test_a_driver_that_holds_the_last_torque_fails_and_ends_with_the_torque_that_carries_the_arm(
     adds: bool,
 ) -> None:
-    row, sent = played(adds, watchdog=None)
+    row, sent = tested(adds, watchdog=None)
     assert (row.verdict, "no watchdog" in row.found) == (Verdict.FAIL, True)
     np.testing.assert_array_equal(sent[-1], np.zeros(7) if adds else model().gravity(Q))
 
 
 def test_a_slow_watchdog_is_a_warning() -> None:
-    row, _ = played(watchdog=100)
+    row, _ = tested(watchdog=100)
     assert (row.verdict, "206 ms" in row.found) == (Verdict.WARN, True)
 
 
 def test_gravity_sent_to_a_driver_that_adds_it_ends_the_test_at_once() -> None:
-    row, sent = played(adds=True, configured=False)
+    row, sent = tested(adds=True, configured=False)
     assert (row.verdict, "driver_compensates_gravity: true" in row.advice) == (Verdict.FAIL, True)
     assert len(sent) <= 5
     np.testing.assert_array_equal(sent[-1], np.zeros(7))
 
 
 def test_zero_sent_to_a_driver_that_adds_nothing_ends_the_test_at_once() -> None:
-    row, sent = played(adds=False, configured=True)
+    row, sent = tested(adds=False, configured=True)
     assert (row.verdict, "driver_compensates_gravity: false" in row.advice) == (Verdict.FAIL, True)
     assert len(sent) <= 5
     np.testing.assert_array_equal(sent[-1], model().gravity(Q))
 
 
 def test_an_arm_that_moves_ends_the_test() -> None:
-    row, sent = played(slip=0.2 * GIVE)
+    row, sent = tested(slip=0.2 * MOTION_MAX)
     assert (row.verdict, "moved by" in row.found) == (Verdict.FAIL, True)
     assert len(sent) < 15
 
 
-def test_a_driver_that_does_not_show_commands_cannot_be_checked() -> None:
-    row, _ = played(deaf=True)
+def test_a_driver_that_does_not_report_commands_cannot_be_checked() -> None:
+    row, _ = tested(ignores=True)
     assert row.verdict is Verdict.UNCHECKED
 
 

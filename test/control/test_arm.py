@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rigid-body model against finite differences and Barrett's own figures."""
+"""The rigid-body model against finite differences and Barrett's figures."""
 
 import copy
 import re
@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from wam_power_ros.control.arm import WAM_GUARDED, Arm, Guarded, guarded_points
+from wam_power_ros.control.arm import WAM_GUARDED_POINTS, Arm, GuardedPoint, guarded_points
 from wam_power_ros.params.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()
@@ -36,7 +36,7 @@ def states(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         (5, (0.02919702, 0.0, 1.24944478)),
     ],
 )
-def test_the_tool_plate_is_where_barretts_own_kinematics_put_it(
+def test_the_tool_plate_agrees_with_barretts_kinematics(
     joint: int | None, expected: tuple[float, float, float]
 ) -> None:
     plate = Arm(URDF, NAMES, tool_frame="wam_tool_plate")
@@ -60,7 +60,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose(arm: Arm) -> None:
         motion = arm.motion(q, qd)
         assert np.allclose(motion.twist, twist, atol=1e-12)
         assert motion.tool_speed == pytest.approx(np.linalg.norm(twist[:3]))
-        arm.tool_pose(HOME)  # nothing of another posture is left
+        arm.tool_pose(HOME)  # results must not depend on an earlier posture
         motion, (position, rotation) = arm.motion(q, qd), arm.tool_pose(q)
         assert np.array_equal(motion.position, position)
         assert np.array_equal(motion.rotation, rotation)
@@ -111,9 +111,9 @@ def test_guarded_points_move_as_their_positions_do(arm: Arm) -> None:
         assert tool == pytest.approx(arm.motion(q, qd).tool_speed)
 
 
-def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm) -> None:
-    wrist = Guarded("wrist", "wam_link6", (0.03, -0.05, 0.1))
-    other = Arm(URDF, NAMES, guarded=(*WAM_GUARDED, wrist, WAM_GUARDED[0]))
+def test_guarded_points_are_configurable_and_an_unknown_link_is_named(arm: Arm) -> None:
+    wrist = GuardedPoint("wrist", "wam_link6", (0.03, -0.05, 0.1))
+    other = Arm(URDF, NAMES, guarded=(*WAM_GUARDED_POINTS, wrist, WAM_GUARDED_POINTS[0]))
     assert other.guarded == ("elbow", "forearm", "wrist", "elbow")
     speeds, tool = other.speeds(HOME, np.ones(7))
     assert (speeds[:2], tool) == arm.speeds(HOME, np.ones(7))
@@ -127,8 +127,8 @@ def test_an_arm_is_guarded_where_it_says_and_a_link_it_has_not_is_named(arm: Arm
         Arm(URDF, NAMES, guarded=[wrist._replace(link="another_robots_link")])
 
 
-def test_an_arm_is_not_copied_with_arrays_over_another_ones_buffers(arm: Arm) -> None:
-    with pytest.raises(TypeError, match="make another"):
+def test_an_arm_cannot_be_copied(arm: Arm) -> None:
+    with pytest.raises(TypeError, match="create another"):
         copy.deepcopy(arm)
 
 
@@ -157,14 +157,14 @@ def test_joints_that_are_not_named_are_locked(arm: Arm) -> None:
     assert np.array_equal(fewer.armature, arm.armature[:4])
 
 
-def test_what_does_not_fit_is_named() -> None:
+def test_a_joint_or_frame_that_does_not_match_is_named() -> None:
     with pytest.raises(ValueError, match=r"'arm_j9'.*wam_j1"):
         Arm(URDF, ["arm_j9"])
     with pytest.raises(ValueError, match="base to tip"):
         Arm(URDF, NAMES[::-1])
     with pytest.raises(ValueError, match=r"'spoon'.*pan"):
         Arm(URDF, NAMES, tool_frame="spoon")
-    with pytest.raises(ValueError, match="no URDF"):
+    with pytest.raises(ValueError, match="not a URDF"):
         Arm("<robot", NAMES)
     with pytest.raises(ValueError, match="continuous"):
         Arm(URDF.replace('name="wam_j7" type="revolute"', 'name="wam_j7" type="continuous"'), NAMES)
@@ -183,7 +183,7 @@ def test_what_does_not_fit_is_named() -> None:
         ("upper", "-9.0", "position limits .* must be below the upper ones"),
     ],
 )
-def test_one_joint_with_limits_or_a_rotor_that_cannot_be_is_enough_to_be_refused(
+def test_one_joint_with_invalid_limits_or_armature_is_enough_to_be_refused(
     joint: int, attribute: str, value: str, words: str
 ) -> None:
     begin = URDF.index(f'<joint name="wam_j{joint}"')
@@ -193,7 +193,7 @@ def test_one_joint_with_limits_or_a_rotor_that_cannot_be_is_enough_to_be_refused
         Arm(URDF[:begin] + spoilt + URDF[end:], NAMES)
 
 
-def test_a_weak_slow_joint_without_a_rotor_is_a_joint() -> None:
+def test_a_weak_slow_joint_without_rotor_inertia_is_accepted() -> None:
     begin = URDF.index('<joint name="wam_j7"')
     weak = URDF[begin:]
     for attribute, value in (("armature", "0.0"), ("velocity", "0.1"), ("effort", "0.01")):
@@ -215,7 +215,7 @@ def test_limits_are_those_of_the_urdf(arm: Arm) -> None:
 def test_guarded_points_are_read_three_numbers_each() -> None:
     names, links = ["elbow", "forearm"], ["wam_link4", "wam_link4"]
     offsets = [0.0, 0.0, 0.0, -0.045, -0.35, 0.0]
-    assert guarded_points(names, links, offsets) == WAM_GUARDED
+    assert guarded_points(names, links, offsets) == WAM_GUARDED_POINTS
     assert guarded_points([""], [""], [0.0]) == ()
     for wrong in (
         (names, links[:1], offsets),
@@ -225,10 +225,10 @@ def test_guarded_points_are_read_three_numbers_each() -> None:
         (names, links, [*offsets, 0.0, 0.0, 0.0]),
         (names[:1], links[:1], offsets[:2]),
     ):
-        with pytest.raises(ValueError, match="must be three for each"):
+        with pytest.raises(ValueError, match="must be three numbers"):
             guarded_points(*wrong)
     with pytest.raises(ValueError, match=r"guarded point elbow .* must be 3 finite numbers"):
-        Arm(URDF, NAMES, guarded=[Guarded("elbow", "wam_link4", (0.0, np.nan, 0.0))])
+        Arm(URDF, NAMES, guarded=[GuardedPoint("elbow", "wam_link4", (0.0, np.nan, 0.0))])
 
 
 def changed(pattern: str, replacement: str) -> str:
@@ -238,9 +238,9 @@ def changed(pattern: str, replacement: str) -> str:
 
 
 @pytest.mark.requirement("S-59")
-def test_an_arm_is_known_again_and_another_one_is_not_taken_for_it(arm: Arm) -> None:
+def test_an_arm_is_recognised_and_another_one_is_not_mistaken_for_it(arm: Arm) -> None:
     ours = arm.identity()
-    arm.motion(HOME, HOME)  # whatever its buffers hold
+    arm.motion(HOME, HOME)  # independent of the contents of its buffers
     assert arm.identity() == ours == Arm(URDF, NAMES).identity()
     assert (ours.name, ours.joint_names) == ("wam7", tuple(NAMES))
     cobot = Arm(
@@ -264,7 +264,7 @@ def test_an_arm_is_known_again_and_another_one_is_not_taken_for_it(arm: Arm) -> 
         (r'<robot name="[^"]*"', '<robot name="other"', {"name"}),
     ],
 )
-def test_the_identity_has_geometry_and_masses_apart_and_no_limits(
+def test_the_identity_separates_geometry_and_masses_and_ignores_limits(
     arm: Arm, pattern: str, replacement: str, differ: set[str]
 ) -> None:
     ours = arm.identity()._asdict()

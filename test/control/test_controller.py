@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller holds, moves and is asked, on the arm of `rigid_arm`."""
+"""The controller holds, moves and answers requests, on the arm of `rigid_arm`."""
 
 import math
 from types import SimpleNamespace
@@ -21,6 +21,7 @@ from rigid_arm import (
     make,
     make_policy,
     run,
+    start_replay,
     tool,
 )
 
@@ -41,13 +42,13 @@ def test_gravity_compensation_carries_the_arm_where_it_is() -> None:
         assert controller.label == "gravity_compensation"
 
 
-def test_a_hand_can_teach_a_toss_at_2_5_metres_a_second() -> None:
+def test_a_person_can_teach_a_toss_at_2_5_metres_a_second() -> None:
     start = MODEL.tool_pose(HOME)[0]
     wrist = start - np.array([0.34, 0.0, 0.0])
     speeds = []
 
     def pan(t: float) -> tuple[np.ndarray, np.ndarray]:
-        """The hand's wish: up by 6 cm while the front edge flicks up by 46 degrees."""
+        """Target of the hand: up by 6 cm while the front edge flicks up by 46 degrees."""
         s = np.clip((t - 0.3) / 0.25, 0.0, 1.0)
         share = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
         rotation = rotations.exp(np.array([0.0, -0.8 * share, 0.0]))
@@ -80,8 +81,8 @@ def test_hold_returns_after_a_push(delay: int, sensing: bool) -> None:
     def push(t: float, q: np.ndarray, _: np.ndarray) -> np.ndarray:
         return MODEL.jacobian(q)[:3].T @ (20.0, 30.0, 10.0) if 0.2 < t < 0.4 else np.zeros(7)
 
-    felt = make(contact_share=1.0)  # as little as can be
-    controller, plant = begin(controller=felt, delay=delay, sensing=sensing, push=push)
+    tolerant = make(contact_share=1.0)  # the push is no contact fault
+    controller, plant = begin(controller=tolerant, delay=delay, sensing=sensing, push=push)
     run(controller, plant, 0.3)
     assert np.linalg.norm(tool(plant) - MODEL.tool_pose(HOME)[0]) > 0.01
     run(controller, plant, 1.2)
@@ -133,11 +134,11 @@ def test_a_blocked_move_is_a_fault() -> None:
         controller.step(plant.stamp, stuck + 1e-5 * (k % 2), np.zeros(7))
         plant.stamp += PERIOD_NS
     assert controller.mode is Mode.FAULT
-    assert "rad away" in controller.latched.text
+    assert "rad from its reference" in controller.latched.text
 
 
 @pytest.mark.requirement("S-25")
-def test_a_held_arm_that_was_carried_off_does_not_spring_back() -> None:
+def test_a_held_arm_that_was_moved_away_does_not_spring_back() -> None:
     def idle(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         cut = np.zeros(7) if t < 0.3 else -np.array(sent[-1])  # no torque reaches the motors
         return cut - 3.0 * qd * (t >= 0.3)
@@ -149,7 +150,7 @@ def test_a_held_arm_that_was_carried_off_does_not_spring_back() -> None:
         plant.step(sent[-1])
         if controller.mode is Mode.FAULT:
             break
-    assert "rad away" in controller.latched.text
+    assert "rad from its reference" in controller.latched.text
     q, plant.push = plant.q.copy(), None  # the board lets torques through again
     run(controller, plant, 1.0)
     assert np.abs(plant.q - q).max() < 0.25  # it was falling
@@ -161,7 +162,7 @@ def test_a_replay_follows_the_recording_and_reports_its_error() -> None:
     wave = 0.5 * (1.0 - np.cos(2.0 * np.pi * t / 1.5))[:, None]
     recording = SimpleNamespace(t=t, q=HOME + wave * np.array([0.1, 0.2, 0.1, 0.5, 0.2, -0.4, 0.3]))
     controller, plant = begin(HOME + 0.05, sensing=True, delay=2, friction=1.0)
-    controller.start_replay(recording, speed=1.5)
+    start_replay(controller, recording, speed=1.5)
     run(controller, plant, 6.0, until=lambda: controller.mode is not Mode.REPLAY)
     assert controller.mode is Mode.HOLD, controller.latched
     error = controller.replay_error
@@ -189,7 +190,7 @@ def test_a_replay_that_does_not_fit_is_refused() -> None:
         (object(), 1.0, "refused"),
     ):
         with pytest.raises(ControllerError, match=reason):
-            controller.start_replay(trajectory, speed)
+            start_replay(controller, trajectory, speed)
     assert controller.mode is Mode.HOLD
 
 
@@ -201,8 +202,9 @@ def in_mode(mode: Mode) -> Controller:
         Mode.HOLD: lambda: None,
         Mode.MOVE_TO_START: controller.move_to_start,
         Mode.ROLLOUT: controller.execute,
-        Mode.REPLAY: lambda: controller.start_replay(
-            SimpleNamespace(t=np.arange(9.0), q=HOME + np.arange(9.0)[:, None] * np.full(7, 0.01))
+        Mode.REPLAY: lambda: start_replay(
+            controller,
+            SimpleNamespace(t=np.arange(9.0), q=HOME + np.arange(9.0)[:, None] * np.full(7, 0.01)),
         ),
         Mode.FAULT: lambda: controller.fault(A_TEST),
     }
@@ -286,7 +288,7 @@ def test_a_policy_that_does_not_fit_is_refused_and_the_old_one_kept() -> None:
     assert controller.policy_id == "trial-0002"
 
 
-def test_settings_that_make_no_sense_are_refused_by_name() -> None:
+def test_invalid_settings_are_refused_by_name() -> None:
     for wrong in (
         {"period": 0.0},
         {"move_speed": math.nan},
@@ -357,7 +359,7 @@ def test_no_sequence_of_states_and_calls_gives_a_torque_beyond_the_limits(
 
 
 @pytest.mark.parametrize("stamp", [None, 1.5, "now", math.nan])
-def test_a_stamp_that_is_no_integer_is_refused(stamp: object) -> None:
+def test_a_stamp_that_is_not_an_integer_is_refused(stamp: object) -> None:
     controller, plant = begin()
     answer = controller.step(*plant.state())
     check(controller.step(stamp, HOME, np.zeros(7)), answer)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller meets false states and motions beyond limits, on the arm of `rigid_arm`."""
+"""The controller under false states and motion beyond limits, on the arm of `rigid_arm`."""
 
 import math
 from types import SimpleNamespace
@@ -19,6 +19,7 @@ from rigid_arm import (
     make,
     make_policy,
     run,
+    start_replay,
     tool,
 )
 
@@ -63,7 +64,7 @@ def test_a_state_that_is_not_valid_is_ignored_and_five_are_a_fault(q: object, qd
         answer = tau
     assert controller.mode is Mode.HOLD
     assert controller.counters["rejected"] == 4
-    assert np.array_equal(answer, tau)  # nothing new is to be sent
+    assert np.array_equal(answer, tau)  # the last torque again
     check(controller.step(stamp + 5 * PERIOD_NS, q, qd), answer)
     assert controller.mode is Mode.FAULT
     with pytest.raises(ControllerError, match="not valid"):
@@ -132,7 +133,7 @@ def test_overspeed_is_a_fault_in_the_third_state(joint: int) -> None:
         assert controller.mode is Mode.HOLD
     controller.step(stamp + 2 * PERIOD_NS, q, qd)
     assert controller.mode is Mode.FAULT
-    assert controller.label == "fault"  # and this very torque is the fallback's
+    assert controller.label == "fault"  # this torque is already the fallback
 
 
 @pytest.mark.requirement("S-22")
@@ -167,7 +168,9 @@ def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> 
     plane = {"elbow": (-1.0, 0.0, 0.0, 0.01 - elbow[0]), "tool": (-1.0, 0.0, 0.0, -0.01 - tool[0])}
     controller, plant = begin(controller=make(limits=safety.limits_of(MODEL, plane=plane[guarded])))
     run(controller, plant, 0.1)
-    assert controller.mode is Mode.HOLD  # there it may be: only what moves by itself is judged
+    assert (
+        controller.mode is Mode.HOLD
+    )  # allowed in hold: the plane applies while the arm moves by itself
     controller.execute()
     run(controller, plant, 1.0)
     assert controller.mode is Mode.FAULT
@@ -175,13 +178,13 @@ def test_neither_tool_nor_guarded_point_comes_behind_the_plane(guarded: str) -> 
 
 
 @pytest.mark.requirement("S-30")
-def test_hold_to_run_is_asked_for_and_its_release_is_a_fault_in_the_same_state() -> None:
+def test_hold_to_run_is_required_and_its_release_is_a_fault_in_the_same_state() -> None:
     def teach(controller: Controller) -> None:
         controller.set_gravity_compensation(True)
 
     def replay(controller: Controller) -> None:
         t = np.linspace(0.0, 1.0, 11)
-        controller.start_replay(SimpleNamespace(t=t, q=np.tile(HOME, (11, 1))))
+        start_replay(controller, SimpleNamespace(t=t, q=np.tile(HOME, (11, 1))))
 
     for request in (teach, replay, Controller.execute):
         controller, plant = begin(controller=make(hold_to_run=True))
@@ -271,7 +274,7 @@ def test_a_driver_that_starts_again_from_zero_faults_and_can_be_reset() -> None:
 
 @pytest.mark.requirement("S-41")
 @pytest.mark.parametrize("friction", [0.5, 1.0, 2.0])
-def test_without_states_the_arm_is_braked_on_its_model_alone(friction: float) -> None:
+def test_without_states_the_arm_is_braked_by_its_model_alone(friction: float) -> None:
     assert np.array_equal(make().stale_torque(), np.zeros(7))
     controller, plant = begin(friction=friction)
     controller.execute()
@@ -289,7 +292,7 @@ def test_without_states_the_arm_is_braked_on_its_model_alone(friction: float) ->
 
 @pytest.mark.requirement("S-41")
 @pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
-def test_a_silence_noticed_late_is_braked_from_where_the_arm_is_then(moment: float) -> None:
+def test_a_loss_of_states_detected_late_is_braked_from_the_predicted_state(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     tau = run(controller, plant, moment)[-1]
@@ -321,7 +324,7 @@ def test_without_a_velocity_from_the_driver_positions_are_differentiated() -> No
 
 
 @pytest.mark.requirement("S-02")
-def test_a_law_that_finds_no_torque_is_a_fault_and_no_exception(
+def test_a_law_without_a_torque_is_a_fault_and_not_an_exception(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     def singular(*_: object) -> np.ndarray:

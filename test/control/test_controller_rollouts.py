@@ -17,6 +17,7 @@ from rigid_arm import (
     make,
     make_policy,
     run,
+    start_replay,
     tool,
 )
 
@@ -29,7 +30,7 @@ from wam_power_ros.learning.rollout import EndEffectorPath
 
 
 def rollout(controller: Controller, plant: Plant) -> SimpleNamespace:
-    """Execute; positions and rotations tick by tick, the torques, and the path."""
+    """Execute; returns positions and rotations by tick, the torques, and the path."""
     controller.execute()
     positions, turns, torques = [], [], []
     while controller.mode is Mode.ROLLOUT:
@@ -47,7 +48,7 @@ def rollout(controller: Controller, plant: Plant) -> SimpleNamespace:
 
 
 def deviation(result: SimpleNamespace, policy: Policy) -> tuple[float, float]:
-    """Rms of position [m] and angle [deg] against Eq. 1 as it would run on an ideal arm."""
+    """Rms deviation of position [m] and angle [deg] from Eq. 1 on an ideal arm."""
     tables = dmp.tabulate(policy)
     steps = len(tables.b)
     x, _ = reproduced(policy, result.position[0])
@@ -101,7 +102,7 @@ def test_a_rollout_through_the_wrist_singularity_stays_calm(friction: float) -> 
 
 
 @pytest.mark.parametrize(("turn", "mode"), [(1.8, Mode.HOLD), (2.4, Mode.FAULT)])
-def test_the_pan_may_turn_as_far_as_its_law_holds(turn: float, mode: Mode) -> None:
+def test_the_pan_may_rotate_up_to_the_limit_of_its_law(turn: float, mode: Mode) -> None:
     turning = np.zeros((8, 3))
     turning[:, 0] = np.linspace(0.0, turn, 8)  # about the handle [rad]
     still = make_policy(size=0.0)
@@ -113,10 +114,10 @@ def test_the_pan_may_turn_as_far_as_its_law_holds(turn: float, mode: Mode) -> No
         assert plant.q[6] == pytest.approx(1.8, abs=0.05)
         assert deviation(result, policy)[1] < 3.0
     else:
-        assert "turned by more" in controller.latched.text
+        assert "rotated by" in controller.latched.text
 
 
-def test_the_path_covers_the_movement_and_the_settling_and_is_handed_out_once() -> None:
+def test_the_path_covers_movement_and_settling_and_is_returned_once() -> None:
     controller, plant = begin()
     stamp = plant.stamp
     result = rollout(controller, plant)
@@ -134,7 +135,7 @@ def test_the_pan_stays_where_the_rollout_ended() -> None:
     end = tool(plant)
     torques = run(controller, plant, 1.0)
     assert np.linalg.norm(tool(plant) - end) < 1e-3
-    assert np.abs(np.diff(torques, axis=0)).max() < 1.5  # and no jolt [N m a period]
+    assert np.abs(np.diff(torques, axis=0)).max() < 1.5  # no jump [N m per period]
 
 
 def test_lost_states_do_not_slow_a_movement() -> None:
@@ -181,7 +182,7 @@ def test_the_label_belongs_to_the_torque_and_not_to_the_request() -> None:
     assert controller.label == "rollout trial-0001"
 
 
-def test_a_rollout_from_rest_depends_on_nothing_before_it() -> None:
+def test_a_rollout_from_rest_does_not_depend_on_what_happened_before() -> None:
     torques = []
     for history in (0, 1):
         controller, plant = begin(HOME + 0.02 * history)
@@ -192,7 +193,7 @@ def test_a_rollout_from_rest_depends_on_nothing_before_it() -> None:
             run(controller, plant, 0.4)
             controller.hold()
         controller.load(POLICY)
-        plant.q, plant.qd = HOME.copy(), np.zeros(7)  # put there, as the stand-in does
+        plant.q, plant.qd = HOME.copy(), np.zeros(7)  # placed there, as the stand-in does
         for _ in range(25):
             controller.step(*plant.state())
             plant.stamp += PERIOD_NS
@@ -226,7 +227,7 @@ def test_a_rollout_ends_without_a_fault_where_the_tool_enters_the_obstacle() -> 
     assert controller.counters["faults"] == 0
     distance = np.linalg.norm(path.position - centre, axis=1)
     assert distance[-1] < 0.02 and np.all(distance[:-1] >= 0.02)
-    assert path.t[-1] == pytest.approx(0.002 * (len(torques) - 1), abs=1e-9)  # that very state
+    assert path.t[-1] == pytest.approx(0.002 * (len(torques) - 1), abs=1e-9)  # the same state
     assert path.t[-1] < free.t[lowest] < free.t[-1] - 0.5
     shared = len(path.t) - 1
     np.testing.assert_allclose(path.position[:shared], free.position[:shared], atol=1e-9)
@@ -267,14 +268,14 @@ def test_outside_rollouts_an_obstacle_has_no_effect() -> None:
         sent = run(controller, plant, 4.0)
         controller.set_gravity_compensation(True)
         sent += run(controller, plant, 0.1)
-        controller.start_replay(still)
+        start_replay(controller, still)
         sent += run(controller, plant, 0.3)
         assert controller.mode is Mode.REPLAY
         torques.append(np.array(sent))
     assert np.array_equal(*torques)
 
 
-def test_an_obstacle_of_radius_zero_is_none_even_where_the_tool_is() -> None:
+def test_an_obstacle_of_radius_zero_never_ends_a_rollout() -> None:
     centre = MODEL.tool_pose(HOME)[0]
     paths = []
     for obstacle in ((0.0, 0.0, 0.0, 0.0), (*centre, 0.0)):
@@ -283,7 +284,7 @@ def test_an_obstacle_of_radius_zero_is_none_even_where_the_tool_is() -> None:
     assert np.array_equal(*paths)
 
 
-def test_a_policy_that_met_the_obstacle_has_not_run_to_its_end() -> None:
+def test_a_policy_that_met_the_obstacle_does_not_count_as_completed() -> None:
     centre = MODEL.tool_pose(HOME)[0] + np.array([0.0, 0.0, -0.06])
     controller, plant = begin(controller=make(obstacle=(*centre, 0.03), hold_to_run=True))
     controller.enabled = True
@@ -298,7 +299,7 @@ def test_a_policy_that_met_the_obstacle_has_not_run_to_its_end() -> None:
 
 
 @pytest.mark.requirement("S-04")
-def test_no_rest_of_the_gravity_is_sent_to_a_driver_that_compensates_it() -> None:
+def test_no_residual_gravity_is_sent_to_a_driver_that_compensates_it() -> None:
     controller = make(driver_compensates_gravity=True)
     controller, plant = begin(controller=controller, adds_gravity=True)
     torques = run(controller, plant, 0.2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the arm is taken to be while its states are missing or not to be believed."""
+"""Estimate of the arm while its states are missing or not plausible."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ PERIOD = PERIOD_NS * 1e-9
 
 
 @pytest.mark.parametrize("share", [-0.6, 0.6])
-def test_the_estimate_leaves_at_rest_what_friction_holds(share: float) -> None:
+def test_the_estimate_keeps_joints_at_rest_that_friction_holds(share: float) -> None:
     for way in ([0.3, 0.2, 0.1, 0.2, 0.3, 0.1, 0.2], [-0.2, 0.1, -0.3, 0.4, 0.8, 0.5, -0.6]):
         q = HOME + way
         push = share * MODEL.friction * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
@@ -23,7 +23,7 @@ def test_the_estimate_leaves_at_rest_what_friction_holds(share: float) -> None:
         assert np.abs(estimate.qd).max() < 0.05
 
 
-def test_the_estimate_goes_on_with_what_moves_against_friction() -> None:
+def test_the_estimate_follows_joints_that_move_against_friction() -> None:
     qd = np.array([0.8, -0.6, 0.9, 1.0, 2.0, -2.0, 2.5])
     plant = Plant(HOME, friction=1.0)
     plant.qd = qd.copy()
@@ -35,17 +35,17 @@ def test_the_estimate_goes_on_with_what_moves_against_friction() -> None:
         np.testing.assert_allclose(estimate.qd, plant.qd, atol=0.15)
 
 
-def moved(rates: list[float], believed: bool = False, joint: int = 3) -> Estimate:
-    """An arm at rest, one of whose joints is then said to change at these rates [rad/s]."""
+def moved(rates: list[float], plausible: bool = False, joint: int = 3) -> Estimate:
+    """Estimate of an arm at rest that then reports these rates of one joint [rad/s]."""
     estimate, q, carried = Estimate(MODEL, HOME, np.zeros(7)), HOME, MODEL.gravity(HOME)
     for k, rate in enumerate([0.0] * 8 + rates):
         q = q + rate * PERIOD * np.eye(7)[joint]
         state = JointState(k * PERIOD_NS, q, np.zeros(7), PERIOD, PERIOD)
-        estimate.follow(state, carried, believed)
+        estimate.follow(state, carried, plausible)
     return estimate
 
 
-def test_a_joint_that_jumps_once_or_to_and_fro_has_no_speed() -> None:
+def test_a_joint_that_jumps_once_or_back_and_forth_has_no_speed() -> None:
     for rates in (
         [20.0],
         [20.0, 0.0],
@@ -62,24 +62,24 @@ def test_a_joint_that_moves_has_the_speed_at_which_its_position_changes() -> Non
     assert moved([4.0, 5.2, 3.6, 4.4]).qd[3] == pytest.approx(4.3)
 
 
-def test_a_jump_of_a_joint_that_moves_is_no_part_of_its_way() -> None:
+def test_a_jump_of_a_moving_joint_does_not_count_as_motion() -> None:
     jumped = moved([3.0] * 8 + [60.0] + [3.0] * 8)
     assert jumped.qd[3] == pytest.approx(3.0)
     assert jumped.q[3] == pytest.approx(moved([3.0] * 17).q[3], abs=1e-9)
 
 
-def test_where_a_joint_is_said_to_be_counts_once_it_moves_and_is_believed() -> None:
-    jump = [100.0, *([0.0] * 4)]  # 0.2 rad: the joint has another zero now, or has had no power
-    still, doubted, believed = (
-        moved(jump + steps, believing)
-        for steps, believing in (([0.0] * 300, True), ([0.3] * 300, False), ([0.3] * 300, True))
+def test_a_measured_position_counts_once_its_joint_moves_and_is_plausible() -> None:
+    jump = [100.0, *([0.0] * 4)]  # 0.2 rad: its zero has changed, or it had no power
+    still, implausible, plausible = (
+        moved(jump + steps, passed)
+        for steps, passed in (([0.0] * 300, True), ([0.3] * 300, False), ([0.3] * 300, True))
     )
     assert still.q[3] == pytest.approx(HOME[3], abs=0.005)
-    assert doubted.q[3] == pytest.approx(HOME[3] + 0.18, abs=0.005)
-    assert believed.q[3] == pytest.approx(HOME[3] + 0.38)
+    assert implausible.q[3] == pytest.approx(HOME[3] + 0.18, abs=0.005)
+    assert plausible.q[3] == pytest.approx(HOME[3] + 0.38)
 
 
-def test_a_joint_that_is_hidden_is_moved_by_the_joints_that_are_seen() -> None:
+def test_a_joint_that_is_not_observed_keeps_its_momentum() -> None:
     mass = MODEL.mass_matrix(HOME)
     seen = np.arange(7) != 1
     estimate = Estimate(MODEL, HOME, np.full(7, 0.5))
@@ -89,7 +89,7 @@ def test_a_joint_that_is_hidden_is_moved_by_the_joints_that_are_seen() -> None:
     np.testing.assert_allclose(estimate.qd[seen] - 0.5, [0.2, -0.1, 1.0, 0.3, -0.8, 0.4])
 
 
-def test_a_torque_acts_on_the_estimate_as_late_as_on_the_arm() -> None:
+def test_a_torque_acts_on_the_estimate_with_the_delay_of_the_arm() -> None:
     carried, push = MODEL.gravity(HOME), np.array([0.0, 30.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     estimate = Estimate(MODEL, HOME, np.zeros(7), [carried, carried])
     speeds = []
@@ -101,16 +101,16 @@ def test_a_torque_acts_on_the_estimate_as_late_as_on_the_arm() -> None:
 
 
 @pytest.mark.parametrize("begun", [0, 75, 103])
-def test_where_the_arm_was_before_a_lie_leads_to_where_it_is(begun: int) -> None:
-    """In a push that grows: what is late by a few states is wrong by a tenth of a radian/s."""
+def test_the_estimate_after_false_states_begins_at_the_states_before(begun: int) -> None:
+    """Under a growing push an estimate that is late by a few states is 0.1 rad/s off."""
     plausibility, plant = Plausibility(MODEL), Plant(HOME, friction=1.0, delay=2)
     loose = Bound(np.full(7, 1e9), np.full(7, 1e9))
-    last, lie = None, None
+    last, frozen = None, None
     for k in range(140):
         tau = MODEL.gravity(HOME) + min(k, 60) * np.array([0.0, 0.3, 0.0, 0.05, 0.0, 0.0, 0.0])
         stamp, q, qd = plant.state()
-        lie = lie or (q, qd) if k >= 130 else None
-        state = JointState(stamp, *(lie or (q, qd)), PERIOD, PERIOD)
+        frozen = frozen or (q, qd) if k >= 130 else None
+        state = JointState(stamp, *(frozen or (q, qd)), PERIOD, PERIOD)
         if k >= begun:
             plausibility.fault(last, state, tau, loose)
             last = state

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulated rollout finds what would end a rollout, without an arm that moves."""
+"""A simulated rollout finds the fault that would end a rollout, without moving the arm."""
 
 import re
 from dataclasses import replace
@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from wam_power_ros.control.arm import WAM_GUARDED, Arm
+from wam_power_ros.control.arm import WAM_GUARDED_POINTS, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import Feasibility, simulate_policy, speed_margin
 from wam_power_ros.control.safety import limits_of
@@ -46,7 +46,7 @@ def lift(arm: Arm, height: float) -> Policy:
 
 
 def _late(arm: Arm) -> np.ndarray:
-    """Attractors of which the last, over only at the very end, is 15 cm higher. (4, 3)."""
+    """Attractors whose last one, active only at the very end, is 15 cm higher. (4, 3)."""
     return arm.tool_pose(START)[0] + np.outer([0, 0, 0, 1], [0.0, 0.0, 0.15])
 
 
@@ -77,7 +77,7 @@ def test_the_margin_decides_what_is_too_fast(arm: Arm, free: Feasibility) -> Non
     assert simulate_policy(arm, SETTINGS, policy, margin=0.8 * share_used).fault
 
 
-def test_each_overrun_leaves_less_of_the_limits_of_speed() -> None:
+def test_each_overrun_lowers_the_usable_share_of_the_speed_limits() -> None:
     margins = [speed_margin(overruns) for overruns in range(10)]
     assert margins[0] == pytest.approx(0.9)
     assert all(0.95 < later / earlier < 1.0 for earlier, later in pairwise(margins))
@@ -112,10 +112,10 @@ def test_a_tenth_of_each_speed_limit_is_kept_in_reserve(
     assert simulate_policy(arm, settings, policy).fault.kind is kind
 
 
-def test_a_policy_that_the_delay_of_the_loop_makes_swing_is_infeasible(
+def test_a_policy_that_oscillates_under_the_delay_of_the_loop_is_infeasible(
     arm: Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # A delay takes stiffness times delay from the damping: 10 from 7 1/s.
+    # A delay reduces the damping of 7 1/s by stiffness times delay: 10 1/s.
     policy = replace(lift(arm, 0.05), stiffness=np.tile(2400.0 * np.eye(3), (4, 1, 1)), damping=7.0)
     assert simulate_policy(arm, SETTINGS, policy).fault is not None
     monkeypatch.setattr("wam_power_ros.control.feasibility.TORQUE_DELAY", 0)
@@ -123,10 +123,10 @@ def test_a_policy_that_the_delay_of_the_loop_makes_swing_is_infeasible(
 
 
 @pytest.mark.parametrize(("q_max", "kind"), [(0.72, None), (0.67, FaultKind.JOINT_POSITION)])
-def test_a_margin_to_the_limits_of_position_is_kept(
+def test_a_margin_to_the_position_limits_is_kept(
     arm: Arm, q_max: float, kind: FaultKind | None
 ) -> None:
-    # Lowering the pan takes joint 2 to 0.64 or 0.65 rad against the springs of the limit.
+    # Lowering the pan moves joint 2 to 0.64 or 0.65 rad, against the springs at the limit.
     limits = limits_of(arm, q_max=np.where(np.arange(7) == 1, q_max, arm.q_max))
     fault = simulate_policy(arm, ControllerSettings(limits=limits), lift(arm, -0.2)).fault
     assert (fault and fault.kind) is kind
@@ -136,7 +136,7 @@ def test_a_margin_to_the_limits_of_position_is_kept(
 
 def test_the_fastest_of_the_guarded_points_is_reported(arm: Arm, free: Feasibility) -> None:
     peaks = []
-    for guarded in (WAM_GUARDED[:1], WAM_GUARDED[1:]):
+    for guarded in (WAM_GUARDED_POINTS[:1], WAM_GUARDED_POINTS[1:]):
         with_one = Arm(share("urdf/wam7.urdf").read_text(), JOINTS, guarded=guarded)
         peaks.append(simulate_policy(with_one, SETTINGS, lift(arm, 0.25)).elbow_peak)
     assert free.elbow_peak == max(peaks) > min(peaks) > 0.1
@@ -144,7 +144,10 @@ def test_the_fastest_of_the_guarded_points_is_reported(arm: Arm, free: Feasibili
 
 @pytest.mark.parametrize(
     ("kind", "factors", "joint", "ratio"),
-    [("friction", (0.0, 1.0), 5, 3.0), ("damping", (1.0, 10.0), 4, 1.1)],  # 4 lifts, 5 is dragged
+    [
+        ("friction", (0.0, 1.0), 5, 3.0),
+        ("damping", (1.0, 10.0), 4, 1.1),
+    ],  # joint 4 lifts, joint 5 is dragged along
 )
 def test_the_friction_of_the_joints_is_simulated_and_brakes(
     arm: Arm, kind: str, factors: tuple[float, float], joint: int, ratio: float
@@ -160,7 +163,7 @@ def test_the_friction_of_the_joints_is_simulated_and_brakes(
     assert less > ratio * more > 0.0
 
 
-def test_what_the_arm_does_while_it_settles_is_simulated_too(arm: Arm) -> None:
+def test_the_settling_of_the_arm_is_simulated_too(arm: Arm) -> None:
     late = replace(
         lift(arm, 0.0), basis=Basis(count=4, duration=0.1, variance=1e-5), attractors=_late(arm)
     )
@@ -177,7 +180,7 @@ def test_a_policy_the_controller_refuses_is_not_simulated(arm: Arm) -> None:
     assert (refused.qd_peak.tolist(), refused.elbow_peak, refused.tool_peak) == ([0.0] * 7, 0, 0)
 
 
-def test_an_arm_whose_driver_compensates_gravity_is_simulated_alike(arm: Arm) -> None:
+def test_a_driver_that_compensates_gravity_does_not_change_the_simulation(arm: Arm) -> None:
     policy = lift(arm, 0.2)
     compensating = ControllerSettings(driver_compensates_gravity=True)
     own = simulate_policy(arm, SETTINGS, policy)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint-space control: a spring and a damper about a reference, by inverse dynamics."""
+"""Joint-space control: PD feedback about a reference, by inverse dynamics."""
 
 import numpy as np
 import pytest
@@ -28,11 +28,11 @@ def holding(at: np.ndarray = HOME) -> JointControl:
     return control
 
 
-def test_at_its_reference_at_rest_the_arm_gets_the_torque_of_gravity() -> None:
+def test_at_its_reference_at_rest_the_arm_gets_the_gravity_torque() -> None:
     np.testing.assert_allclose(holding().torque(202 * MS, HOME, STILL), ARM.gravity(HOME))
 
 
-def test_a_displaced_arm_is_pulled_back_by_spring_and_damper_whatever_its_inertia() -> None:
+def test_a_displaced_arm_gets_the_same_pd_feedback_whatever_its_inertia() -> None:
     speed = AWAY[::-1]
     for q, qd in ((HOME + AWAY, STILL), (HOME - AWAY, STILL), (HOME, speed), (HOME + AWAY, speed)):
         wanted = 25.0**2 * (HOME - q) - 2.0 * 0.7 * 25.0 * qd
@@ -40,21 +40,21 @@ def test_a_displaced_arm_is_pulled_back_by_spring_and_damper_whatever_its_inerti
         np.testing.assert_allclose(holding().torque(202 * MS, q, qd), expected, atol=1e-9)
 
 
-def test_a_reference_that_moves_is_fed_forward_with_most_of_the_friction() -> None:
+def test_a_moving_reference_is_fed_forward_with_most_of_the_friction() -> None:
     control, goal = holding(), HOME + 3.0 * AWAY
     control.move(goal, 0.3)
     control.torque(0, HOME, STILL)
     assert not control.holding
-    course = control._course.reference
+    reference = control._references.reference
     for ms in (200, 400, 600):
-        q, qd, qdd = course.at(ms * 1e-3)
+        q, qd, qdd = reference.at(ms * 1e-3)
         # 80 % of the friction of the joints, in the direction in which the reference moves
         friction = 0.8 * (ARM.friction * np.tanh(qd / 0.02) + ARM.damping * qd)
         expected = ARM.inverse_dynamics(q, qd, qdd) + friction
         np.testing.assert_allclose(control.torque(ms * MS, q, qd), expected, atol=1e-9)
         stuck = ARM.inverse_dynamics(q, STILL, qdd + 2.0 * 0.7 * 25.0 * qd) + friction
         np.testing.assert_allclose(control.torque(ms * MS, q, STILL), stuck, atol=1e-9)
-    end = round((course.duration + 1.0) * 1e9)
+    end = round((reference.duration + 1.0) * 1e9)
     np.testing.assert_allclose(control.torque(end, goal, STILL), ARM.gravity(goal), atol=1e-9)
     assert control.holding
 
@@ -62,7 +62,7 @@ def test_a_reference_that_moves_is_fed_forward_with_most_of_the_friction() -> No
 @pytest.mark.requirement("S-25")
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_joint_that_is_0_3_rad_off_is_lost_at_rest_and_on_its_way(
+def test_a_joint_0_3_rad_off_its_reference_is_a_fault_at_rest_and_in_motion(
     joint: int, sign: float
 ) -> None:
     for on_its_way in (False, True):
@@ -74,20 +74,22 @@ def test_a_joint_that_is_0_3_rad_off_is_lost_at_rest_and_on_its_way(
         q[joint] += 0.299 * sign
         control.torque(1 if on_its_way else 202 * MS, q, STILL)
         q[joint] = HOME[joint] + 0.301 * sign
-        with pytest.raises(TrackingLost, match=r"0\.301 rad away"):
+        with pytest.raises(TrackingLost, match=r"0\.301 rad from its reference"):
             control.torque(2 if on_its_way else 204 * MS, q, STILL)
 
 
-def test_an_arm_that_lags_behind_a_brake_is_not_lost_before_the_brake_has_ended() -> None:
+def test_an_arm_may_lag_behind_while_it_brakes() -> None:
     control = JointControl(ARM, LIMITS)
     control.torque(0, HOME, 2.0 * np.eye(7)[3])
-    behind = HOME - 0.25 * np.eye(7)[3]  # the brake goes on by 0.15 rad
+    behind = HOME - 0.25 * np.eye(7)[3]  # the braking distance is another 0.15 rad
     control.torque(100 * MS, behind, STILL)
     with pytest.raises(TrackingLost):
         control.torque(151 * MS, behind, STILL)
 
 
-def test_a_reference_goes_on_from_the_last_one_and_after_a_release_from_the_arm() -> None:
+def test_a_reference_continues_from_the_last_one_and_after_a_release_from_the_measured_state() -> (
+    None
+):
     carried = HOME + AWAY
     for released, begins in ((False, HOME), (True, carried)):
         control = holding()
@@ -95,7 +97,7 @@ def test_a_reference_goes_on_from_the_last_one_and_after_a_release_from_the_arm(
             control.release()
         control.begin()
         control.torque(300 * MS, carried, STILL)
-        assert np.array_equal(control._course.reference.at(0.0)[0], begins)
+        assert np.array_equal(control._references.reference.at(0.0)[0], begins)
 
 
 def test_only_the_states_of_a_replay_count_for_its_error() -> None:

@@ -4,7 +4,13 @@
 import numpy as np
 import pytest
 
-from wam_power_ros.control.joint_references import Brake, Course, MinJerk, Sampled, interpolated
+from wam_power_ros.control.joint_references import (
+    Brake,
+    MinJerk,
+    ReferenceSequence,
+    Sampled,
+    interpolated,
+)
 
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 LOW, HIGH = HOME - 3.0, HOME + 3.0
@@ -33,7 +39,7 @@ def test_a_joint_beyond_its_limit_is_not_braked_further_out(out: float) -> None:
     assert back[5] == pytest.approx(q[5] - 0.5 * 0.15 * 3.0 * out)
 
 
-def test_a_joint_that_hardly_moves_is_not_braked_but_kept() -> None:
+def test_a_joint_that_hardly_moves_keeps_its_position() -> None:
     end, speed, acceleration = brake(HOME, np.array([0.04, -0.04, 0.0, 0.5, 0, 0, 0])).at(1.0)
     assert np.array_equal(np.flatnonzero(end != HOME), [3])
     assert not speed.any() and not acceleration.any()
@@ -63,38 +69,38 @@ def test_a_move_keeps_its_peak_speed_and_rests_at_both_ends() -> None:
     speeds = np.array([move.at(t)[1] for t in np.linspace(0.0, move.duration, 1001)])
     assert np.abs(speeds).max() == pytest.approx(0.3, rel=1e-4)
     assert not speeds[0].any() and not speeds[-1].any()
-    assert MinJerk(HOME, HOME, 0.3).duration == 0.1  # never in no time
+    assert MinJerk(HOME, HOME, 0.3).duration == 0.1  # the shortest duration
 
 
-def test_a_course_goes_from_move_to_replay_to_brake_without_a_step() -> None:
+def test_a_sequence_goes_from_move_to_replay_to_brake_without_a_jump() -> None:
     t = np.linspace(0.0, 1.0, 101)
     recorded = HOME + 0.2 * np.sin(2.0 * t)[:, None] * np.ones(7)
-    course = Course(brake)
+    sequence = ReferenceSequence(brake)
     away = HOME + 0.31
-    course.begin(lambda q: MinJerk(q, recorded[0], 0.5), interpolated(t, recorded, 1.0, 0.002))
-    assert course.reference is None
+    sequence.begin(lambda q: MinJerk(q, recorded[0], 0.5), interpolated(t, recorded, 1.0, 0.002))
+    assert sequence.reference is None
     rows, kinds = [], []
     for k in range(1500):
-        rows.append(course.at(10**12 + k * 2 * MS, away, np.zeros(7)))
-        kinds.append(type(course.reference))
+        rows.append(sequence.at(10**12 + k * 2 * MS, away, np.zeros(7)))
+        kinds.append(type(sequence.reference))
     assert [kind for i, kind in enumerate(kinds) if i == 0 or kind is not kinds[i - 1]] == [
         MinJerk,
         Sampled,
         Brake,
     ]
     q = np.array([row[0] for row in rows])
-    assert np.array_equal(q[0], away)  # from where the arm is
+    assert np.array_equal(q[0], away)  # begins at the arm's posture
     assert np.abs(np.diff(q, axis=0)).max() < 1.02e-3  # 0.5 rad/s, then 0.4
-    assert course.ended and np.array_equal(q[-1], q[-2])  # at rest bit for bit
+    assert sequence.ended and np.array_equal(q[-1], q[-2])  # at rest bit for bit
 
 
-def test_a_course_without_steps_brakes_and_a_new_one_forgets_the_old() -> None:
-    course = Course(brake)
-    course.begin(MinJerk(HOME, HOME + 1.0, 0.3))
-    course.at(0, HOME, np.zeros(7))
-    course.begin()
-    q, qd, _ = course.at(5 * MS, HOME, np.full(7, 0.2))
-    assert course.ended
+def test_a_sequence_without_steps_brakes_and_a_new_one_replaces_the_old() -> None:
+    sequence = ReferenceSequence(brake)
+    sequence.begin(MinJerk(HOME, HOME + 1.0, 0.3))
+    sequence.at(0, HOME, np.zeros(7))
+    sequence.begin()
+    q, qd, _ = sequence.at(5 * MS, HOME, np.full(7, 0.2))
+    assert sequence.ended
     assert np.array_equal(q, HOME) and np.allclose(qd, 0.2)
 
 
@@ -111,20 +117,20 @@ def test_a_course_without_steps_brakes_and_a_new_one_forgets_the_old() -> None:
         (np.arange(5.0), np.zeros((5, 7)), 1e-3, "600"),
     ],
 )
-def test_a_movement_that_makes_no_sense_is_refused(
+def test_an_invalid_movement_is_refused(
     t: np.ndarray, q: np.ndarray, speed: float, rule: str
 ) -> None:
     with pytest.raises(ValueError, match=rule):
         interpolated(t, q, speed, 0.002)
 
 
-def test_a_recorded_movement_may_begin_at_any_time_and_take_ten_minutes() -> None:
+def test_a_recorded_movement_may_begin_at_any_stamp_and_take_ten_minutes() -> None:
     t = np.linspace(0.0, 1.0, 51)
     q = np.sin(3.0 * t)[:, None] * np.ones(7)
     there, later = (interpolated(t + since, q, 0.5, 0.002) for since in (0.0, 7.0))
     assert later.duration == pytest.approx(there.duration) and there.duration == 2.0
     np.testing.assert_allclose(later.q, there.q, atol=1e-9)
-    for before in (-1.0, 0.0, 0.0009):  # and before its beginning
+    for before in (-1.0, 0.0, 0.0009):  # also before its beginning
         assert np.array_equal(there.at(before)[0], there.q[0])
     assert np.array_equal(there.at(0.0011)[0], there.q[1])
     assert interpolated(np.arange(5.0) * 150.0, np.zeros((5, 7)), 1.0, 0.1).duration == 600.0

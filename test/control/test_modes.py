@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of modes, and refusals that machines can read."""
+"""The table of transitions, and refusals with reason codes."""
 
 import pytest
 
 from wam_power_ros.control.modes import (
-    BOXED,
-    HELD,
-    MOVING,
-    PASSIVE,
-    REFERENCED,
+    MOVING_MODES,
+    PASSIVE_MODES,
+    REFERENCE_MODES,
+    SWITCH_MODES,
     TRANSITIONS,
+    WORKSPACE_MODES,
     ControllerError,
     Mode,
     Refusal,
@@ -47,17 +47,20 @@ def test_the_way_out_of_a_fault_is_its_reset_to_hold() -> None:
             check_transition(Mode.FAULT, target, FAULT, reset=True)
 
 
-def test_whatever_moves_the_arm_can_end_in_hold_and_in_a_fault() -> None:
+def test_every_moving_mode_can_end_in_hold_and_in_a_fault() -> None:
     assert set(TRANSITIONS) == set(Mode)
-    for mode in set(Mode) - set(PASSIVE):
+    for mode in set(Mode) - set(PASSIVE_MODES):
         assert {Mode.FAULT, Mode.INACTIVE} <= TRANSITIONS[mode]
-    for mode in MOVING:
+    for mode in MOVING_MODES:
         assert TRANSITIONS[mode] == {Mode.INACTIVE, Mode.HOLD, Mode.FAULT}
-    assert set(BOXED) <= set(MOVING) and Mode.GRAVITY_COMPENSATION not in REFERENCED
-    assert set(HELD) == {Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT}
+    assert (
+        set(WORKSPACE_MODES) <= set(MOVING_MODES)
+        and Mode.GRAVITY_COMPENSATION not in REFERENCE_MODES
+    )
+    assert set(SWITCH_MODES) == {Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT}
 
 
-def test_a_refusal_carries_its_values_beside_its_text() -> None:
+def test_a_refusal_has_values_in_addition_to_its_text() -> None:
     error = ControllerError(Refusal.NOT_AT_START, "away", {"policy": "trial-0001"})
     assert (str(error), error.refusal, error.values) == (
         "away",

@@ -1,11 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint states that are well formed and false, to a controller whose arm holds the last torque."""
+"""False joint states that are well formed, with a driver that holds the last torque."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from rigid_arm import HOME, MODEL, PERIOD_NS, POLICY, Plant, begin, check, make, run
+from rigid_arm import (
+    HOME,
+    MODEL,
+    PERIOD_NS,
+    POLICY,
+    Plant,
+    begin,
+    check,
+    make,
+    run,
+    start_replay,
+)
 
 from wam_power_ros.control import safety
 from wam_power_ros.control.controller import Controller
@@ -15,22 +26,22 @@ from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import FaultKind
 
 State = tuple[int, np.ndarray, np.ndarray]
-Lie = Callable[[State], State]
+Falsification = Callable[[State], State]
 PERIOD = PERIOD_NS * 1e-9
-LONGEST = 15  # states until a lie about a moving arm is a fault: 30 ms
-FROZEN = 17  # states until a frozen arm without velocities is a fault: it must have stood for 12
-NOTICED = 0.5  # [rad/s] of a velocity that is wrong; a smaller lie may be noticed later
+LONGEST = 15  # states until false states of a moving arm are a fault: 30 ms
+FROZEN = 17  # states until an arm frozen with velocity zero is a fault: 12 of them identical
+DETECTABLE = 0.5  # [rad/s] error of a velocity; a smaller error may be detected later
 ELBOW = np.eye(7)[3]
 START = HOME + np.array([0.3, -0.2, 0.2, -0.3, 0.2, 0.2, 0.3])
-BEGUN = {"early": 0.12, "upwards": 0.33, "late": 0.55}  # [s] of the rollout
+MOMENTS = {"early": 0.12, "upwards": 0.33, "late": 0.55}  # [s] of the rollout
 
 
-def frozen(*joints: int, still: bool = False) -> Lie:
-    """Positions of these joints, all if none are named, and velocities unless zero, stay."""
+def frozen(*joints: int, still: bool = False) -> Falsification:
+    """Freeze positions and velocities of some joints, or of all; with `still`, at velocity zero."""
     kept: list[tuple[np.ndarray, np.ndarray]] = []
     at = list(joints) or list(range(7))
 
-    def lie(state: State) -> State:
+    def falsified(state: State) -> State:
         stamp, q, qd = state
         kept.append((q, qd))
         q, qd = q.copy(), qd.copy()
@@ -38,35 +49,35 @@ def frozen(*joints: int, still: bool = False) -> Lie:
         qd[at] = 0.0 if still else kept[0][1][at]
         return stamp, q, qd
 
-    return lie
+    return falsified
 
 
-def velocities(change: Callable[[np.ndarray], np.ndarray]) -> Lie:
+def velocities(change: Callable[[np.ndarray], np.ndarray]) -> Falsification:
     return lambda state: (state[0], state[1], change(state[2]))
 
 
-def two_drivers() -> Lie:
+def two_drivers() -> Falsification:
     turn = [0]
 
-    def lie(state: State) -> State:
+    def falsified(state: State) -> State:
         turn[0] += 1
         return state[0], state[1] + 0.02 * (turn[0] % 2), state[2]
 
-    return lie
+    return falsified
 
 
-def stamps(rate: float) -> Lie:
-    """Stamps advance at another rate than time does."""
+def stamps(rate: float) -> Falsification:
+    """Let stamps advance at another rate than real time."""
     kept: list[int] = []
 
-    def lie(state: State) -> State:
+    def falsified(state: State) -> State:
         kept.append(state[0])
         return kept[0] + round(rate * (state[0] - kept[0])), state[1], state[2]
 
-    return lie
+    return falsified
 
 
-LIES: dict[str, Callable[[], Lie]] = {
+FALSIFICATIONS: dict[str, Callable[[], Falsification]] = {
     "all frozen": frozen,
     "all frozen, velocities zero": lambda: frozen(still=True),
     "joint 2 frozen": lambda: frozen(1),
@@ -87,22 +98,22 @@ def tool_speed(plant: Plant) -> float:
     return MODEL.motion(plant.q, plant.qd).tool_speed
 
 
-def lied_to(
-    controller: Controller, plant: Plant, lie: Lie
+def falsify(
+    controller: Controller, plant: Plant, falsification: Falsification
 ) -> tuple[int | None, list[float], float]:
-    """Falsify the plant's states for 1 s; our own clock is right.
+    """Falsify the plant's states for 1 s; the controller's own clock is correct.
 
     Returns:
-        States until the fault, tool speeds [m/s], and by how much the velocity of a joint was
-        wrong at first, beyond half of what was said: the size of the lie [rad/s].
+        States until the fault, tool speeds [m/s], and the initial error of the worst joint's
+        velocity beyond half of its magnitude [rad/s].
     """
     faulted, speeds, tau = None, [], controller.step(*plant.state())
     plant.step(tau)
     sizes = []
     for k in range(500):
-        false = lie(plant.state())
-        said, true = np.abs(false[2]), np.abs(plant.qd)
-        sizes.append(np.abs(false[2] - plant.qd) - 0.5 * np.minimum(said, true))
+        false = falsification(plant.state())
+        reported, true = np.abs(false[2]), np.abs(plant.qd)
+        sizes.append(np.abs(false[2] - plant.qd) - 0.5 * np.minimum(reported, true))
         tau, before = controller.step(*false, PERIOD), tau
         check(tau, before)
         plant.step(tau)
@@ -114,48 +125,50 @@ def lied_to(
 
 @pytest.fixture(scope="module")
 def nominal() -> float:
-    """Peak tool speed of the rollout without lies [m/s]."""
+    """Peak tool speed of the rollout with true states [m/s]."""
     controller, plant = begin(friction=1.0)
     controller.execute()
     return max(tool_speed(plant) for _ in range(700) if run(controller, plant, 0.002))
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("moment", BEGUN)
-@pytest.mark.parametrize("name", LIES)
+@pytest.mark.parametrize("moment", MOMENTS)
+@pytest.mark.parametrize("name", FALSIFICATIONS)
 def test_a_false_state_in_a_rollout_ends_in_a_stop(name: str, moment: str, nominal: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
-    run(controller, plant, BEGUN[moment])
-    faulted, speeds, size = lied_to(controller, plant, LIES[name]())
+    run(controller, plant, MOMENTS[moment])
+    faulted, speeds, size = falsify(controller, plant, FALSIFICATIONS[name]())
     assert max(speeds) < nominal + 0.5
-    if faulted is None:  # the arm did not move enough for anything to be wrong
-        assert size < NOTICED
+    if faulted is None:  # the arm did not move enough to make the states false
+        assert size < DETECTABLE
         return
-    assert faulted <= LONGEST or size < NOTICED, (faulted, size)
+    assert faulted <= LONGEST or size < DETECTABLE, (faulted, size)
     assert not controller.latched.kind.of_policy
     assert max(speeds[faulted + 250 :], default=0.0) < safety.REST_SPEED
 
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("moment", [0.22, 0.27, 0.33, 0.4, 0.48, 0.6])
-def test_an_arm_frozen_with_velocities_zero_is_noticed_once_it_has_stood(moment: float) -> None:
+def test_an_arm_frozen_with_velocity_zero_is_detected_after_standing_still(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     run(controller, plant, moment)
-    faulted, _, _ = lied_to(controller, plant, LIES["all frozen, velocities zero"]())
+    faulted, _, _ = falsify(controller, plant, FALSIFICATIONS["all frozen, velocities zero"]())
     assert faulted is not None and faulted <= FROZEN
 
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("moment", [0.27, 0.48])
-@pytest.mark.parametrize("name", LIES)
-def test_the_truth_after_a_lie_moves_nothing_and_can_be_reset(name: str, moment: float) -> None:
+@pytest.mark.parametrize("name", FALSIFICATIONS)
+def test_true_states_after_false_ones_move_nothing_and_allow_a_reset(
+    name: str, moment: float
+) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     run(controller, plant, moment)
-    faulted, _, size = lied_to(controller, plant, LIES[name]())
-    if faulted is None or size < NOTICED:
+    faulted, _, size = falsify(controller, plant, FALSIFICATIONS[name]())
+    if faulted is None or size < DETECTABLE:
         return
     tau, speeds = controller.step(*plant.state(), PERIOD), []
     for _ in range(250):
@@ -169,7 +182,7 @@ def test_the_truth_after_a_lie_moves_nothing_and_can_be_reset(name: str, moment:
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("moment", [0.22, 0.33, 0.4])
-def test_states_that_come_all_at_once_in_a_fault_do_not_look_fast(moment: float) -> None:
+def test_a_burst_of_states_in_a_fault_does_not_look_fast(moment: float) -> None:
     controller, plant = begin(friction=1.0, delay=2, sensing=True)
     controller.execute()
     tau = run(controller, plant, moment)[-1]
@@ -189,31 +202,31 @@ def test_states_that_come_all_at_once_in_a_fault_do_not_look_fast(moment: float)
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("name", LIES)
+@pytest.mark.parametrize("name", FALSIFICATIONS)
 def test_a_false_state_in_a_move_ends_in_a_stop(name: str) -> None:
     controller, plant = begin(START, controller=make(move_speed=1.0), friction=1.0, delay=2)
     controller.move_to_start()
     run(controller, plant, 0.3)
-    faulted, speeds, size = lied_to(controller, plant, LIES[name]())
+    faulted, speeds, size = falsify(controller, plant, FALSIFICATIONS[name]())
     assert faulted is not None
-    assert faulted <= LONGEST or size < NOTICED, (faulted, size)
+    assert faulted <= LONGEST or size < DETECTABLE, (faulted, size)
     assert max(speeds) < speeds[0] + 0.3
     assert max(speeds[faulted + 250 :]) < safety.REST_SPEED
 
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("teaching", [False, True])
-@pytest.mark.parametrize("name", LIES)
+@pytest.mark.parametrize("name", FALSIFICATIONS)
 def test_a_false_state_of_an_arm_at_rest_moves_nothing(name: str, teaching: bool) -> None:
     controller, plant = begin(friction=1.0, delay=2)
     controller.set_gravity_compensation(teaching)
-    _, speeds, _ = lied_to(controller, plant, LIES[name]())
+    _, speeds, _ = falsify(controller, plant, FALSIFICATIONS[name]())
     assert max(speeds) < safety.REST_SPEED
 
 
 @pytest.mark.requirement("S-91")
 @pytest.mark.parametrize("adds_gravity", [False, True])
-def test_torques_of_another_commander_are_noticed(adds_gravity: bool) -> None:
+def test_torques_of_another_commander_are_detected(adds_gravity: bool) -> None:
     def foreign(t: float, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
         return np.array([0.0, 20.0, 0.0, 0.0, 0.0, 0.0, 0.0]) * (t > 0.3)
 
@@ -239,7 +252,7 @@ def test_a_contact_of_30_newtons_stops_a_replay_within_60_milliseconds(
         return MODEL.jacobian(q)[:3].T @ (-30.0 * direction) * (t >= 0.9)
 
     controller, plant = begin(friction=1.0, delay=2, sensing=True, push=contact)
-    controller.start_replay(recording, speed=0.5)
+    start_replay(controller, recording, speed=0.5)
     run(controller, plant, 0.9 - (plant.stamp - 10**12) * 1e-9)
     assert controller.mode is Mode.REPLAY
     run(controller, plant, 0.06)
@@ -250,7 +263,7 @@ def test_a_contact_of_30_newtons_stops_a_replay_within_60_milliseconds(
 @pytest.mark.requirement("S-93")
 @pytest.mark.parametrize("friction", [0.5, 2.0])
 @pytest.mark.parametrize("delay", [0, 4])
-def test_what_the_model_has_wrong_is_no_fault(friction: float, delay: int) -> None:
+def test_model_errors_are_no_fault(friction: float, delay: int) -> None:
     controller, plant = begin(START, friction=friction, delay=delay, sensing=True)
     scale = np.array([1.05, 0.95, 1.05, 0.95, 1.05, 0.95, 1.05])
     obey = plant.step
@@ -263,20 +276,20 @@ def test_what_the_model_has_wrong_is_no_fault(friction: float, delay: int) -> No
 
 
 @pytest.mark.requirement("S-93")
-def test_a_fast_replay_that_sensors_and_motors_follow_late_is_no_contact() -> None:
+def test_a_fast_replay_with_sensor_and_motor_lag_is_no_contact() -> None:
     t = np.linspace(0.0, 1.0, 101)
     x = np.clip((t - 0.3) / 0.25, 0.0, 1.0)
     flick = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)  # from rest to rest
     turned = HOME + flick[:, None] * np.array([0.0, 0.0, 0.0, 0.25, 0.0, 0.3, 0.0])
     recording = type("Recording", (), {"t": t, "q": turned})
     controller, plant = begin(friction=1.0, delay=4, sensing=True)
-    controller.start_replay(recording)
+    start_replay(controller, recording)
     run(controller, plant, 2.0)
     assert controller.mode is Mode.HOLD, controller.latched
 
 
 @pytest.mark.requirement("S-93")
-def test_a_velocity_that_a_filter_delays_is_no_lie_and_one_that_is_too_small_is() -> None:
+def test_a_velocity_delayed_by_a_filter_is_plausible_and_one_too_small_is_not() -> None:
     def first_fault(lag: float, scale: float) -> int | None:
         check, dt, filtered, last = VelocityCheck(7), 0.002, 0.0, None
         for k in range(40):  # 200 rad/s^2 from rest for 40 ms, then at that speed
@@ -327,7 +340,7 @@ def _a_fault():  # noqa: ANN202
     return A_TEST
 
 
-def test_states_at_a_flood_of_tiny_stamps_change_the_torque_no_faster() -> None:
+def test_many_states_within_a_period_do_not_raise_the_torque_rate() -> None:
     controller, plant = begin()
     stamp, q, _ = plant.state()
     first = tau = controller.step(stamp, q, np.zeros(7))
@@ -336,7 +349,7 @@ def test_states_at_a_flood_of_tiny_stamps_change_the_torque_no_faster() -> None:
     assert np.all(np.abs(tau - first) <= controller.limits.torque_rate * 1e-4 + 1e-9)
 
 
-def test_stamps_that_hurry_change_the_torque_no_faster_than_time_passes() -> None:
+def test_fast_stamps_do_not_raise_the_torque_rate() -> None:
     def changed(elapsed: float | None) -> float:
         controller, plant = begin()
         controller.execute()
@@ -363,7 +376,7 @@ def test_where_the_driver_adds_gravity_the_motors_keep_their_limit() -> None:
         plant.step(tau)
 
 
-def test_a_policy_that_damps_more_than_a_delayed_loop_can_bear_is_refused() -> None:
+def test_a_policy_with_more_damping_than_a_delayed_loop_allows_is_refused() -> None:
     from dataclasses import replace
 
     with pytest.raises(
@@ -383,7 +396,7 @@ def test_the_state_before_a_gap_is_not_compared_with() -> None:
 
 @pytest.mark.parametrize("delay", [0, 2, 4])
 @pytest.mark.parametrize("foreign", [0.0, 15.0])
-def test_a_torque_that_changes_fast_is_ours_whenever_it_acts(delay: int, foreign: float) -> None:
+def test_a_fast_changing_torque_is_explained_at_any_delay(delay: int, foreign: float) -> None:
     plant = Plant(HOME, delay=delay, sensing=True, push=lambda *_: foreign * ELBOW)
     torques = TorqueCheck(MODEL)
     bound = Bound(moving=np.full(7, 4.0), standing=np.full(7, 4.0))

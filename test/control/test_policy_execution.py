@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rollout state by state: its end, its path, the obstacle."""
+"""One rollout: its end, its path, the obstacle."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def answer(rollout: Execution, tick: float, q: np.ndarray = HOME) -> np.ndarray 
     return rollout.torque(stamp_ns, q, STILL, ARM.motion(q, STILL))
 
 
-def test_a_rollout_lasts_for_its_movement_and_the_settling_and_is_sampled_at_100_hz() -> None:
+def test_a_rollout_includes_the_settling_time_and_is_sampled_at_100_hz() -> None:
     rollout = execution()
     assert rollout.start_ns is None
     for tick in range(251):
@@ -58,11 +58,11 @@ def test_a_rollout_lasts_for_its_movement_and_the_settling_and_is_sampled_at_100
     np.testing.assert_allclose(path.position, np.tile(POSITION, (51, 1)))
 
 
-def test_at_the_attractor_at_rest_the_torque_is_that_of_gravity() -> None:
+def test_at_the_attractor_at_rest_the_torque_is_the_gravity_torque() -> None:
     np.testing.assert_allclose(answer(execution(), 0), ARM.gravity(HOME), atol=1e-9)
 
 
-def test_a_gap_in_the_states_is_a_gap_in_the_path_and_time_goes_on() -> None:
+def test_a_gap_in_the_states_is_a_gap_in_the_path_and_does_not_stop_time() -> None:
     rollout = execution()
     for tick in (0, 1, 2, 40, 41, 240):
         assert answer(rollout, tick) is not None
@@ -89,7 +89,7 @@ def test_the_tool_in_the_obstacle_ends_the_rollout_with_a_sample_of_that_state()
     np.testing.assert_allclose(path.position[-1], POSITION)
 
 
-def test_an_obstacle_met_in_a_tick_that_has_a_sample_leaves_a_valid_path() -> None:
+def test_an_obstacle_met_in_a_sampled_tick_leaves_a_valid_path() -> None:
     outside = HOME + np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     rollout = execution(settings=replace(SETTINGS, obstacle=(*POSITION, 0.05)))
     answer(rollout, 0, outside)
@@ -108,12 +108,12 @@ def test_a_rollout_that_never_began_has_a_path_of_one_pose() -> None:
     np.testing.assert_allclose(path.position[0], POSITION)
 
 
-def test_a_tool_that_is_turned_too_far_is_lost() -> None:
+def test_a_tool_that_is_rotated_too_far_loses_tracking() -> None:
     rollout, turned = execution(), HOME.copy()
     turned[6] += 1.99
     assert answer(rollout, 0, turned) is not None
     turned[6] += 0.02
-    with pytest.raises(TrackingLost, match="turned by more than"):
+    with pytest.raises(TrackingLost, match="rotated by"):
         answer(rollout, 1, turned)
 
 

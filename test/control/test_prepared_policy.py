@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes a policy fit an arm, and what does not."""
+"""Checks of a policy against an arm."""
 
 import re
 from dataclasses import replace
@@ -33,7 +33,7 @@ def test_a_policy_at_the_limits_fits() -> None:
     flat = np.deg2rad(30.0)
     turn = np.array([[np.cos(flat), -np.sin(flat)], [np.sin(flat), np.cos(flat)]])
     stiff = 300.0 * np.eye(3)
-    stiff[:2, :2] = turn @ np.diag([2499.0, 200.0]) @ turn.T  # stiff along a line across the axes
+    stiff[:2, :2] = turn @ np.diag([2499.0, 200.0]) @ turn.T  # stiff along a diagonal
     for change in (
         {"q_start": LIMITS.q_min},
         {"q_start": LIMITS.q_max},
@@ -57,7 +57,7 @@ def test_one_joint_beyond_a_limit_or_one_stiff_matrix_is_enough_to_be_refused(jo
         prepare(replace(POLICY, stiffness=stiffness), MODEL.n, LIMITS, SETTINGS)
 
 
-def test_the_content_of_a_policy_is_the_same_under_any_name_and_only_kept_where_needed() -> None:
+def test_the_digest_of_a_policy_ignores_its_id_and_exists_only_with_hold_to_run() -> None:
     held = replace(SETTINGS, hold_to_run=True)
     first, second = (
         prepare(policy, MODEL.n, LIMITS, held) for policy in (POLICY, with_id(POLICY, "again"))

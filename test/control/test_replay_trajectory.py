@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording becomes a movement from rest to rest, or is refused with the possible speed."""
+"""A recording becomes a movement from rest to rest, or is refused with the largest speed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wam_power_ros.bags import reader
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.modes import ControllerError, Refusal
-from wam_power_ros.control.replay_trajectory import EASE, movement, sampled
+from wam_power_ros.control.replay_trajectory import EASE_TIME, movement, sampled
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
@@ -23,7 +23,7 @@ TICK = 2_000_000  # [ns]
 
 
 def recording(noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Two seconds of a swing that is under way from the first sample to the last."""
+    """Two seconds of a swing that is in motion from the first sample to the last."""
     t = np.arange(1001) * 0.002
     q = np.sin(2.0 * t)[:, None] * np.linspace(0.1, 0.7, 7)
     q += noise * np.random.default_rng(0).standard_normal(q.shape)
@@ -35,21 +35,21 @@ def test_a_replay_goes_from_rest_to_rest_through_what_was_recorded(speed: float)
     stamps_ns, q = recording()
     t, followed = movement(stamps_ns, q, speed)
     assert t[0] == 0.0
-    assert t[-1] == pytest.approx(2.0 / speed + EASE)
+    assert t[-1] == pytest.approx(2.0 / speed + EASE_TIME)
     np.testing.assert_allclose(followed[[0, -1]], q[[0, -1]], atol=1e-4)
     spline = CubicSpline(t, followed)
     assert np.abs(spline(t[[0, -1]], 1)).max() < 0.02
     fine = spline(np.linspace(0.0, t[-1], 4000))
     away = np.abs(fine[:, None] - q[None]).max(axis=2).min(axis=1)
     assert away.max() < 2e-3
-    middle = np.abs(t - 0.5 * t[-1]) < 0.25 * t[-1]  # where it has come to its speed
+    middle = np.abs(t - 0.5 * t[-1]) < 0.25 * t[-1]  # at full speed
     recorded = CubicSpline((stamps_ns - stamps_ns[0]) * 1e-9, q)
-    at = (t[middle] - 0.5 * EASE) * speed
+    at = (t[middle] - 0.5 * EASE_TIME) * speed
     np.testing.assert_allclose(followed[middle], recorded(at), atol=1e-3)
     np.testing.assert_allclose(spline(t[middle], 1), speed * recorded(at, 1), atol=0.02 * speed)
 
 
-def test_what_encoders_add_is_smoothed_away() -> None:
+def test_encoder_noise_is_smoothed_away() -> None:
     accelerations = []
     for noise in (0.0, 2e-4):
         t, followed = movement(*recording(noise), 1.0)
@@ -59,17 +59,17 @@ def test_what_encoders_add_is_smoothed_away() -> None:
     assert np.abs(accelerations[1] - accelerations[0]).max() < 3.0
 
 
-def test_a_replay_gathers_speed_smoothly_and_ends_as_it_began() -> None:
+def test_a_replay_accelerates_smoothly_and_decelerates_symmetrically() -> None:
     stamps_ns = 10**9 + TICK * np.arange(500)
     t, followed = movement(stamps_ns, np.outer(np.arange(500) * 0.002, np.ones(7)), 1.0)
     assert len(t) == 131 and np.diff(t).max() < 0.01  # in 1.298 s
     speed = CubicSpline(t, followed[:, 0])
     for part, expected in ((0.0, 0.0), (0.25, 0.15625), (0.5, 0.5), (0.75, 0.84375), (1.0, 1.0)):
-        assert speed(part * EASE, 1) == pytest.approx(expected, abs=2e-3)
-        assert speed(0.998 + EASE - part * EASE, 1) == pytest.approx(expected, abs=2e-3)
+        assert speed(part * EASE_TIME, 1) == pytest.approx(expected, abs=2e-3)
+        assert speed(0.998 + EASE_TIME - part * EASE_TIME, 1) == pytest.approx(expected, abs=2e-3)
 
 
-def test_a_recording_shorter_than_its_easing_goes_from_rest_to_rest_too() -> None:
+def test_a_recording_shorter_than_the_ease_time_goes_from_rest_to_rest_too() -> None:
     stamps_ns = 10**9 + TICK * np.arange(101)
     t, followed = movement(stamps_ns, np.outer(np.arange(101) * 0.002, np.ones(7)), 1.0)
     assert t[-1] == pytest.approx(0.4)
@@ -81,19 +81,19 @@ def test_a_recording_shorter_than_its_easing_goes_from_rest_to_rest_too() -> Non
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 5.1, np.nan, np.inf])
-def test_a_speed_that_is_none_is_refused(speed: float) -> None:
+def test_an_invalid_speed_is_refused(speed: float) -> None:
     with pytest.raises(ValueError, match="speed"):
         movement(*recording(), speed)
 
 
-def test_a_recording_with_a_hole_is_refused() -> None:
+def test_a_recording_with_a_gap_is_refused() -> None:
     stamps_ns, q = recording()
     kept = np.r_[0:400, 600:1001]
     with pytest.raises(ValueError, match=r"gap of 0\.4"):
         movement(stamps_ns[kept], q[kept], 1.0)
 
 
-def test_too_fast_a_replay_is_refused_with_the_speed_that_is_possible() -> None:
+def test_too_fast_a_replay_is_refused_with_the_largest_possible_speed() -> None:
     t, q = movement(*reader.read_demonstration(REACH, NAMES), 1.0)
     trajectory = SimpleNamespace(t=t, q=q)
     with pytest.raises(ControllerError, match="times a joint-speed limit") as refused:

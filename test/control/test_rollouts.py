@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loaded policy and the rollouts of it."""
+"""The loaded policy and its rollouts."""
 
 import dataclasses
 
@@ -30,7 +30,7 @@ def state(tick: int) -> JointState:
 
 
 def run(them: Rollouts, ticks: int) -> int:
-    """States that were answered, of so many, before the rollout was over."""
+    """Number of states, up to `ticks`, that got a torque before the rollout was over."""
     them.begin()
     for tick in range(ticks):
         if them.torque(state(tick), MOTION) is None:
@@ -44,7 +44,7 @@ def test_nothing_can_begin_without_a_policy() -> None:
         with pytest.raises(ControllerError, match="no policy is loaded") as refused:
             request()
         assert refused.value.refusal is Refusal.NOTHING
-    assert not them.tried and them.present is None
+    assert not them.completed_before and them.active_id is None
 
 
 def test_a_rollout_begins_only_at_the_start_of_its_policy() -> None:
@@ -59,35 +59,35 @@ def test_a_rollout_begins_only_at_the_start_of_its_policy() -> None:
     assert refused.value.values == {"policy": POLICY.id}
 
 
-def test_a_policy_counts_as_tried_only_after_a_whole_rollout_whatever_its_id() -> None:
+def test_a_policy_counts_as_completed_only_after_a_whole_rollout_whatever_its_id() -> None:
     them = rollouts()
     run(them, 100)
     them.end(state(100))
-    assert not them.tried
+    assert not them.completed_before
     assert run(them, 1000) < 1000
     them.end(state(1000))
-    assert them.tried
+    assert them.completed_before
     same = with_id(POLICY, "another-id")
     them.policy = prepare(same, MODEL.n, LIMITS, SETTINGS)
-    assert them.tried
+    assert them.completed_before
     other = dataclasses.replace(same, damping=POLICY.damping + 1.0)
     them.policy = prepare(other, MODEL.n, LIMITS, SETTINGS)
-    assert not them.tried
+    assert not them.completed_before
 
 
-def test_a_rollout_that_ends_in_the_obstacle_does_not_count_as_tried() -> None:
+def test_a_rollout_that_ends_in_the_obstacle_does_not_count_as_completed() -> None:
     them = rollouts(dataclasses.replace(SETTINGS, obstacle=(*MOTION.position.tolist(), 0.01)))
     assert run(them, 1000) == 0
     them.end(state(0))
-    assert not them.tried
+    assert not them.completed_before
 
 
-def test_a_path_is_handed_out_once_and_forgotten_when_the_next_rollout_begins() -> None:
+def test_a_path_is_returned_once_and_dropped_when_the_next_rollout_begins() -> None:
     them = rollouts()
     run(them, 100)
-    assert them.present == POLICY.id and them.take_path() is None
+    assert them.active_id == POLICY.id and them.take_path() is None
     them.end(state(100))
-    assert them.present is None and them.start_ns == 10**12
+    assert them.active_id is None and them.start_ns == 10**12
     path = them.take_path()
     assert path is not None and path.id == POLICY.id and them.take_path() is None
     run(them, 100)
@@ -102,4 +102,4 @@ def test_the_end_of_a_rollout_without_a_state_or_without_a_rollout_leaves_no_pat
     assert them.take_path() is None
     them.begin()
     them.end(None)
-    assert them.take_path() is None and them.present is None
+    assert them.take_path() is None and them.active_id is None

@@ -39,7 +39,7 @@ def test_a_torque_keeps_both_limits_and_is_untouched_within_them(
     assert np.array_equal(sent[within], wanted[within])
 
 
-def test_a_repeated_wish_is_reached_bit_for_bit() -> None:
+def test_a_repeated_torque_is_reached_bit_for_bit() -> None:
     wanted, sent = ARM.gravity(Q), np.zeros(7)
     for _ in range(25):
         sent = safety.limit_torque(wanted, sent, 0.002, LIMITS)
@@ -55,16 +55,16 @@ def test_soft_springs_push_inwards_and_only_near_a_limit() -> None:
             springs = safety.limit_springs(q, LIMITS)
             assert springs[i] == pytest.approx(sign * LIMITS.spring_torque[i])
             assert np.count_nonzero(springs) == 1
-            q[i] = end - 5.0 * sign  # far beyond: bounded
+            q[i] = end - 5.0 * sign  # far beyond the limit: saturated
             assert abs(safety.limit_springs(q, LIMITS)[i]) <= 2.0 * LIMITS.spring_torque[i]
 
 
 @pytest.mark.requirement("S-26")
 @given(qd=st.lists(st.floats(-5.0, 5.0), min_size=7, max_size=7).map(np.array))
-def test_the_live_fallback_never_feeds_energy_in(qd: np.ndarray) -> None:
+def test_the_fallback_torque_never_adds_energy(qd: np.ndarray) -> None:
     gravity = ARM.gravity(Q)
-    tau = safety.live_fallback(gravity, ARM.mass_matrix(Q), qd, 20.0)
-    assert qd @ (tau - gravity) <= 1e-12  # what rounding leaves
+    tau = safety.damped_gravity(gravity, ARM.mass_matrix(Q), qd, 20.0)
+    assert qd @ (tau - gravity) <= 1e-12  # rounding error
 
 
 def test_teaching_damping_grows_with_the_square_of_the_speed() -> None:
@@ -76,7 +76,7 @@ def test_teaching_damping_grows_with_the_square_of_the_speed() -> None:
 def exceeded(q: np.ndarray, qd: np.ndarray, **settings: object) -> Fault | None:
     limits = safety.limits_of(ARM, **({"workspace_min": (-1.5, -1.5, -1.5)} | settings))
     motion = ARM.motion(q, qd)
-    return safety.exceeded(
+    return safety.motion_fault(
         q.tolist(), qd.tolist(), motion, ARM.guarded, limits, limits.tool_speed, True
     )
 
@@ -108,26 +108,26 @@ def test_each_motion_limit_is_named_when_exceeded() -> None:
 
 
 @pytest.mark.requirement("S-23")
-def test_a_point_behind_the_plane_is_named_and_told_how_far() -> None:
+def test_a_point_behind_the_plane_is_named_with_its_depth() -> None:
     tilted = safety.limits_of(ARM, plane=(0.6, 0.0, 0.8, 0.5))
     before, behind = [0.5, 9.0, 0.3], [0.3, 0.0, 0.3]  # 0.54 and 0.42
-    assert safety.behind_plane({"elbow": before, "tool": before}, tilted) is None
-    assert safety.behind_plane({"elbow": behind, "tool": before}, tilted).text.startswith(
+    assert safety.plane_fault({"elbow": before, "tool": before}, tilted) is None
+    assert safety.plane_fault({"elbow": behind, "tool": before}, tilted).text.startswith(
         "elbow is 0.080 m behind"
     )
-    fault = safety.behind_plane({"wrist": behind}, tilted)
+    fault = safety.plane_fault({"wrist": behind}, tilted)
     assert fault.kind is FaultKind.PLANE and fault.kind.of_policy
-    assert safety.behind_plane({"tool": [math.nan] * 3}, tilted) is not None
+    assert safety.plane_fault({"tool": [math.nan] * 3}, tilted) is not None
     for axis in range(3):
         for sign in (1.0, -1.0):
             normal = sign * np.eye(3)[axis]
             wall = safety.limits_of(ARM, plane=(*normal, 0.2))
-            assert safety.behind_plane({"tool": (0.2 * normal).tolist()}, wall) is None
-            assert "is 0.100 m behind" in safety.behind_plane({"tool": 0.1 * normal}, wall).text
+            assert safety.plane_fault({"tool": (0.2 * normal).tolist()}, wall) is None
+            assert "is 0.100 m behind" in safety.plane_fault({"tool": 0.1 * normal}, wall).text
 
 
 @pytest.mark.requirement("S-24")
-def test_a_joint_beyond_its_limit_may_move_back_but_not_on() -> None:
+def test_a_joint_beyond_its_limit_may_move_back_but_not_further() -> None:
     assert LIMITS.q_max[3] + 0.05 == pytest.approx(3.19, abs=0.01)
     for i in range(7):
         for end, out in ((LIMITS.q_max[i], 1.0), (LIMITS.q_min[i], -1.0)):
@@ -135,16 +135,16 @@ def test_a_joint_beyond_its_limit_may_move_back_but_not_on() -> None:
             q[i] = end + 0.05 * out
             assert exceeded(q, qd) is None  # parked at its stop
             qd[i] = -0.5 * out
-            assert exceeded(q, qd) is None  # led back
+            assert exceeded(q, qd) is None  # guided back
             qd[i] = 0.06 * out
             fault = exceeded(q, qd)
             assert fault.text.startswith(f"joint {i + 1} at {q[i]:.3f} rad, limits ")
             assert fault.kind is FaultKind.JOINT_POSITION
             q[i] = end - 0.01 * out
-            assert exceeded(q, qd) is None  # within its limits it may move either way
+            assert exceeded(q, qd) is None  # within its limits it may move in both directions
 
 
-def test_limits_that_make_no_sense_are_refused_by_name() -> None:
+def test_invalid_limits_are_refused_by_name() -> None:
     for name, value in (
         ("torque", -LIMITS.torque),
         ("torque_rate", np.zeros(7)),
@@ -189,7 +189,7 @@ def test_the_springs_are_linear_over_a_tenth_of_a_radian_and_on_to_twice_their_t
                     assert springs[i] == pytest.approx(part * sign * LIMITS.spring_torque[i])
 
 
-def test_a_torque_within_its_limits_is_handed_on_as_it_is() -> None:
+def test_a_torque_within_its_limits_is_returned_unchanged() -> None:
     previous = 0.5 * LIMITS.torque
     for part in (-1.0, 0.0, 1.0):
         wanted = previous + part * LIMITS.torque_rate * 2.0**-12
@@ -200,7 +200,7 @@ def test_a_torque_within_its_limits_is_handed_on_as_it_is() -> None:
         np.testing.assert_array_equal(beyond, at)
 
 
-def test_an_arm_without_limits_of_its_own_has_those_of_its_urdf_and_the_defaults() -> None:
+def test_limits_default_to_the_urdf_and_to_defaults() -> None:
     for name, expected in (
         ("torque", ARM.tau_max),
         ("torque_rate", np.full(7, 2000.0)),
@@ -227,7 +227,7 @@ POSITIVE = (
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Limits) if field.init])
-def test_a_limit_that_makes_no_sense_is_refused_by_its_name(name: str) -> None:
+def test_an_invalid_limit_is_refused_by_name(name: str) -> None:
     value = np.array(getattr(LIMITS, name), dtype=float)
     wrong = [np.full(value.shape, math.nan), np.full((*value.shape, 1), 1.0)]
     for place in np.ndindex(value.shape) if name in POSITIVE else []:
@@ -264,30 +264,30 @@ def moving(**change: object) -> Motion:
 
 
 def test_an_arm_is_at_rest_below_5_cm_a_second_and_0_2_radians_a_second() -> None:
-    assert safety.unrest(moving()) == ""
+    assert safety.rest_violation(moving()) == ""
     twist = np.zeros(6)
     for rest, unrest, text in (
         ({"tool_speed": 0.05}, {"tool_speed": 0.0501}, "moves at 0.050 m/s"),
         ({"guarded_speeds": [0.0, 0.05]}, {"guarded_speeds": [0.06, 0.0]}, "moves at 0.060 m/s"),
     ):
-        assert safety.unrest(moving(**rest)) == ""
-        assert text in safety.unrest(moving(**unrest))
+        assert safety.rest_violation(moving(**rest)) == ""
+        assert text in safety.rest_violation(moving(**unrest))
     for axis in (3, 4, 5):
         for sign in (1.0, -1.0):
             twist = np.zeros(6)
             twist[axis] = 0.2 * sign
-            assert safety.unrest(moving(twist=twist)) == ""
+            assert safety.rest_violation(moving(twist=twist)) == ""
             twist[axis] = 0.21 * sign
-            assert "turns at 0.210 rad/s" in safety.unrest(moving(twist=twist))
-    assert safety.unrest(moving(guarded_speeds=[])) == ""
+            assert "turns at 0.210 rad/s" in safety.rest_violation(moving(twist=twist))
+    assert safety.rest_violation(moving(guarded_speeds=[])) == ""
 
 
 def test_at_its_limits_an_arm_is_not_beyond_them() -> None:
     still = np.zeros(7)
 
-    def found(motion: Motion | Speeds, boxed: bool = True) -> Fault | None:
+    def found(motion: Motion | Speeds, workspace: bool = True) -> Fault | None:
         state = Q.tolist(), still.tolist()
-        return safety.exceeded(*state, motion, ARM.guarded, LIMITS, 4.0, boxed)
+        return safety.motion_fault(*state, motion, ARM.guarded, LIMITS, 4.0, workspace)
 
     for speed, fault in ((4.0, None), (4.001, FaultKind.TOOL_SPEED)):
         for motion in (moving(tool_speed=speed), Speeds([0.0, 0.0], speed)):
@@ -308,7 +308,7 @@ def test_at_its_limits_an_arm_is_not_beyond_them() -> None:
             position[axis] = x
             motion = moving(position=position)
             assert (found(motion) and found(motion).kind) == fault
-            assert found(motion, boxed=False) is None
+            assert found(motion, workspace=False) is None
 
 
 def test_three_states_in_a_row_beyond_a_limit_of_the_mode_are_a_fault() -> None:
@@ -329,19 +329,21 @@ def test_three_states_in_a_row_beyond_a_limit_of_the_mode_are_a_fault() -> None:
         led = FaultKind.TOOL_SPEED if mode is Mode.GRAVITY_COMPENSATION else None
         assert faults(mode, *[moving(tool_speed=0.6)] * 3)[2] == led
         outside = moving(position=np.array([0.0, 0.0, 2.1]))
-        boxed = FaultKind.WORKSPACE if mode in (Mode.ROLLOUT, Mode.REPLAY) else None
-        assert faults(mode, *[outside] * 3)[2] == boxed
+        outside_fault = FaultKind.WORKSPACE if mode in (Mode.ROLLOUT, Mode.REPLAY) else None
+        assert faults(mode, *[outside] * 3)[2] == outside_fault
         elbow_low = moving(guarded_positions=[[0.0, 0.0, -0.6], [0.0, 0.0, 0.5]])
         alone = mode in (Mode.ROLLOUT, Mode.REPLAY, Mode.MOVE_TO_START)
         assert faults(mode, *[elbow_low] * 3)[2] == (FaultKind.PLANE if alone else None)
         tool_low = moving(position=np.array([0.0, 0.0, -0.6]))
-        assert faults(mode, *[tool_low] * 3)[2] == (boxed or (FaultKind.PLANE if alone else None))
+        assert faults(mode, *[tool_low] * 3)[2] == (
+            outside_fault or (FaultKind.PLANE if alone else None)
+        )
         assert faults(mode, *[Speeds([0.0, 0.0], 0.0)] * 3)[2] is None
 
 
 @pytest.mark.requirement("S-01")
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_torque_within_its_size_is_reached_at_the_limit_of_change(sign: float) -> None:
+def test_a_torque_within_its_limit_is_reached_at_the_rate_limit(sign: float) -> None:
     for joint in range(7):
         wanted = sign * 0.9 * LIMITS.torque[joint] * np.eye(7)[joint]
         for dt in (1e-6, 0.001):

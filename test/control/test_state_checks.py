@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint states are judged by their stamps, their values and what came before."""
+"""Checks of stamps, values and continuity of joint states."""
 
 import math
 
@@ -13,7 +13,6 @@ from wam_power_ros.control.state_checks import (
     IMPLAUSIBLE_QD,
     JointState,
     StateChecks,
-    Unanswered,
     plausible,
 )
 from wam_power_ros.learning.rollout import FaultKind
@@ -30,10 +29,10 @@ def checks() -> StateChecks:
     return states
 
 
-def test_a_state_with_the_last_stamp_is_the_last_state_again() -> None:
+def test_a_state_with_the_last_stamp_is_a_repetition() -> None:
     states = checks()
     last = states.last
-    assert states.take(0, Q + 1.0, ZERO, restart=True) is Unanswered.REPEATED
+    assert states.take(0, Q + 1.0, ZERO, restart=True) is None
     assert states.last is last and states.counters["repeated"] == 1
 
 
@@ -61,9 +60,9 @@ def test_one_impossible_value_makes_a_vector_implausible(value: float, i: int) -
         (2 * MS, [[1.0], [2.0, 3.0]], ZERO),
     ],
 )
-def test_a_state_that_is_not_valid_is_refused_whole(stamp: object, q: object, qd: object) -> None:
+def test_an_invalid_state_is_refused_as_a_whole(stamp: object, q: object, qd: object) -> None:
     states = checks()
-    assert states.take(stamp, q, qd, restart=False) is Unanswered.REFUSED
+    assert states.take(stamp, q, qd, restart=False) is None
     assert (states.last.stamp_ns, states.refused_in_row, states.fault) == (0, 1, None)
     assert np.array_equal(states.last.q, Q) and np.array_equal(states.last.qd, ZERO)
     assert states.counters["older" if stamp == -1 else "rejected"] == 1
@@ -71,14 +70,14 @@ def test_a_state_that_is_not_valid_is_refused_whole(stamp: object, q: object, qd
     assert states.refused_in_row == 0
 
 
-def test_what_is_accepted_is_a_copy() -> None:
+def test_an_accepted_state_is_a_copy() -> None:
     states, q = checks(), Q.copy()
     states.take(2 * MS, q, ZERO, restart=False)
     q[0] = 9.0
     assert np.array_equal(states.last.q, Q)
 
 
-def test_an_older_stamp_is_a_restart_where_that_is_allowed() -> None:
+def test_an_older_stamp_is_a_restart_where_restarts_are_allowed() -> None:
     states = checks()
     states.take(10 * MS, Q, ZERO, restart=False)
     assert isinstance(states.take(2 * MS, Q + 1.0, ZERO, restart=True), JointState)
@@ -108,10 +107,10 @@ def test_a_gap_is_counted_and_a_long_one_a_fault() -> None:
         assert isinstance(states.take(stamp, Q, ZERO, restart=False), JointState)
         assert states.counters["gaps"] == gaps
         assert (states.fault and states.fault.kind) == kind
-    assert states.last.dt == 0.004  # bounded for the limit of change
+    assert states.last.dt == 0.004  # bounded for the torque rate limit
 
 
-def test_a_jump_is_a_fault_and_may_be_larger_the_longer_the_time_between() -> None:
+def test_the_bound_on_a_jump_grows_with_the_time_between_states() -> None:
     step = np.eye(7)[2]
     for size, stamp, jumps in ((0.09, 2, 0), (0.11, 2, 1), (0.19, 4, 0), (0.21, 4, 1)):
         states = checks()
@@ -119,7 +118,7 @@ def test_a_jump_is_a_fault_and_may_be_larger_the_longer_the_time_between() -> No
         assert states.counters["jumps"] == jumps
         assert (states.fault and states.fault.kind) == (FaultKind.JUMP if jumps else None)
         states.take(states.last.stamp_ns + 2 * MS, states.last.q, ZERO, restart=False)
-        assert states.fault is None  # it belongs to one state only
+        assert states.fault is None  # the fault belongs to one state only
 
 
 def test_a_missing_velocity_is_estimated_and_comes_to_rest_bit_for_bit() -> None:
@@ -129,13 +128,13 @@ def test_a_missing_velocity_is_estimated_and_comes_to_rest_bit_for_bit() -> None
     np.testing.assert_allclose(states.last.qd, speed, rtol=1e-6)
     end = states.last.q
     states.take(210 * MS, end, None, restart=False)
-    np.testing.assert_allclose(states.last.qd, speed, rtol=1e-6)  # kept as it is across a gap
+    np.testing.assert_allclose(states.last.qd, speed, rtol=1e-6)  # kept across a gap
     for k in range(106, 206):
         states.take(2 * MS * k, end, None, restart=False)
     assert np.array_equal(states.last.qd, ZERO)
 
 
-def test_what_comes_first_is_accepted_and_counted() -> None:
+def test_valid_states_are_accepted_and_counted() -> None:
     states = checks()
     assert states.refused_in_row == 0 and states.fault is None
     for k in range(1, 5):
@@ -166,7 +165,7 @@ def test_five_refusals_are_a_fault_when_less_than_fifty_states_lie_between() -> 
             assert states.counters["rejected"] == 5
 
 
-def test_a_fault_belongs_to_its_state_and_not_to_one_that_cannot_be_read_afterwards() -> None:
+def test_a_fault_belongs_to_its_state_and_not_to_a_later_unreadable_one() -> None:
     states = checks()
     states.take(2 * MS, Q + 0.2, ZERO, restart=False)
     assert states.fault.kind is FaultKind.JUMP
@@ -185,7 +184,7 @@ def test_a_differentiated_velocity_approaches_the_true_one_at_180_radians_a_seco
         np.testing.assert_allclose(states.last.qd, expected, rtol=1e-6)
 
 
-def test_gaps_and_jumps_are_measured_from_the_last_state_whatever_the_clock_says() -> None:
+def test_gaps_and_jumps_are_measured_from_the_last_state_at_any_stamp() -> None:
     later = 10**18
     states = StateChecks(7, 0.002, 180.0)
     states.take(later, Q, ZERO, restart=False)
@@ -199,7 +198,7 @@ def test_gaps_and_jumps_are_measured_from_the_last_state_whatever_the_clock_says
 
 def test_the_very_first_state_may_be_refused() -> None:
     states = StateChecks(7, 0.002, 180.0)
-    assert states.take(0, Q * math.nan, ZERO, restart=False) is Unanswered.REFUSED
+    assert states.take(0, Q * math.nan, ZERO, restart=False) is None
     assert (states.last, states.refused_in_row) == (None, 1)
 
 
@@ -211,7 +210,7 @@ def test_positions_three_periods_apart_are_differentiated_and_later_ones_are_not
         assert states.last.qd.any() == moved
 
 
-def test_the_time_since_a_state_is_that_of_our_own_clock_where_there_is_one() -> None:
+def test_the_time_since_a_state_is_by_the_own_clock_where_there_is_one() -> None:
     states = checks()
     assert states.take(2 * MS, Q, ZERO, restart=False).dt == 0.002
     assert states.take(3 * MS, Q, ZERO, restart=False, elapsed=0.0025).dt == 0.0025
@@ -219,7 +218,7 @@ def test_the_time_since_a_state_is_that_of_our_own_clock_where_there_is_one() ->
     assert states.take(7 * MS, Q, ZERO, restart=False, elapsed=5.0).dt == 0.004
 
 
-def test_the_arm_moved_for_as_long_as_the_longer_of_stamps_and_our_own_clock_says() -> None:
+def test_the_time_of_motion_is_the_longer_of_stamps_and_own_clock() -> None:
     states = checks()
     at_once = states.take(2 * MS, Q, ZERO, restart=False, elapsed=5e-5)
     slow_stamps = states.take(2 * MS + 200_000, Q, ZERO, restart=False, elapsed=0.002)

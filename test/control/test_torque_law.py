@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The torque law against Pinocchio's own dynamics."""
+"""The torque laws against Pinocchio's dynamics."""
 
 import numpy as np
 import pinocchio as pin
@@ -31,17 +31,17 @@ def test_a_wrench_by_the_jacobian_is_newton_euler_with_a_force_on_the_last_link(
     pin.forwardKinematics(arm.model, data, Q)
     at_tool = pin.SE3(np.eye(3), arm.tool_pose(Q)[0])
     on_link = data.oMi[arm.n].actInv(at_tool.act(pin.Force(wrench[:3], wrench[3:])))
-    # Pinocchio's external forces stand in the frame of the joint and are subtracted.
+    # Pinocchio expresses external forces in the frame of the joint, and subtracts them.
     forces = [pin.Force.Zero() for _ in range(arm.n)] + [-on_link]
     expected = pin.rnea(arm.model, data, Q, QD, np.zeros(arm.n), forces)
     assert np.allclose(torque("virtual_mass", arm), expected, atol=1e-10)
 
 
-def test_the_tool_accelerates_as_wanted_in_operational_space(arm: Arm) -> None:
+def test_the_tool_has_the_commanded_acceleration_in_operational_space(arm: Arm) -> None:
     tau, motion, dynamics = torque("operational_space", arm), arm.motion(Q, QD), arm.dynamics(Q, QD)
     jacobian = dynamics.jacobian
     reached = jacobian @ arm.forward_dynamics(Q, QD, tau) + motion.drift
-    # What the damping takes: at most a tenth of the translation, a quarter of the rotation.
+    # The damping reduces the translation by at most a tenth, the rotation by a quarter.
     wrench = np.linalg.pinv(jacobian.T) @ (tau - dynamics.bias)
     assert np.allclose(reached + torque_law.DAMPING @ wrench, WANTED, atol=1e-6)
     assert np.allclose(reached[:3], WANTED[:3], rtol=0.1)
@@ -49,7 +49,7 @@ def test_the_tool_accelerates_as_wanted_in_operational_space(arm: Arm) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_the_null_space_is_left_free(arm: Arm, law: str) -> None:
+def test_the_null_space_is_not_controlled(arm: Arm, law: str) -> None:
     null = np.linalg.svd(arm.jacobian(Q))[2][-1]  # joint motion that does not move the tool
     assert abs(null @ (torque(law, arm) - arm.dynamics(Q, QD).bias)) < 1e-9
 
@@ -70,7 +70,7 @@ def test_an_unknown_law_is_refused_by_name() -> None:
         ControllerSettings(law="magic")
 
 
-def test_a_state_that_makes_no_sense_gets_no_finite_torque(arm: Arm) -> None:
+def test_an_invalid_state_gets_no_finite_torque(arm: Arm) -> None:
     motion, dynamics = arm.motion(Q, QD), arm.dynamics(Q, QD)
     unsound = dynamics._replace(inverse_mass=-dynamics.inverse_mass)
     with pytest.raises(np.linalg.LinAlgError):

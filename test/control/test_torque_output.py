@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a driver is sent for a torque of the motors."""
+"""Torques sent to the driver for a motor torque."""
 
 from collections import Counter
 
@@ -17,11 +17,13 @@ def output(compensated: bool = False) -> TorqueOutput:
 
 
 @pytest.mark.parametrize("compensated", [False, True])
-def test_what_acts_is_what_was_asked_for_whoever_adds_the_gravity(compensated: bool) -> None:
+def test_the_motor_torque_is_as_requested_whether_or_not_the_driver_adds_gravity(
+    compensated: bool,
+) -> None:
     out = output(compensated)
     wanted = GRAVITY + 0.5
     out.send(wanted, HOME, None)
-    np.testing.assert_allclose(out.acting(HOME), wanted, atol=1e-12)
+    np.testing.assert_allclose(out.motor_torque(HOME), wanted, atol=1e-12)
 
 
 def test_the_motors_of_a_driver_that_adds_gravity_stay_within_their_limit() -> None:
@@ -29,10 +31,10 @@ def test_the_motors_of_a_driver_that_adds_gravity_stay_within_their_limit() -> N
     beyond = 10.0 * LIMITS.torque * np.sign(GRAVITY + 1e-9)
     for dt in (None, 1.0, 1.0):
         out.send(beyond, HOME, dt)
-        assert np.all(np.abs(out.acting(HOME)) <= LIMITS.torque + 1e-9)
+        assert np.all(np.abs(out.motor_torque(HOME)) <= LIMITS.torque + 1e-9)
 
 
-def test_a_change_is_limited_and_counted_but_not_while_nothing_is_sent() -> None:
+def test_the_torque_rate_is_limited_and_counted_but_not_while_inactive() -> None:
     counters: Counter[str] = Counter()
     out = TorqueOutput(MODEL, LIMITS, False, counters)
     most = 0.002 * LIMITS.torque_rate

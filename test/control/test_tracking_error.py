@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of how well a replay was followed."""
+"""Statistics of the tracking error of a replay."""
 
 import numpy as np
 import pytest
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.control.tracking_error import TOOL_EVERY, TrackingError
+from wam_power_ros.control.tracking_error import TOOL_STRIDE, TrackingError
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
@@ -39,16 +39,16 @@ def test_before_any_state_all_errors_are_zero() -> None:
 
 def test_the_tool_is_compared_every_few_states_and_every_joint_in_each() -> None:
     error = TrackingError(ARM)
-    for k in range(10 * TOOL_EVERY):
+    for k in range(10 * TOOL_STRIDE):
         error.add(Q + 0.001 * k, Q)
-    assert error.count == 10 * TOOL_EVERY
+    assert error.count == 10 * TOOL_STRIDE
     assert error.largest[3] == pytest.approx(0.001 * (error.count - 1))
-    last = TOOL_EVERY * (error.count // TOOL_EVERY - 1)  # compared
+    last = TOOL_STRIDE * (error.count // TOOL_STRIDE - 1)  # compared
     apart = ARM.tool_pose(Q + 0.001 * last)[0] - ARM.tool_pose(Q)[0]
     assert error.tool()[1] == pytest.approx(np.linalg.norm(apart))
 
 
-def test_errors_of_either_sign_count_alike_from_the_first_state_on() -> None:
+def test_errors_of_both_signs_count_equally_from_the_first_state_on() -> None:
     for sign in (1.0, -1.0):
         error = TrackingError(ARM)
         error.add(Q, Q + 0.01 * sign)

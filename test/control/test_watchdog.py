@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The watchdog finds out when a torque is due without a state, on a clock that the test plays."""
+"""The watchdogs detect missing states, false stamps and missed periods, on a simulated clock."""
 
 import pytest
 
@@ -10,7 +10,7 @@ MS = 1_000_000
 
 
 def watched(until_ms: int, watchdog: Watchdog, since_ms: int = 0) -> list[tuple[int, object]]:
-    """Check once a millisecond and answer every silence; the times [ms] and what was found."""
+    """Check once a millisecond and answer every timeout; returns times [ms] and timeouts."""
     found = []
     for ms in range(since_ms, until_ms):
         silence = watchdog.check(ms * MS)
@@ -21,22 +21,22 @@ def watched(until_ms: int, watchdog: Watchdog, since_ms: int = 0) -> list[tuple[
 
 
 def fresh() -> Watchdog:
-    """A watchdog of 5 ms that has just seen a state and a torque, and is checked regularly."""
+    """A watchdog of 5 ms that has just registered a state and a torque."""
     watchdog = Watchdog(0.005, 0.002)
     watchdog.check(-MS)
     watchdog.arrived(0)
     watchdog.sent_ns = 0
-    watchdog._excused_ns = 0  # the very first check excuses itself
+    watchdog._grace_ns = 0  # the very first check begins a grace time
     return watchdog
 
 
-def test_a_silence_is_bridged_once_a_period_from_the_timeout_on() -> None:
+def test_from_the_timeout_on_a_torque_is_due_in_every_period() -> None:
     found = watched(20, fresh())
     assert [ms for ms, _ in found] == list(range(5, 20, 2))
     assert all(silence.fault is None and not silence.idle for _, silence in found)
 
 
-def test_a_long_silence_is_a_fault_and_a_longer_one_asks_to_idle_once() -> None:
+def test_a_long_loss_of_states_is_a_fault_and_a_longer_one_asks_to_idle_once() -> None:
     watchdog = fresh()
     found = watched(300, watchdog)
     faults = [ms for ms, silence in found if silence.fault is not None]
@@ -47,10 +47,10 @@ def test_a_long_silence_is_a_fault_and_a_longer_one_asks_to_idle_once() -> None:
     watchdog.arrived(300 * MS)
     assert watched(305, watchdog, 300) == []
     again = watched(500, watchdog, 305)
-    assert sum(silence.idle for _, silence in again) == 1  # once a silence
+    assert sum(silence.idle for _, silence in again) == 1  # once per loss of states
 
 
-def test_the_last_state_again_and_again_is_silence_after_the_timeout() -> None:
+def test_a_repeated_last_state_counts_as_silence_after_the_timeout() -> None:
     watchdog = fresh()
     assert not watchdog.silent(5 * MS) and watchdog.silent(6 * MS)
     watchdog.arrived(6 * MS)
@@ -58,7 +58,7 @@ def test_the_last_state_again_and_again_is_silence_after_the_timeout() -> None:
     assert not Watchdog(0.0, 0.002).silent(10**12)  # in lockstep
 
 
-def test_a_process_that_stood_still_waits_for_the_states_that_wait_for_it() -> None:
+def test_a_process_that_was_stopped_reads_the_queued_states_first() -> None:
     watchdog = fresh()
     watched(5, watchdog)
     found = watched(560, watchdog, 505)  # stopped for half a second
@@ -71,17 +71,17 @@ def test_a_process_that_stood_still_waits_for_the_states_that_wait_for_it() -> N
     assert watched(511, watchdog, 507) == []
 
 
-def test_patience_ends_when_a_torque_is_due() -> None:
+def test_the_time_to_the_next_check_ends_when_a_torque_is_due() -> None:
     watchdog = fresh()
     assert watchdog.patience(2 * MS) == pytest.approx(0.003)
     watchdog.sent_ns = 4 * MS
     assert watchdog.patience(5 * MS) == pytest.approx(0.001)
     assert watchdog.patience(9 * MS) == 0.0
     watchdog.arrived(1000 * MS)
-    assert watchdog.patience(10 * MS) == 0.01  # it is asked again before that
+    assert watchdog.patience(10 * MS) == 0.01  # the longest time between two checks
 
 
-def test_in_lockstep_nothing_is_watched() -> None:
+def test_in_lockstep_the_watchdog_is_disabled() -> None:
     assert not Watchdog(0.0, 0.002).enabled
     assert Watchdog(0.005, 0.002).enabled
 
@@ -107,10 +107,10 @@ def test_missed_periods_are_a_warning_and_too_many_a_fault(
         assert text == "5.1 % of the periods of a second missed, 1 in a row"
 
 
-def test_it_does_not_matter_when_the_clock_began() -> None:
+def test_the_watchdog_does_not_depend_on_the_start_of_the_clock() -> None:
     later_ns = 10**18
     watchdog = Watchdog(0.005, 0.002)
-    for ms in range(-25, 1):  # the very first check excuses the process for 20 ms
+    for ms in range(-25, 1):  # the very first check begins a grace time of 20 ms
         watchdog.check(later_ns + ms * MS)
     watchdog.arrived(later_ns)
     watchdog.sent_ns = later_ns
@@ -122,7 +122,7 @@ def test_it_does_not_matter_when_the_clock_began() -> None:
     assert silence.fault.text == "no joint state for 29 ms"
 
 
-def test_where_no_state_ever_came_the_driver_is_asked_to_idle_once_after_each_activation() -> None:
+def test_without_any_state_the_driver_is_asked_to_idle_once_after_each_activation() -> None:
     watchdog = Watchdog(0.005, 0.002)
     for start_ms in (10_000, 10_200):
         found = watched(start_ms + 200, watchdog, start_ms)
@@ -131,7 +131,7 @@ def test_where_no_state_ever_came_the_driver_is_asked_to_idle_once_after_each_ac
         watchdog.activated()
 
 
-def test_a_process_stood_still_when_it_did_not_check_for_more_than_20_ms() -> None:
+def test_a_process_counts_as_stopped_after_more_than_20_ms_without_a_check() -> None:
     for pause_ns, excused in ((20 * MS, False), (20 * MS + 1, True)):
         watchdog = fresh()
         watchdog.check(10 * MS)

@@ -124,13 +124,13 @@ def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
     name, said = BROKEN[fault]
     assert (table["status"], failing(table)) == (1, [name])
     assert said in table["rows"][name]["found"] + table["rows"][name]["advice"]
-    assert f"DOES NOT CONFORM, let nothing move: {name}" in " ".join(table["output"].split())
+    assert f"DOES NOT CONFORM, do not move the arm: {name}" in " ".join(table["output"].split())
 
 
 def test_a_driver_that_falls_silent_while_joints_are_led_does_not_conform(bench: Bench) -> None:
     table = bench.check("--active", typed="y\n" + 7 * "\n", by_hand="silent")
     assert (table["status"], failing(table)) == (1, ["wam_j1 by hand"])
-    assert "fell silent" in table["rows"]["wam_j1 by hand"]["advice"]
+    assert "stopped sending" in table["rows"]["wam_j1 by hand"]["advice"]
     assert "wam_j2" not in table["output"]
 
 
@@ -141,7 +141,7 @@ def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
     table = bench.check(typed="no\n")
     bench.probe.spin(0.5)
     assert (table["rows"]["watchdog"]["verdict"], torques) == ("not checked", [])
-    heard = {"heard by probe, wam_sim", "heard by wam_sim"}  # a busy machine discovers late
+    heard = {"received by probe, wam_sim", "received by wam_sim"}  # a busy machine discovers late
     assert table["rows"]["command path"]["found"] in heard
 
 

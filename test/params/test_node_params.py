@@ -104,11 +104,11 @@ def test_a_parameter_that_was_read_cannot_be_changed(node_with: Callable[..., No
     assert "heat" in result.reason
     assert node.get_parameter("heat").value == GOOD["heat"]
     (result,) = node.set_parameters([Parameter("use_sim_time", value=True)])
-    assert not result.successful  # watchdogs were chosen by it
+    assert not result.successful  # the watchdogs depend on it
     assert not node.get_parameter("use_sim_time").value
 
 
-def test_every_parameter_says_what_it_is_its_range_and_that_it_is_read_at_start(
+def test_every_parameter_describes_itself_its_range_and_that_it_is_read_at_start(
     node_with: Callable[..., Node],
 ) -> None:
     values = of_nodes(ROOT / "config/learner.yaml")["learner"]
@@ -147,9 +147,9 @@ def test_a_yaml_holds_exactly_what_its_node_reads(
     assert set(values) == set(params.model_fields)
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     params(**(values | lists))
-    said = comments(ROOT / "config" / params.file)
-    silent = {name for name, each in params.model_fields.items() if not each.description}
-    assert silent - set(said) == set()  # nothing would describe them
+    described = comments(ROOT / "config" / params.file)
+    undescribed = {name for name, each in params.model_fields.items() if not each.description}
+    assert undescribed - set(described) == set()
 
 
 PARAMS = (
@@ -193,7 +193,7 @@ def test_every_number_among_the_parameters_has_a_lower_and_an_upper_bound(
     assert params.model_config["str_max_length"]
 
 
-def test_a_parameter_without_a_bound_would_be_seen() -> None:
+def test_a_parameter_without_a_bound_is_detected() -> None:
     assert list(unbounded(Oven)) == [
         "rings: no upper bound",
         "heat: no upper bound",

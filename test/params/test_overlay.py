@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Set-ups: said once, laid over each other, known to every node that must know of it."""
+"""Set-ups: each parameter is given once, overridden in order, and reaches every node."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ READS: dict[str, type[Params]] = {
 
 
 def read(setup: overlay.Setup, node: str, folder: Path) -> Params:
-    """The parameters of a node as it reads them itself."""
+    """Parameters of a node, read as the node reads them."""
     file = folder / "parameters.yaml"
     file.write_text(overlay.text(setup))
     return READS[node].of_file(file, node)
@@ -45,8 +45,10 @@ def write(folder: Path, name: str, text: str) -> str:
     return str(path)
 
 
-def test_set_ups_are_for_the_nodes_there_are() -> None:
-    executables = set(main.NODES) - {"check_driver"}  # has no parameters, it reads a set-up
+def test_set_ups_have_parameters_for_the_existing_nodes() -> None:
+    executables = set(main.NODES) - {
+        "check_driver"
+    }  # has no parameters of its own: it reads set-ups
     assert set(overlay.NODES) == executables | {"optitrack_sim"} == set(READS)
 
 
@@ -56,16 +58,18 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
     setup = overlay.setup([name], simulated)
     params = {node: read(setup, node, tmp_path) for node in overlay.NODES}
     arm, learner = params["torque_controller"], params["learner"]
-    # what several nodes must know is the same everywhere
+    # parameters that several nodes share are equal
     assert arm.joint_names == learner.joint_names == params["demonstration_recorder"].joint_names
     assert arm.joint_names == params["wam_sim"].joint_names
     assert (arm.urdf, arm.tool_frame) == (learner.urdf, learner.tool_frame)
     assert arm.command_topic in params["demonstration_recorder"].driver_topics
-    # and the learner rehearses with the limits that the controller has
+    # the learner simulates policies with the limits of the controller
     own, *over = (ROOT / file for file in learner.controller)
     limits = TorqueControllerParams.of_file(own, "torque_controller", *over)
     lab = ["simulation", "hold_to_run", "allow_no_realtime"]
-    if params["wam_sim"].pace == "lockstep":  # nobody stands beside it: it moves faster to a start
+    if (
+        params["wam_sim"].pace == "lockstep"
+    ):  # nobody stands beside the arm: it moves to a start faster
         lab += ["move_speed", "realtime_priority"]
     of_the_lab = {name: getattr(arm, name) for name in lab}
     assert limits.model_copy(update=of_the_lab) == arm
@@ -75,7 +79,7 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
     assert params["demonstration_recorder"].source == ("sim" if simulated else "hardware")
 
 
-def test_without_a_set_up_every_node_gets_its_own_file() -> None:
+def test_without_a_set_up_every_node_has_the_parameters_of_its_own_file() -> None:
     setup = overlay.setup()
     for node in overlay.NODES:
         own = dict(parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node])
@@ -85,7 +89,7 @@ def test_without_a_set_up_every_node_gets_its_own_file() -> None:
         assert setup[node].get("use_sim_time", False) == (node not in overlay.STAND_INS)
 
 
-def test_what_follows_from_a_driver_reaches_recorder_and_stand_in(tmp_path: Path) -> None:
+def test_parameters_derived_from_a_driver_reach_recorder_and_stand_in(tmp_path: Path) -> None:
     setup = overlay.setup(["libbarrett"], simulated=True)
     recorder = read(setup, "demonstration_recorder", tmp_path)
     assert recorder.driver_topics == ("joint_torque_commands", "wam/jointVelocity")
@@ -103,7 +107,7 @@ def test_what_follows_from_a_driver_reaches_recorder_and_stand_in(tmp_path: Path
         ("motion_capture_tracking", ""),
     ],
 )
-def test_the_name_of_the_body_is_said_once_and_the_drivers_topic_follows_it(
+def test_the_name_of_the_body_is_given_once_and_inserted_into_the_drivers_topic(
     driver: str | None, poses: str, tmp_path: Path
 ) -> None:
     ball = write(tmp_path, "ball", "pancake_tracker: {ros__parameters: {body: ball}}")
@@ -122,7 +126,7 @@ def test_a_task_without_a_body_has_no_motion_capture_to_record(tmp_path: Path) -
     assert setup["demonstration_recorder"]["body"] == ""
 
 
-def test_the_last_file_counts_most_and_may_deny_what_follows(tmp_path: Path) -> None:
+def test_the_last_file_wins_and_may_override_derived_parameters(tmp_path: Path) -> None:
     one = write(tmp_path, "one", "torque_controller: {ros__parameters: {torque_share: 0.3}}")
     two = write(
         tmp_path,
@@ -142,11 +146,11 @@ def test_the_last_file_counts_most_and_may_deny_what_follows(tmp_path: Path) -> 
     [
         ("torque_controler: {ros__parameters: {}}", "torque_controler"),
         ("torque_controller: {ros__parameters: {joint_name: [a]}}", "is it joint_names"),
-        ("torque_controller: {parameters: {}}", "no file of ROS parameters"),
+        ("torque_controller: {parameters: {}}", "not a file of ROS parameters"),
         ("a/one: {ros__parameters: {}}\nb/one: {ros__parameters: {}}", "one twice"),
-        ("- a\n- b", "no file of ROS parameters"),
-        ("torque_controller: !!python/object:os.system {}", "no file of ROS parameters"),
-        ("a: {", "no file of ROS parameters"),
+        ("- a\n- b", "not a file of ROS parameters"),
+        ("torque_controller: !!python/object:os.system {}", "not a file of ROS parameters"),
+        ("a: {", "not a file of ROS parameters"),
         ("torque_controller: {ros__parameters: {urdf: 3}}", "urdf .* is 3; allowed is text"),
         ("torque_controller: {ros__parameters: {obstacle: 1.0}}", "list, each a number"),
         ("torque_controller: {ros__parameters: {joint_names: [a, 2]}}", "list, each text"),
@@ -169,7 +173,7 @@ def test_an_unknown_set_up_is_refused_with_the_known_ones() -> None:
         overlay.setup(["geodud"])
 
 
-def test_a_urdf_beside_the_file_that_names_it_is_found(tmp_path: Path) -> None:
+def test_a_urdf_path_may_be_relative_to_the_set_up_file(tmp_path: Path) -> None:
     (tmp_path / "my.urdf").write_text("<robot/>")
     path = write(tmp_path, "arm", "torque_controller: {ros__parameters: {urdf: my.urdf}}")
     setup = overlay.setup([path])
@@ -184,15 +188,15 @@ VALUES = st.one_of(
 
 
 @given(st.dictionaries(st.text("abc_", min_size=1), VALUES | st.lists(PLAIN, min_size=1)))
-def test_what_is_written_is_what_is_read(values: dict[str, Any]) -> None:
+def test_a_written_set_up_reads_back_unchanged(values: dict[str, Any]) -> None:
     text = overlay.text({"node": values})
     assert yaml.safe_load(text) == {"/**/node": {"ros__parameters": values}}
 
 
 @pytest.mark.parametrize("namespace", ["", "/left", "/lab/left"])
-def test_a_file_for_a_namespace_says_which(namespace: str, tmp_path: Path) -> None:
+def test_the_namespace_of_a_file_is_read(namespace: str, tmp_path: Path) -> None:
     file = tmp_path / "parameters.yaml"
-    assert parameter_file.namespace(file) == ""  # there is none
+    assert parameter_file.namespace(file) == ""  # the file does not exist
     file.write_text(overlay.text(overlay.setup(), namespace))
     assert parameter_file.namespace(file) == namespace
     assert parameter_file.of_nodes(file) == overlay.setup()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files: numbers are what they look like, a key is there once, damage is named."""
+"""Parameter files: decimal numbers, unique keys, errors that name the line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 @pytest.mark.parametrize("file", sorted((ROOT / "config").glob("*.yaml")), ids=lambda f: f.stem)
-def test_the_files_that_are_shipped_read_as_plain_yaml_does(file: Path) -> None:
+def test_the_shipped_files_read_the_same_as_plain_yaml(file: Path) -> None:
     nodes = yaml.safe_load(file.read_text())
     assert parameter_file.read(file) == {
         node: section["ros__parameters"] for node, section in nodes.items()
@@ -59,11 +59,11 @@ def test_a_number_is_decimal_and_all_else_is_text(tmp_path: Path, text: str, val
         ("    heat: 1.0\n    rings: 2\n    heat: 3.0\n", "heat is given twice, in line 3 and.* 5"),
         ("    a: {heat: 1, heat: 2}\n", "heat is given twice, in line 3 and in line 3"),
         ("    heat: &warm 1.0\n    rings: *warm\n", r"line 4: references \(\*name\) are refused"),
-        ("    heat: [1.0\n", "no file of ROS parameters"),
+        ("    heat: [1.0\n", "not a file of ROS parameters"),
         ("    - heat\n", "oven.yaml"),
     ],
 )
-def test_what_a_reader_would_have_to_guess_is_refused_with_its_line(
+def test_ambiguous_contents_are_refused_with_their_line(
     tmp_path: Path, text: str, why: str
 ) -> None:
     file = written(tmp_path, text)
@@ -73,7 +73,7 @@ def test_what_a_reader_would_have_to_guess_is_refused_with_its_line(
     assert "\n" not in str(refused.value)
 
 
-def test_a_node_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+def test_a_node_that_is_given_twice_is_refused(tmp_path: Path) -> None:
     file = written(tmp_path, "    heat: 1.0\n" + "oven:\n  ros__parameters:\n    heat: 2.0\n")
     with pytest.raises(ValueError, match="oven is given twice, in line 1 and in line 4"):
         overlay.setup([str(file)])
@@ -87,7 +87,7 @@ def test_a_fifo_and_a_large_file_are_refused_at_once(tmp_path: Path) -> None:
         parameter_file.read(written(tmp_path, "    heat: " + "1" * 1_000_000))
 
 
-def test_files_of_parameters_are_found_among_the_arguments_of_a_process() -> None:
+def test_parameter_files_are_found_among_the_arguments_of_a_process() -> None:
     arguments = [
         "node",
         "--ros-args",

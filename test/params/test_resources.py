@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that come with the package are found in a checkout and where it is installed."""
+"""Files of the package are found in a checkout and in an installation."""
 
 import shutil
 import subprocess
@@ -33,6 +33,6 @@ def test_an_installed_package_uses_the_files_of_its_own_prefix(tmp_path: Path) -
     assert Path(found.stdout.strip()) == wanted.resolve()
 
 
-def test_a_file_that_is_not_there_is_named_with_the_places_searched() -> None:
+def test_a_missing_file_is_named_with_the_searched_folders() -> None:
     with pytest.raises(FileNotFoundError, match=r"'config/none\.yaml'.*looked in"):
         resources.share("config/none.yaml")

@@ -116,7 +116,7 @@ def test_a_real_arm_has_stricter_bounds_than_a_simulation(
 
 
 @pytest.mark.requirement("S-18")
-def test_a_real_arm_does_not_go_by_simulated_time(domain_id: int) -> None:
+def test_a_real_arm_refuses_simulated_time(domain_id: int) -> None:
     values = parameter_file.of_nodes(FILE)["torque_controller"] | {"simulation": False}
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain_id)
@@ -142,7 +142,7 @@ def test_the_controller_takes_policies_of_its_own_arm_only(tmp_path: Path) -> No
     assert controller.settings.arm == controller.arm.identity()
 
 
-def test_guarded_points_may_have_any_name_and_be_none(tmp_path: Path) -> None:
+def test_guarded_points_may_have_any_name_or_be_empty(tmp_path: Path) -> None:
     wrist = {"guarded_names": ["wrist"], "guarded_links": ["wam_link6"]}
     named = params(tmp_path, **wrist, guarded_points=[0.0, 0.0, 0.1])
     assert named.controller(URDF).arm.guarded == ("wrist",)
@@ -151,6 +151,6 @@ def test_guarded_points_may_have_any_name_and_be_none(tmp_path: Path) -> None:
         params(tmp_path, **wrist, guarded_points=[0.0, 0.0]).controller(URDF)
 
 
-def test_names_of_the_model_must_be_as_many_as_those_of_the_driver(tmp_path: Path) -> None:
+def test_the_model_must_have_as_many_joint_names_as_the_driver(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="model_joint_names"):
         params(tmp_path, model_joint_names=["wam_j1"]).controller(URDF)

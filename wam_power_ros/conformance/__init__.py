@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks that a driver behaves as its set-up says. Pure."""
+"""Checks that a driver conforms to its set-up. Pure: no ROS, file or clock."""

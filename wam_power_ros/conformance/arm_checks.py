@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of the arm's driver: joint names, units, velocities, gravity torques, order and signs.
 
-The rigid-body model gives the torques of an arm at rest: where the driver reports its torques, they
-show whether its joints are in order, its signs right and its zero positions those of the model.
+The rigid-body model predicts the torques of an arm at rest. Where the driver reports torques, the
+comparison shows whether joint order, signs and zero positions agree with the model.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -20,15 +20,15 @@ import numpy as np
 from wam_power_ros.conformance.topic_checks import FAIL, OK, UNCHECKED, WARN, Row
 from wam_power_ros.control.arm import Arm
 
-STILL = 0.02  # [rad] range of a joint while the arm is at rest
-MOVED = 0.1  # [rad] smallest range of a joint that a person has moved
-AT_REST = 0.1  # [rad/s] largest velocity at rest
-SLOPE_WINDOW = 0.05  # [s] over which positions are differenced
-BEYOND = 0.05  # [rad] by which a joint may exceed its limit: zeros are set by hand
-GRAVITY_SHARE = 0.15  # relative difference of drivers' own gravity models to ours
-GRAVITY_FLOOR = 0.15  # [N m] absolute difference, added to it
-GRAVITY_MIN = 3.0  # [N m] largest gravity torque below which the comparison shows nothing
-PERMUTED_MAX = 8  # joints, of which every order is tried: 40 320
+STILL_RANGE = 0.02  # [rad] largest range of a joint while the arm is at rest
+MOVED_RANGE = 0.1  # [rad] smallest range of a joint that a person has moved
+REST_SPEED = 0.1  # [rad/s] largest velocity at rest
+SLOPE_WINDOW = 0.05  # [s] over which positions are differentiated
+LIMIT_TOLERANCE = 0.05  # [rad] beyond a position limit: zeros are set by hand
+GRAVITY_SHARE = 0.15  # relative tolerance for gravity torques: models of drivers differ
+GRAVITY_FLOOR = 0.15  # [N m] absolute tolerance, added to it
+GRAVITY_MIN = 3.0  # [N m] without a larger gravity torque the comparison shows nothing
+PERMUTED_MAX = 8  # joints; of at most as many, every order is tried: 40 320
 
 
 class StateSample(NamedTuple):
@@ -44,13 +44,13 @@ class StateSample(NamedTuple):
 
 @dataclass(frozen=True)
 class ArmRecord:
-    """States of our joints, in our order.
+    """States of the configured joints, in the configured order.
 
     Attributes:
-        joint_names: Names that the driver gives the joints.
+        joint_names: Names of the joints in the driver's messages.
         received_ns: Times of arrival [ns], shape (m,).
         stamp_ns: Stamps [ns], shape (m,).
-        q: Positions [rad] if the units are right, shape (m, n).
+        q: Positions [rad] if the units are correct, shape (m, n).
         qd: Velocities, shape (m, n); None when a message had none.
         tau: Torques, shape (m, n); None when a message had none.
     """
@@ -65,18 +65,18 @@ class ArmRecord:
     @property
     def still(self) -> bool:
         """Whether no joint moved."""
-        return len(self.q) > 0 and bool(np.ptp(self.q, axis=0).max() < STILL)
+        return len(self.q) > 0 and bool(np.ptp(self.q, axis=0).max() < STILL_RANGE)
 
 
 def collect(samples: Sequence[StateSample], joint_names: Sequence[str]) -> tuple[ArmRecord, Row]:
-    """Record of our joints from samples in order of arrival, and the row about their names."""
-    wanted, whole = set(joint_names), []
+    """Record of the configured joints from samples in order of arrival, and the row about names."""
+    configured, complete = set(joint_names), []
     wrong: Counter[str] = Counter()
     others: dict[str, None] = {}
     for sample in samples:
         names = sample.names
-        others.update(dict.fromkeys(name for name in names if name not in wanted))
-        if not wanted.intersection(names):
+        others.update(dict.fromkeys(name for name in names if name not in configured))
+        if not configured.intersection(names):
             continue
         if missing := [name for name in joint_names if name not in names]:
             wrong[f"without {', '.join(missing)}"] += 1
@@ -87,23 +87,24 @@ def collect(samples: Sequence[StateSample], joint_names: Sequence[str]) -> tuple
         elif not np.isfinite(sample.q).all():
             wrong["a position that is not finite"] += 1
         else:
-            whole.append(sample)
-    places = {names: list(map(names.index, joint_names)) for names in {s.names for s in whole}}
+            complete.append(sample)
+    indices = {names: list(map(names.index, joint_names)) for names in {s.names for s in complete}}
 
     def values(field: str) -> np.ndarray | None:
-        pairs = [(getattr(item, field), item.names) for item in whole]
-        complete = all(len(row) == len(names) for row, names in pairs)
-        return np.array([row[places[names]] for row, names in pairs]) if complete else None
+        pairs = [(getattr(sample, field), sample.names) for sample in complete]
+        if any(len(row) != len(names) for row, names in pairs):
+            return None
+        return np.array([row[indices[names]] for row, names in pairs])
 
     empty = np.empty((0, len(joint_names)))
-    q, qd, tau = map(values, ("q", "qd", "tau")) if whole else (empty, None, None)
-    times = np.array([item[:2] for item in whole], dtype=np.int64).reshape(-1, 2).T
+    q, qd, tau = map(values, ("q", "qd", "tau")) if complete else (empty, None, None)
+    times = np.array([sample[:2] for sample in complete], dtype=np.int64).reshape(-1, 2).T
     record = ArmRecord(tuple(joint_names), *times, empty if q is None else q, qd, tau)
-    return record, _names(joint_names, whole, wrong, list(others))
+    return record, _names(joint_names, complete, wrong, list(others))
 
 
 def with_velocity(record: ArmRecord, received_ns: np.ndarray, qd: np.ndarray) -> ArmRecord:
-    """Record with velocities (k, n) of a topic of their own, the last before each state.
+    """Add velocities from a separate topic: the last ones received before each state.
 
     Args:
         record: Record of the states.
@@ -117,19 +118,19 @@ def with_velocity(record: ArmRecord, received_ns: np.ndarray, qd: np.ndarray) ->
 
 
 def _names(
-    joint_names: Sequence[str], whole: list[StateSample], wrong: Counter[str], others: list[str]
+    joint_names: Sequence[str], complete: list[StateSample], wrong: Counter[str], others: list[str]
 ) -> Row:
     row = partial(Row, "joint names", " ".join(joint_names))
-    beside = f"; also received: {' '.join(others)}" if others else ""
+    also = f"; also received: {' '.join(others)}" if others else ""
     if wrong:
-        text = ", ".join(f"{count} messages {what}" for what, count in wrong.items())
-        advice = "each state must hold every joint of the arm once, with its position"
-        return row(text + beside, FAIL, advice)
-    if not whole:
+        text = ", ".join(f"{count} messages {defect}" for defect, count in wrong.items())
+        advice = "each state must contain every joint of the arm once, with its position"
+        return row(text + also, FAIL, advice)
+    if not complete:
         advice = "set joint_names of the configuration to the names that the driver uses"
         return row(" ".join(others) or "no names at all", FAIL, advice)
-    order = whole[0].names == tuple(joint_names)
-    return row(f"{'as expected' if order else 'in another order, matched by name'}{beside}", OK)
+    order = complete[0].names == tuple(joint_names)
+    return row(f"{'as expected' if order else 'in another order, matched by name'}{also}", OK)
 
 
 def positions(record: ArmRecord, arm: Arm) -> Row:
@@ -148,7 +149,8 @@ def positions(record: ArmRecord, arm: Arm) -> Row:
 
 
 def _within(q: np.ndarray, arm: Arm) -> np.ndarray:
-    return (q >= arm.q_min - BEYOND) & (q <= arm.q_max + BEYOND)
+    """Whether each position is within its limits, with a tolerance. Shape as `q`."""
+    return (q >= arm.q_min - LIMIT_TOLERANCE) & (q <= arm.q_max + LIMIT_TOLERANCE)
 
 
 def velocity(record: ArmRecord, topic: str = "") -> Row:
@@ -156,22 +158,22 @@ def velocity(record: ArmRecord, topic: str = "") -> Row:
 
     Args:
         record: Record with the velocities.
-        topic: Topic of the velocities, empty when the states are to hold them.
+        topic: Topic of the velocities, empty when the joint states contain them.
     """
     row = partial(Row, "velocity", f"rad/s on {topic}" if topic else "rad/s in every state")
     qd = record.qd
-    advice = "set velocity_topic if the driver has one; the controller can differentiate by itself"
+    advice = "set velocity_topic if the driver has one; else the controller differentiates"
     if qd is None or not len(record.q):
         return row("no velocity", FAIL, advice)
     if np.isnan(qd).any():
         return row("NaN: no velocity", FAIL, advice)
     if not np.isfinite(qd).all():
-        return row("not finite", FAIL, "a driver must not send that")
+        return row("not finite", FAIL, "a driver must not send infinite velocities")
     worst = float(np.abs(qd).max())
-    if record.still and worst < AT_REST:
+    if record.still and worst < REST_SPEED:
         return row(f"at most {worst:.3f} rad/s, at rest; not compared in motion", OK)
     if record.still:
-        advice = "the arm is still: other units, other joints or another quantity"
+        advice = "the arm is at rest: other units, other joints or another quantity"
         return row(f"up to {worst:.2f} at rest", FAIL, advice)
     slopes = _slopes(record)
     text = ", ".join(f"{record.joint_names[i]} x {slope:.2f}" for i, slope in slopes.items())
@@ -187,15 +189,15 @@ def velocity(record: ArmRecord, topic: str = "") -> Row:
 
 
 def _slopes(record: ArmRecord) -> dict[int, float]:
-    """Velocity over derivative of the position, for joints that moved; 1 where they agree."""
+    """Ratio of velocity to derivative of position, by index of the joints that moved; ideally 1."""
     t = (record.stamp_ns - record.stamp_ns[0]) * 1e-9
     step = max(1, int(np.searchsorted(t, SLOPE_WINDOW)))
     dq = record.q[step:] - record.q[:-step]  # (k, n)
     dt = np.maximum(t[step:] - t[:-step], 1e-9)
     sums = np.cumsum(np.vstack([np.zeros(record.q.shape[1]), record.qd]), axis=0)
-    mean = (sums[step + 1 :] - sums[1:-step]) / step  # (k, n) over the same spans
+    mean = (sums[step + 1 :] - sums[1:-step]) / step  # (k, n) over the same intervals
     rate = dq / dt[:, None]
-    moved = np.flatnonzero(np.ptp(record.q, axis=0) >= STILL)
+    moved = np.flatnonzero(np.ptp(record.q, axis=0) >= STILL_RANGE)
     return {int(i): float((rate[:, i] @ mean[:, i]) / (rate[:, i] @ rate[:, i])) for i in moved}
 
 
@@ -203,30 +205,30 @@ def effort(record: ArmRecord) -> Row:
     """Whether the driver reports torques."""
     row = partial(Row, "effort", "N m in every state")
     if record.tau is None or not np.isfinite(record.tau).all():
-        advice = "without it neither gravity, order nor watchdog can be checked at rest"
+        advice = "without it gravity, joint order and watchdog cannot be checked at rest"
         return row("no effort", WARN, advice)
     return row(f"{_listed(record.tau.mean(axis=0))} N m", OK)
 
 
 def gravity(record: ArmRecord, arm: Arm) -> Row:
-    """Whether an arm at rest reports the torques that carry it; if not, which mistake fits.
+    """Whether the reported torques at rest are g(q); if not, which mistake explains them.
 
-    Drivers of torque-controlled arms report the command, gravity included, or measure the torque.
+    Drivers of torque-controlled arms report the command, gravity included, or a measured torque.
     """
-    expected = "effort of a still arm is g(q): order, signs, zero and payload as in the URDF"
+    expected = "effort at rest is g(q): order, signs, zero and payload as in the URDF"
     row = partial(Row, "gravity", expected)
     if record.tau is None or not np.isfinite(record.tau).all() or not len(record.q):
         return row("no effort", UNCHECKED, "move each joint when asked instead")
     if not record.still:
-        return row("the arm moves", UNCHECKED, "let it rest")
+        return row("the arm moves", UNCHECKED, "keep the arm at rest")
     q, tau = record.q.mean(axis=0), record.tau.mean(axis=0)
     g = arm.gravity(q)
     text = f"{_listed(tau)} N m, g(q) {_listed(g)} N m"
     mistake = _mistake(q, tau, arm, record.joint_names)
     if mistake is None and np.abs(g).max() < GRAVITY_MIN:
-        return row(text, UNCHECKED, "lean the arm out, so that gravity pulls at it")
+        return row(text, UNCHECKED, "stretch the arm out, so that gravity loads its joints")
     if mistake is None:
-        alike = ", ".join(_alike(q, tau, arm, record.joint_names))
+        alike = ", ".join(_indistinguishable(q, tau, arm, record.joint_names))
         advice = f"cannot distinguish {alike} from each other: move each by hand" if alike else ""
         return row(text, OK, advice)
     if np.abs(tau).max() < GRAVITY_FLOOR:
@@ -236,7 +238,7 @@ def gravity(record: ArmRecord, arm: Arm) -> Row:
 
 
 def _mistake(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> str | None:
-    """Mistake of a driver that would explain these positions and torques, None without one."""
+    """Mistake of a driver that explains these positions and torques, None if they are correct."""
     fits = _Fit(q, tau, arm)
     if fits(q, tau):
         return None
@@ -247,17 +249,18 @@ def _mistake(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> 
             moved = [i for i in range(arm.n) if order[i] != i]
             wrong, found = (", ".join(names[j] for j in js) for js in (moved, order[moved]))
             return f"wrong order of joints: {wrong} fit the values received as {found}"
-    for joints in _subsets(arm.n):
+    subsets = (itertools.combinations(range(arm.n), size) for size in range(1, arm.n + 1))
+    for joints in itertools.chain.from_iterable(subsets):
         signs = np.ones(arm.n)
         signs[list(joints)] = -1.0
         if fits(signs * q, signs * tau, sharp=True):
             return f"sign reversed: {', '.join(names[i] for i in joints)}"
     joint = names[int(np.argmax(fits.errors(q, tau)))]
-    return f"wrong zero, payload, mounting or URDF; {joint} is the farthest off"
+    return f"wrong zero, payload, mounting or URDF; {joint} has the largest error"
 
 
-def _alike(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> list[str]:
-    """Joints whose exchange with another one would not show at this posture."""
+def _indistinguishable(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> list[str]:
+    """Names of joints whose exchange with another one would not show at this posture."""
     fits = _Fit(q, tau, arm)
     alike = set()
     for i, j in itertools.combinations(range(arm.n), 2):
@@ -269,14 +272,14 @@ def _alike(q: np.ndarray, tau: np.ndarray, arm: Arm, names: Sequence[str]) -> li
 
 
 class _Fit:
-    """Whether positions and torques can be those of the still arm."""
+    """Decides whether torques agree with g(q); a mistake must fit far better than the values."""
 
     def __init__(self, q: np.ndarray, tau: np.ndarray, arm: Arm) -> None:
         self._arm = arm
-        self._sharp = 0.3 * float(self.errors(q, tau).max())  # another order must fit far better
+        self._sharp = 0.3 * float(self.errors(q, tau).max())  # a mistake must fit far better
 
     def errors(self, q: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        """Error of each joint as a multiple of its tolerance (n,)."""
+        """Error of each joint as a multiple of its tolerance. Shape (n,)."""
         g = self._arm.gravity(q)
         return np.abs(tau - g) / (GRAVITY_FLOOR + GRAVITY_SHARE * np.abs(g))
 
@@ -287,39 +290,34 @@ class _Fit:
 
 
 def _orders(n: int) -> list[np.ndarray]:
-    """Every order of n joints but the right one, the fewest exchanged first."""
+    """Every wrong order of n joints, those with the fewest exchanged joints first."""
     if n > PERMUTED_MAX:
         return []
-    every = itertools.permutations(range(n))
-    ranked = sorted(every, key=lambda order: sum(i != place for i, place in enumerate(order)))
+    orders = itertools.permutations(range(n))
+    ranked = sorted(orders, key=lambda order: sum(i != joint for i, joint in enumerate(order)))
     return [np.array(order) for order in ranked[1:]]
 
 
-def _subsets(n: int) -> Iterator[tuple[int, ...]]:
-    for size in range(1, n + 1):
-        yield from itertools.combinations(range(n), size)
-
-
-def led(record: ArmRecord, joint: int) -> Row:
-    """Whether a movement by hand was that of the joint with this index, in positive direction."""
+def hand_movement(record: ArmRecord, joint: int) -> Row:
+    """Whether a movement by hand moved the joint with this index, in positive direction."""
     names = record.joint_names
     row = partial(Row, f"{names[joint]} by hand", f"{names[joint]} alone, increasing")
     if len(record.q) == 0:
-        return row("no states of these joints", FAIL, "the driver fell silent during the check")
-    moves = record.q[-1] - record.q[0]  # (n,)
-    most = int(np.argmax(np.ptp(record.q, axis=0)))
-    found = f"{names[most]} by {moves[most]:+.2f} rad"
-    if np.ptp(record.q[:, most]) < MOVED:
-        return row("no joint moved", UNCHECKED, f"move it by {MOVED} rad at least")
-    if most != joint:
-        return row(found, FAIL, f"wrong order of joints: {names[most]} is the name of this one")
-    if moves[joint] < 0.5 * MOVED:
+        return row("no states of these joints", FAIL, "the driver stopped sending during the check")
+    changes = record.q[-1] - record.q[0]  # (n,)
+    moved = int(np.argmax(np.ptp(record.q, axis=0)))
+    found = f"{names[moved]} by {changes[moved]:+.2f} rad"
+    if np.ptp(record.q[:, moved]) < MOVED_RANGE:
+        return row("no joint moved", UNCHECKED, f"move it by {MOVED_RANGE} rad at least")
+    if moved != joint:
+        return row(found, FAIL, f"wrong order of joints: {names[moved]} is the name of this one")
+    if changes[joint] < 0.5 * MOVED_RANGE:
         return row(found, FAIL, "its sign is reversed")
     return row(found, OK)
 
 
-def heading(arm: Arm, q: np.ndarray, joint: int) -> str:
-    """Direction of the tool when a joint increases at q (n,) [rad], for who stands before the arm.
+def tool_direction(arm: Arm, q: np.ndarray, joint: int) -> str:
+    """Direction in which the tool moves when a joint increases, for a person facing the arm.
 
     Args:
         arm: Model of the arm.
@@ -330,10 +328,10 @@ def heading(arm: Arm, q: np.ndarray, joint: int) -> str:
     words = (("forward", "back"), ("to its left", "to its right"), ("up", "down"))
     axis = int(np.argmax(np.abs(column[:3])))
     if abs(column[axis]) > 0.1:
-        return f"the tool goes {words[axis][int(column[axis] < 0.0)]}"
+        return f"the tool moves {words[axis][int(column[axis] < 0.0)]}"
     axis = int(np.argmax(np.abs(column[3:])))
-    way = words[axis][int(column[3 + axis] < 0.0)]
-    return f"the tool turns clockwise for one who looks {way}"
+    direction = words[axis][int(column[3 + axis] < 0.0)]
+    return f"the tool turns clockwise for a person looking {direction}"
 
 
 def _listed(values: np.ndarray) -> str:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of motion capture: frames that the tracker accepts, latency, vertical axis.
 
-The frames go through the tracker itself. The free fall of a body shows a wrong axis or base frame
-beyond doubt, for it is along gravity.
+The frames are processed by the tracker itself. A dropped body falls along gravity, so its free fall
+reveals a wrong axis or base frame.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wam_power_ros import rotations
-from wam_power_ros.conformance.topic_checks import FAIL, OK, PAIR, UNCHECKED, WARN, Row
+from wam_power_ros.conformance.topic_checks import FAIL, OK, PAIR_NS, UNCHECKED, WARN, Row
 from wam_power_ros.learning.rollout import BodyPath
 from wam_power_ros.tracking import marker_fit
 from wam_power_ros.tracking.free_fall import free_fall_acceleration
@@ -29,13 +29,13 @@ from wam_power_ros.tracking.tracker import (
     TrackerSettings,
 )
 
-USABLE = 0.9  # share of frames that the tracker must accept
-RECEIPT = 0.003  # [s] within which a frame cannot have been exposed, sent and received
-FALL_COSINE_OK, FALL_COSINE_NOTED = 0.985, 0.87  # of the angle between a fall and the vertical
-IN_THE_PAN = 0.1  # [m] from the pan's floor, within which the learner takes the pancake to rest
-ADVICE = {  # for what the tracker refuses most
+USABLE_SHARE = 0.9  # share of frames that the tracker must accept
+LATENCY_MIN = 0.003  # [s] shortest time from exposure to reception
+FALL_COSINE_OK, FALL_COSINE_WARN = 0.985, 0.87  # of the angle between a fall and the vertical
+PAN_DISTANCE = 0.1  # [m] from the pan's floor within which the learner counts the body as in it
+ADVICE = {  # by the tracker's most frequent reason for refusal
     "zero pose": "the driver sends zeros when it has lost the body: is it in view?",
-    "out of workspace": "units not metres, or world_to_base or up_axis wrong",
+    "out of workspace": "units are not metres, or world_to_base or up_axis is wrong",
     "quaternion not of unit length": "the driver must send unit quaternions, x y z w",
     "older of a pair": "frames come two at a time, and the later one is used: a driver that "
     "stamps them itself, such as vrpn_mocap with use_vrpn_timestamps:=true, loses none",
@@ -60,8 +60,8 @@ class CloudSample(NamedTuple):
     points: np.ndarray  # (m, 3)
 
 
-def poses(clouds: Sequence[CloudSample]) -> tuple[list[FrameSample], Row]:
-    """Poses of the marker layout in clouds, and the row about how often it is found."""
+def marker_poses(clouds: Sequence[CloudSample]) -> tuple[list[FrameSample], Row]:
+    """Fit the marker layout to clouds; returns its poses, and the row about how often it fits."""
     expected = f"the {len(marker_fit.LAYOUT)} markers of the layout in every cloud"
     row, frames, errors = partial(Row, "mocap markers", expected), [], []
     for cloud in clouds:
@@ -77,23 +77,23 @@ def poses(clouds: Sequence[CloudSample]) -> tuple[list[FrameSample], Row]:
     text = f"{min(counts)} to {max(counts)} points, layout found in {share:.0%}"
     if errors:
         text += f", {1e3 * float(np.median(errors)):.1f} mm rms off"
-    if share >= USABLE:
+    if share >= USABLE_SHARE:
         return frames, row(text, OK)
-    advice = "place the markers as in marker_fit.LAYOUT, no two distances alike; cover other "
-    return frames, row(text, FAIL, f"{advice}shiny things; send metres")
+    advice = "place the markers as in marker_fit.LAYOUT, with no two distances alike; cover other "
+    return frames, row(text, FAIL, f"{advice}reflective objects; send metres")
 
 
-def usable(
+def frame_quality(
     frames: Sequence[FrameSample], settings: TrackerSettings, refused: Mapping[str, int]
 ) -> list[Row]:
-    """Rows about the share of frames that the tracker accepts, and about frozen poses.
+    """Rows about frozen poses, and about the share of frames that the tracker accepts.
 
     Args:
         frames: Frames in order of arrival.
         settings: Settings of the tracker.
-        refused: Number of messages that could not be read at all, by the reason.
+        refused: Number of unreadable messages, by reason.
     """
-    expected = f"at least {USABLE:.0%} of frames usable by the tracker"
+    expected = f"at least {USABLE_SHARE:.0%} of frames usable by the tracker"
     row, frozen = partial(Row, "mocap poses", expected), _frozen(frames)
     tracker = Tracker(settings)
     for frame in frames:
@@ -108,68 +108,72 @@ def usable(
     if not total:
         return [frozen, row("no frame", UNCHECKED)]
     share = good / total
-    text = ", ".join([f"{share:.0%} usable", *(f"{n} {what}" for what, n in counts.items() if n)])
-    if share >= USABLE:
+    faults = (f"{n} {fault}" for fault, n in counts.items() if n)
+    text = ", ".join([f"{share:.0%} usable", *faults])
+    if share >= USABLE_SHARE:
         return [frozen, row(text, OK)]
     worst = counts.most_common(1)[0][0]
     return [frozen, row(text, FAIL, ADVICE.get(worst, "see the tracker's diagnostics"))]
 
 
 def _frozen(frames: Sequence[FrameSample]) -> Row:
-    row = partial(Row, "mocap frozen", "poses with the noise of a measurement")
-    longest, since, count, most, last = 0.0, 0, 0, 0, b""
+    """Row about the longest series of identical poses."""
+    row = partial(Row, "mocap frozen", "poses with measurement noise")
+    longest, since_ns, count, largest, last = 0.0, 0, 0, 0, b""
     for frame in frames:
         raw = frame.position.tobytes() + frame.quat_xyzw.tobytes()
         if raw != last:
-            last, since, count = raw, frame.stamp_ns, 0
+            last, since_ns, count = raw, frame.stamp_ns, 0
         count += 1
-        if count > most:
-            most, longest = count, (frame.stamp_ns - since) * 1e-9
+        if count > largest:
+            largest, longest = count, (frame.stamp_ns - since_ns) * 1e-9
     if not frames:
         return row("no frame", UNCHECKED)
-    text = f"the same pose, bit for bit, {most} times in a row ({longest:.2f} s)"
-    if most >= FROZEN_COUNT and longest >= FROZEN_TIME * 1e-9:
-        advice = "frozen: the driver repeats its last pose. Is the body in view, Motive streaming?"
+    text = f"the same pose, bit for bit, {largest} times in a row ({longest:.2f} s)"
+    if largest >= FROZEN_COUNT and longest >= FROZEN_TIME * 1e-9:
+        advice = "frozen: the driver repeats its last pose; is the body in view, Motive streaming?"
         return row(text, FAIL, advice)
-    return row("no pose twice" if most == 1 else text, OK)
+    return row("no pose twice" if largest == 1 else text, OK)
 
 
 def latency(
     received_ns: np.ndarray, stamp_ns: np.ndarray, arm_age: float, offset: float, longest: float
 ) -> Row:
-    """Latency of the frames by the clock of the arm's stamps.
+    """Latency of the frames relative to the clock of the arm's stamps.
 
     Args:
         received_ns: Times of arrival, shape (m,).
         stamp_ns: Stamps, shape (m,).
         arm_age: Time from the stamp of a joint state to its arrival [s].
         offset: Configured delay of a stamp after the exposure, latency_offset [s].
-        longest: Latency from which no rollout is scored [s].
+        longest: Latency from which on rollouts are not scored [s].
     """
-    expected = f"exposed 0 to {1e3 * longest:.0f} ms before, by the arm's clock"
+    expected = f"0 to {1e3 * longest:.0f} ms from exposure to reception, by the arm's clock"
     row = partial(Row, "mocap latency", expected)
     if len(stamp_ns) == 0:
         return row("no frame", UNCHECKED)
     age = float(np.median(received_ns - stamp_ns)) * 1e-9 - arm_age + offset
     text = f"{1e3 * age:.1f} ms"
     text += f" ({1e3 * offset:.1f} of them by latency_offset)" if offset else ""
-    if not -RECEIPT < age < longest:
+    if not -LATENCY_MIN < age < longest:
         return row(text, FAIL, "synchronise the clocks of arm and motion capture (chrony)")
-    if age < RECEIPT:
+    if age < LATENCY_MIN:
         advice = "add the delays of cameras, solver and network to latency_offset"
         return row(f"{text}: stamped on receipt", WARN, advice)
     return row(text, OK)
 
 
-def place(frames: Sequence[FrameSample], settings: TrackerSettings, pan: np.ndarray | None) -> Row:
+def body_position(
+    frames: Sequence[FrameSample], settings: TrackerSettings, pan: np.ndarray | None
+) -> Row:
     """Position of the body in the arm's base frame, and its distance from the pan.
 
     Args:
         frames: Frames in order of arrival.
         settings: Settings of the tracker.
-        pan: Centre of the pan's floor in the base frame [m], shape (3,); None when not known.
+        pan: Centre of the pan's floor in the base frame [m], shape (3,); None when unknown.
     """
-    row = partial(Row, "mocap frame", "lying in the pan, the body is seen there")
+    row = partial(Row, "mocap frame", "a body in the pan is measured in the pan")
     if not frames:
         return row("no frame", UNCHECKED)
     rotation, origin = _to_base(settings)
@@ -178,13 +182,13 @@ def place(frames: Sequence[FrameSample], settings: TrackerSettings, pan: np.ndar
     if pan is None or not np.isfinite(position).all():
         return row(text, UNCHECKED, "no state of the arm")
     text += f", pan at {_listed(pan)} in the base frame"
-    if np.linalg.norm(position - pan) <= IN_THE_PAN:
+    if np.linalg.norm(position - pan) <= PAN_DISTANCE:
         return row(text, OK)
     return row(text, WARN, "if it lies in the pan, world_to_base or up_axis is wrong")
 
 
-def fall(frames: Sequence[FrameSample], settings: TrackerSettings) -> Row:
-    """Direction in which a dropped body fell, and so which axis is up."""
+def fall_direction(frames: Sequence[FrameSample], settings: TrackerSettings) -> Row:
+    """Direction in which a dropped body fell, which shows the vertical axis."""
     expected = f"a fall along -z of the base frame, with up_axis: {settings.up_axis}"
     row = partial(Row, "mocap axes", expected)
     t, position = _trajectory(frames)
@@ -193,44 +197,44 @@ def fall(frames: Sequence[FrameSample], settings: TrackerSettings) -> Row:
         if _free_fall(t, 1e-3 * position) is not None:
             return row("a fall in millimetres", FAIL, "send metres")
         advice = "drop the body from a metre or more, edge first, in view"
-        return row("no free fall was seen", UNCHECKED, advice)
-    up = -raw / np.linalg.norm(raw)  # in the motion capture's own axes
+        return row("no free fall was measured", UNCHECKED, advice)
+    up = -raw / np.linalg.norm(raw)  # in the motion capture's axes
     axis = int(np.argmax(np.abs(up)))
     name = f"{'-' if up[axis] < 0.0 else '+'}{'xyz'[axis]}"
     rotation, _ = _to_base(settings)
     cosine = float((rotation @ up)[2])
     found = f"{np.linalg.norm(raw):.2f} m/s^2 along {_listed(rotation @ raw)}, {name} is up"
-    off = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
+    angle = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
     if cosine > FALL_COSINE_OK:
         return row(found, OK)
-    if cosine > FALL_COSINE_NOTED:
-        advice = f"{off:.0f} degrees off: level the ground plane, or correct world_to_base"
+    if cosine > FALL_COSINE_WARN:
+        advice = f"{angle:.0f} degrees off: level the ground plane, or correct world_to_base"
         return row(found, WARN, advice)
     if name in ("+y", "+z") and name[1] != settings.up_axis:
         return row(found, FAIL, f"{name[1].upper()}-up: set up_axis: {name[1]}")
-    advice = f"world_to_base turns it by {off:.0f} degrees: {name} of the motion capture is up"
+    advice = f"world_to_base is off by {angle:.0f} degrees: {name} of the motion capture is up"
     return row(found, FAIL, advice)
 
 
 def _trajectory(frames: Sequence[FrameSample]) -> tuple[np.ndarray, np.ndarray]:
-    """Times since the first frame (k,) [s] and positions (k, 3), one of each pair of frames."""
+    """Times since the first frame (k,) [s] and positions (k, 3) [m]; pairs of frames count once."""
     kept: list[FrameSample] = []
     for frame in frames:
-        late = not kept or frame.stamp_ns - kept[-1].stamp_ns > PAIR
-        if late and np.isfinite(frame.position).all():
+        separate = not kept or frame.stamp_ns - kept[-1].stamp_ns > PAIR_NS
+        if separate and np.isfinite(frame.position).all():
             kept.append(frame)
     t = np.array([(frame.stamp_ns - kept[0].stamp_ns) * 1e-9 for frame in kept])
     return t, np.array([frame.position for frame in kept]).reshape(-1, 3)
 
 
 def _free_fall(t: np.ndarray, position: np.ndarray) -> np.ndarray | None:
-    """Acceleration (3,) [m/s^2] of a free fall in a trajectory, None when there is none."""
+    """Acceleration (3,) [m/s^2] during a free fall in a trajectory, None without one."""
     level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
     return free_fall_acceleration(BodyPath("dropped", t, position, level))
 
 
 def _to_base(settings: TrackerSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) and origin (3,) of the motion capture's own frame in the base frame."""
+    """Rotation (3, 3) and origin (3,) [m] of the motion capture's frame in the base frame."""
     pose = np.array(settings.world_to_base, dtype=float)
     turn = Y_UP if settings.up_axis == "y" else np.eye(3)
     return rotations.matrix(pose[3:]) @ turn, pose[:3]

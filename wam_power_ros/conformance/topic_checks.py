@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rows of the conformance table, and the checks that apply to any topic or service.
 
-Pure functions: samples that were received in, rows out. `arm_checks` has those of the arm,
-`mocap_checks` those of motion capture. Times are `int` nanoseconds; `received_ns` is the system
-clock of this machine.
+The checks are pure functions from received samples to rows; `arm_checks` and `mocap_checks` have
+the checks of these devices. Times are `int` nanoseconds; `received_ns` is by the system clock of
+this machine.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-RATE_TOLERANCE = 0.1  # relative error of a rate that fails
-RATE_NOTED = 0.03  # relative error of a rate that is a warning
-PAIR = 1_000_000  # [ns] stamps closer than this belong to one frame that was sent twice
-CLOCK_NOTED = 100_000_000  # [ns] difference of a stamp to this machine's clock
+RATE_ERROR_FAIL = 0.1  # relative error of a rate above which the check fails
+RATE_ERROR_WARN = 0.03  # relative error of a rate above which the check warns
+PAIR_NS = 1_000_000  # [ns] stamps closer than this belong to one frame that was sent twice
+CLOCK_ERROR_WARN = 100_000_000  # [ns] difference between a stamp and this machine's clock
 
 
 class Verdict(Enum):
@@ -42,8 +42,8 @@ class Row:
         name: Name of the check, unique in a table.
         expected: Requirement of the configuration.
         found: Measured value.
-        verdict: Agreement of the two.
-        advice: Remedy where they differ.
+        verdict: Whether the measured value meets the requirement.
+        advice: Remedy where it does not.
     """
 
     name: str
@@ -54,7 +54,7 @@ class Row:
 
 
 class Endpoint(NamedTuple):
-    """Publisher or subscription of another node in the graph."""
+    """Publisher or subscription of another node in the ROS graph."""
 
     node: str
     type: str
@@ -62,11 +62,11 @@ class Endpoint(NamedTuple):
     latched: bool
 
 
-def accepted(rows: Sequence[Row], names: Collection[str]) -> list[Row]:
-    """Rows, with failures that a person has accepted by name as warnings.
+def accept(rows: Sequence[Row], names: Collection[str]) -> list[Row]:
+    """Turn failures that a person has accepted by name into warnings.
 
     Raises:
-        ValueError: When no row has one of the names; the message lists those that fail.
+        ValueError: No row has one of the names; the message lists the rows that fail.
     """
     if unknown := set(names) - {row.name for row in rows}:
         known = [row.name for row in rows if row.verdict is FAIL]
@@ -80,95 +80,95 @@ def accepted(rows: Sequence[Row], names: Collection[str]) -> list[Row]:
 
 
 def verdict(rows: Sequence[Row]) -> tuple[Verdict, str]:
-    """Verdict on the whole table, and a sentence that names the rows behind it."""
-    failed, noted, unchecked = (
+    """Verdict on the whole table, and a sentence that names the rows responsible for it."""
+    failed, warned, unchecked = (
         ", ".join(row.name for row in rows if row.verdict is kind)
         for kind in (FAIL, WARN, UNCHECKED)
     )
     if failed:
-        return FAIL, f"DOES NOT CONFORM, let nothing move: {failed}."
-    rest = f" Read first: {noted}." if noted else ""
-    rest += f" Not checked: {unchecked}." if unchecked else ""
-    return (WARN, f"CONFORMS as far as it was checked.{rest}") if rest else (OK, "CONFORMS.")
+        return FAIL, f"DOES NOT CONFORM, do not move the arm: {failed}."
+    remarks = f" Read first: {warned}." if warned else ""
+    remarks += f" Not checked: {unchecked}." if unchecked else ""
+    return (WARN, f"CONFORMS as far as checked.{remarks}") if remarks else (OK, "CONFORMS.")
 
 
-def heard(name: str, topic: str, count: int, seconds: float, ends: Sequence[Endpoint]) -> Row:
+def reception(name: str, topic: str, count: int, seconds: float, ends: Sequence[Endpoint]) -> Row:
     """Whether messages arrive on a topic: `count` of them in `seconds` [s]."""
     found = f"{count} messages in {seconds:.1f} s from {_nodes(ends)}"
-    advice = "start the driver, or name the topic it publishes; is it on this ROS_DOMAIN_ID? "
-    advice += "check ROS_AUTOMATIC_DISCOVERY_RANGE and firewalls when it is on another machine"
+    advice = "start the driver, or configure the topic it publishes; is it on this ROS_DOMAIN_ID? "
+    advice += "check ROS_AUTOMATIC_DISCOVERY_RANGE and firewalls if it is on another machine"
     result = (OK,) if count else (FAIL, advice)
     return Row(name, f"messages on {topic}", found, *result)
 
 
-def rate(name: str, stamp_ns: np.ndarray, wanted: float) -> Row:
-    """Rate by the median interval of the stamps (n,) [ns] against that wanted [Hz], and losses."""
-    row = partial(Row, name, f"{wanted:.4g} Hz")
+def rate(name: str, stamp_ns: np.ndarray, expected: float) -> Row:
+    """Compare the rate of stamps (n,) [ns] with the expected rate [Hz], and count losses."""
+    row = partial(Row, name, f"{expected:.4g} Hz")
     intervals = np.diff(np.unique(stamp_ns))
-    intervals = intervals[intervals >= PAIR]
+    intervals = intervals[intervals >= PAIR_NS]
     if len(intervals) < 3:
         return row("too few different stamps", FAIL, "see the stamps")
     typical = float(np.median(intervals))
-    near = intervals[intervals < 1.5 * typical]  # stamps are on the grid of some other clock
+    near = intervals[intervals < 1.5 * typical]  # averaged: stamps may have a coarse resolution
     found = 1e9 / float(near.mean())
     missing = int(np.maximum(np.rint(intervals / typical) - 1, 0).sum())
     share = missing / (len(intervals) + 1 + missing)
     text = f"{found:.1f} Hz, {share:.1%} missing"
-    off = abs(found / wanted - 1.0)
-    if off > RATE_TOLERANCE:
-        slow = "; below 200 Hz torque control is not stable" if found < 200.0 < wanted else ""
-        return row(text, FAIL, f"set the driver to {wanted:.4g} Hz{slow}")
-    if off > RATE_NOTED or share > 0.05:
+    error = abs(found / expected - 1.0)
+    if error > RATE_ERROR_FAIL:
+        slow = "; below 200 Hz torque control is not stable" if found < 200.0 < expected else ""
+        return row(text, FAIL, f"set the driver to {expected:.4g} Hz{slow}")
+    if error > RATE_ERROR_WARN or share > 0.05:
         return row(text, WARN, "is the machine or the network busy?")
     return row(text, OK)
 
 
 def jitter(name: str, received_ns: np.ndarray, period: float) -> Row:
-    """Regularity of arrival at a period [s]; never a failure, for this machine has a part in it."""
-    row = partial(Row, name, f"99 % within {2e3 * period:.4g} ms of the one before")
+    """Jitter of arrival at a period [s]; at most a warning, as this machine may be the cause."""
+    row = partial(Row, name, f"99 % within {2e3 * period:.4g} ms of the previous one")
     gaps = np.diff(received_ns) * 1e-6  # [ms]
     if len(gaps) == 0:
         return row("nothing to measure", UNCHECKED)
-    middle, most, worst = np.percentile(gaps, [50, 99, 100])
-    text = f"median {middle:.2f}, 99 % {most:.2f}, worst {worst:.2f} ms"
-    if most <= 2e3 * period:
+    median, percentile, worst = np.percentile(gaps, [50, 99, 100])
+    text = f"median {median:.2f}, 99 % {percentile:.2f}, worst {worst:.2f} ms"
+    if percentile <= 2e3 * period:
         return row(text, OK)
-    return row(text, WARN, "end other programs; wire instead of radio")
+    return row(text, WARN, "end other programs; use a cable instead of wireless")
 
 
 def stamps(name: str, stamp_ns: np.ndarray) -> Row:
     """Whether stamps (n,) [ns], in order of arrival, are set and increase."""
-    row = partial(Row, name, "set, each later than the one before")
+    row = partial(Row, name, "set, each later than the previous one")
     total, steps = len(stamp_ns), np.diff(stamp_ns)
     if total == 0:
         return row("none", UNCHECKED)
     unset = int((stamp_ns <= 0).sum())
     back, same = int((steps < 0).sum()), int((steps == 0).sum())
-    pairs = int(((steps > 0) & (steps < PAIR)).sum())
+    pairs = int(((steps > 0) & (steps < PAIR_NS)).sum())
     if unset:
         return row(f"{unset} of {total} not set", FAIL, "the driver must stamp its messages")
     if same > 0.02 * total:
-        advice = "the driver repeats messages, as stand-ins in lockstep do: use pace: real_time"
+        advice = "the driver repeats messages; for stand-ins in lockstep set pace: real_time"
         return row(f"{same} of {total} repeated", FAIL, advice)
     if back > 0.02 * total:
-        advice = "two drivers on one topic, or a clock that is being set"
+        advice = "two drivers on one topic, or a clock that is being adjusted"
         return row(f"{back} of {total} go back", FAIL, advice)
     if pairs > 0.1 * total:
-        text = f"{pairs} of {total} less than 1 ms after the one before"
+        text = f"{pairs} of {total} less than 1 ms after the previous one"
         advice = "frames come in pairs and are stamped on receipt; one of each pair is used"
         return row(text, WARN, advice)
-    few = f"; {same + back} out of order" if same + back else ""
-    return row(f"{total} in order{few}", OK)
+    exceptions = f"; {same + back} out of order" if same + back else ""
+    return row(f"{total} in order{exceptions}", OK)
 
 
 def clock(name: str, received_ns: np.ndarray, stamp_ns: np.ndarray) -> Row:
-    """Which clock stamps (n,) are from, by when they were received (n,)."""
+    """Whether stamps (n,) [ns] are by the system clock, from their times of arrival (n,) [ns]."""
     row = partial(Row, name, "of this machine's system clock")
     if len(stamp_ns) == 0:
         return row("nothing to measure", UNCHECKED)
     age = float(np.median(received_ns - stamp_ns))
     text = f"received {age * 1e-6:.1f} ms after the stamp"
-    if abs(age) <= CLOCK_NOTED:
+    if abs(age) <= CLOCK_ERROR_WARN:
         return row(text, OK)
     if age > 1e9 * 86_400 * 365:
         return row("of a clock that began at its start", WARN, "the driver must use system time")
@@ -185,7 +185,7 @@ def publishers(name: str, kind: str, ends: Sequence[Endpoint]) -> Row:
     if wrong := [f"{end.node}: {end.type}" for end in ends if end.type != kind]:
         return row(", ".join(wrong), FAIL, "messages of another type cannot be received at all")
     if len(ends) > 1:
-        return row(text, WARN, "messages are taken as of one device: is one of them another's?")
+        return row(text, WARN, "messages are used as from one device: does one belong to another?")
     return row(text, OK)
 
 
@@ -197,22 +197,22 @@ def _nodes(ends: Sequence[Endpoint]) -> str:
     return ", ".join(sorted(end.node for end in ends)) or "nobody"
 
 
-def offered(name: str, kind: str, services: dict[str, str], wanted: str) -> Row:
-    """Whether a service of the graph (`services`: name -> type) is there and of the right type."""
-    if not wanted:
-        advice = "without one the arm is only carried when its states are lost"
+def service(name: str, kind: str, services: dict[str, str], configured: str) -> Row:
+    """Whether the configured service is among `services` (name -> type) and has the right type."""
+    if not configured:
+        advice = "without one, loss of states only leads to braking and gravity compensation"
         return Row(name, "a service that idles the arm", "none configured", WARN, advice)
-    row, found = partial(Row, name, f"{wanted}, {kind}"), services.get(wanted)
+    row, found = partial(Row, name, f"{configured}, {kind}"), services.get(configured)
     if found == kind:
         return row("offered", OK)
-    advice = 'name the service the driver has in idle_service, or "" for none'
+    advice = 'set idle_service to the service of the driver, or to "" for none'
     return row(found or "not offered", FAIL, advice)
 
 
 def command_path(
     topic: str, kind: str, drivers: Sequence[Endpoint], commanders: Sequence[Endpoint], count: int
 ) -> Row:
-    """Whether one driver subscribes to torques and nobody publishes any.
+    """Whether one driver subscribes to torques and no node publishes them.
 
     Args:
         topic: Topic of the torques.
@@ -221,8 +221,8 @@ def command_path(
         commanders: Publishers of other nodes.
         count: Number of torques received.
     """
-    expected = f"one driver listens on {topic}, {kind}; nobody commands"
-    row, text = partial(Row, "command path", expected), f"heard by {_nodes(drivers)}"
+    expected = f"one driver subscribes to {topic}, {kind}; nobody publishes"
+    row, text = partial(Row, "command path", expected), f"received by {_nodes(drivers)}"
     if commanders:
         advice = "end it: the arm can follow one commander only"
         return row(f"{text}; {_nodes(commanders)} may command too", FAIL, advice)
@@ -230,13 +230,13 @@ def command_path(
         advice = "deactivate the controller before checking"
         return row(f"{text}; {count} torques are being sent", FAIL, advice)
     if not drivers:
-        advice = "no driver takes torques: is its effort controller loaded and active?"
+        advice = "no driver receives torques: is its effort controller loaded and active?"
         return row(text, FAIL, advice)
     if wrong := [end for end in drivers if end.type != kind]:
-        advice = "command_type of the configuration must be what the driver takes"
+        advice = "command_type of the configuration must match the driver's message type"
         return row(f"{wrong[0].node} wants {wrong[0].type}", FAIL, advice)
     if any(end.latched for end in drivers):
-        advice = "it asks for transient local, which torques never are"
+        advice = "it requests transient-local durability, which torques do not have"
         return row(f"{text}, latched", FAIL, advice)
     if len(drivers) > 1:
         return row(text, WARN, "which of them drives the arm?")

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm, the torque law, the limits, and the controller that applies them. Pure."""
+"""Arm model, torque laws, safety limits and the torque controller. Pure: no ROS, file or clock."""

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm's rigid-body model: kinematics and dynamics of a chain of joints, by Pinocchio.
+"""Rigid-body model of the arm: kinematics and dynamics of a chain of joints, by Pinocchio.
 
-Works in buffers of its own, so one `Arm` belongs to one thread; every array it returns is new.
-Inside, what Pinocchio has computed is read through arrays that lie over its buffers: asking for it
-again and again would cost more than computing it.
+An `Arm` reuses its buffers, so it belongs to one thread; every array it returns is a copy.
+Pinocchio's results are read through NumPy views of its buffers that are created once: creating
+them at every call would cost more than the computation.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ import pinocchio as pin
 
 from wam_power_ros.arm_identity import ArmIdentity
 
-FRICTION_SPEED = 0.02  # [rad/s] at which Coulomb friction is nearly whole
-_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # at the tool's origin, along the base's axes
+FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
+_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # origin of the tool, axes of the base
 
 
-class Guarded(NamedTuple):
-    """A point of the arm, beside the tool, whose motion is limited.
+class GuardedPoint(NamedTuple):
+    """A point of the arm, in addition to the tool, whose speed and position are limited.
 
     Attributes:
         name: Name for messages.
-        link: Link that it belongs to.
+        link: Link that the point is fixed to.
         offset: Position in the frame of the link [m]. Shape (3,).
     """
 
@@ -37,17 +37,17 @@ class Guarded(NamedTuple):
     offset: Sequence[float]
 
 
-# Where the safety board of the Barrett WAM limits the speed: elbow, and 350 mm along the forearm.
-WAM_GUARDED = (
-    Guarded("elbow", "wam_link4", (0.0, 0.0, 0.0)),
-    Guarded("forearm", "wam_link4", (-0.045, -0.35, 0.0)),
+# Points whose speed the Barrett WAM's safety board limits: elbow, and 350 mm along the forearm.
+WAM_GUARDED_POINTS = (
+    GuardedPoint("elbow", "wam_link4", (0.0, 0.0, 0.0)),
+    GuardedPoint("forearm", "wam_link4", (-0.045, -0.35, 0.0)),
 )
 
 
 def guarded_points(
     names: Sequence[str], links: Sequence[str], offsets: Sequence[float]
-) -> tuple[Guarded, ...]:
-    """Guarded points as parameters give them; the one name "" is none: ROS has no empty lists.
+) -> tuple[GuardedPoint, ...]:
+    """Build the guarded points from parameters; one name "" means none: ROS has no empty lists.
 
     Args:
         names: Names of the points.
@@ -55,27 +55,28 @@ def guarded_points(
         offsets: Position of each in the frame of its link [m], three numbers a point.
 
     Raises:
-        ValueError: The numbers of names, links and offsets do not fit.
+        ValueError: The numbers of names, links and offsets do not match.
     """
     if tuple(names) == ("",):
         return ()
     if not len(names) == len(links) == len(offsets) / 3:
         raise ValueError(
-            f"guarded_points {offsets} must be three for each of guarded_names {names}, "
-            f"guarded_links {links}"
+            f"guarded_points {offsets} must be three numbers, and guarded_links {links} one link, "
+            f"for each of guarded_names {names}"
         )
-    places = [tuple(offsets[i : i + 3]) for i in range(0, len(offsets), 3)]
-    return tuple(Guarded(*row) for row in zip(names, links, places, strict=True))
+    points = [tuple(offsets[i : i + 3]) for i in range(0, len(offsets), 3)]
+    return tuple(GuardedPoint(*row) for row in zip(names, links, points, strict=True))
 
 
 class Motion(NamedTuple):
-    """Where the tool is and how fast the arm moves, in the base frame.
+    """Kinematic state of the tool and the guarded points, in the base frame.
 
     Attributes:
         position: Position of the tool frame's origin [m]. Shape (3,).
         rotation: Tool axes as columns. Shape (3, 3).
         twist: Linear velocity [m/s] and angular velocity [rad/s]. Shape (6,).
-        drift: Jdot qd, the tool's acceleration when no joint accelerates. Shape (6,).
+        drift: Jdot qd, the tool's acceleration at zero joint acceleration [m/s^2, rad/s^2].
+            Shape (6,).
         guarded_positions: Positions of the guarded points [m], three numbers each.
         guarded_speeds: Speeds of the guarded points [m/s].
         tool_speed: Speed of the tool [m/s].
@@ -91,14 +92,14 @@ class Motion(NamedTuple):
 
 
 class Speeds(NamedTuple):
-    """The part of `Motion` that speed limits need; see there."""
+    """Speeds of the guarded points and of the tool, as in `Motion`."""
 
     guarded_speeds: list[float]
     tool_speed: float
 
 
 class Dynamics(NamedTuple):
-    """What the torque law needs beside `Motion`.
+    """Dynamic quantities of one state that a torque law needs in addition to `Motion`.
 
     Attributes:
         jacobian: Jacobian from joint speeds to the tool's twist. Shape (6, n).
@@ -114,9 +115,9 @@ class Dynamics(NamedTuple):
 class Arm:
     """A chain of one-degree-of-freedom joints, read from a URDF; other joints are locked at zero.
 
-    The rotor inertia reflected to a joint is read from the URDF attribute `armature` [kg m^2] of
-    the joint's `<dynamics>` element (as MuJoCo names it; Pinocchio's own reader ignores it). The
-    dynamics are those without friction.
+    The reflected rotor inertia of a joint is read from the attribute `armature` [kg m^2] of its
+    `<dynamics>` element (MuJoCo's name; Pinocchio's URDF reader ignores it). Forward and inverse
+    dynamics do not include friction.
 
     Attributes:
         n: Number of joints.
@@ -136,10 +137,11 @@ class Arm:
         urdf: Text of the URDF.
         joint_names: Names of the joints, base to tip.
         tool_frame: Link whose frame is the tool.
-        guarded: Points whose motion is limited beside the tool's.
+        guarded: Points whose motion is limited in addition to the tool's.
 
     Raises:
-        ValueError: The text is no URDF, or a joint or frame is missing or unfit; known ones named.
+        ValueError: The text is not a URDF, a joint or frame is missing (the message lists the known
+            ones), or a joint, limit, armature or guarded point is not valid.
     """
 
     def __init__(
@@ -147,13 +149,13 @@ class Arm:
         urdf: str,
         joint_names: Sequence[str],
         tool_frame: str = "pan",
-        guarded: Sequence[Guarded] = WAM_GUARDED,
+        guarded: Sequence[GuardedPoint] = WAM_GUARDED_POINTS,
     ) -> None:
         try:
             full = pin.buildModelFromXML(urdf)
             tree = ElementTree.fromstring(urdf)
         except (ValueError, RuntimeError, ElementTree.ParseError) as error:
-            raise ValueError(f"the robot description is no URDF: {error}") from None
+            raise ValueError(f"the robot description is not a URDF: {error}") from None
         self.name = tree.get("name", "")
         self.joint_names = tuple(joint_names)
         self.model = _chain(full, self.joint_names)
@@ -173,7 +175,8 @@ class Arm:
             if not np.all(limit > 0.0):
                 raise ValueError(f"{name} limits {limit.tolist()} of the joints must be positive")
         if not np.all(self.q_min < self.q_max):
-            raise ValueError(f"position limits {self.q_min.tolist()} must be below the upper ones")
+            lower, upper = self.q_min.tolist(), self.q_max.tolist()
+            raise ValueError(f"lower position limits {lower} must be below the upper ones {upper}")
 
         self._data = self.model.createData()
         self._tool = self._frame(tool_frame)
@@ -188,8 +191,8 @@ class Arm:
         self._tool_position, self._tool_rotation = placement.translation, placement.rotation
 
     def __reduce__(self) -> NoReturn:
-        """A copy's arrays would not lie over its buffers."""
-        raise TypeError("an Arm cannot be copied; make another from the same URDF")
+        """Refuse to copy: the views would still show the buffers of the original."""
+        raise TypeError("an Arm cannot be copied; create another one from the same URDF")
 
     def _frame(self, name: str) -> int:
         if not self.model.existFrame(name):
@@ -198,14 +201,14 @@ class Arm:
         return int(self.model.getFrameId(name))
 
     def _point(self, frame: int, offset: np.ndarray) -> _Point:
-        """A point given in a frame [m]. Shape (3,)."""
+        """Point at an offset (3,) [m] in a frame."""
         parent = self.model.frames[frame]
         return _Point(self._data, int(parent.parentJoint), parent.placement.act(offset).tolist())
 
     def identity(self) -> ArmIdentity:
-        """What tells this arm from another; its buffers are used."""
+        """Name, joint names, and digests of kinematics and masses; overwrites the buffers."""
         zero = self._zero
-        axes = pin.computeJointJacobians(self.model, self._data, zero)  # along the base's axes
+        axes = pin.computeJointJacobians(self.model, self._data, zero)  # in the base frame
         geometry = np.concatenate([axes.ravel(), *(part.ravel() for part in self.tool_pose(zero))])
         masses = [link.toDynamicParameters() for link in list(self.model.inertias)[1:]]
         numbers = np.concatenate([*masses, self.armature])
@@ -233,12 +236,12 @@ class Arm:
         )
 
     def speeds(self, q: np.ndarray, qd: np.ndarray) -> Speeds:
-        """The speeds of one state, in a third of the time of `motion`."""
+        """Speeds of one state, in a third of the time that `motion` takes."""
         pin.forwardKinematics(self.model, self._data, q, qd)
         return Speeds([point.speed() for point in self._guarded], self._tool_point.speed())
 
     def dynamics(self, q: np.ndarray, qd: np.ndarray) -> Dynamics:
-        """Jacobian, inverse mass matrix and bias torque of one state; arguments as of `motion`."""
+        """Jacobian, inverse mass matrix and bias torque of one state; arguments as for `motion`."""
         model, data = self.model, self._data
         return Dynamics(
             jacobian=pin.computeFrameJacobian(model, data, q, self._tool, _AXES),
@@ -253,7 +256,7 @@ class Arm:
         return placement.translation.copy(), placement.rotation.copy()
 
     def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Jacobian from joint speeds to the tool's twist (linear, angular) in the base. (6, n)."""
+        """Jacobian from joint speeds to the tool's twist in the base frame. Shape (6, n)."""
         return pin.computeFrameJacobian(self.model, self._data, q, self._tool, _AXES)
 
     def mass_matrix(self, q: np.ndarray) -> np.ndarray:
@@ -268,8 +271,8 @@ class Arm:
         """C(q, qd) qd + g(q) [N m]. Shape (n,)."""
         return pin.nonLinearEffects(self.model, self._data, q, qd)
 
-    def resistance(self, qd: np.ndarray) -> np.ndarray:
-        """Torque that the friction of moving joints takes [N m]. Shape (n,)."""
+    def friction_torque(self, qd: np.ndarray) -> np.ndarray:
+        """Torque that overcomes Coulomb and viscous friction at these speeds [N m]. Shape (n,)."""
         return self.friction * np.tanh(qd / FRICTION_SPEED) + self.damping * qd
 
     def inverse_dynamics(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
@@ -282,29 +285,29 @@ class Arm:
 
 
 class _Point:
-    """Position and speed of a point of a link in the state `data` was computed for last.
+    """Position and speed of a point of a link, in the state that `data` was last computed for.
 
     Args:
-        data: Pinocchio's data, over whose buffers we read.
+        data: Pinocchio's data, read through views of its buffers.
         joint: Index of the joint that moves the link.
-        at: Position in the frame of the joint [m], three numbers.
+        offset: Position in the frame of the joint [m], three numbers.
     """
 
-    def __init__(self, data: pin.Data, joint: int, at: list[float]) -> None:
-        self._at = at
+    def __init__(self, data: pin.Data, joint: int, offset: list[float]) -> None:
+        self._offset = offset
         self._origin, self._rotation = data.oMi[joint].translation, data.oMi[joint].rotation
         self._twist = data.v[joint].vector  # in the frame of the joint
 
     def position(self) -> list[float]:
         """Position in the base frame [m]: three numbers."""
-        x, y, z = self._at
+        x, y, z = self._offset
         rows = zip(self._origin.tolist(), self._rotation.tolist(), strict=True)
         return [origin + a * x + b * y + c * z for origin, (a, b, c) in rows]
 
     def speed(self) -> float:
         """Speed [m/s]."""
         vx, vy, vz, wx, wy, wz = self._twist.tolist()
-        x, y, z = self._at
+        x, y, z = self._offset
         vx += wy * z - wz * y
         vy += wz * x - wx * z
         vz += wx * y - wy * x
@@ -312,7 +315,7 @@ class _Point:
 
 
 def _chain(full: pin.Model, joint_names: tuple[str, ...]) -> pin.Model:
-    """The model with all joints locked at zero that are not named."""
+    """Reduce the model to the named joints; the others are locked at zero."""
     known = [name for name in full.names if name != "universe"]
     missing = [name for name in joint_names if name not in known]
     if missing or not joint_names:
@@ -335,7 +338,7 @@ def _armature(tree: ElementTree.Element, joint_name: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise ValueError(f"armature {text!r} of joint {joint_name!r} is no number") from None
+        raise ValueError(f"armature {text!r} of joint {joint_name!r} is not a number") from None
 
 
 def _checked(name: str, values: Sequence[float], count: int) -> np.ndarray:

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The torque controller: one torque per joint state, and an explicit machine of modes.
+"""Torque controller: one torque per joint state, and an explicit state machine of modes.
 
-It has no clock: time is the stamps of the states. It has no randomness: the torques depend only on
-the sequence of states and calls. While an arm at rest repeats its state, the torque reaches a fixed
-point bit for bit (25 periods undo 25 N m): a rollout that begins there depends on nothing before.
+It reads no clock: time comes from the stamps of the states. It uses no random numbers: the torques
+depend only on the sequence of states and calls. While an arm at rest repeats its state, the torque
+converges to a fixed point bit for bit, so a rollout that begins there does not depend on what
+happened before.
 """
 
 import math
@@ -12,15 +13,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from wam_power_ros.control import replay_trajectory, safety
+from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_control import JointControl
-from wam_power_ros.control.joint_references import JointTrajectory, Sampled
+from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import (
-    HELD,
-    PASSIVE,
-    REFERENCED,
+    PASSIVE_MODES,
+    REFERENCE_MODES,
+    SWITCH_MODES,
     ControllerError,
     Mode,
     Refusal,
@@ -28,7 +29,7 @@ from wam_power_ros.control.modes import (
 )
 from wam_power_ros.control.prepared_policy import PreparedPolicy, prepare
 from wam_power_ros.control.rollouts import Rollouts
-from wam_power_ros.control.state_checks import STATES_LOST_AFTER, JointState, StateChecks
+from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT, JointState, StateChecks
 from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
@@ -39,7 +40,7 @@ Law = Callable[[JointState, Motion | Speeds], np.ndarray]
 
 
 class Controller:
-    """Turns joint states into torques. Not thread-safe: calls come from one thread.
+    """Computes torques from joint states. Not thread-safe: call it from one thread.
 
     Attributes:
         arm: Model of the arm.
@@ -47,18 +48,18 @@ class Controller:
         limits: Limits of the arm.
         counters: Number of states `accepted`, `repeated`, `older`, `rejected`; of `gaps`, `jumps`;
             of torques `limited` and `stale`; of `faults`.
-        latched: Fault that is latched, None without.
-        fresh: True when the last state was accepted as a new one.
-        enabled: Whether a person holds the enabling switch, where `hold_to_run` asks for one; set
-            from outside, before every state.
+        latched: Latched fault, None without one.
+        fresh: Whether the last state was accepted as a new one.
+        enabled: Whether a person holds the enabling switch that `hold_to_run` requires; the caller
+            sets it before every state.
 
     Args:
         arm: Model of the arm, used by this controller alone.
         settings: Settings of the controller.
-        latched: Fault of a controller before this one, which only a reset ends.
+        latched: Fault that a previous controller had latched; only a reset clears it.
 
     Raises:
-        ValueError: The settings do not fit the arm.
+        ValueError: The settings do not match the arm.
     """
 
     def __init__(
@@ -79,23 +80,23 @@ class Controller:
         self.counters: Counter[str] = self._states.counters
         compensated = settings.driver_compensates_gravity
         self._output = TorqueOutput(arm, self.limits, compensated, self.counters)
-        self._supervision = Supervision(arm, self.limits, settings, self._output.acting)
+        self._supervision = Supervision(arm, self.limits, settings, self._output.motor_torque)
         self._joints = JointControl(arm, self.limits)
         self._rollouts = Rollouts(arm, settings)
         self._laws: dict[Mode, Law] = {
-            Mode.INACTIVE: self._rest_torque,
+            Mode.INACTIVE: self._braking_torque,
             Mode.GRAVITY_COMPENSATION: self._teaching_torque,
             Mode.HOLD: self._joint_torque,
             Mode.MOVE_TO_START: self._joint_torque,
             Mode.ROLLOUT: self._rollout_torque,
             Mode.REPLAY: self._joint_torque,
-            Mode.FAULT: self._rest_torque,
+            Mode.FAULT: self._braking_torque,
         }
-        self._law: Law = self._rest_torque
+        self._law: Law = self._braking_torque
         self._set(Mode.INACTIVE if latched is None else Mode.FAULT)
         self._label = self._mode_label
 
-    # What a caller may see
+    # Status
 
     @property
     def mode(self) -> Mode:
@@ -104,32 +105,32 @@ class Controller:
 
     @property
     def label(self) -> str:
-        """Mode of the last torque, and for a rollout the id ("rollout trial-0007")."""
+        """Mode of the last torque; in a rollout with the policy's id ("rollout trial-0007")."""
         return self._label
 
     @property
     def stamp_ns(self) -> int | None:
-        """Stamp of the last state that was accepted, None before the first [ns]."""
+        """Stamp of the last accepted state [ns], None before the first."""
         return None if self._states.last is None else self._states.last.stamp_ns
 
     @property
     def policy_id(self) -> str | None:
-        """Id of the policy that is loaded."""
+        """Id of the loaded policy, None before the first."""
         return None if self._rollouts.policy is None else self._rollouts.policy.id
 
     @property
     def rollout_stamp_ns(self) -> int | None:
-        """Stamp of the first state of the last rollout that ended, None before it [ns]."""
+        """Stamp of the first state of the last finished rollout [ns], None before the first."""
         return self._rollouts.start_ns
 
     @property
     def at_rest(self) -> bool:
         """Whether the arm was at rest in the last state."""
-        return not self._unrest()
+        return not self._rest_violation()
 
     @property
     def ready(self) -> bool:
-        """Whether `execute` would begin: holding at the policy's start, at rest."""
+        """Whether `execute` would begin a rollout: the arm holds the policy's start, at rest."""
         try:
             self._require_ready()
         except ControllerError:
@@ -142,53 +143,54 @@ class Controller:
         return self._joints.replay_error
 
     def take_finished(self) -> EndEffectorPath | None:
-        """Return the path of the rollout that has ended, once; shorter when it was cut short."""
+        """Return the path of the last finished or aborted rollout, once; then None."""
         return self._rollouts.take_path()
 
     # Requests
 
     def load(self, policy: Policy) -> None:
-        """Make a policy the one to execute; all tables are computed here.
+        """Load the policy to execute: check it and compute its tables.
 
         Raises:
-            ControllerError: During a rollout, or when the policy does not fit the arm.
+            ControllerError: A rollout is under way, or the policy does not fit the arm.
         """
         self.load_prepared(prepare(policy, self.arm.n, self.limits, self.settings))
 
     def load_prepared(self, policy: PreparedPolicy) -> None:
-        """Make a policy the one to execute that was prepared for this arm and these settings.
+        """Load a policy that was prepared for this arm and these settings.
 
         Raises:
-            ControllerError: During a rollout.
+            ControllerError: A rollout is under way.
         """
         if self._mode is Mode.ROLLOUT:
             raise ControllerError(Refusal.BUSY, f"policy {policy.id} refused during a rollout")
         self._rollouts.policy = policy
 
     def hold(self) -> None:
-        """Come to rest and hold the posture; aborts what is under way.
+        """Abort any motion, brake and hold the posture.
 
         Raises:
-            ControllerError: In a fault, or before the first state.
+            ControllerError: A fault is latched, or no joint state has been received.
         """
         if self._mode is not Mode.HOLD:
             self._enter(Mode.HOLD)
 
     def stop(self) -> None:
-        """Abort what is under way and hold; without effect when inactive or in a fault."""
-        if self._mode not in PASSIVE:
+        """Abort any motion and hold; no effect when inactive or in a fault."""
+        if self._mode not in PASSIVE_MODES:
             self.hold()
 
     def release(self) -> None:
-        """Carry an arm that holds, without a spring, until the mode changes."""
+        """While holding, only compensate gravity and damp motion, until the mode changes."""
         if self._mode is Mode.HOLD:
-            self._law = self._rest_torque
+            self._law = self._braking_torque
 
     def set_gravity_compensation(self, on: bool) -> None:
-        """Let a person move the arm, or hold it where it is.
+        """Begin gravity compensation, so that a person can guide the arm, or end it and hold.
 
         Raises:
-            ControllerError: While the arm moves by itself, in a fault, or without the switch.
+            ControllerError: The arm moves by itself, a fault is latched, or the enabling switch is
+                not held.
         """
         if on and self._mode is not Mode.GRAVITY_COMPENSATION:
             self._require_switch(Mode.GRAVITY_COMPENSATION)
@@ -197,32 +199,22 @@ class Controller:
             self._enter(Mode.HOLD)
 
     def move_to_start(self) -> None:
-        """Move all joints to the policy's start at limited speed, then hold there.
+        """Move all joints to the policy's start at limited speed, then hold.
 
         Raises:
-            ControllerError: Without a policy, while moving, or in a mode that does not allow it.
+            ControllerError: No policy is loaded, the arm moves, or the mode does not allow it.
         """
         self._move(Mode.MOVE_TO_START, self._rollouts.loaded("move_to_start").q_start)
 
-    def start_replay(self, trajectory: JointTrajectory, speed: float = 1.0) -> None:
+    def start_replay(self, movement: Sampled) -> None:
         """Move to the start of a recorded joint movement, then follow it, then hold.
 
         Args:
-            trajectory: Movement; see `replay_trajectory.sampled`.
-            speed: 1 for as recorded, 0.5 for half of that.
+            movement: Movement that `replay_trajectory.sampled` has checked for this arm.
 
         Raises:
-            ControllerError: While moving, in a mode that does not allow it, or when the movement is
-                not within the arm's limits.
-        """
-        period, limits = self.settings.period, self.limits
-        self.start_sampled(replay_trajectory.sampled(trajectory, speed, period, limits))
-
-    def start_sampled(self, movement: Sampled) -> None:
-        """As `start_replay`, for a movement of `replay_trajectory.sampled` for this arm.
-
-        Raises:
-            ControllerError: While moving, or in a mode that does not allow it.
+            ControllerError: The arm moves, the mode does not allow it, or the enabling switch is
+                not held.
         """
         self._require_switch(Mode.REPLAY)
         self._move(Mode.REPLAY, movement.q[0], movement)
@@ -231,7 +223,7 @@ class Controller:
         """Begin a rollout of the loaded policy with the next state.
 
         Raises:
-            ControllerError: The arm is not ready, with the reason.
+            ControllerError: The arm is not ready; the message says why.
         """
         self._require_ready()
         self._require_switch(Mode.ROLLOUT)
@@ -239,8 +231,8 @@ class Controller:
         self._rollouts.begin()
 
     def fault(self, fault: Fault) -> None:
-        """Latch a fault and abort what is under way; without effect when inactive or in a fault."""
-        if self._mode in PASSIVE:
+        """Latch a fault and abort any motion; no effect when inactive or in a fault."""
+        if self._mode in PASSIVE_MODES:
             return
         self.latched = fault
         self.counters["faults"] += 1
@@ -248,10 +240,11 @@ class Controller:
         self._enter(Mode.FAULT)
 
     def reset(self) -> None:
-        """Leave a fault and hold.
+        """Clear the latched fault and hold.
 
         Raises:
-            ControllerError: Without a fault, while the arm moves, or without valid joint states.
+            ControllerError: No fault is latched, the arm moves, or the joint states are not valid
+                or not plausible.
         """
         if self._mode is not Mode.FAULT:
             text = f"reset refused: no fault, mode is {self._mode.value}"
@@ -262,27 +255,27 @@ class Controller:
         self._require_rest("reset")
         last = self._states.last
         if last is None or not self._supervision.rested(last.stamp_ns):
-            text = f"reset refused: the arm must be at rest for {REST_NS * 1e-9:.1f} s, in states"
-            raise ControllerError(Refusal.BUSY, f"{text} that fit each other and the torques")
+            text = f"reset refused: the arm must be at rest for {REST_NS * 1e-9:.1f} s, with joint"
+            raise ControllerError(Refusal.BUSY, f"{text} states that pass the plausibility checks")
         self._enter(Mode.HOLD, reset=True)
         self.latched = None
         self._supervision.begin()
 
     def deactivate(self) -> None:
-        """Abort what is under way; nothing may be sent any more. A fault stays latched."""
-        if self._mode not in PASSIVE:
+        """Abort any motion; send no torque from now on. A fault stays latched."""
+        if self._mode not in PASSIVE_MODES:
             self._enter(Mode.INACTIVE)
 
     def _enter(self, mode: Mode, reset: bool = False) -> None:
-        """Change the mode, ending what the old one had under way."""
+        """Change the mode and end the rollout or reference of the old one."""
         check_transition(self._mode, mode, self.latched, reset)
         if self._states.last is None and mode is not Mode.INACTIVE:
-            text = f"{mode.value} refused: no joint state has come yet"
+            text = f"{mode.value} refused: no joint state has been received yet"
             raise ControllerError(Refusal.NOTHING, text)
         self._rollouts.end(self._states.last)
         if self._mode is Mode.INACTIVE:
             self._supervision.begin()
-        if mode not in REFERENCED:
+        if mode not in REFERENCE_MODES:
             self._joints.release()
         self._set(mode)
         self._joints.begin()
@@ -296,13 +289,13 @@ class Controller:
         self._enter(mode)
         self._joints.move(goal, self.settings.move_speed, *then)
 
-    # Conditions of a request
+    # Preconditions of requests
 
     def _lacks_switch(self, mode: Mode) -> bool:
-        """Whether the enabling switch must be held in this mode, and is not."""
-        if self.enabled or not self.settings.hold_to_run or mode not in HELD:
+        """Whether this mode requires the enabling switch and it is not held."""
+        if self.enabled or not self.settings.hold_to_run or mode not in SWITCH_MODES:
             return False
-        return mode is not Mode.ROLLOUT or not self._rollouts.tried
+        return mode is not Mode.ROLLOUT or not self._rollouts.completed_before
 
     def _require_switch(self, mode: Mode) -> None:
         if self._lacks_switch(mode):
@@ -310,22 +303,18 @@ class Controller:
             raise ControllerError(Refusal.SWITCH, text)
 
     def _require_rest(self, request: str) -> None:
-        if unrest := self._unrest():
+        if reason := self._rest_violation():
             refusal = Refusal.NOTHING if self._states.last is None else Refusal.BUSY
-            raise ControllerError(refusal, f"{request} refused: {unrest}")
+            raise ControllerError(refusal, f"{request} refused: {reason}")
 
-    def _unrest(self) -> str:
-        """Why the arm does not count as at rest; empty when it does."""
+    def _rest_violation(self) -> str:
+        """Reason why the arm is not at rest; empty when it is."""
         if (last := self._states.last) is None:
-            return "no joint state has come yet"
-        return safety.unrest(self.arm.motion(last.q, last.qd))
+            return "no joint state has been received yet"
+        return safety.rest_violation(self.arm.motion(last.q, last.qd))
 
     def _require_ready(self) -> None:
-        """Refuse a rollout that cannot begin.
-
-        Raises:
-            ControllerError: The arm is not ready, with the reason.
-        """
+        """Refuse a rollout that cannot begin now."""
         if self.latched is not None:
             text = f"rollout refused: fault ({self.latched.text}); reset first"
             raise ControllerError(Refusal.FAULT, text)
@@ -337,53 +326,51 @@ class Controller:
         self._require_rest("rollout")
         self._rollouts.require_start(last.q)
 
-    # Every state
+    # Control cycle
 
     def step(
         self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None, elapsed: float | None = None
     ) -> np.ndarray:
-        """The torque that answers one joint state.
+        """Compute the torque for one joint state.
 
-        Finite, within the limits of size and, unless inactive, of change per second. The same
-        stamp again gives the same array; a state that is older or not valid is counted and
-        changes nothing: `fresh` is false for both.
+        It is finite, within the torque limits and, unless inactive, within the limits of the torque
+        rate. A repeated stamp gets the same array again; an older or invalid state is counted and
+        changes nothing: `fresh` is False for both.
 
         Args:
             stamp_ns: Stamp of the driver's header [ns].
             q: Joint positions [rad]. Shape (n,).
             qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
-            elapsed: Time since the last accepted state by a clock of the caller's, None to go by
-                the stamps [s]. It bounds the change of the torque, and the arm is braked by it.
+            elapsed: Time since the last accepted state by the caller's clock, None to use the
+                stamps [s]. The torque rate limit and the state estimate in a fault depend on it.
 
         Returns:
             [N m], read-only. Shape (n,).
         """
         states = self._states
-        state = states.take(stamp_ns, q, qd, self._mode in PASSIVE, elapsed)
+        state = states.take(stamp_ns, q, qd, self._mode in PASSIVE_MODES, elapsed)
         if (fault := states.fault) is not None and not (
             fault.kind is FaultKind.JUMP and self._mode is Mode.GRAVITY_COMPENSATION
-        ):  # while teaching nothing refers to a posture
+        ):  # teaching uses no reference posture that a jump would invalidate
             self.fault(fault)
-        self.fresh = isinstance(state, JointState)
-        if isinstance(state, JointState):
-            return self._answer(state)
-        return self._output.sent
+        self.fresh = state is not None
+        return self._output.sent if state is None else self._checked_torque(state)
 
     def refuse_state(self) -> None:
-        """Count a joint state that could not be read, as `step` counts those it refuses."""
+        """Count an unreadable joint state as refused."""
         self._states.refuse()
         if (fault := self._states.fault) is not None:
             self.fault(fault)
 
     def stale_torque(self, elapsed: float | None = None) -> np.ndarray:
-        """The torque to send when no state has come: brakes and carries the arm on its model alone.
+        """Compute the torque to send while joint states are missing: it brakes and carries the arm.
 
-        The arm is taken to be where the model predicts it from the states and torques before.
-        Without any state yet the torque is zero.
+        The model predicts the arm's state from earlier states and torques. Before the first state
+        the torque is zero.
 
         Args:
-            elapsed: Time since the last state or, after it, the last torque; one period if None
-                [s].
+            elapsed: Time since the last state or the last torque, whichever is later [s]; None for
+                one period.
 
         Returns:
             [N m], read-only. Shape (n,).
@@ -391,39 +378,40 @@ class Controller:
         self.counters["stale"] += 1
         if (last := self._states.last) is None:
             return self._output.sent
-        dt = self.settings.period if elapsed is None else min(elapsed, STATES_LOST_AFTER)
-        state = self._supervision.without_state(last, dt)
-        tau = self._with_springs(self._rest_torque(state), state.q)
+        dt = self.settings.period if elapsed is None else min(elapsed, STATE_LOSS_TIMEOUT)
+        state = self._supervision.predict(last, dt)
+        tau = self._with_springs(self._braking_torque(state), state.q)
         return self._send(tau, state.q, min(dt, 2.0 * self.settings.period))
 
     def _send(self, tau: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
         return self._output.send(tau, q, None if self._mode is Mode.INACTIVE else dt)
 
-    def _answer(self, state: JointState) -> np.ndarray:
-        """The torque for a state that has been accepted."""
+    def _checked_torque(self, state: JointState) -> np.ndarray:
+        """Torque for an accepted state, after the plausibility, limit and switch checks."""
         mode, supervision = self._mode, self._supervision
-        if (fault := supervision.doubt(mode, self._states.before, state)) is not None:
+        fault = supervision.plausibility_fault(mode, self._states.before, state)
+        if fault is not None:
             self.fault(fault)
-        # The position of the tool is not needed to hold.
+        # Holding needs the speeds only.
         motion = (self.arm.speeds if self._mode is Mode.HOLD else self.arm.motion)(
             state.q, state.qd
         )
-        if (fault := supervision.exceeded(self._mode, state, motion)) is not None:
+        if (fault := supervision.limit_fault(self._mode, state, motion)) is not None:
             self.fault(fault)
         if self.settings.hold_to_run and self._lacks_switch(self._mode):
             self.fault(Fault(FaultKind.RELEASED, "the enabling switch was released"))
         if self._mode is Mode.FAULT:
-            state = supervision.after_fault(state, motion, new=mode is not Mode.FAULT)
+            state = supervision.estimate(state, motion, new=mode is not Mode.FAULT)
         else:
-            supervision.trust()
+            supervision.end_estimate()
 
         sent = self._send(self._torque(state, motion), state.q, state.dt)
-        rollout = self._rollouts.present
+        rollout = self._rollouts.active_id
         self._label = self._mode_label if rollout is None else f"rollout {rollout}"
         return sent
 
     def _torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        """The torque of the mode, before the limits; a fault when that cannot be computed."""
+        """Torque of the mode before limiting; latches a fault when it cannot be computed."""
         fault = None
         try:
             tau = self._law(state, motion)
@@ -431,28 +419,28 @@ class Controller:
                 fault = Fault(FaultKind.COMPUTATION, "the torque was not finite")
         except TrackingLost as error:
             fault = Fault(FaultKind.TRACKING, str(error))
-        except Exception as error:  # whatever it is, the arm needs a torque in this very tick
-            fault = Fault(FaultKind.COMPUTATION, f"no torque: {error}")
+        except Exception as error:  # whatever it is, the arm needs a torque in this period
+            fault = Fault(FaultKind.COMPUTATION, f"no torque could be computed: {error}")
         if fault is not None:
             self.fault(fault)
-            tau = self._rest_torque(state, motion)
+            tau = self._braking_torque(state, motion)
         return self._with_springs(tau, state.q)
 
     def _with_springs(self, tau: np.ndarray, q: np.ndarray) -> np.ndarray:
         springs = safety.limit_springs(q, self.limits)
         return tau if springs is None else tau + springs
 
-    # The torque of each mode
+    # Torque of each mode
 
-    def _rest_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
-        return self._carrying_torque(state, safety.FAULT_DAMPING)
+    def _braking_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
+        return self._damped_gravity(state, safety.FAULT_DAMPING)
 
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        return self._carrying_torque(state, safety.teaching_damping(motion.tool_speed))
+        return self._damped_gravity(state, safety.teaching_damping(motion.tool_speed))
 
-    def _carrying_torque(self, state: JointState, damping: float) -> np.ndarray:
+    def _damped_gravity(self, state: JointState, damping: float) -> np.ndarray:
         gravity, mass = self.arm.gravity(state.q), self.arm.mass_matrix(state.q)
-        return safety.live_fallback(gravity, mass, state.qd, damping)
+        return safety.damped_gravity(gravity, mass, state.qd, damping)
 
     def _joint_torque(self, state: JointState, _: Motion | Speeds) -> np.ndarray:
         tau = self._joints.torque(state.stamp_ns, state.q, state.qd)

@@ -22,19 +22,20 @@ class ControllerSettings:
         limits: Limits of the arm, None for those of its URDF with the defaults of `safety.Limits`.
         obstacle: Centre in the base frame and radius [m] of a sphere; a rollout ends when the
             tool's centre enters it. Radius 0 for none.
-        move_speed: Peak joint speed of a move to a start [rad/s].
+        move_speed: Peak joint speed of a move to the start [rad/s].
         start_tolerance: Largest joint error at which a rollout may start [rad].
-        settle_time: Time for which a rollout goes on after the end of its movement [s].
+        settle_time: Time that a rollout continues after the end of its movement [s].
         velocity_cutoff: Cut-off of the low-pass for differentiated positions when a driver sends
             no velocity [rad/s]; libbarrett uses 180.
-        stiffness_max: Largest stiffness a policy may ask for [1/s^2]. With a damping of 32 1/s and
-            a delay of 8 ms the loop is stable to about 2800, with 4 ms to about 4800.
-        damping_max: Largest damping a policy may ask for [1/s]. Times the delay of the loop it must
-            stay well below pi / 2: with 8 ms it runs away from 196 on.
-        contact_share: Torque that nothing explains, as a share of each joint's limit, beside its
-            friction twice: more is a contact, and a fault, in hold, move and replay.
-        unexplained_share: The same in rollouts, where the arm is faster and touches things.
-        arm: Arm that a policy must be of, as far as it says; None for any.
+        stiffness_max: Largest stiffness of a policy [1/s^2]. With a damping of 32 1/s the loop is
+            stable up to about 2800 with a delay of 8 ms, up to about 4800 with 4 ms.
+        damping_max: Largest damping of a policy [1/s]. Its product with the delay of the loop must
+            stay well below pi / 2: with 8 ms the loop is unstable from 196 on.
+        contact_share: Bound on the torque residual in hold, move and replay, beyond twice the
+            joint's friction, as a share of the joint's torque limit; above it is a contact, and a
+            fault.
+        unexplained_share: The same bound in rollouts, where the arm is faster and makes contact.
+        arm: Identity of the arm that a policy must match, if it names one; None to accept any.
 
     Raises:
         ValueError: A value is out of range.
@@ -62,6 +63,6 @@ class ControllerSettings:
         for name, value in vars(self).items():
             if isinstance(value, float) and not 0.0 < value < math.inf:
                 raise ValueError(f"{name} = {value} must be positive and finite")
-        place = tuple(self.obstacle)
-        if len(place) != 4 or not all(map(math.isfinite, place)) or place[3] < 0.0:
-            raise ValueError(f"obstacle = {place} must be x, y, z and a radius that is 0 or more")
+        sphere = tuple(self.obstacle)
+        if len(sphere) != 4 or not all(map(math.isfinite, sphere)) or sphere[3] < 0.0:
+            raise ValueError(f"obstacle = {sphere} must be x, y, z and a radius that is 0 or more")

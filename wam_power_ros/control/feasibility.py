@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulate a policy on the rigid-body model of the arm before executing it.
 
-The controller drives the model with its friction: a motion limit that would end the rollout is
-found out without moving. Its torques act as late as those of the arm do, for what a delay does to a
-fast policy is a limit of motion, too. A tracked body is left out: its weight is nothing to the arm.
+The controller drives the model, friction included, so that a motion limit that would end the
+rollout is found without moving the arm. Torques act with the delay of the arm, because the delay
+can drive a fast policy beyond a limit. A tracked body is left out: its weight is negligible.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from wam_power_ros.control.safety import Limits, limits_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
-_STILL_TICKS = 60  # control periods at rest, in which a controller comes to its fixed point
-_SUBSTEPS = 2  # of the model in a control period
-POSITION_MARGIN = 0.05  # [rad] to a limit of position
-SPEED_SHARE = 0.9  # of the limits of speed: the arm is not the model
-OVERRUN_SHARE = 0.98  # of that, for each time that the arm was faster than the model
-_STICTION_SPEED = 0.01  # [rad/s] below it friction is not yet all there
+_REST_TICKS = 60  # control periods at rest until the controller reaches its fixed point
+_SUBSTEPS = 2  # integration steps of the model in a control period
+POSITION_MARGIN = 0.05  # [rad] smallest distance from a position limit
+SPEED_SHARE = 0.9  # usable share of the speed limits: the arm differs from the model
+OVERRUN_SHARE = 0.98  # factor on it for each rollout in which the arm was faster than the model
+_FRICTION_SPEED = 0.01  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class Feasibility:
     """Result of a simulated rollout.
 
     Attributes:
-        fault: Fault that would end the rollout, None without. Of a policy that the controller
-            refuses it is the refusal: no torque is computed for it.
+        fault: Fault that would end the rollout, None without one. For a policy that the controller
+            refuses it holds the refusal.
         qd_peak: Highest joint speeds [rad/s]. Shape (n,).
         elbow_peak: Highest speed of the guarded points, elbow and forearm [m/s].
         tool_peak: Highest speed of the tool [m/s].
@@ -48,7 +48,7 @@ class Feasibility:
     tool_peak: float
 
     def __str__(self) -> str:
-        """One line; the elbow's peak is what the arm's safety board must allow."""
+        """Return one line; the arm's safety board must allow the peak speed of the elbow."""
         peaks = f"elbow at most {self.elbow_peak:.2f} m/s, tool {self.tool_peak:.2f} m/s"
         return peaks if self.fault is None else f"{peaks}; would end in a fault: {self.fault.text}"
 
@@ -57,8 +57,8 @@ def speed_margin(overruns: int) -> float:
     """Share of the speed limits that a policy may use on the model.
 
     Args:
-        overruns: Number of rollouts that a limit of motion ended though the model had kept it: it
-            has the arm too slow, because of a payload for instance.
+        overruns: Number of rollouts that a motion limit ended although the model had kept it: the
+            model underestimates the speed, because of a payload for instance.
     """
     return SPEED_SHARE * OVERRUN_SHARE**overruns
 
@@ -72,8 +72,8 @@ def simulate_policy(
         arm: Model of the arm; its buffers are used.
         settings: Settings of the controller.
         policy: Policy to simulate.
-        margin: Share of the speed limits that the policy may use, see `speed_margin`. From the
-            limits of position it must keep `POSITION_MARGIN`.
+        margin: Share of the speed limits that the policy may use, see `speed_margin`. It must stay
+            `POSITION_MARGIN` within the position limits.
     """
     limits = settings.limits or limits_of(arm)
     speeds = ("qd_max", "elbow_speed", "tool_speed")
@@ -91,7 +91,7 @@ def simulate_policy(
     q, qd, stamp_ns = policy.q_start.copy(), np.zeros(arm.n), period_ns
 
     def rest() -> np.ndarray:
-        """Torque that answers one state of the arm at rest."""
+        """Step the controller with the arm at rest; returns the torque."""
         nonlocal stamp_ns
         tau = controller.step(stamp_ns, q, qd)
         stamp_ns += period_ns
@@ -103,11 +103,11 @@ def simulate_policy(
         controller.load(policy)
         controller.move_to_start()
     except ControllerError as error:
-        fault = Fault(FaultKind.COMPUTATION, str(error))
-        return Feasibility(fault, np.zeros(arm.n), 0.0, 0.0)
+        refusal = Fault(FaultKind.COMPUTATION, str(error))
+        return Feasibility(refusal, np.zeros(arm.n), 0.0, 0.0)
     while not controller.ready:
         rest()
-    sent = deque((rest() for _ in range(_STILL_TICKS)), maxlen=TORQUE_DELAY + 1)
+    sent = deque((rest() for _ in range(_REST_TICKS)), maxlen=TORQUE_DELAY + 1)
     controller.execute()
     qd_peak, elbow_peak, tool_peak = np.zeros(arm.n), 0.0, 0.0
     lowest, highest = q, q
@@ -117,7 +117,7 @@ def simulate_policy(
             break
         sent.append(tau)
         for _ in range(_SUBSTEPS):
-            friction = arm.friction * np.tanh(qd / _STICTION_SPEED) + arm.damping * qd
+            friction = arm.friction * np.tanh(qd / _FRICTION_SPEED) + arm.damping * qd
             qd = qd + dt * arm.forward_dynamics(q, qd, sent[0] - friction)
             q = q + dt * qd
         stamp_ns += period_ns
@@ -125,17 +125,15 @@ def simulate_policy(
         guarded, tool = arm.speeds(q, qd)
         np.maximum(qd_peak, np.abs(qd), out=qd_peak)
         elbow_peak, tool_peak = max(elbow_peak, *guarded), max(tool_peak, tool)
-    latched = controller.latched
-    if latched is None:
-        latched = _too_near(lowest, highest, limits)
-    return Feasibility(latched, qd_peak, elbow_peak, tool_peak)
+    fault = controller.latched or _margin_fault(lowest, highest, limits)
+    return Feasibility(fault, qd_peak, elbow_peak, tool_peak)
 
 
-def _too_near(lowest: np.ndarray, highest: np.ndarray, limits: Limits) -> Fault | None:
-    """Fault of the first joint that came nearer to a limit than it may [rad]; None without."""
-    room = np.minimum(lowest - limits.q_min, limits.q_max - highest)
-    if not (near := np.flatnonzero(room < POSITION_MARGIN)).size:
+def _margin_fault(lowest: np.ndarray, highest: np.ndarray, limits: Limits) -> Fault | None:
+    """Fault of the first joint that came too near to a position limit [rad], or None."""
+    margins = np.minimum(lowest - limits.q_min, limits.q_max - highest)
+    if not (near := np.flatnonzero(margins < POSITION_MARGIN)).size:
         return None
     i = int(near[0])
-    text = f"joint {i + 1} comes within {room[i]:.3f} rad of a limit; {POSITION_MARGIN} must remain"
-    return Fault(FaultKind.JOINT_POSITION, text)
+    text = f"joint {i + 1} comes within {margins[i]:.3f} rad of a limit; "
+    return Fault(FaultKind.JOINT_POSITION, f"{text}{POSITION_MARGIN} must remain")

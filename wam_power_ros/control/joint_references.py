@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint references: a move, a recorded movement, a brake; and these one after the other."""
+"""Joint references: a move, a recorded movement, braking to rest; and sequences of these."""
 
 import math
 from collections import deque
@@ -13,7 +13,7 @@ import scipy
 
 
 class JointTrajectory(Protocol):
-    """A recorded joint movement; `demonstration.Demonstration` is one."""
+    """A recorded joint movement, such as a `demonstration.Demonstration`."""
 
     t: np.ndarray  # (N,) [s], increasing
     q: np.ndarray  # (N, n) [rad]
@@ -32,19 +32,23 @@ class JointReference(Protocol):
         ...
 
 
+# A reference, or a function that makes one from the posture (n,) [rad] where it begins.
+Step = JointReference | Callable[[np.ndarray], JointReference]
+
+
 class MinJerk:
     """Minimum-jerk move along a straight line from one posture to another, from rest to rest.
 
     Args:
         q_from: Posture at the beginning [rad]. Shape (n,).
         q_to: Posture at the end [rad]. Shape (n,).
-        speed: Peak speed of the joint that goes farthest [rad/s].
+        speed: Peak speed of the joint with the largest displacement [rad/s].
     """
 
     def __init__(self, q_from: np.ndarray, q_to: np.ndarray, speed: float) -> None:
-        self._from, self._way = q_from, q_to - q_from
+        self._from, self._displacement = q_from, q_to - q_from
         self._to, self._zero = q_to.copy(), np.zeros(len(q_to))
-        self.duration = max(0.1, 1.875 * float(np.abs(self._way).max()) / speed)
+        self.duration = max(0.1, 1.875 * float(np.abs(self._displacement).max()) / speed)
 
     def at(self, t: float) -> State:
         """See `JointReference`."""
@@ -54,18 +58,19 @@ class MinJerk:
         x = s**3 * (10.0 + s * (-15.0 + 6.0 * s))
         v = s**2 * (30.0 + s * (-60.0 + 30.0 * s)) / self.duration
         a = s * (60.0 + s * (-180.0 + 120.0 * s)) / self.duration**2
-        return self._from + x * self._way, v * self._way, a * self._way
+        way = self._displacement
+        return self._from + x * way, v * way, a * way
 
 
 class Brake:
-    """Smooth deceleration to rest; a joint that hardly moves stays where it is.
+    """Smooth deceleration to rest; a joint slower than 0.05 rad/s keeps its position.
 
     Args:
         q: Posture at the beginning [rad]. Shape (n,).
         qd: Speed at the beginning [rad/s]. Shape (n,).
-        duration: Time until the arm rests [s].
-        q_min: Lower position limits; no joint brakes beyond [rad]. Shape (n,).
-        q_max: Upper position limits; no joint brakes beyond [rad]. Shape (n,).
+        duration: Braking time [s].
+        q_min: Lower position limits; no joint comes to rest below [rad]. Shape (n,).
+        q_max: Upper position limits; no joint comes to rest above [rad]. Shape (n,).
     """
 
     def __init__(
@@ -73,25 +78,25 @@ class Brake:
     ) -> None:
         self.duration = duration
         qd = np.where(np.abs(qd) < 0.05, 0.0, qd)
-        way = 0.5 * duration * qd  # of the blend below
-        way = np.clip(way, np.minimum(q_min - q, 0.0), np.maximum(q_max - q, 0.0))
-        self._q, self._qd = q, way / (0.5 * duration)
-        self._end, self._zero = q + way, np.zeros(len(q))
+        distance = 0.5 * duration * qd  # of the speed profile in `at`
+        distance = np.clip(distance, np.minimum(q_min - q, 0.0), np.maximum(q_max - q, 0.0))
+        self._q, self._qd = q, distance / (0.5 * duration)
+        self._end, self._zero = q + distance, np.zeros(len(q))
 
     def at(self, t: float) -> State:
         """See `JointReference`."""
         if t >= self.duration:
             return self._end, self._zero, self._zero
         s = max(t, 0.0) / self.duration
-        left = 1.0 - s**3 * (10.0 + s * (-15.0 + 6.0 * s))  # share of the speed
-        way = self.duration * (s - s**4 * (2.5 + s * (-3.0 + s)))  # its integral
-        change = -(s**2) * (30.0 + s * (-60.0 + 30.0 * s)) / self.duration
-        return self._q + way * self._qd, left * self._qd, change * self._qd
+        speed = 1.0 - s**3 * (10.0 + s * (-15.0 + 6.0 * s))  # relative to the initial speed
+        distance = self.duration * (s - s**4 * (2.5 + s * (-3.0 + s)))  # its integral
+        acceleration = -(s**2) * (30.0 + s * (-60.0 + 30.0 * s)) / self.duration
+        return self._q + distance * self._qd, speed * self._qd, acceleration * self._qd
 
 
 @dataclass(eq=False)
 class Sampled:
-    """Recorded movement, sampled on the control grid.
+    """Recorded movement, sampled at the control period.
 
     Attributes:
         q: Joint positions [rad]. Shape (rows, n).
@@ -114,16 +119,16 @@ class Sampled:
 
 
 def interpolated(t: npt.ArrayLike, q: npt.ArrayLike, speed: float, period: float) -> Sampled:
-    """Interpolate a recorded movement by a cubic spline and sample it on the control grid.
+    """Interpolate a recorded movement by a cubic spline and sample it at the control period.
 
     Args:
         t: Times, strictly increasing [s]. Shape (N,), N >= 4.
         q: Joint positions, smooth [rad]. Shape (N, n).
-        speed: 1 for as recorded.
+        speed: Speed relative to the recording.
         period: Sampling period of the control loop [s].
 
     Raises:
-        ValueError: A shape or value is not allowed; names it.
+        ValueError: A shape or value is not allowed; the message names it.
     """
     times, joints = np.array(t, dtype=float), np.array(q, dtype=float)
     if times.ndim != 1 or joints.ndim != 2 or not len(joints) == len(times) >= 4:
@@ -143,8 +148,8 @@ def interpolated(t: npt.ArrayLike, q: npt.ArrayLike, speed: float, period: float
     return Sampled(rows, speeds, accelerations, duration, period)
 
 
-class Course:
-    """Sequence of references, each from where the last one ends, and a brake after all.
+class ReferenceSequence:
+    """References followed one after the other, each from the end of the last, then a brake.
 
     Attributes:
         reference: Reference that is being followed; None until the first state after `begin`.
@@ -155,17 +160,13 @@ class Course:
 
     def __init__(self, brake: Callable[[np.ndarray, np.ndarray], Brake]) -> None:
         self._brake = brake
-        self._plan: deque[JointReference | Callable[[np.ndarray], JointReference]] = deque()
-        self._since_ns = 0
+        self._steps: deque[Step] = deque()
+        self._begin_ns = 0  # stamp at which the reference begins
         self.reference: JointReference | None = None
 
-    def begin(self, *steps: JointReference | Callable[[np.ndarray], JointReference]) -> None:
-        """Drop what is under way, and follow these from the next state on; without any, brake.
-
-        Args:
-            *steps: References, or functions that make one from the posture where it begins [rad].
-        """
-        self._plan = deque(steps)
+    def begin(self, *steps: Step) -> None:
+        """Replace the sequence from the next state on; without any step, brake."""
+        self._steps = deque(steps)
         self.reference = None
 
     @property
@@ -174,18 +175,18 @@ class Course:
         return isinstance(self.reference, Brake)
 
     def at(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> State:
-        """Reference for the state with this stamp; it begins, if it has not yet, at `q`, `qd`."""
+        """Reference at a stamp; the first call after `begin` starts it at `q`, `qd`."""
         reference = self.reference or self._next(stamp_ns, q, qd)
         while not isinstance(reference, Brake):
-            end_ns = self._since_ns + round(reference.duration * 1e9)
+            end_ns = self._begin_ns + round(reference.duration * 1e9)
             if stamp_ns < end_ns:
                 break
             q_end, qd_end, _ = reference.at(reference.duration)
             reference = self._next(end_ns, q_end, qd_end)
-        return reference.at((stamp_ns - self._since_ns) * 1e-9)
+        return reference.at((stamp_ns - self._begin_ns) * 1e-9)
 
     def _next(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray) -> JointReference:
-        self._since_ns = stamp_ns
-        step = self._plan.popleft() if self._plan else self._brake(q, qd)
+        self._begin_ns = stamp_ns
+        step = self._steps.popleft() if self._steps else self._brake(q, qd)
         self.reference = step(q) if callable(step) else step
         return self.reference

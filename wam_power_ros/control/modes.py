@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modes of the torque controller, the transitions between them, and refused requests."""
+"""Modes of the torque controller, their transitions, and refusals of requests."""
 
 import enum
 from collections.abc import Mapping
@@ -10,53 +10,53 @@ from wam_power_ros.learning.rollout import Fault
 class Mode(enum.Enum):
     """Mode of the controller."""
 
-    INACTIVE = "inactive"  # nothing is sent: the driver holds the arm by its own means
-    GRAVITY_COMPENSATION = "gravity_compensation"  # a person moves the arm: teaching
+    INACTIVE = "inactive"  # no torque is sent: the driver holds the arm
+    GRAVITY_COMPENSATION = "gravity_compensation"  # a person guides the arm: teaching
     HOLD = "hold"
     MOVE_TO_START = "move_to_start"
     ROLLOUT = "rollout"
     REPLAY = "replay"
-    FAULT = "fault"  # latched: brings the arm to rest and carries it until `reset`
+    FAULT = "fault"  # latched: the arm is braked and held against gravity until `reset`
 
 
-_ENDS = {Mode.INACTIVE, Mode.HOLD, Mode.FAULT}  # whatever is under way may end so
+_ABORTED = {Mode.INACTIVE, Mode.HOLD, Mode.FAULT}  # modes that any motion can be aborted to
 TRANSITIONS = {
     Mode.INACTIVE: {Mode.GRAVITY_COMPENSATION, Mode.HOLD},
-    Mode.GRAVITY_COMPENSATION: _ENDS | {Mode.MOVE_TO_START, Mode.REPLAY},
+    Mode.GRAVITY_COMPENSATION: _ABORTED | {Mode.MOVE_TO_START, Mode.REPLAY},
     Mode.HOLD: set(Mode) - {Mode.HOLD},
-    Mode.MOVE_TO_START: _ENDS,
-    Mode.ROLLOUT: _ENDS,
-    Mode.REPLAY: _ENDS,
+    Mode.MOVE_TO_START: _ABORTED,
+    Mode.ROLLOUT: _ABORTED,
+    Mode.REPLAY: _ABORTED,
     Mode.FAULT: {Mode.HOLD},  # by `reset` only
 }
-REFERENCED = (Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY)  # modes that follow a joint reference
-PASSIVE = (Mode.INACTIVE, Mode.FAULT)  # modes in which nothing can go wrong any more
-MOVING = (Mode.MOVE_TO_START, Mode.ROLLOUT, Mode.REPLAY)  # modes in which the arm moves by itself
-HELD = (Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT)  # modes of `hold_to_run`
-BOXED = (Mode.ROLLOUT, Mode.REPLAY)  # modes in which the tool must stay in the workspace
+REFERENCE_MODES = (Mode.HOLD, Mode.MOVE_TO_START, Mode.REPLAY)  # follow a joint reference
+PASSIVE_MODES = (Mode.INACTIVE, Mode.FAULT)  # no motion to abort, no motion limits
+MOVING_MODES = (Mode.MOVE_TO_START, Mode.ROLLOUT, Mode.REPLAY)  # the arm moves by itself
+SWITCH_MODES = (Mode.GRAVITY_COMPENSATION, Mode.REPLAY, Mode.ROLLOUT)  # need the enabling switch
+WORKSPACE_MODES = (Mode.ROLLOUT, Mode.REPLAY)  # the tool must stay in the workspace box
 
 
 class Refusal(str, enum.Enum):
-    """Why a request to the controller was refused; machines decide by this, people read the text.
+    """Reason code of a refused request: programs decide by it, the text is for people.
 
     The values are those of `ros.answers.Code`.
     """
 
     FAULT = "fault"  # a fault is latched: reset first
-    BUSY = "busy"  # not from this mode, or the arm moves
-    NOTHING = "nothing"  # no policy, or no joint state, has come yet
+    BUSY = "busy"  # not possible in this mode, or the arm moves
+    NOTHING = "nothing"  # there is no policy, no joint state, or no fault to reset
     NOT_AT_START = "not_at_start"  # value `policy`: the arm is not at the start of this policy
     SWITCH = "switch"  # the enabling switch is not held
-    TOO_FAST = "too_fast"  # value `speed`: at which the replay would be possible
-    REFUSED = "refused"  # anything else, which only a person can mend
+    TOO_FAST = "too_fast"  # value `speed`: largest speed at which the replay is possible
+    REFUSED = "refused"  # any other reason, which a person must resolve
 
 
 class ControllerError(RuntimeError):
-    """A request that was refused; nothing has changed.
+    """A refused request; the controller is unchanged.
 
     Attributes:
-        refusal: Why.
-        values: What belongs to it, by name; see `Refusal`.
+        refusal: Reason code.
+        values: Additional values by name, see `Refusal`.
     """
 
     def __init__(
@@ -70,18 +70,18 @@ def check_transition(mode: Mode, target: Mode, fault: Fault | None, reset: bool 
     """Refuse a transition that is not allowed.
 
     Args:
-        mode: Present mode.
-        target: Mode that is asked for.
-        fault: Fault that is latched, None without.
+        mode: Current mode.
+        target: Requested mode.
+        fault: Latched fault, None without one.
         reset: Whether this is the reset of a fault.
 
     Raises:
-        ControllerError: A fault is latched, or there is no way from one mode to the other.
+        ControllerError: A fault is latched, or `TRANSITIONS` does not list the transition.
     """
     if mode is Mode.FAULT and not reset:
         text = f"{target.value} refused: fault ({fault.text if fault else ''}); reset first"
         raise ControllerError(Refusal.FAULT, text)
     if target not in TRANSITIONS[mode]:
         possible = sorted(other.value for other in TRANSITIONS[mode])
-        text = f"{target.value} is not possible from {mode.value}; from there: {possible}"
+        text = f"{target.value} is not possible from {mode.value}; possible are {possible}"
         raise ControllerError(Refusal.BUSY, text)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A policy on the arm: the rollout under way, and the path so far."""
+"""Execution of a policy on the arm: one rollout and its end-effector path."""
 
 import math
 from collections.abc import Callable
@@ -17,18 +17,18 @@ from wam_power_ros.learning.rollout import EndEffectorPath
 
 Law = Callable[[Motion, Dynamics, np.ndarray], np.ndarray]
 PATH_PERIOD = 0.01  # [s] between two samples of the end-effector path
-# A rotation vector's spring pulls about the wrong axis the more, the longer the vector: at 2.4 rad
-# the orientation becomes unstable.
-TURN_MAX = 2.0  # [rad]
+# The longer the rotation vector, the more its spring pulls about a wrong axis: at 2.4 rad the
+# orientation becomes unstable.
+ROTATION_ERROR_MAX = 2.0  # [rad]
 
 
 class Execution:
-    """One rollout; it begins with the first state it is given.
+    """One rollout; it begins with the first state.
 
     Attributes:
         id: Id of the policy.
-        start_ns: Stamp of the first state, None before it [ns].
-        complete: Whether it has run to its end, not into the obstacle.
+        start_ns: Stamp of the first state [ns], None before it.
+        complete: Whether the movement has run to its end and did not meet the obstacle.
 
     Args:
         prepared: Policy to execute.
@@ -45,12 +45,12 @@ class Execution:
         self._reference = rotations.matrix(prepared.orientation_reference).T
         *self._obstacle, self._obstacle_radius = settings.obstacle
         self._period_ns = round(settings.period * 1e9)
-        # Ticks: the last one, from one sample of the path to the next, of the next sample.
-        self._end = round((prepared.duration + settings.settle_time) / settings.period)
-        self._every = max(1, round(PATH_PERIOD / settings.period))
-        self._next_sample = 0
+        self._last_tick = round((prepared.duration + settings.settle_time) / settings.period)
+        self._sample_ticks = max(1, round(PATH_PERIOD / settings.period))
+        self._next_sample = 0  # tick
         self._count = 0  # samples of the path so far
-        size = self._end // self._every + 3  # the first, the last, and one in the obstacle
+        # Three more: the first sample, the last, and one in the obstacle.
+        size = self._last_tick // self._sample_ticks + 3
         self._t = np.empty(size)
         self._position, self._quat_xyzw = np.empty((size, 3)), np.empty((size, 4))
 
@@ -59,7 +59,7 @@ class Execution:
     ) -> np.ndarray | None:
         """Joint torques for one state, None when the rollout is over.
 
-        Eq. 1 in closed loop on the measured state, and the orientation that belongs to it.
+        Evaluates Eq. 1 and the orientation law in closed loop on the measured state.
 
         Args:
             stamp_ns: Stamp of the state [ns].
@@ -71,12 +71,12 @@ class Execution:
             [N m]. Shape (n,).
 
         Raises:
-            TrackingLost: The tool is turned too far from its reference.
+            TrackingLost: The tool's orientation is too far from its reference.
         """
         if self.start_ns is None:
             self.start_ns = stamp_ns
         k = (stamp_ns - self.start_ns + self._period_ns // 2) // self._period_ns
-        if k > self._end:
+        if k > self._last_tick:
             self.complete = True
             return None
         if self._obstacle_radius and (
@@ -87,26 +87,27 @@ class Execution:
         if k >= self._next_sample:
             self._sample(k, motion)
         vector = rotations.log(motion.rotation.dot(self._reference)).tolist()
-        if math.hypot(*vector) > TURN_MAX:
-            raise TrackingLost(f"the tool is turned by more than {TURN_MAX} rad from the reference")
+        if (angle := math.hypot(*vector)) > ROTATION_ERROR_MAX:
+            text = f"the tool is rotated by {angle:.2f} rad from its reference"
+            raise TrackingLost(f"{text}, limit {ROTATION_ERROR_MAX}")
         twist = motion.twist.tolist()
-        wanted = dmp.acceleration(self._tables, k, motion.position, vector, twist)
-        return self._law(motion, self._arm.dynamics(q, qd), wanted)
+        acceleration = dmp.acceleration(self._tables, k, motion.position, vector, twist)
+        return self._law(motion, self._arm.dynamics(q, qd), acceleration)
 
     def path(self, q: np.ndarray, qd: np.ndarray) -> EndEffectorPath:
-        """The path so far; of a rollout that was ended before its first state, where the arm is."""
+        """Path so far; one sample at this state when the rollout ended before its first state."""
         if not self._count:
             self._sample(0, self._arm.motion(q, qd))
         n = self._count
         return EndEffectorPath(self.id, self._t[:n], self._position[:n], self._quat_xyzw[:n])
 
     def _sample(self, k: int, motion: Motion) -> None:
-        """Add the pose of the tool at a tick to the path, unless it has one of this tick."""
-        row, t = self._count, k * self._period_ns * 1e-9  # the float that a stamp comes back as
+        """Add the tool's pose at a tick to the path, unless the path has one at this tick."""
+        row, t = self._count, k * self._period_ns * 1e-9  # the same float as from a stamp in [ns]
         if row and t <= self._t[row - 1]:
             return
         self._t[row] = t
         self._position[row] = motion.position
         self._quat_xyzw[row] = rotations.quat_xyzw(motion.rotation)
         self._count += 1
-        self._next_sample = (k // self._every + 1) * self._every
+        self._next_sample = (k // self._sample_ticks + 1) * self._sample_ticks

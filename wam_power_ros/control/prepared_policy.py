@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes a policy fit an arm, and the tables that its rollouts need.
+"""Check a policy against the arm, and compute the tables that its rollouts need.
 
-Without Pinocchio and SciPy, so that the process that prepares policies starts in half the time.
+Imports neither Pinocchio nor SciPy, so that the process that prepares policies starts in half the
+time.
 """
 
 import hashlib
@@ -19,15 +20,15 @@ from wam_power_ros.learning.policy import Policy, to_json, with_id
 
 @dataclass(frozen=True, eq=False)
 class PreparedPolicy:
-    """A policy that fits the arm, with all tables computed: all that a rollout needs of it.
+    """A policy that was checked for the arm, with the tables that a rollout needs.
 
     Attributes:
         id: Id of the policy.
         duration: Duration of the movement [s].
-        q_start: Joint angles at its start [rad]. Shape (n,).
+        q_start: Joint angles at the start [rad]. Shape (n,).
         orientation_reference: R_ref as a unit quaternion xyzw. Shape (4,).
-        tables: Tables of Eq. 1 on the grid of the control loop.
-        content: Digest of the policy, the same whatever its id; empty without `hold_to_run`.
+        tables: Tables of Eq. 1, sampled at the control period.
+        content: Digest of the policy without its id; empty without `hold_to_run`.
     """
 
     id: str
@@ -51,20 +52,21 @@ def prepare(policy: Policy, n: int, limits: Limits, settings: ControllerSettings
         ControllerError: The policy does not fit the arm.
     """
     start, name = policy.q_start, f"policy {policy.id}"
-    stiffest = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
-    stiffest, most = max(stiffest, policy.rotation_stiffness), settings.stiffness_max
+    stiffness = max(float(np.linalg.norm(k, 2)) for k in policy.stiffness)
+    stiffness = max(stiffness, policy.rotation_stiffness)
+    damping = max(policy.damping, policy.rotation_damping)
     text = ""
     if start.shape != (n,):
         text = f"{name} is for {start.size} joints, the arm has {n}"
     elif np.any(start < limits.q_min) or np.any(start > limits.q_max):
         allowed = f"{limits.q_min.tolist()} to {limits.q_max.tolist()}"
         text = f"q_start {start.round(3).tolist()} of {name} is outside the limits {allowed}"
-    elif stiffest > most:
-        text = f"stiffness {stiffest:.0f} of {name} is above the limit {most:.0f} 1/s^2"
-    elif (damping := max(policy.damping, policy.rotation_damping)) > settings.damping_max:
-        text = f"damping {damping:.0f} of {name} is above the limit {settings.damping_max:.0f} 1/s"
-    elif why := refusal(policy.arm, settings.arm):
-        text = f"{name} {why}"
+    elif stiffness > (limit := settings.stiffness_max):
+        text = f"stiffness {stiffness:.0f} of {name} is above the limit {limit:.0f} 1/s^2"
+    elif damping > (limit := settings.damping_max):
+        text = f"damping {damping:.0f} of {name} is above the limit {limit:.0f} 1/s"
+    elif reason := refusal(policy.arm, settings.arm):
+        text = f"{name} {reason}"
     if text:
         raise ControllerError(Refusal.REFUSED, text)
     content = ""

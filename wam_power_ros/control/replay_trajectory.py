@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay of a recorded joint movement: the trajectory to follow, and whether the arm can."""
+"""Replay of a recorded joint movement: smoothing, sampling, and checks against the arm's limits."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.safety import Limits
 from wam_power_ros.learning.demonstration import smooth_joints
 
-EASE = 0.3  # [s] in which a replay reaches its speed, and ends
-SPEED_MIN, SPEED_MAX = 0.01, 5.0  # relative to the recording
-KNOT_PERIOD = 0.01  # [s] between two postures of a replay
+EASE_TIME = 0.3  # [s] in which a replay accelerates to its speed, and decelerates at the end
+SPEED_MIN, SPEED_MAX = 0.01, 5.0  # bounds of the speed relative to the recording
+KNOT_PERIOD = 0.01  # [s] sampling period of a replay
 
 
 def movement(
     stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray, speed: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth a recording and ease it in and out: a movement from rest to rest.
+    """Smooth a recording, and accelerate and decelerate it smoothly, from rest to rest.
 
     Args:
         stamps_ns: Header stamps [ns], strictly increasing. Shape (M,).
-        q: Joint angles as recorded [rad]. Shape (M, n).
-        speed: 1 for as recorded.
+        q: Recorded joint angles [rad]. Shape (M, n).
+        speed: Speed relative to the recording.
 
     Returns:
         Times from 0 [s], shape (N,), and joint angles [rad], shape (N, n).
@@ -39,32 +39,33 @@ def movement(
     if not SPEED_MIN <= speed <= SPEED_MAX:
         raise ValueError(f"speed {speed} of a replay must be from {SPEED_MIN:g} to {SPEED_MAX:g}")
     t, smooth = smooth_joints(stamps_ns, q)
-    whole = float(t[-1]) / speed
-    ease = min(EASE, whole)
-    times = np.linspace(0.0, whole + ease, math.ceil((whole + ease) / KNOT_PERIOD) + 1)
+    duration = float(t[-1]) / speed
+    ease = min(EASE_TIME, duration)
+    times = np.linspace(0.0, duration + ease, math.ceil((duration + ease) / KNOT_PERIOD) + 1)
 
-    def eased(since: np.ndarray) -> np.ndarray:
-        """Integral of a speed that rises smoothly from 0 to 1 within `ease`, and stays."""
-        x = np.clip(since / ease, 0.0, 1.0)
-        return ease * (x**3 - 0.5 * x**4) + np.maximum(since - ease, 0.0)
+    def eased(elapsed: np.ndarray) -> np.ndarray:
+        """Integral of a speed that rises smoothly from 0 to 1 within `ease`, then stays 1."""
+        x = np.clip(elapsed / ease, 0.0, 1.0)
+        return ease * (x**3 - 0.5 * x**4) + np.maximum(elapsed - ease, 0.0)
 
-    half = 0.5 * (whole + ease)
-    done = np.where(times < half, eased(times), whole - eased(whole + ease - times))
-    return times, scipy.interpolate.CubicSpline(t, smooth)(np.clip(done * speed, 0.0, t[-1]))
+    half = 0.5 * (duration + ease)
+    played = np.where(times < half, eased(times), duration - eased(duration + ease - times))
+    return times, scipy.interpolate.CubicSpline(t, smooth)(np.clip(played * speed, 0.0, t[-1]))
 
 
 def sampled(trajectory: JointTrajectory, speed: float, period: float, limits: Limits) -> Sampled:
-    """A joint movement on the control grid, checked against the limits of the arm.
+    """Sample a joint movement at the control period, and check it against the limits of the arm.
 
     Args:
         trajectory: `t` [s] increasing, shape (N,), and `q` [rad], shape (N, n); smooth, because its
             second derivative is used.
-        speed: 1 for as recorded, 0.5 for half of that.
+        speed: Speed relative to the recording.
         period: Sampling period of the joint states [s].
         limits: Limits of the arm.
 
     Raises:
-        ControllerError: It is no movement of this arm, leaves the joint limits, or is too fast.
+        ControllerError: The movement is not valid, has another number of joints, leaves the joint
+            limits, or is too fast.
     """
     try:
         movement = interpolated(trajectory.t, trajectory.q, speed, period)
@@ -79,6 +80,6 @@ def sampled(trajectory: JointTrajectory, speed: float, period: float, limits: Li
         raise ControllerError(Refusal.REFUSED, text)
     share = float(np.max(np.abs(movement.qd) / limits.qd_max))
     if share > 1.0:
-        text = f"replay refused: {share:.2f} times a joint-speed limit"
+        text = f"replay refused: the movement reaches {share:.2f} times a joint-speed limit"
         raise ControllerError(Refusal.TOO_FAST, text, {"speed": f"{speed / share:.3f}"})
     return movement

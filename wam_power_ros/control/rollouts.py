@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The policy that is loaded, and the rollouts of it."""
+"""The loaded policy and its rollouts."""
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from wam_power_ros.learning.rollout import EndEffectorPath
 
 
 class Rollouts:
-    """At most one policy, and at most one rollout of it under way.
+    """Holds at most one policy, and at most one rollout of it that is under way.
 
     Attributes:
-        policy: Policy that is loaded, None before the first.
-        start_ns: Stamp of the first state of the last rollout that ended, None before [ns].
+        policy: Loaded policy, None before the first.
+        start_ns: Stamp of the first state of the last finished rollout [ns], None before it.
 
     Args:
         arm: Model of the arm.
@@ -28,28 +28,28 @@ class Rollouts:
         self.policy: PreparedPolicy | None = None
         self.start_ns: int | None = None
         self._arm, self._settings = arm, settings
-        self._tried: set[str] = set()  # contents of policies that have run to their end once
-        self._present: Execution | None = None
+        self._completed: set[str] = set()  # contents of policies that have run to their end
+        self._execution: Execution | None = None
         self._finished: EndEffectorPath | None = None
 
     @property
-    def present(self) -> str | None:
+    def active_id(self) -> str | None:
         """Id of the policy whose rollout is under way, None without one."""
-        return None if self._present is None else self._present.id
+        return None if self._execution is None else self._execution.id
 
     @property
-    def tried(self) -> bool:
+    def completed_before(self) -> bool:
         """Whether a rollout of the loaded policy has run to its end before."""
-        return self.policy is not None and self.policy.content in self._tried
+        return self.policy is not None and self.policy.content in self._completed
 
     def loaded(self, request: str) -> PreparedPolicy:
-        """The policy that is loaded.
+        """Return the loaded policy.
 
         Args:
-            request: Name of the request that needs it, for the error.
+            request: Name of the request that needs it, for the error message.
 
         Raises:
-            ControllerError: None is.
+            ControllerError: No policy is loaded.
         """
         if self.policy is None:
             raise ControllerError(Refusal.NOTHING, f"{request} refused: no policy is loaded")
@@ -64,45 +64,45 @@ class Rollouts:
         Raises:
             ControllerError: No policy is loaded, or the arm is not at its start.
         """
-        policy = self.loaded("rollout")
+        policy, tolerance = self.loaded("rollout"), self._settings.start_tolerance
         error = np.abs(q - policy.q_start)
         worst = int(np.argmax(error))
-        if error[worst] > self._settings.start_tolerance:
-            off = f"{self._arm.joint_names[worst]} is {error[worst]:.3f} rad from the start"
-            text = f"rollout refused: {off} of policy {policy.id}"
+        if error[worst] > tolerance:
+            joint = f"{self._arm.joint_names[worst]} is {error[worst]:.3f} rad from the start"
+            text = f"rollout refused: {joint} of policy {policy.id}, tolerance {tolerance:g}"
             raise ControllerError(Refusal.NOT_AT_START, text, {"policy": policy.id})
 
     def begin(self) -> None:
-        """Begin a rollout of the loaded policy with the next state; forget the last one's path."""
+        """Begin a rollout of the loaded policy with the next state; drop the last path."""
         self._finished = self.start_ns = None
-        self._present = Execution(self.loaded("rollout"), self._arm, self._settings)
+        self._execution = Execution(self.loaded("rollout"), self._arm, self._settings)
 
     def torque(self, state: JointState, motion: Motion) -> np.ndarray | None:
         """Joint torques for one state, None when the rollout is over [N m]. Shape (n,).
 
         Raises:
-            TrackingLost: The tool is turned too far from its reference.
+            TrackingLost: The tool's orientation is too far from its reference.
         """
-        rollout = self._present
-        if rollout is None:
+        execution = self._execution
+        if execution is None:
             raise RuntimeError("no rollout is under way")
-        tau = rollout.torque(state.stamp_ns, state.q, state.qd, motion)
-        if tau is None and rollout.complete and self.policy is not None:
-            self._tried.add(self.policy.content)
+        tau = execution.torque(state.stamp_ns, state.q, state.qd, motion)
+        if tau is None and execution.complete and self.policy is not None:
+            self._completed.add(self.policy.content)
         return tau
 
     def end(self, last: JointState | None) -> None:
-        """Finish the path of the rollout under way, complete or not; nothing without one.
+        """Keep the path of the rollout under way, complete or not; no effect without one.
 
         Args:
             last: Last joint state, None before the first.
         """
-        rollout, self._present = self._present, None
-        if rollout is not None and last is not None:
-            self._finished = rollout.path(last.q, last.qd)
-            self.start_ns = rollout.start_ns
+        execution, self._execution = self._execution, None
+        if execution is not None and last is not None:
+            self._finished = execution.path(last.q, last.qd)
+            self.start_ns = execution.start_ns
 
     def take_path(self) -> EndEffectorPath | None:
-        """Return the path of the rollout that has ended, once; shorter when it was cut short."""
+        """Return the path of the last finished or aborted rollout, once; then None."""
         path, self._finished = self._finished, None
         return path

@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Limits on torque and motion, and the torques of the arm when something fails.
+"""Limits on torque and motion, and the fallback torque when something fails.
 
 None of this is a safety function: the pendant and the robot's own safety board are. All functions
 are pure and give the same bits for the same arguments.
 
-Two fallbacks: with fresh states, `live_fallback` g(q) - d M(q) qd brings the arm to rest and
-carries it; with states lost, `Arm.gravity` of the last posture carries it without a velocity term,
-because an old velocity would feed energy in.
+The fallback `damped_gravity`, g(q) - d M(q) qd, brings the arm to rest and carries it. While joint
+states are missing it uses the state that the model predicts: an old velocity would feed energy in.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from wam_power_ros.control.arm import Arm, Motion, Speeds
-from wam_power_ros.control.modes import BOXED, MOVING, PASSIVE, Mode
+from wam_power_ros.control.modes import MOVING_MODES, PASSIVE_MODES, WORKSPACE_MODES, Mode
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
 # Shapes that are not (n,)
@@ -25,16 +24,16 @@ _SHAPES = {name: () for name in ("elbow_speed", "tool_speed", "teaching_tool_spe
     "workspace_max": (3,),
     "plane": (4,),
 }
-_SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")
+_SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")  # may be negative
 SPRING_RANGE = 0.1  # [rad] width of the soft springs inside the position limits
-FAULT_STATES = 3  # states in a row beyond a motion limit that make a fault
-REST_SPEED = 0.05  # [m/s] slower than this the arm is at rest
-REST_SPIN = 4.0 * REST_SPEED  # [rad/s] the same for the rotation of the tool
-FAULT_DAMPING = 20.0  # [1/s] decay of all joint motion in a fault
-# Decay of all joint motion while teaching, at TEACHING_SPEED. It grows with the square of the
-# speed, so it is not felt at low speed and takes about 10 N at 2.5 m/s.
+FAULT_STATES = 3  # consecutive states beyond a motion limit that are a fault
+REST_SPEED = 0.05  # [m/s] largest speed of an arm at rest
+REST_SPIN = 4.0 * REST_SPEED  # [rad/s] largest angular velocity of its tool
+FAULT_DAMPING = 20.0  # [1/s] decay rate of all joint motion in a fault
+# Decay rate of all joint motion while teaching, at TEACHING_SPEED. It grows with the square of the
+# speed, so that a person does not feel it at low speed and needs about 10 N at 2.5 m/s.
 TEACHING_DAMPING = 1.0  # [1/s]
-TEACHING_SPEED = 2.5  # [m/s]
+TEACHING_SPEED = 2.5  # [m/s] of the tool
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,26 +42,27 @@ class Limits:
 
     Attributes:
         torque: Largest torque [N m]. Shape (n,).
-        torque_rate: Largest change of a torque per second [N m/s]; 2000 by default. A limit that
-            acts in a movement makes its torques late, and the arm swings up: at 500 a hold that
-            a person pushes with 40 N until it faults, at 1000 (libfranka's, of smaller motors)
-            joint 2 in a fast toss. Shape (n,).
+        torque_rate: Largest torque rate [N m/s]; 2000 by default. A rate limit that is reached in a
+            movement delays the torques, and the arm oscillates with growing amplitude: at 500 in a
+            hold that a person pushes with 40 N, until a fault; at 1000 (libfranka's limit, for
+            smaller motors) joint 2 in a fast toss. Shape (n,).
         q_min: Lower position limits [rad]. Shape (n,).
         q_max: Upper position limits [rad]. Shape (n,).
         qd_max: Largest joint speed [rad/s]. Shape (n,).
-        spring_torque: Torque of a spring at the limit [N m]. Shape (n,).
+        spring_torque: Torque of the soft spring at a position limit [N m]. Shape (n,).
         elbow_speed: Largest speed of the arm's guarded points [m/s]. The WAM's safety board trips
             at 1.0 m/s as delivered; a toss needs up to 2.0, and the board set accordingly.
         tool_speed: Largest tool speed in all modes but teaching [m/s]; a toss needs about 2.5.
-        teaching_tool_speed: Largest tool speed while a person guides the arm [m/s]. A toss taught
-            by hand needs as much as a toss; lower it to 0.5 to teach slow movements only.
-        workspace_min: Corner of the box the tool must stay in during rollout and replay [m].
-        workspace_max: Opposite corner [m].
-        plane: Normal and distance [m] of a plane (a table, a wall) behind which neither tool nor
-            guarded points may come while the arm moves by itself: n . x >= d. Shape (4,).
+        teaching_tool_speed: Largest tool speed while a person guides the arm [m/s]. Teaching a toss
+            needs as much as a toss; 0.5 is enough to teach slow movements only.
+        workspace_min: Lower corner of the box that the tool must stay in during rollout and replay
+            [m]. Shape (3,).
+        workspace_max: Upper corner [m]. Shape (3,).
+        plane: Normal n and distance d [m] of a keep-out plane (a table, a wall): tool and guarded
+            points must keep n . x >= d while the arm moves by itself. Shape (4,).
 
     Raises:
-        ValueError: A value is out of range; names it and the rule.
+        ValueError: A value is out of range; the message names it and the rule.
     """
 
     torque: np.ndarray
@@ -77,10 +77,10 @@ class Limits:
     workspace_min: np.ndarray = field(default_factory=lambda: np.array([-1.5, -1.5, -0.5]))
     workspace_max: np.ndarray = field(default_factory=lambda: np.array([1.5, 1.5, 2.0]))
     plane: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0, -0.5]))
-    # The same as plain floats, a row a joint or axis: several times faster to compare with.
+    # The same values as plain floats, one row per joint or axis: several times faster to compare.
     _torques: list[list[float]] = field(init=False, repr=False)
     _motions: list[list[float]] = field(init=False, repr=False)
-    _springless: list[list[float]] = field(init=False, repr=False)
+    _spring_free: list[list[float]] = field(init=False, repr=False)
     _box: list[list[float]] = field(init=False, repr=False)
     _plane: list[float] = field(init=False, repr=False)
 
@@ -97,16 +97,16 @@ class Limits:
             if shape:
                 array.setflags(write=False)
                 object.__setattr__(self, name, array)
-        for least, most in (("q_min", "q_max"), ("workspace_min", "workspace_max")):
-            if not np.all(getattr(self, least) < getattr(self, most)):
-                raise ValueError(f"limit {least} = {getattr(self, least)} must be below {most}")
+        for lower, upper in (("q_min", "q_max"), ("workspace_min", "workspace_max")):
+            if not np.all(getattr(self, lower) < getattr(self, upper)):
+                raise ValueError(f"limit {lower} = {getattr(self, lower)} must be below {upper}")
         if abs(float(np.linalg.norm(self.plane[:3])) - 1.0) > 1e-6:
             raise ValueError(f"limit plane = {self.plane} must begin with a unit normal")
         low, high = self.q_min, self.q_max
         for name, columns in (
             ("_torques", (self.torque, self.torque_rate)),
             ("_motions", (low, high, self.qd_max)),
-            ("_springless", (low + SPRING_RANGE, high - SPRING_RANGE)),
+            ("_spring_free", (low + SPRING_RANGE, high - SPRING_RANGE)),
             ("_box", (self.workspace_min, self.workspace_max)),
         ):
             object.__setattr__(self, name, np.stack(columns, axis=1).tolist())
@@ -118,14 +118,14 @@ def _names() -> list[str]:
 
 
 def limits_of(arm: Arm, **overrides: object) -> Limits:
-    """The limits of an arm: those of its URDF, and defaults for the rest.
+    """Limits of an arm: from its URDF, with defaults for the rest.
 
     Args:
         arm: Arm with torque, position and speed limits.
         **overrides: Fields of `Limits`.
 
     Raises:
-        ValueError: A field that does not exist, or a value out of range.
+        ValueError: A field does not exist, or a value is out of range.
     """
     known = _names()
     if unknown := sorted(set(overrides) - set(known)):
@@ -142,23 +142,23 @@ def limits_of(arm: Arm, **overrides: object) -> Limits:
 
 
 def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limits) -> np.ndarray:
-    """The torque nearest to the wanted one that keeps the limits of size and of change per second.
+    """Clip a torque to the limits of magnitude and rate.
 
     When `tau` is within both limits, the result is `tau` itself.
 
     Args:
-        tau: Wanted torque, finite [N m]. Shape (n,).
-        previous: Torque sent last, within the limit of size [N m]. Shape (n,).
-        dt: Time since the last one was sent [s].
+        tau: Requested torque, finite [N m]. Shape (n,).
+        previous: Last torque sent, within the torque limits [N m]. Shape (n,).
+        dt: Time since the last torque was sent [s].
         limits: Limits of the arm.
 
     Returns:
         [N m]. Shape (n,).
     """
     rows = zip(tau.tolist(), previous.tolist(), limits._torques, strict=True)
-    for wanted, last, (peak, rate) in rows:
+    for requested, last, (peak, rate) in rows:
         change = rate * dt
-        if not (last - change <= wanted <= last + change and -peak <= wanted <= peak):
+        if not (last - change <= requested <= last + change and -peak <= requested <= peak):
             break
     else:
         return tau
@@ -169,10 +169,10 @@ def limit_torque(tau: np.ndarray, previous: np.ndarray, dt: float, limits: Limit
 
 
 def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
-    """Torque of the soft springs that keep joints off their limits; None when none acts.
+    """Torque of the soft springs that keep joints off their limits, None when none acts.
 
-    A spring rises linearly from zero at `SPRING_RANGE` inside the limit to `spring_torque` at the
-    limit, and on beyond it up to twice that.
+    It rises linearly from zero at `SPRING_RANGE` inside a limit to `spring_torque` at the limit and
+    to twice that at `SPRING_RANGE` beyond it, where it saturates.
 
     Args:
         q: Joint positions [rad]. Shape (n,).
@@ -181,7 +181,7 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     Returns:
         [N m]. Shape (n,).
     """
-    rows = zip(q.tolist(), limits._springless, strict=True)
+    rows = zip(q.tolist(), limits._spring_free, strict=True)
     if all(low <= x <= high for x, (low, high) in rows):
         return None
     below = limits.q_min + SPRING_RANGE - q
@@ -191,16 +191,16 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     return share * limits.spring_torque
 
 
-def live_fallback(
+def damped_gravity(
     gravity: np.ndarray, mass: np.ndarray, qd: np.ndarray, damping: float
 ) -> np.ndarray:
-    """g(q) - d M(q) qd: every joint motion decays at the same rate, whatever its inertia.
+    """g(q) - d M(q) qd: gravity compensation in which all joint motion decays at the rate d.
 
     Args:
         gravity: g(q) [N m]. Shape (n,).
         mass: M(q) [kg m^2]. Shape (n, n).
         qd: Joint speeds [rad/s]. Shape (n,).
-        damping: d [1/s]; times the delay of the loop it must stay well below pi / 2.
+        damping: d [1/s]; its product with the delay of the loop must stay well below pi / 2.
 
     Returns:
         [N m]. Shape (n,).
@@ -209,12 +209,12 @@ def live_fallback(
 
 
 def teaching_damping(speed: float) -> float:
-    """Damping [1/s] that is not felt at low speed and grows with the square of the tool's [m/s]."""
+    """Damping while teaching [1/s]; it grows with the square of the tool speed [m/s]."""
     return TEACHING_DAMPING * (speed / TEACHING_SPEED) ** 2
 
 
-def unrest(motion: Motion) -> str:
-    """Why the arm is not at rest; empty when it is."""
+def rest_violation(motion: Motion) -> str:
+    """Reason why the arm is not at rest; empty when it is."""
     speed = max(*motion.guarded_speeds, motion.tool_speed, 0.0)
     if speed > REST_SPEED:
         return f"the arm moves at {speed:.3f} m/s, limit {REST_SPEED}"
@@ -224,33 +224,33 @@ def unrest(motion: Motion) -> str:
     return ""
 
 
-def exceeded(
+def motion_fault(
     q: list[float],
     qd: list[float],
     motion: Motion | Speeds,
     guarded: Sequence[str],
     limits: Limits,
     tool_speed: float,
-    boxed: bool,
+    workspace: bool,
 ) -> Fault | None:
-    """First motion limit that a state exceeds, or None.
+    """Fault of the first motion limit that a state exceeds, or None.
 
-    Beyond a position limit only moving further out counts, so that an arm parked at its stop can
-    be moved away from it.
+    Beyond a position limit only motion further outwards is a fault, so that an arm parked at its
+    stop can be moved away from it.
 
     Args:
-        q: Joint positions [rad], n of them.
-        qd: Joint speeds [rad/s], n of them.
+        q: Joint positions [rad], n numbers.
+        qd: Joint speeds [rad/s], n numbers.
         motion: Kinematics of the state.
         guarded: Names of the arm's guarded points.
         limits: Limits of the arm.
         tool_speed: Limit of the tool speed in this mode [m/s].
-        boxed: Whether the workspace box applies.
+        workspace: Whether the workspace box applies.
     """
     rows = zip(q, qd, limits._motions, strict=True)
-    for i, (x, speed, (low, high, fastest)) in enumerate(rows, start=1):
-        if not -fastest <= speed <= fastest:
-            text = f"joint {i} at {speed:.2f} rad/s, limit {fastest:.2f}"
+    for i, (x, speed, (low, high, speed_max)) in enumerate(rows, start=1):
+        if not -speed_max <= speed <= speed_max:
+            text = f"joint {i} at {speed:.2f} rad/s, limit {speed_max:.2f}"
             return Fault(FaultKind.JOINT_SPEED, text)
         if (x > high and speed > 0.05) or (x < low and speed < -0.05):
             text = f"joint {i} at {x:.3f} rad, limits {low:.3f} to {high:.3f}"
@@ -262,25 +262,25 @@ def exceeded(
         if speed > limits.elbow_speed:
             text = f"{name} at {speed:.2f} m/s, limit {limits.elbow_speed:.2f}"
             return Fault(FaultKind.GUARDED_SPEED, text)
-    if boxed and isinstance(motion, Motion):
-        for axis, x, (a, b) in zip("xyz", motion.position.tolist(), limits._box, strict=True):
-            if not a <= x <= b:
-                text = f"tool at {axis} = {x:.3f} m, workspace {a:.3f} to {b:.3f}"
+    if workspace and isinstance(motion, Motion):
+        for axis, x, (low, high) in zip("xyz", motion.position.tolist(), limits._box, strict=True):
+            if not low <= x <= high:
+                text = f"tool at {axis} = {x:.3f} m, workspace {low:.3f} to {high:.3f}"
                 return Fault(FaultKind.WORKSPACE, text)
     return None
 
 
-def behind_plane(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault | None:
-    """First point that is behind the limits' plane, or None.
+def plane_fault(points: Mapping[str, Sequence[float]], limits: Limits) -> Fault | None:
+    """Fault of the first point behind the keep-out plane, or None.
 
     Args:
         points: Positions in the base frame by name [m], three numbers each.
         limits: Limits of the arm.
     """
-    nx, ny, nz, least = limits._plane
+    nx, ny, nz, distance = limits._plane
     for name, (x, y, z) in points.items():
-        if not nx * x + ny * y + nz * z >= least:
-            depth = least - nx * x - ny * y - nz * z
+        if not nx * x + ny * y + nz * z >= distance:
+            depth = distance - nx * x - ny * y - nz * z
             text = f"{name} is {depth:.3f} m behind the plane {limits._plane}"
             return Fault(FaultKind.PLANE, text)
     return None
@@ -296,33 +296,34 @@ class MotionCheck:
 
     def __init__(self, limits: Limits, guarded: Sequence[str]) -> None:
         self._limits, self._guarded = limits, guarded
-        self._in_row = 0  # states beyond a limit
+        self._in_row = 0  # consecutive states beyond a limit
 
     def begin(self) -> None:
-        """Count anew: the mode has changed."""
+        """Restart the count, for another mode."""
         self._in_row = 0
 
     def fault(
         self, mode: Mode, q: np.ndarray, qd: np.ndarray, motion: Motion | Speeds
     ) -> Fault | None:
-        """Fault of a limit that has been exceeded in enough states in a row, or None.
+        """Fault of a limit that `FAULT_STATES` consecutive states exceed, or None.
 
         Args:
-            mode: Present mode; it decides which limits apply.
+            mode: Current mode; it decides which limits apply.
             q: Joint positions [rad]. Shape (n,).
             qd: Joint speeds [rad/s]. Shape (n,).
-            motion: Kinematics of the state; the speeds are enough unless the arm moves by itself.
+            motion: Kinematics of the state; the speeds suffice unless the arm moves by itself.
         """
-        if mode in PASSIVE:
+        if mode in PASSIVE_MODES:
             return None
         limits, guarded = self._limits, self._guarded
         teaching = mode is Mode.GRAVITY_COMPENSATION
         tool_speed = limits.teaching_tool_speed if teaching else limits.tool_speed
-        boxed = mode in BOXED
-        found = exceeded(q.tolist(), qd.tolist(), motion, guarded, limits, tool_speed, boxed)
-        if found is None and mode in MOVING and isinstance(motion, Motion):
+        workspace = mode in WORKSPACE_MODES
+        joints = q.tolist(), qd.tolist()
+        fault = motion_fault(*joints, motion, guarded, limits, tool_speed, workspace)
+        if fault is None and mode in MOVING_MODES and isinstance(motion, Motion):
             points = dict(zip(guarded, motion.guarded_positions, strict=True))
             points["tool"] = motion.position.tolist()
-            found = behind_plane(points, limits)
-        self._in_row = 0 if found is None else self._in_row + 1
-        return found if self._in_row >= FAULT_STATES else None
+            fault = plane_fault(points, limits)
+        self._in_row = 0 if fault is None else self._in_row + 1
+        return fault if self._in_row >= FAULT_STATES else None

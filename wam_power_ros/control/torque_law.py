@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a wanted acceleration of the tool to joint torques (the paper's Section II-B).
+"""Torque laws: joint torques for a commanded acceleration of the tool (the paper's Section II-B).
 
     tau = rnea(q, qd, 0) + J^T F
 
-The wrench F is either Lambda (acc_cmd - Jdot qd), with the tool's own apparent inertia Lambda
-("operational_space"), or the paper's letter: a virtual mass and a virtual inertia times the
-acceleration ("virtual_mass"). Joint motion that does not move the tool (the null space) is left
-free, so a person may push the elbow aside.
+The wrench F is either Lambda (acc_cmd - Jdot qd), with the tool's apparent inertia Lambda
+("operational_space"), or, as in the paper, a virtual mass and a virtual inertia times the
+acceleration ("virtual_mass"). Null-space motion is not controlled, so a person can push the elbow
+aside.
 """
 
 import numpy as np
@@ -14,23 +14,24 @@ from scipy.linalg.lapack import dposv
 
 from wam_power_ros.control.arm import Dynamics, Motion
 
-# Added to J M^-1 J^T: 0.01 1/kg bounds the apparent mass where the arm cannot move, at stretched
-# elbow for instance; without 0.5 1/(kg m^2) the law runs away at the wrist singularity (J6 = 0 of
-# the WAM).
+# Added to J M^-1 J^T: 0.01 1/kg bounds the apparent mass in directions in which the arm cannot
+# move, such as with a stretched elbow; without 0.5 1/(kg m^2) the law is unstable at the wrist
+# singularity (J6 = 0 of the WAM).
 DAMPING = np.diag(np.repeat((0.01, 0.5), 3))  # (6, 6)
 VIRTUAL_INERTIA = np.repeat((1.0, 0.01), 3)  # (6,) mass [kg], moment of inertia [kg m^2]
 
 
 def operational_space(motion: Motion, dynamics: Dynamics, acceleration: np.ndarray) -> np.ndarray:
-    """Joint torques by the tool's apparent inertia, damped by `DAMPING`.
+    """Joint torques by the tool's apparent inertia, regularized by `DAMPING`.
 
     Args:
         motion: Kinematics of the state.
         dynamics: Dynamics of the same state.
-        acceleration: Linear [m/s^2] and angular [rad/s^2], in the base frame. Shape (6,).
+        acceleration: Commanded linear [m/s^2] and angular [rad/s^2] acceleration in the base frame.
+            Shape (6,).
 
     Returns:
-        [N m]. Shape (n,).
+        Joint torques [N m]. Shape (n,).
 
     Raises:
         numpy.linalg.LinAlgError: The apparent inertia is not positive definite.
@@ -38,12 +39,12 @@ def operational_space(motion: Motion, dynamics: Dynamics, acceleration: np.ndarr
     jacobian = dynamics.jacobian
     apparent = jacobian.dot(dynamics.inverse_mass).dot(jacobian.T)
     apparent += DAMPING
-    _, wrench, info = dposv(apparent, acceleration - motion.drift)  # Cholesky, without wrapping
+    _, wrench, info = dposv(apparent, acceleration - motion.drift)  # Cholesky, without SciPy's cost
     if info:
         raise np.linalg.LinAlgError("the arm is singular")
     return dynamics.bias + wrench.dot(jacobian)
 
 
 def virtual_mass(_: Motion, dynamics: Dynamics, acceleration: np.ndarray) -> np.ndarray:
-    """Joint torques by a virtual mass, arguments as `operational_space` [N m]. Shape (n,)."""
+    """Joint torques [N m] by a virtual mass; arguments as for `operational_space`. Shape (n,)."""
     return dynamics.bias + (VIRTUAL_INERTIA * acceleration).dot(dynamics.jacobian)

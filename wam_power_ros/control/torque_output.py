@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The torque that is sent: within the limits of size and of change, and remembered."""
+"""Torque output: clips the torque to the limits of magnitude and rate, and keeps the last one."""
 
 from collections import Counter
 
@@ -10,16 +10,16 @@ from wam_power_ros.control.arm import Arm
 
 
 class TorqueOutput:
-    """What a driver is sent for the torque that the motors are to give.
+    """Converts motor torques to torques sent to the driver, within the limits.
 
     Attributes:
-        sent: Last torque that was sent, read-only [N m]. Shape (n,).
+        sent: Last torque sent, read-only [N m]. Shape (n,).
 
     Args:
         arm: Model of the arm.
         limits: Limits of the arm.
-        driver_compensates_gravity: The driver adds g(q) itself; it is left out of what is sent.
-        counters: Counts torques `limited`.
+        driver_compensates_gravity: Whether the driver adds g(q), which is then not sent.
+        counters: Counter of torques `limited`, updated in place.
     """
 
     def __init__(
@@ -31,21 +31,22 @@ class TorqueOutput:
     ) -> None:
         self.sent = np.zeros(arm.n)
         self._arm, self._limits, self._counters = arm, limits, counters
-        self._compensated = driver_compensates_gravity
+        self._driver_adds_gravity = driver_compensates_gravity
 
-    def acting(self, q: np.ndarray) -> np.ndarray:
-        """Torque that the motors give at a posture (n,) [rad]: the last one that was sent [N m]."""
-        return self.sent + self._arm.gravity(q) if self._compensated else self.sent
+    def motor_torque(self, q: np.ndarray) -> np.ndarray:
+        """Motor torque that results from the last torque sent, at a posture (n,) [rad]. [N m]."""
+        return self.sent + self._arm.gravity(q) if self._driver_adds_gravity else self.sent
 
     def send(self, tau: np.ndarray, q: np.ndarray, dt: float | None) -> np.ndarray:
-        """What is sent for a torque of the motors, within the limits of size and of change [N m].
+        """Return the torque to send for a motor torque, within the limits [N m]. Shape (n,).
 
         Args:
-            tau: Torque of the motors [N m]. Shape (n,).
+            tau: Motor torque [N m]. Shape (n,).
             q: Joint positions [rad]. Shape (n,).
-            dt: Time since the last one was sent, None while nothing is: then nothing jumps [s].
+            dt: Time since the last torque was sent [s]; None while no torques are sent, so that no
+                rate limit applies.
         """
-        if self._compensated:  # what the motors give is limited
+        if self._driver_adds_gravity:  # the limits of the motors hold for the sum
             tau = self._bounded(tau) - self._arm.gravity(q)
         if dt is None:
             sent = self._bounded(tau)

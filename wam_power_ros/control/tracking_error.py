@@ -1,24 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well the arm follows a replayed movement."""
+"""Tracking error of a replayed movement."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
-TOOL_EVERY = 5  # states from one comparison of tool positions to the next
+from wam_power_ros.control.arm import Arm
 
-
-class ToolPose(Protocol):
-    """The part of an arm model that is needed here."""
-
-    n: int
-
-    def tool_pose(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position [m] (3,) and rotation matrix (3, 3) of the tool frame in the base frame."""
+TOOL_STRIDE = 5  # states from one comparison of tool positions to the next
 
 
 class TrackingLost(RuntimeError):
@@ -26,7 +18,7 @@ class TrackingLost(RuntimeError):
 
 
 class TrackingError:
-    """Statistics of the error between reference and measured posture, state by state.
+    """Running statistics of the error between reference and measured posture.
 
     Attributes:
         count: Number of states so far.
@@ -36,23 +28,24 @@ class TrackingError:
         arm: Model of the arm, for its forward kinematics.
     """
 
-    def __init__(self, arm: ToolPose) -> None:
+    def __init__(self, arm: Arm) -> None:
         self._arm = arm
         self.count = 0
         self.largest = np.zeros(arm.n)
         self._squares = np.zeros(arm.n)
-        self._compared = 0  # positions of the tool, as the movement goes: at its end there is
-        self._tool_squares, self._tool_largest = 0.0, 0.0  # no time for all of them
+        # Tool positions are compared during the movement: at its end it would take too long.
+        self._tool_count = 0
+        self._tool_squares, self._tool_largest = 0.0, 0.0
 
     def add(self, q_ref: np.ndarray, q: np.ndarray) -> None:
         """Add one state: reference and measured posture [rad]. Shapes (n,)."""
         error = q_ref - q
         self._squares += error * error
         np.maximum(self.largest, np.abs(error), out=self.largest)
-        if self.count % TOOL_EVERY == 0:
-            apart = self._arm.tool_pose(q_ref)[0] - self._arm.tool_pose(q)[0]
-            distance = math.hypot(*apart.tolist())
-            self._compared += 1
+        if self.count % TOOL_STRIDE == 0:
+            tool_error = self._arm.tool_pose(q_ref)[0] - self._arm.tool_pose(q)[0]
+            distance = math.hypot(*tool_error.tolist())
+            self._tool_count += 1
             self._tool_squares += distance * distance
             self._tool_largest = max(self._tool_largest, distance)
         self.count += 1
@@ -64,7 +57,7 @@ class TrackingError:
 
     def tool(self) -> tuple[float, float]:
         """Root mean square and largest distance of the tool from its reference [m]."""
-        return math.sqrt(self._tool_squares / max(self._compared, 1)), self._tool_largest
+        return math.sqrt(self._tool_squares / max(self._tool_count, 1)), self._tool_largest
 
     def text(self, joint_names: Sequence[str]) -> str:
         """Summary in a few lines."""
@@ -74,7 +67,7 @@ class TrackingError:
             f"tool: rms {tool_rms * 1e3:.1f} mm, at most {tool_largest * 1e3:.1f} mm",
         ]
         lines += [
-            f"{name}: rms {of_rms:.4f} rad, at most {largest:.4f} rad"
-            for name, of_rms, largest in zip(joint_names, rms, self.largest, strict=True)
+            f"{name}: rms {joint_rms:.4f} rad, at most {largest:.4f} rad"
+            for name, joint_rms, largest in zip(joint_names, rms, self.largest, strict=True)
         ]
         return "\n".join(lines)

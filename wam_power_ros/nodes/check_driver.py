@@ -194,7 +194,9 @@ class CheckDriver(Node):
         params = self._arm_params
         ends = self._publisher_ends(params.state_topic)
         record, names = arm_checks.collect(self.states, params.joint_names)
-        received = topic_checks.heard("states", params.state_topic, len(self.states), seconds, ends)
+        received = topic_checks.reception(
+            "states", params.state_topic, len(self.states), seconds, ends
+        )
         if not len(record.q):
             return [received, names] if self.states else [received], record
         if params.velocity_topic:
@@ -226,7 +228,7 @@ class CheckDriver(Node):
         wanted = self._arm_params.idle_service and self.resolve_service_name(
             self._arm_params.idle_service
         )
-        return topic_checks.offered("idle service", "std_srvs/srv/Trigger", services, wanted)
+        return topic_checks.service("idle service", "std_srvs/srv/Trigger", services, wanted)
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
         params, settings = self._mocap, self._mocap.settings()
@@ -234,7 +236,7 @@ class CheckDriver(Node):
         ends = self._publisher_ends(topic)
         kind = "sensor_msgs/msg/PointCloud2" if params.markers_topic else POSE_TYPE
         samples = self.clouds or self.frames
-        heard = topic_checks.heard("mocap", topic, len(samples), seconds, ends)
+        heard = topic_checks.reception("mocap", topic, len(samples), seconds, ends)
         if not samples:
             return [heard]
         received, stamp_ns = (np.array([sample[i] for sample in samples]) for i in (0, 1))
@@ -251,10 +253,10 @@ class CheckDriver(Node):
         ]
         frames = self.frames
         if params.markers_topic:
-            frames, layout = mocap_checks.poses(self.clouds)
+            frames, layout = mocap_checks.marker_poses(self.clouds)
             found.append(layout)
-        found += mocap_checks.usable(frames, settings, self._unread)
-        return [*found, mocap_checks.place(frames, settings, pan)]
+        found += mocap_checks.frame_quality(frames, settings, self._unread)
+        return [*found, mocap_checks.body_position(frames, settings, pan)]
 
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
         """Test of the watchdog, if a person agrees."""
@@ -290,11 +292,11 @@ class CheckDriver(Node):
 
         self._answer = answer
         try:
-            self.spin(DISCOVERY_TIMEOUT, lambda: check.over)
+            self.spin(DISCOVERY_TIMEOUT, lambda: check.finished)
         finally:
             self._answer = None
-            if not check.over:
-                publisher.publish(write(record.stamp_ns[-1], "check", check.carrier))
+            if not check.finished:
+                publisher.publish(write(record.stamp_ns[-1], "check", check.carrying_torque))
             self.spin(0.1)
             self.destroy_publisher(publisher)
         return check.row
@@ -320,8 +322,8 @@ class CheckDriver(Node):
     def _fallen(self) -> Row:
         frames = self.frames
         if self._mocap.markers_topic:
-            frames, _ = mocap_checks.poses(self.clouds)
-        return mocap_checks.fall(frames, self._mocap.settings())
+            frames, _ = mocap_checks.marker_poses(self.clouds)
+        return mocap_checks.fall_direction(frames, self._mocap.settings())
 
     def _by_hand(self, arm: Arm, record: ArmRecord) -> list[Row]:
         """Rows about each joint moved by a person."""
@@ -336,12 +338,12 @@ class CheckDriver(Node):
         rows: list[Row] = []
         q = record.q[-1]
         for joint, name in enumerate(record.joint_names):
-            direction = arm_checks.heading(arm, q, joint)
+            direction = arm_checks.tool_direction(arm, q, joint)
             self.states.clear()
             if self.ask(f"{name}: lead it alone until {direction}, then Enter (s: skip) ") == "s":
                 continue
             self.spin(DISCOVERY_TIMEOUT, lambda: len(led().q) > 0)  # Enter may come before any
-            rows.append(arm_checks.led(led(), joint))
+            rows.append(arm_checks.hand_movement(led(), joint))
             if not len(led().q):
                 break
             q = led().q[-1]
@@ -399,7 +401,7 @@ def main() -> int:
         mocap = PancakeTrackerParams.of_values("pancake_tracker", setup["pancake_tracker"])
         with number_by_process():
             node = CheckDriver(arm, mocap, console)
-        rows = topic_checks.accepted(node.check(options.seconds, options.active), options.accept)
+        rows = topic_checks.accept(node.check(options.seconds, options.active), options.accept)
     except (ValueError, OSError) as error:
         errors.print(f"cannot check: {error}", markup=False)
         return 2

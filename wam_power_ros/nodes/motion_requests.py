@@ -152,7 +152,7 @@ class MotionRequests:
         def start(core: Controller) -> None:
             if isinstance(movement, ControllerError):
                 raise movement
-            core.start_sampled(movement)
+            core.start_replay(movement)
 
         answer = attempt(self._active(), start)
         return None if answer.success else answer

@@ -30,7 +30,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.joint_references import Sampled
-from wam_power_ros.control.modes import MOVING, ControllerError, Mode
+from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.learning.rollout import Fault, FaultKind
@@ -391,7 +391,7 @@ class TorqueController(LifecycleNode):
         if self._active:
             self._requests.answer(self._controller)
         self._report.log_changes(self._condition())
-        if self._controller is None or self._controller.mode not in MOVING:
+        if self._controller is None or self._controller.mode not in MOVING_MODES:
             self._preparation.tend()
 
     def _publish_report(self) -> None:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files to parameters: set-ups laid over each other, checked parameter classes."""
+"""YAML files to parameters: set-ups that override each other, and checked parameter classes."""

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS parameters -> one frozen object; values live in YAML only, so a missing key stops the node.
+"""ROS parameters -> one frozen object; values are in YAML only, so a missing key stops the node.
 
 A node subclasses `Params` with typed fields and no defaults, is constructed with
-`automatically_declare_parameters_from_overrides=True`, and reads once: `MyParams.of(self)`. Every
-number has a lower and an upper bound; the field's description says what they come from.
+`automatically_declare_parameters_from_overrides=True`, and reads its parameters once:
+`MyParams.of(self)`. Every number has a lower and an upper bound; the field's description gives the
+reasons.
 """
 
 from __future__ import annotations
@@ -18,20 +19,20 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from wam_power_ros.params import parameter_file
 from wam_power_ros.params.resources import share
 
-if TYPE_CHECKING:  # the same parameters are read without ROS by what runs in one process
+if TYPE_CHECKING:  # in-process simulations read the same parameters without ROS
     from pydantic_core import ErrorDetails
     from rclpy.node import Node
 
 P = TypeVar("P", bound="Params")
-Names = Annotated[tuple[str, ...], Field(max_length=64, description="a list of names, for people")]
-SHOWN_MAX = 80  # characters of a refused value in its message
-OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+Names = Annotated[tuple[str, ...], Field(max_length=64, description="a readable list of names")]
+SHOWN_LENGTH_MAX = 80  # characters of a refused value in its message
+ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
 
 
 class Params(BaseModel):
-    """Parameters of a node: strictly typed, finite, frozen; lists come as tuples."""
+    """Parameters of a node: strictly typed, finite and frozen; lists become tuples."""
 
-    file: ClassVar[str] = ""  # in config/, whose comments describe the parameters
+    file: ClassVar[str] = ""  # file in config/ whose comments describe the parameters
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, str_max_length=10_000
@@ -39,11 +40,12 @@ class Params(BaseModel):
 
     @classmethod
     def of(cls: type[P], node: Node) -> P:
-        """Read the parameters of `node`, which refuses later changes to them.
+        """Read the parameters of `node` and make them read-only.
 
         Raises:
-            ValueError: When keys are missing, unknown, of a wrong type or out of range; names them.
-                When a file of `--params-file` is malformed: ROS itself lets a key be there twice.
+            ValueError: Keys are missing, unknown, of a wrong type or out of range; the message
+                names them. Or a file of `--params-file` is malformed: ROS itself accepts a key
+                that is given twice.
         """
         for file in parameter_file.given(sys.argv):
             parameter_file.read(file)
@@ -53,7 +55,7 @@ class Params(BaseModel):
             if isinstance(parameter.value, (bool, int, float, str))
             else tuple(parameter.value or ())
             for name, parameter in given
-            if not name.startswith(OF_ROS)
+            if not name.startswith(ROS_PARAMETERS)
         }
         params = cls._checked(node.get_name(), values)
         cls._describe(node)
@@ -61,7 +63,7 @@ class Params(BaseModel):
 
     @classmethod
     def _describe(cls, node: Node) -> None:
-        """Give every parameter its description and range, and refuse changes from now on."""
+        """Set the description and range of every parameter, and make it read-only."""
         from rcl_interfaces.msg import ParameterDescriptor
 
         comments = parameter_file.comments(share(f"config/{cls.file}")) if cls.file else {}
@@ -71,14 +73,14 @@ class Params(BaseModel):
             descriptor = ParameterDescriptor(
                 type=given.type_.value,
                 description=". ".join(filter(None, sentences)),
-                additional_constraints="read at start: change the YAML and start the node again",
+                additional_constraints="read at start: change the YAML and restart the node",
                 read_only=True,
                 **_range(field.metadata, given.value),
             )
             node.set_descriptor(name, descriptor)
         clock = ParameterDescriptor(
             type=node.get_parameter("use_sim_time").type_.value,
-            description="Lockstep: time comes from /clock, and the watchdogs of states are off",
+            description="Lockstep: time comes from /clock, and the watchdogs for states are off",
             read_only=True,
         )
         node.set_descriptor("use_sim_time", clock)
@@ -90,62 +92,61 @@ class Params(BaseModel):
         Args:
             path: File of the node.
             node: Name of the node.
-            over: Files that override it, later ones first; one may have nothing for this node.
+            over: Files that override it, in order: the last one wins; a file may have no parameters
+                for this node.
 
         Raises:
-            ValueError: As for `of`, and when the node's own file has nothing for it.
+            ValueError: As for `of`, or the node's own file has no parameters for it.
         """
         values: dict[str, object] = {}
         for file in (path, *over):
             nodes = parameter_file.of_nodes(file)
-            if file != path and node not in nodes:
-                continue
-            if node not in nodes:
+            if file == path and node not in nodes:
                 raise ValueError(f"{file} has no parameters for {node}")
-            values |= {
-                name: tuple(value) if isinstance(value, list) else value
-                for name, value in nodes[node].items()
-                if not name.startswith(OF_ROS)
-            }
-        return cls._checked(f"{node} in {path}", values)
+            values |= nodes.get(node, {})
+        return cls.of_values(f"{node} in {path}", values)
 
     @classmethod
-    def of_values(cls: type[P], whose: str, values: Mapping[str, object]) -> P:
-        """Check values read from YAML, for a node called `whose`; those of ROS itself are ignored.
+    def of_values(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
+        """Check values read from YAML for a node; parameters that ROS itself defines are ignored.
+
+        Args:
+            owner: Name of the node, for messages.
+            values: Values by name of the parameter.
 
         Raises:
             ValueError: As for `of`.
         """
-        own = {name: value for name, value in values.items() if not name.startswith(OF_ROS)}
+        own = {name: value for name, value in values.items() if not name.startswith(ROS_PARAMETERS)}
         lists = {name: tuple(value) for name, value in own.items() if isinstance(value, list)}
-        return cls._checked(whose, own | lists)
+        return cls._checked(owner, own | lists)
 
     @classmethod
-    def _checked(cls: type[P], whose: str, values: Mapping[str, object]) -> P:
+    def _checked(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
         try:
             return cls(**values)
         except ValidationError as error:
-            faults = "; ".join(cls._fault(fault) for fault in error.errors())
-            raise ValueError(f"parameters of {whose} refused: {faults}") from None
+            details = "; ".join(cls._message(detail) for detail in error.errors())
+            raise ValueError(f"parameters of {owner} refused: {details}") from None
 
     @classmethod
-    def _fault(cls, fault: ErrorDetails) -> str:
-        """Key, value and rule that it breaks, in one line."""
-        key = ".".join(map(str, fault["loc"])) or "all"
-        if fault["type"] == "missing":
+    def _message(cls, error: ErrorDetails) -> str:
+        """Key, value and violated rule, in one line."""
+        key = ".".join(map(str, error["loc"]))
+        if error["type"] == "missing":
             return f"{key} is missing"
-        rule = fault["msg"].removeprefix("Value error, ")
-        if key == "all":
+        rule = error["msg"].removeprefix("Value error, ")
+        if not key:
             return rule
-        shown = repr(fault["input"])
-        shown = shown if len(shown) <= SHOWN_MAX else f"{shown[:SHOWN_MAX]}..."
-        field = cls.model_fields.get(str(fault["loc"][0]))
+        shown = repr(error["input"])
+        shown = shown if len(shown) <= SHOWN_LENGTH_MAX else f"{shown[:SHOWN_LENGTH_MAX]}..."
+        field = cls.model_fields.get(str(error["loc"][0]))
         reason = f" ({field.description})" if field is not None and field.description else ""
         return f"{key} = {shown}: {rule}{reason}"
 
 
 def _range(rules: Sequence[object], value: object) -> dict[str, list[Any]]:
-    """Range of a number by its rules, as a descriptor has it; nothing for other values."""
+    """Range of a number from its rules, as a field of a descriptor; empty for other values."""
     from rcl_interfaces.msg import FloatingPointRange, IntegerRange
 
     bounds = {

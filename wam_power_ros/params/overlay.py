@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Set-ups: parameters of every node from its own file and the files that override it.
 
-A set-up file gives each parameter once: those of the arm's driver to `torque_controller`, those of
-the motion capture to `pancake_tracker`. The parameters of other nodes, and of stand-ins that
-replace these devices, are derived from them here, unless a file gives them explicitly.
+A set-up file gives each parameter once: parameters of the arm's driver to `torque_controller`, of
+motion capture to `pancake_tracker`. The matching parameters of other nodes, and of stand-ins that
+replace these devices, are derived here unless a file gives them explicitly.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NODES = (
     "optitrack_sim",
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
-MOVE_SPEED = 1.0  # [rad/s] of a simulated arm in lockstep, on its way to a start
+MOVE_SPEED = 1.0  # [rad/s] of a simulated arm in lockstep, when it moves to a start
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 
@@ -41,10 +41,10 @@ def known() -> list[str]:
 
 
 def find(name: str) -> Path:
-    """File of a set-up: config/NAME.yaml, or the path of one.
+    """Return the file of a set-up: config/NAME.yaml, or the path itself.
 
     Raises:
-        ValueError: When there is none; lists those in config/.
+        ValueError: There is no such file; the message lists the set-ups in config/.
     """
     given = Path(name).expanduser()
     if given.suffix == ".yaml" and given.is_file():
@@ -55,18 +55,18 @@ def find(name: str) -> Path:
 
 
 def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") -> Setup:
-    """Parameters of every node under some set-ups.
+    """Compute the parameters of every node from set-ups.
 
     Args:
-        names: Set-ups over the nodes' own files, see `find`; later ones override earlier ones.
-        simulated: Whether stand-ins of the same shape replace the devices of these set-ups, in
-            real time. Without any set-up the stand-ins are as their own files describe them.
-        task: Set-up of the task that is learnt, which lies under the others: the path of a file, or
-            the name of the task, where config/TASK.yaml counts if it is there.
+        names: Set-ups that override the nodes' own files, see `find`; the last one wins.
+        simulated: Whether stand-ins with the same interfaces replace the devices of these set-ups,
+            in real time. Without any set-up the stand-ins are as their own files describe them.
+        task: Set-up of the learnt task, which the others override: the path of a file, or the name
+            of the task, for config/TASK.yaml if that exists.
 
     Raises:
-        ValueError: When a file cannot be found or read, names an unknown node or parameter, or
-            gives one another kind of value than the node's own file does.
+        ValueError: A file cannot be found or read, names an unknown node or parameter, or gives a
+            value of another kind than the node's own file.
     """
     own = {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
     given: Setup = {node: {} for node in NODES}
@@ -78,39 +78,40 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             given[node] |= values
     chosen = {node: own[node] | given[node] for node in NODES}
     _name_body(chosen["pancake_tracker"], given["pancake_tracker"])
-    follows = _follows(chosen["torque_controller"], chosen["pancake_tracker"])
+    derived = _derived(chosen["torque_controller"], chosen["pancake_tracker"])
     if files:
-        follows["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
+        derived["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
     if names or simulated:
-        follows |= _shape(chosen["torque_controller"], chosen["pancake_tracker"])
-    follows.setdefault("wam_sim", {})["obstacle"] = chosen["torque_controller"]["obstacle"]
-    seen = {name: chosen["pancake_tracker"][name] for name in ("body", "pose_topic")}
-    follows["optitrack_sim"] = seen | follows.get("optitrack_sim", {})
-    whole = {node: own[node] | follows.get(node, {}) | given[node] for node in NODES}
-    if simulated or not names:  # the stand-in does what a person does in the lab
-        whole["torque_controller"] |= {
+        derived |= _stand_ins(chosen["torque_controller"], chosen["pancake_tracker"])
+    derived.setdefault("wam_sim", {})["obstacle"] = chosen["torque_controller"]["obstacle"]
+    tracked = {name: chosen["pancake_tracker"][name] for name in ("body", "pose_topic")}
+    derived["optitrack_sim"] = tracked | derived.get("optitrack_sim", {})
+    parameters = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
+    if simulated or not names:  # the stand-ins do what a person does in the lab
+        parameters["torque_controller"] |= {
             "simulation": True,
             "hold_to_run": False,
             "allow_no_realtime": True,
         }
-        whole["learner"] |= {"scene_reset": True, "reset_faults": True}
-        whole["demonstration_recorder"]["source"] = "sim"
-        if whole["wam_sim"]["pace"] == "lockstep":  # publishes the time, and waits for every node
+        parameters["learner"] |= {"scene_reset": True, "reset_faults": True}
+        parameters["demonstration_recorder"]["source"] = "sim"
+        if parameters["wam_sim"]["pace"] == "lockstep":  # wam_sim publishes the time for all nodes
             for node in set(NODES) - set(STAND_INS):
-                whole[node]["use_sim_time"] = True
-            # Nobody stands beside it: two thirds of a session would pass on the way to a start.
-            # And it runs as fast as it can: with real-time priority nothing else would run.
+                parameters[node]["use_sim_time"] = True
+            # Nobody stands beside a simulated arm: at the usual speed, moves to the start would
+            # take two thirds of a session. Lockstep never waits for the clock, so that a node with
+            # real-time priority would leave no time to the others.
             in_lockstep = {"move_speed": MOVE_SPEED, "realtime_priority": 0}
-            whole["torque_controller"] |= in_lockstep | given["torque_controller"]
-    return whole
+            parameters["torque_controller"] |= in_lockstep | given["torque_controller"]
+    return parameters
 
 
 def text(setup: Setup, namespace: str = "") -> str:
-    """A set-up as the text of a parameter file for every node.
+    """Write a set-up as the text of one parameter file for all nodes.
 
     Args:
         setup: Parameters by node.
-        namespace: Namespace of the nodes, such as `/left`; empty for whatever they are in.
+        namespace: Namespace of the nodes, such as `/left`; empty to match any namespace.
     """
     above = namespace or "/**"
     nodes = {f"{above}/{node}": {"ros__parameters": values} for node, values in setup.items()}
@@ -118,10 +119,10 @@ def text(setup: Setup, namespace: str = "") -> str:
 
 
 class _Plain(yaml.SafeDumper):
-    """YAML as ROS reads it: without references, strings quoted, for it reads a bare y as true."""
+    """YAML for ROS: without references, and with quoted strings, because ROS reads y as true."""
 
     def ignore_aliases(self, data: object) -> bool:
-        """Write a repeated list again."""
+        """Write a repeated list in full."""
         return True
 
 
@@ -130,11 +131,11 @@ _Plain.add_representer(list, lambda to, items: to.represent_sequence(_SEQ, items
 
 
 def _read(file: Path) -> Setup:
-    """Parameters by node of one file."""
+    """Read the parameters by node from one file."""
     found = parameter_file.of_nodes(file)
-    for values in found.values():  # a URDF may be in the folder of the set-up file
-        if values.get("urdf") and (beside := file.parent / str(values["urdf"])).is_file():
-            values["urdf"] = str(beside.resolve())
+    for values in found.values():  # the URDF path may be relative to the set-up file
+        if values.get("urdf") and (urdf := file.parent / str(values["urdf"])).is_file():
+            values["urdf"] = str(urdf.resolve())
     return found
 
 
@@ -146,27 +147,27 @@ def _check(file: Path, node: str, values: Mapping[str, Any], own: Setup) -> None
             near = difflib.get_close_matches(str(name), own[node], n=1)
             hint = f"; is it {near[0]}?" if near else f"; it has {sorted(own[node])}"
             raise ValueError(f"{file}: {node} has no parameter {name!r}{hint}")
-        if not _alike(value, usual := own[node][name]):
-            shown = reprlib.repr(value)  # may be a file of it
-            raise ValueError(f"{file}: {name} of {node} is {shown}; allowed is {_kind(usual)}")
+        if not _same_kind(value, default := own[node][name]):
+            shown = reprlib.repr(value)  # the value may be a whole file
+            raise ValueError(f"{file}: {name} of {node} is {shown}; allowed is {_kind(default)}")
 
 
-def _alike(value: object, usual: object) -> bool:
-    """Whether a value is of the kind of another; a whole number may stand for any number."""
-    if isinstance(usual, list):
-        return isinstance(value, list) and all(_alike(item, usual[0]) for item in value)
-    return type(value) is type(usual) or (type(value) is int and type(usual) is float)
+def _same_kind(value: object, default: object) -> bool:
+    """Whether a value has the type of the default; an int may replace a float."""
+    if isinstance(default, list):
+        return isinstance(value, list) and all(_same_kind(item, default[0]) for item in value)
+    return type(value) is type(default) or (type(value) is int and type(default) is float)
 
 
-def _kind(usual: object) -> str:
-    """What values like this one are, for people."""
-    if isinstance(usual, list):
-        return f"a list, each {_kind(usual[0])}"
-    return _KINDS[type(usual)]
+def _kind(default: object) -> str:
+    """Name of the kind of values that the default has, for messages."""
+    if isinstance(default, list):
+        return f"a list, each {_kind(default[0])}"
+    return _KINDS[type(default)]
 
 
 def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
-    """Fill the body's name into the topic of its poses, or clear the topics without a body."""
+    """Insert the body's name into its pose topic, or clear the topics without a body; in place."""
     if not mocap["body"]:
         given |= {"pose_topic": "", "markers_topic": ""}
     elif "pose_topic" in given:
@@ -176,8 +177,10 @@ def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
     mocap |= given
 
 
-def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
-    """Parameters of other nodes that follow from the driver and the motion capture."""
+def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
+    """Derive parameters of other nodes from the driver's and the motion capture's."""
+    names = ("joint_names", "model_joint_names", "urdf", "tool_frame")
+    model = {name: arm[name] for name in names}
     return {
         "torque_controller": {
             "simulation": False,
@@ -185,8 +188,8 @@ def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
             "allow_no_realtime": False,
         },
         "demonstration_recorder": {
-            **{name: arm[name] for name in ("state_topic", "joint_names")},
-            **{name: arm[name] for name in ("model_joint_names", "urdf", "tool_frame")},
+            "state_topic": arm["state_topic"],
+            **model,
             "driver_topics": [
                 name for name in (arm["command_topic"], arm["velocity_topic"]) if name
             ],
@@ -194,31 +197,26 @@ def _follows(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
             "source": "hardware",
         },
-        "learner": {
-            **{name: arm[name] for name in ("joint_names", "model_joint_names", "tool_frame")},
-            "urdf": arm["urdf"],
-            "scene_reset": False,
-            "reset_faults": False,
-        },
+        "learner": {**model, "scene_reset": False, "reset_faults": False},
     }
 
 
-def _shape(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
-    """Parameters of stand-ins that replace these devices."""
+def _stand_ins(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
+    """Derive parameters of stand-ins that replace these devices."""
     driver = ("joint_names", "state_topic", "velocity_topic", "command_topic", "command_type")
     model = ("urdf", "model_joint_names", "tool_frame")
     guarded = ("guarded_names", "guarded_links", "guarded_points")
     cameras = ("body", "pose_topic", "markers_topic", "up_axis", "world_to_base", "rate")
-    shape: Setup = {
+    derived: Setup = {
         "wam_sim": {
             **{name: arm[name] for name in (*driver, *model, *guarded)},
             "driver_compensates_gravity": arm["driver_compensates_gravity"],
             "velocity": "empty" if arm["velocity_topic"] else "filled",
-            "pace": "real_time",  # as every driver's
+            "pace": "real_time",  # like a real driver
             "realtime_priority": 70,
         },
         "optitrack_sim": {name: mocap[name] for name in cameras},
     }
     if mocap["latency_offset"]:  # stamps are later than the exposure
-        shape["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}
-    return shape
+        derived["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}
+    return derived

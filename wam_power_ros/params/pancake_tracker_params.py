@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the tracker node, which `check_driver` reads as well."""
+"""Parameters of the tracker node, which `check_driver` uses as well."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class PancakeTrackerParams(Params):
     body: str  # name of the tracked body
     pose_topic: str
     markers_topic: str
-    rate: float = Field(ge=10.0, le=1000.0, description="in Hz: slower misses a flight of 0.4 s")
+    rate: float = Field(ge=10.0, le=1000.0, description="in Hz: below, a flight of 0.4 s is missed")
     up_axis: str
     world_to_base: WorldToBase = Field(description="in m: a room of 50 m; unit quaternion")
     latency_offset: float = Field(
-        ge=-1.0, le=1.0, description="in s: a second late is another clock, not a delay"
+        ge=-1.0, le=1.0, description="in s: more than 1 s is a clock offset, not a delay"
     )
     workspace_low: Corner = Field(description="in m: a room of 50 m")
     workspace_high: Corner = Field(description="in m: a room of 50 m")
@@ -36,20 +36,20 @@ class PancakeTrackerParams(Params):
         ge=1.0, le=50.0, description="in m/s: a toss has 4; 50 is 0.5 m between frames at 100 Hz"
     )
     noise: float = Field(
-        ge=1e-6, le=0.05, description="in m: no camera resolves less; 5 cm is a pancake's radius"
+        ge=1e-6, le=0.05, description="in m: resolution of cameras, and radius of a pancake"
     )
     silence: float = Field(
-        ge=0.05, le=60.0, description="in s: frames come at 30 Hz; nobody waits for a minute"
+        ge=0.05, le=60.0, description="in s: above the period of 30 Hz, and at most a minute"
     )
     clock_offset_max: float = Field(
-        ge=0.001, le=10.0, description="in s: of jitter, and of a clock that was never set"
+        ge=0.001, le=10.0, description="in s: above the jitter, and below an unset clock"
     )
 
     def settings(self) -> TrackerSettings:
         """Return the settings of the tracker.
 
         Raises:
-            ValueError: When one is out of range.
+            ValueError: A setting is out of range.
         """
         fields = TrackerSettings.__dataclass_fields__
         return TrackerSettings(**self.model_dump(include=set(fields)))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files of ROS parameters, read as ROS reads them, and refused where it would guess.
+"""YAML files of ROS parameters, read as ROS reads them, and refused where ROS would guess.
 
 Numbers are decimal: `1:30` is text, not 90, and `010` is text, not 8. A key that is given twice is
-refused with both lines, where ROS would take the last one without a word.
+refused with both lines, where ROS would silently use the last one.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from wam_power_ros.durable_files import check_regular
 SIZE_MAX = 1_000_000  # [byte]
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
-_COMMENTED = re.compile(r"    (\w+):(?:[^#]*)(?:# ?(.*))?$")  # a parameter, with its comment
-_BELOW = re.compile(r"     +# ?(.*)$")  # a comment that goes on
+_COMMENTED = re.compile(r"    (\w+):(?:[^#]*)(?:# ?(.*))?$")  # a parameter and its comment
+_CONTINUED = re.compile(r"     +# ?(.*)$")  # next line of the comment
 _FLOAT = re.compile(
     r"[-+]?([0-9]+\.[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?$|[-+]?[0-9]+[eE][-+]?[0-9]+$"
 )
 
 
 class Loader(yaml.SafeLoader):
-    """Plain data, decimal numbers, every key once, no references."""
+    """Loads plain data: decimal numbers, unique keys, no references."""
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:  # noqa: ANN401
         """Refuse a reference to another part of the file, as ROS does."""
@@ -38,7 +38,7 @@ class Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Refuse a key that is there already."""
+        """Refuse a key that is given twice."""
         lines: dict[str, int] = {}
         for key, _ in node.value:
             line = key.start_mark.line + 1
@@ -59,11 +59,11 @@ Loader.add_implicit_resolver(_TAG + "float", _FLOAT, list("-+.0123456789"))
 
 
 def read(file: Path) -> dict[str, dict[str, Any]]:
-    """Parameters by node of one file; a node is named as the file does, with its namespace.
+    """Read the parameters by node from one file; names of nodes include their namespace.
 
     Raises:
-        ValueError: It is no regular file, too large, no YAML, or has other contents than
-            parameters by node; names the file and, of a key that is there twice, both lines.
+        ValueError: The file is not a regular file, too large, not YAML, or does not contain
+            parameters by node. The message names the file and, for a duplicate key, both lines.
     """
     check_regular(file)
     if (size := file.stat().st_size) > SIZE_MAX:
@@ -75,63 +75,63 @@ def read(file: Path) -> dict[str, dict[str, Any]]:
         raise ValueError(f"{file}: {error}") from None
     except (yaml.YAMLError, KeyError, TypeError, AttributeError, RecursionError) as error:
         text = re.sub(r"\s+", " ", str(error))
-        raise ValueError(f"{file} is no file of ROS parameters: {text}") from None
+        raise ValueError(f"{file} is not a file of ROS parameters: {text}") from None
 
 
-def _sections(nodes: dict[str, Any], above: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
-    """Nodes and their parameters; a namespace may be a level of its own."""
+def _sections(nodes: dict[str, Any], parent: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Nodes and their parameters; a namespace may be a separate level."""
     for name, section in nodes.items():
-        path = f"{above}/{name.lstrip('/')}" if above else name
+        path = f"{parent}/{name.lstrip('/')}" if parent else name
         if "ros__parameters" in section:
             yield path, dict(section["ros__parameters"])
-        elif not section or not all(isinstance(below, dict) for below in section.values()):
+        elif not section or not all(isinstance(child, dict) for child in section.values()):
             raise KeyError(f"ros__parameters of {path}")
         else:
             yield from _sections(section, path)
 
 
 def of_nodes(file: Path) -> dict[str, dict[str, Any]]:
-    """Parameters by name of the node, whatever its namespace.
+    """Read the parameters by name of the node, without its namespace.
 
     Raises:
-        ValueError: As `read`; also when a node is there twice, in two namespaces.
+        ValueError: As for `read`, or the file has a node in two namespaces.
     """
     found: dict[str, dict[str, Any]] = {}
     for path, values in read(file).items():
         name = path.rpartition("/")[2]
         if name in found:
-            raise ValueError(f"{file} has parameters for {name} twice; give each a file of its own")
+            raise ValueError(f"{file} has parameters for {name} twice; use one file for each")
         found[name] = values
     return found
 
 
 def namespace(file: Path) -> str:
-    """Namespace that the nodes of a file are in, such as `/left`; empty for none, or for no file.
+    """Namespace of the nodes in a file, such as `/left`; empty without a single one or a file.
 
     Raises:
-        ValueError: As `read`.
+        ValueError: As for `read`.
     """
     if not file.is_file():
         return ""
-    above = {path.rpartition("/")[0] for path in read(file)} - {"", "/**"}
-    return above.pop() if len(above) == 1 else ""
+    namespaces = {path.rpartition("/")[0] for path in read(file)} - {"", "/**"}
+    return namespaces.pop() if len(namespaces) == 1 else ""
 
 
 def comments(file: Path) -> dict[str, str]:
-    """Comments of the parameters in a file of ours: beside a value, and in the lines below it."""
+    """Comments by parameter in a file of config/: beside the value, and in the lines below it."""
     found: dict[str, str] = {}
     name = ""
     for line in file.read_text(encoding="utf-8").splitlines():
         if match := _COMMENTED.match(line):
             name, found[match[1]] = match[1], match[2] or ""
-        elif name and (below := _BELOW.match(line)):
-            found[name] = f"{found[name]} {below[1]}".strip()
+        elif name and (continued := _CONTINUED.match(line)):
+            found[name] = f"{found[name]} {continued[1]}".strip()
         else:
             name = ""
     return {name: text for name, text in found.items() if text}
 
 
 def given(arguments: Sequence[str]) -> list[Path]:
-    """Files named by `--params-file` among the arguments of a process."""
+    """Files of the options `--params-file` among the arguments of a process."""
     pairs = itertools.pairwise(arguments)
     return [Path(value) for option, value in pairs if option == "--params-file"]

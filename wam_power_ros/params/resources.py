@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files that are not Python live: `config/`, `urdf/`, `launch/`, `bags/`.
+"""Location of the package's data files: `config/`, `urdf/`, `launch/`, `bags/`.
 
-They stand beside the package in a checkout and under `<prefix>/share/wam_power_ros` once installed
-(colcon, pip). Both are found from the running module itself, so code and data are always of the
-same copy, whatever other workspaces are sourced.
+They are beside the package in a checkout, and under `<prefix>/share/wam_power_ros` once installed
+(colcon, pip). Both are located from this module's own path, so that code and data always belong to
+the same copy, whatever other workspaces are sourced.
 """
 
 from pathlib import Path
@@ -12,23 +12,20 @@ PACKAGE = "wam_power_ros"
 
 
 def share(relative: str) -> Path:
-    """Path of a file or folder that comes with the package.
+    """Return the existing path of a file or folder that comes with the package.
 
     Args:
         relative: Path below the checkout or the share folder, e.g. `"config/learner.yaml"`.
 
-    Returns:
-        An existing path.
-
     Raises:
-        FileNotFoundError: When it is in none of the places, which the message lists.
+        FileNotFoundError: There is no such file or folder; the message lists the searched folders.
     """
     package = Path(__file__).resolve().parents[1]
     checkout = package.parent
-    places = [checkout] if (checkout / "package.xml").is_file() else []
-    places += [ancestor / "share" / PACKAGE for ancestor in package.parents]
-    for place in places:
-        if (place / relative).exists():
-            return place / relative
-    looked = ", ".join(str(place) for place in places)
-    raise FileNotFoundError(f"{relative!r} does not come with {PACKAGE}; looked in: {looked}")
+    folders = [checkout] if (checkout / "package.xml").is_file() else []
+    folders += [ancestor / "share" / PACKAGE for ancestor in package.parents]
+    for folder in folders:
+        if (folder / relative).exists():
+            return folder / relative
+    searched = ", ".join(map(str, folders))
+    raise FileNotFoundError(f"{relative!r} is not part of {PACKAGE}; looked in: {searched}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the torque controller, and the controller made from them."""
+"""Parameters of the torque controller, and the controller built from them."""
 
 from __future__ import annotations
 
@@ -23,28 +23,30 @@ if TYPE_CHECKING:
 JOINTS_MAX = 16
 Joints = Annotated[
     tuple[Annotated[str, Field(min_length=1)], ...],
-    Field(min_length=1, max_length=JOINTS_MAX, description="a policy has as many joints at most"),
+    Field(
+        min_length=1, max_length=JOINTS_MAX, description="the most joints that a policy can have"
+    ),
 ]
-Guarded = Annotated[tuple[str, ...], Field(min_length=1, max_length=8)]
+GuardedNames = Annotated[tuple[str, ...], Field(min_length=1, max_length=8)]
 Length = Annotated[float, Field(ge=-5.0, le=5.0)]
 Unit = Annotated[float, Field(ge=-1.0, le=1.0)]
 Corner = tuple[Length, Length, Length]
-REACH = "in m: no arm that these set-ups are for reaches 5 m"
+REACH = "in m: no arm of these set-ups reaches 5 m"
 Speed = Annotated[float, Field(ge=0.05, le=6.0)]
-# Where no stand-in is meant. A limit lies lower than in simulation, where nobody is hurt.
-STATE_TIMEOUT_MAX = 0.02  # [s] libfranka and Universal Robots stop after as long
+# Bounds on a real arm, stricter than in simulation, where nobody can be hurt.
+STATE_TIMEOUT_MAX = 0.02  # [s] after which libfranka and Universal Robots stop
 STIFFNESS_MAX = 2800.0  # [1/s^2] stable with 8 ms of delay and a damping of 32 1/s
-TORQUE_RATE_MAX = 2000.0  # [N m/s] no toss needs more; see `safety.Limits`
+TORQUE_RATE_MAX = 2000.0  # [N m/s] enough for any toss; see `safety.Limits`
 
 
 class TorqueControllerParams(Params):
-    """Parameters of config/torque_controller.yaml, where a comment explains each."""
+    """Parameters of config/torque_controller.yaml, whose comments explain them."""
 
     file = "torque_controller.yaml"
 
     autostart: bool
     simulation: bool
-    realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
+    realtime_priority: int = Field(ge=0, le=98, description="99 is reserved for kernel threads")
     hardware_id: str
     joint_names: Joints
     model_joint_names: Joints
@@ -60,32 +62,34 @@ class TorqueControllerParams(Params):
     base_frame: str
     tool_frame: str
     period: float = Field(
-        ge=0.0005, le=0.02, description="in s: a Python loop answers no faster, 50 Hz is unstable"
+        ge=0.0005,
+        le=0.02,
+        description="in s: below, Python is too slow; above, control is unstable",
     )
     state_timeout: float = Field(
-        ge=0.0, le=60.0, description="in s: a minute without states is no lack of speed"
+        ge=0.0, le=60.0, description="in s: a slow simulation sends a state within a minute"
     )
     torque_share: float = Field(
-        ge=0.05, le=1.0, description="of the URDF's limits; less does not carry an arm"
+        ge=0.05, le=1.0, description="of the URDF's limits; below, the arm cannot carry itself"
     )
     torque_rate_max: float = Field(
         ge=50.0,
         le=5000.0,
-        description="in N m/s: below, gravity is not followed; above, a gear is struck",
+        description="in N m/s: below, torques cannot follow gravity; above, gears take impacts",
     )
-    guarded_names: Guarded
-    guarded_links: Guarded
+    guarded_names: GuardedNames
+    guarded_links: GuardedNames
     guarded_points: Annotated[
         tuple[Length, ...], Field(min_length=1, max_length=24, description=REACH)
     ]
     elbow_speed_max: float = Field(
-        ge=0.05, le=3.0, description="in m/s: below, nothing moves; the WAM's board ends at 2"
+        ge=0.05, le=3.0, description="in m/s: below, no skill is possible; the WAM's board allows 2"
     )
     tool_speed_max: Speed = Field(
-        description="in m/s: below, nothing moves; a toss needs 2.7, and 6 is above any skill here"
+        description="in m/s: below, no skill is possible; a toss needs 2.7, no task here needs 6"
     )
     teaching_tool_speed_max: Speed = Field(
-        description="in m/s: below, nothing can be taught; nobody leads an arm faster than 6"
+        description="in m/s: below, teaching is impossible; nobody guides an arm faster than 6"
     )
     workspace_min: Corner = Field(description=REACH)
     workspace_max: Corner = Field(description=REACH)
@@ -93,38 +97,38 @@ class TorqueControllerParams(Params):
         description="a unit normal, and a distance within 5 m"
     )
     obstacle: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]] = Field(
-        description="in m: a sphere within reach, of a radius up to 2"
+        description="in m: a sphere within reach, with a radius up to 2"
     )
     law: Literal["operational_space", "virtual_mass"]
     move_speed: float = Field(
         ge=0.01,
         le=1.0,
-        description="in rad/s: below, a move takes minutes; at 1 an outstretched tool does 1 m/s",
+        description="in rad/s: below, a move takes minutes; at 1 an outstretched tool has 1 m/s",
     )
     start_tolerance: float = Field(
-        ge=0.001, le=0.2, description="in rad: encoder noise, and a posture that is another one"
+        ge=0.001, le=0.2, description="in rad: above encoder noise; beyond 0.2, another posture"
     )
     settle_time: float = Field(
-        gt=0.0, le=10.0, description="in s: after as long the arm is at rest or never is"
+        gt=0.0, le=10.0, description="in s: an arm that is not at rest by then will not be"
     )
     stiffness_max: float = Field(
         ge=10.0,
         le=4800.0,
-        description="in 1/s^2: below, no policy fits; 4800 is stable with 4 ms of delay",
+        description="in 1/s^2: below, no policy is accepted; 4800 is stable with 4 ms of delay",
     )
     damping_max: float = Field(
-        ge=1.0, le=150.0, description="in 1/s: from 196 on a loop with 8 ms of delay runs away"
+        ge=1.0, le=150.0, description="in 1/s: from 196 on a loop with 8 ms of delay is unstable"
     )
     contact_share: float = Field(
-        ge=0.02, le=0.5, description="of a torque limit: encoder noise, and a push that does harm"
+        ge=0.02, le=0.5, description="of a torque limit: above encoder noise, below a harmful push"
     )
     unexplained_share: float = Field(
-        ge=0.1, le=0.5, description="of a torque limit: what a model is wrong by, and a push"
+        ge=0.1, le=0.5, description="of a torque limit: above model errors, below a harmful push"
     )
     velocity_cutoff: float = Field(
         ge=10.0,
         le=1500.0,
-        description="in rad/s: below, damping comes too late; above, it is half of 500 Hz",
+        description="in rad/s: below, damping lags too much; above, it is near half of 500 Hz",
     )
 
     @classmethod
@@ -132,8 +136,8 @@ class TorqueControllerParams(Params):
         """Read the parameters of `node`, see `Params.of`.
 
         Raises:
-            ValueError: As there; and when a real arm shall go by simulated time, which would
-                switch the watchdog for its states off.
+            ValueError: As for `Params.of`, or a real arm has simulated time, which would disable
+                the watchdog for its states.
         """
         params = super().of(node)
         if not params.simulation and node.get_parameter("use_sim_time").value:
@@ -145,30 +149,32 @@ class TorqueControllerParams(Params):
 
     @model_validator(mode="after")
     def _together(self) -> Self:
-        """Check what several parameters say together, and what is stricter on a real arm."""
+        """Check combinations of parameters, and the stricter bounds on a real arm."""
         if len(self.model_joint_names) != len(self.joint_names):
             raise ValueError(
-                f"model_joint_names {self.model_joint_names} must be as many as joint_names"
+                f"model_joint_names {self.model_joint_names} must have one name for each of "
+                f"joint_names {self.joint_names}"
             )
         if not self.simulation:
-            for name, least, most in (
-                ("state_timeout", 0.0, STATE_TIMEOUT_MAX),
-                ("stiffness_max", 0.0, STIFFNESS_MAX),
-                ("torque_rate_max", 0.0, TORQUE_RATE_MAX),
+            for name, upper in (
+                ("state_timeout", STATE_TIMEOUT_MAX),
+                ("stiffness_max", STIFFNESS_MAX),
+                ("torque_rate_max", TORQUE_RATE_MAX),
             ):
                 value = getattr(self, name)
-                if not least < value <= most:
+                if not 0.0 < value <= upper:
                     raise ValueError(
-                        f"{name} = {value} must be above {least:g} and at most {most:g} on a real "
-                        "arm (simulation: false)"
+                        f"{name} = {value} must be above 0 and at most {upper:g} on a real arm "
+                        "(simulation: false)"
                     )
         return self
 
     def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
-        """Make the controller for the arm of this URDF, with a fault that is still latched.
+        """Build the controller for the arm of a URDF, with a fault that is still latched.
 
         Raises:
-            ValueError: The URDF has not the arm that these parameters name, or limits contradict.
+            ValueError: The URDF does not have the joints and frames that these parameters name, or
+                limits contradict each other.
         """
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         arm = Arm(urdf, self.model_joint_names, self.tool_frame, guarded=guarded)
