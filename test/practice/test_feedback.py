@@ -29,7 +29,7 @@ from wam_power_ros.practice.session_log import (
     NewDemonstration,
     Rating,
     Record,
-    line_of,
+    parse_line,
     with_ratings,
 )
 from wam_power_ros.practice.settings import preset
@@ -93,7 +93,7 @@ def with_a_person(
 def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str) -> None:
     practice = started(name, budget=40, learner={"decay": 0.98})
     with_a_person(practice, 17)
-    log = [line_of(line.to_json()) for line in practice.log]
+    log = [parse_line(line.to_json()) for line in practice.log]
     assert {type(line) for line in log} == {Record, Rating, NewDemonstration}
     for cut in range(len(log) + 1):
         again = practice_of(CANDIDATES, settings_of(practice), 0, log[:cut])
@@ -185,8 +185,8 @@ def test_what_cannot_be_rated_is_refused_with_a_reason() -> None:
     run(practice, 1, worth(None))
     refused("trial-0003 has no return and is not learnt from: so it was")
     run(practice, 4, worth(0.5))
-    refused("nothing is learnt any more: budget of 4 rollouts used")
-    with pytest.raises(ValueError, match="nothing is learnt any more"):
+    refused("the session has stopped learning: budget of 4 rollouts used")
+    with pytest.raises(ValueError, match="has stopped learning"):
         practice.add_demonstration(LATER)
 
 
@@ -273,7 +273,7 @@ def test_events_out_of_place_are_refused() -> None:
     fresh = started()
     with pytest.raises(ValueError, match="after record 0 cannot take effect after record 3"):
         fresh.apply(rating)
-    with pytest.raises(ValueError, match="rollout 3 was rated before it was on record"):
+    with pytest.raises(ValueError, match="rollout 3 was rated before it was recorded"):
         fresh.apply(rating.model_copy(update={"after": 1}))
 
 
@@ -312,8 +312,8 @@ def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
     kinds = [json.loads(text)["schema"].split("/")[1] for text in lines]
     for kind, change, reason in (
         ("rating", {"amount": "much"}, "amount: "),
-        ("rating", {"after": 99}, "what takes effect after rollout 99 cannot follow"),
-        ("rating", {"rollout": 99}, "rollout 99 is rated before it is on record"),
+        ("rating", {"after": 99}, "a line that takes effect after rollout 99 cannot follow"),
+        ("rating", {"rollout": 99}, "rollout 99 is rated before it is recorded"),
         ("demonstration", {"id": "other"}, "holds policy 'flick-91', expected 'other'"),
         ("demonstration", {"policy": {}}, "policy"),
     ):

@@ -20,7 +20,7 @@ from wam_power_ros.learning.rollout import (
 )
 from wam_power_ros.practice.choose_demonstration import choose_demonstration
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_log import Record, line_of
+from wam_power_ros.practice.session_log import Record, parse_line
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
@@ -102,7 +102,7 @@ def test_replaying_records_rebuilds_the_practice_at_every_boundary(name: str, se
         images.append(image(practice))
     assert practice.finished and len(lines) > 27
     for cut, expected in enumerate(images):
-        records = [line_of(line) for line in lines[:cut]]
+        records = [parse_line(line) for line in lines[:cut]]
         again = practice_of(CANDIDATES, settings_of(practice), seed, records)
         assert image(again) == expected
         while (trial := again.next_trial()) is not None and len(again.records) < cut + 2:
@@ -486,7 +486,7 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
     )
     line = record.to_json()
     assert "\n" not in line and json.loads(line)["schema"] == "wam_power_ros/rollout/2"
-    again = line_of(line)
+    again = parse_line(line)
     assert again == record and again.to_json() == line
     assert again.terms["b"] is None
     assert again.truth == {"angle": 1.5, "n": [0, 1], "ok": True}
@@ -501,7 +501,7 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
     ):
         assert damage != line
         with pytest.raises(ValueError):
-            line_of(damage)
+            parse_line(damage)
 
 
 @pytest.mark.requirement("S-31")

@@ -288,7 +288,7 @@ def test_a_log_that_may_not_grow_is_left_as_it_was(tmp_path: Path) -> None:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert log.read_bytes() == before
         session.append(record)
-        with pytest.raises(SessionError, match="rollout 4 cannot follow 4"):
+        with pytest.raises(SessionError, match="rollout 4 cannot follow rollout 4"):
             session.append(record)
     assert len(read(folder)[2]) == 4
     with pytest.raises(SessionError, match="closed"):
@@ -310,7 +310,7 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
         (json.dumps({**record, "ret": "high"}).encode() + b"\n", "line 2: ret: .* got high"),
         (json.dumps({**record, "extra": 1}).encode() + b"\n", "line 2: extra: "),
         (json.dumps({**record, "schema": "x/2"}).encode() + b"\n", "line 2: schema: "),
-        (lines[0], "line 2: rollout 1 cannot follow 1"),
+        (lines[0], "line 2: rollout 1 cannot follow rollout 1"),
     ]:
         text = b"".join([lines[0], damaged, *lines[2:]])
         log.write_bytes(text)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rejection sampling of infeasible policies; after 20 rejections, shrink to the best feasible one.
+"""Rejection sampling of feasible policies; after 20 rejections, shrink towards a feasible one.
 
 A policy is infeasible when its simulation on the rigid-body model ends in a fault.
 """
@@ -16,41 +16,41 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault
 
 REJECTIONS_MAX = 20
-HALVINGS_MAX = 5  # of the way from what ran without a fault to what is infeasible
-
-Infeasible = Callable[[Policy], Fault | None]  # fault in which a policy would end, None for none
+HALVINGS_MAX = 5  # of the distance from coordinates that ran without a fault to infeasible ones
 
 
 class FeasibleSampler:
-    """Feasible coordinates about one demonstration.
+    """Samples feasible coordinates around one demonstration.
 
-    The number of rejections goes into the log: where it is known, in a replay, nothing is asked.
+    The number of rejections is logged: a replay passes it in, and no policy is simulated.
 
     Args:
         parametrization: Parametrization of the demonstration.
-        infeasible: Fault in which a policy would end, None when it is feasible; the same policy
-            must always get the same answer.
+        infeasible: Returns the fault in which a policy would end, None when it is feasible; must be
+            deterministic.
     """
 
-    def __init__(self, parametrization: Parametrization, infeasible: Infeasible) -> None:
+    def __init__(
+        self, parametrization: Parametrization, infeasible: Callable[[Policy], Fault | None]
+    ) -> None:
         self._parametrization = parametrization
         self._infeasible = infeasible
 
     def sample(
         self, learner: Learner, ran: np.ndarray, rejections: int | None = None
     ) -> tuple[np.ndarray, int]:
-        """A feasible sample of a learner; the last of 20 infeasible ones is shrunk.
+        """Draw a feasible sample from a learner; after 20 infeasible ones, shrink the last.
 
         Args:
-            learner: Learner that is asked.
+            learner: Learner to draw from.
             ran: Coordinates that ran without a fault. Shape (size,).
-            rejections: Number of rejections, where it is known.
+            rejections: Logged number of rejections in a replay, else None.
 
         Returns:
             Coordinates (size,), and the number of rejections and halvings.
         """
-        asked = REJECTIONS_MAX if rejections is None else min(rejections + 1, REJECTIONS_MAX)
-        for count in range(asked):
+        draws = REJECTIONS_MAX if rejections is None else min(rejections + 1, REJECTIONS_MAX)
+        for count in range(draws):
             z = learner.ask()
             if rejections is None and self._is_feasible(z):
                 return z, count
@@ -63,15 +63,15 @@ class FeasibleSampler:
     def shrunk(
         self, z: np.ndarray, ran: np.ndarray, halvings: int | None = None
     ) -> tuple[np.ndarray, int]:
-        """Coordinates themselves or, where infeasible, the first feasible ones on the way to `ran`.
+        """Halve the distance from `ran` to `z` until the coordinates are feasible.
 
         Args:
-            z: Wanted coordinates. Shape (size,).
-            ran: Coordinates that ran without a fault; taken without asking. Shape (size,).
-            halvings: Number of halvings, where it is known.
+            z: Desired coordinates. Shape (size,).
+            ran: Coordinates that ran without a fault; not simulated again. Shape (size,).
+            halvings: Logged number of halvings in a replay, else None.
 
         Returns:
-            Coordinates (size,), and the number of times the way to them was halved.
+            Coordinates (size,), and the number of halvings.
         """
         nearer = [z, *(ran + 0.5**count * (z - ran) for count in range(1, HALVINGS_MAX)), ran]
         if halvings is None:

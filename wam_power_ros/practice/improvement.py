@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Improvement of one demonstration: its learner, feasible sampler and stopping rule."""
+"""Improvement of one demonstration by a learner, a feasible sampler and a stopping rule."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ LearnerFactory = Callable[[int, np.random.Generator, Model | None], Learner]
 
 
 class ArmModel(Protocol):
-    """What a practice asks the model of the arm."""
+    """Model of the arm as a practice needs it."""
 
     def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
-        """Fault in which a simulated execution of a policy ends, None when there is none.
+        """Fault in which a simulated execution of a policy ends, None if it is feasible.
 
-        The same policy and number must always get the same answer.
+        Must be a function of its arguments: a replay depends on it.
 
         Args:
             policy: Policy to simulate.
-            overruns: Number of rollouts in which the arm was faster than this said, see
+            overruns: Number of rollouts in which the arm exceeded a limit that its model kept, see
                 `overruns_in`.
         """
 
@@ -41,7 +41,7 @@ class ArmModel(Protocol):
 
 
 def overruns_in(records: Sequence[Record]) -> int:
-    """Number of rollouts that a limit of motion ended, which the model of the arm had kept.
+    """Number of rollouts ended by a motion limit that the model of the arm had kept.
 
     Such a fault counts as return 0; any other leaves a rollout without a return.
     """
@@ -49,23 +49,23 @@ def overruns_in(records: Sequence[Record]) -> int:
 
 
 class Improvement:
-    """Draws trials about one demonstration and learns from their records.
+    """Selects trials around one demonstration and learns from their records.
 
     Attributes:
         demonstration: Id of the candidate that is learnt from.
         parametrization: Its parametrization.
-        learner: Learner; to be read only.
-        practised: Number of trials of the practice that are over, dropped ones included.
+        learner: Learner; read-only for callers.
+        practised: Number of finished trials of the practice, including dropped ones.
 
     Args:
         parametrization: Parametrization of the demonstration.
         settings: Settings of the course of the session.
         task: Task that is practised.
-        make_learner: Makes a learner, see `SessionSettings.make_learner`.
-        rng: Source of the exploration.
+        make_learner: Creates a learner, see `SessionSettings.make_learner`.
+        rng: Random generator of the exploration.
         arm: Model of the arm.
         records: Rollouts of the session so far; those of this demonstration are learnt from.
-        practised: Number of trials of the practice that are over.
+        practised: Number of finished trials of the practice.
     """
 
     def __init__(
@@ -89,16 +89,16 @@ class Improvement:
 
     @property
     def answer(self) -> np.ndarray:
-        """Coordinates of the session's answer, were it to stop now. Shape (size,)."""
+        """Answer if the session stopped now: the mean under test or the latest. Shape (size,)."""
         return self.learner.mean if self._rule.z is None else self._rule.z
 
     @property
     def confirmed(self) -> bool:
-        """Whether a mean has succeeded as often in a row as is needed."""
+        """Whether a mean fulfils the stopping rule."""
         return self._rule.complete
 
     def learn_again(self, records: Sequence[Record]) -> None:
-        """Give a new learner all rollouts of the demonstration, in their order."""
+        """Start a new learner and feed it all rollouts of the demonstration, in their order."""
         start = self._arm.tool_position(self.parametrization.policy0.q_start)
         model = self._task.model(self.parametrization, start)
         self.learner = self._make_learner(self.parametrization.size, self._rng, model)
@@ -107,15 +107,15 @@ class Improvement:
                 self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
 
     def forget_success(self, record: Record) -> None:
-        """Begin the stopping rule anew if this record was one of its successes."""
+        """Restart the stopping rule if this record was one of its successes."""
         self._rule.forget(record)
 
     def draw(self, records: Sequence[Record], rejections: int | None) -> Draw:
-        """The next trial: the mean that is being confirmed, the mean, or an exploration.
+        """Next trial: the mean being confirmed, the current mean, or an exploration.
 
         Args:
             records: Rollouts of the session so far.
-            rejections: Number of rejections, where it is known; see `FeasibleSampler`.
+            rejections: Logged number of rejections in a replay, else None; see `FeasibleSampler`.
         """
         rule, settings = self._rule, self._settings
         if rule.z is not None:
@@ -131,14 +131,14 @@ class Improvement:
     def draw_feasible(
         self, z: np.ndarray, records: Sequence[Record], rejections: int | None
     ) -> Draw:
-        """A run of these coordinates, shrunk to feasible ones if need be."""
+        """Run of a mean, shrunk to feasible coordinates if necessary."""
         ran = self._best_without_fault(records)
         z, rejections = self._sampler(records).shrunk(z, ran, rejections)
         purpose = "the mean, without exploration"
         return Draw("mean", self.demonstration, z, 1, rejections, purpose)
 
     def add(self, record: Record) -> str:
-        """Learn from a trial that explored or ran the mean; returns a remark for the log."""
+        """Learn from a record of an exploration or a mean; returns a remark for the log."""
         self.practised += 1
         if record.learnt_as is not None and record.ret is not None:
             self.learner.tell(np.array(record.learnt_as), record.ret)
@@ -151,7 +151,7 @@ class Improvement:
         )
 
     def _best_without_fault(self, records: Sequence[Record]) -> np.ndarray:
-        """The z of the rollout of highest return; 0 if each had a fault."""
+        """Coordinates of the fault-free rollout with the highest return, else 0. Shape (size,)."""
         ran = [
             record
             for record in records
