@@ -253,7 +253,7 @@ BOMBS = [
     (many_chunks, "unpacks to more than"),
     (file_bomb, "unpacks to more than"),
     (message_bomb, "unpacks to more than 64000000 bytes"),
-    (computed_rows, "'messages', a view, a trigger or computed"),
+    (computed_rows, "a view, trigger or computed table 'messages'"),
 ]
 
 

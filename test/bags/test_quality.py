@@ -44,10 +44,10 @@ def test_the_more_a_hand_trembles_the_less_smooth_the_movement() -> None:
     assert -2.0 < arcs[0] < -1.3  # as published for movements of least jerk
 
 
-def test_a_movement_that_falters_is_fair_and_says_so() -> None:
+def test_a_jerky_movement_is_fair_with_a_remark() -> None:
     found = remarks(reach() + 0.05 * np.sin(2 * np.pi * 5 * T)[:, None], None)
     assert quality.grade(found) is Grade.FAIR
-    assert found[0].text.startswith("falters")
+    assert found[0].text.startswith("jerky")
 
 
 def test_an_arm_that_rests_is_poor() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Takes: recordings in folders, and what a person wants to know of each."""
+"""Takes: recordings in folders, and a summary of each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from wam_power_ros.bags.gaps import GapCounter
 from wam_power_ros.bags.series import TRASH
 from wam_power_ros.bags.writer import has_header, header_stamp
 
-FOLDERS = ("bags", "demonstrations", "replays", "sessions")  # where takes are, unless named
+FOLDERS = ("bags", "demonstrations", "replays", "sessions")  # searched by default
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,10 @@ class Take:
 
     Attributes:
         path: Folder of the bag.
-        kind: Stem of a task, "rollout" or "replay", as noted or by its name.
+        kind: Stem of a task, "rollout" or "replay", see `kind_of`.
         counts: Number of messages by topic.
-        missing: Number of messages missing by their stamps, by topic.
-        ended: Reason why the recording ended, such as `layout.ASKED`; empty if it is not noted.
+        missing: Number of messages missing according to the stamps, by topic.
+        ended: Reason for the end of the recording, such as `layout.ASKED`; empty if unknown.
         stamps: Stamps of the joint states [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, n).
     """
@@ -47,7 +47,7 @@ class Take:
 
 
 def find(places: Iterable[Path]) -> list[Path]:
-    """Bags below some folders, closed or not, oldest name first; a bag may be named itself."""
+    """Bags in some folders and below, closed or not, sorted by path; a place may be a bag."""
     found = set()
     for place in places:
         for path in (place, *place.rglob("*")) if place.is_dir() else ():
@@ -63,21 +63,21 @@ def find(places: Iterable[Path]) -> list[Path]:
 
 
 def kind_of(path: Path) -> str:
-    """Kind of a recording as our recorder noted it when it began, else the first part of its name.
+    """Kind of a recording in the start event of our recorder, else the first part of its name.
 
     Raises:
-        ValueError: It is no bag, or damaged.
+        ValueError: `path` is not a bag, or is damaged.
     """
     first = next((cdr for _, _, cdr in reader.messages(path, [layout.EVENT])), b"")
     return _reason(first, "start") or path.resolve().name.partition("_")[0]
 
 
-def _reason(cdr: bytes, of: str) -> str:
-    """Reason in an event of a recording; empty if it is another event, or not readable."""
+def _reason(cdr: bytes, event: str) -> str:
+    """Reason in a message of this event of the recorder; empty for another or unreadable one."""
     try:
-        event = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data)
-        return str(event["reason"]) if event["event"] == of else ""
-    except Exception:  # whatever bytes make the decoder raise
+        found = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data)
+        return str(found["reason"]) if found["event"] == event else ""
+    except Exception:  # of any type, depending on the bytes
         return ""
 
 
