@@ -335,4 +335,4 @@ def test_table_log_and_report_show_what_a_person_did(tmp_path: Path) -> None:
     assert line(event, task.outcome).strip() == f"a person: {event.note}"
     page = render(header, task, candidates[0], None, records)
     assert returned(rated) in page and "A person rewarded" in page
-    assert "Given in the middle of learning: flick-91, flick-102." in page
+    assert "Demonstrations added while learning: flick-91, flick-102." in page
