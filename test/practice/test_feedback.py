@@ -15,7 +15,6 @@ from toss_task import (
     learner_state,
     practice_in,
     practice_of,
-    settings_of,
     toss,
 )
 
@@ -96,7 +95,7 @@ def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str
     log = [parse_line(line.to_json()) for line in practice.log]
     assert {type(line) for line in log} == {Record, Rating, NewDemonstration}
     for cut in range(len(log) + 1):
-        again = practice_of(CANDIDATES, settings_of(practice), 0, log[:cut])
+        again = practice_of(CANDIDATES, practice.settings, 0, log[:cut])
         assert list(again.log) == log[:cut]
         record = next((line for line in log[cut:] if isinstance(line, Record)), None)
         between = log[cut : log.index(record)] if record else []
@@ -125,9 +124,7 @@ def test_a_rating_changes_the_elite_from_the_next_trial_on_and_not_the_one_under
     for each in (practice, other):
         each.learn_assessed(under_way, toss(under_way, each.task.settings))
     assert not np.allclose(practice.learner.mean, other.learner.mean)
-    told = Power(
-        practice.learner.size, settings_of(practice).learner_settings, np.random.default_rng()
-    )
+    told = Power(practice.learner.size, practice.settings.learner_settings, np.random.default_rng())
     for record in practice.records:
         if record.demonstration == practice.parametrization.policy0.id:
             told.tell(np.array(record.learnt_as), record.ret + (record.number == worst.number))

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toss_task import AnyArm, demonstrated_policy, learner_state, practice_of, settings_of, toss
+from toss_task import AnyArm, demonstrated_policy, learner_state, practice_of, toss
 
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import (
@@ -103,7 +103,7 @@ def test_replaying_records_rebuilds_the_practice_at_every_boundary(name: str, se
     assert practice.finished and len(lines) > 27
     for cut, expected in enumerate(images):
         records = [parse_line(line) for line in lines[:cut]]
-        again = practice_of(CANDIDATES, settings_of(practice), seed, records)
+        again = practice_of(CANDIDATES, practice.settings, seed, records)
         assert image(again) == expected
         while (trial := again.next_trial()) is not None and len(again.records) < cut + 2:
             assert (
@@ -420,7 +420,7 @@ def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None
 def test_records_of_another_session_are_refused() -> None:
     practice = started("flip", 1)
     records = run(practice, rollouts=10)
-    settings = settings_of(practice)
+    settings = practice.settings
     for candidates, other, seed, taken, reason in [
         (CANDIDATES, settings, 2, records, "record 1: the generator is not this session's"),
         (CANDIDATES[::-1], settings, 1, records, "record 1: demonstration is 'flick-1'"),
@@ -568,7 +568,7 @@ def test_a_replayed_practice_draws_without_simulating_again() -> None:
     practice = practice_of(CANDIDATES, settings, 3, arm=AnyArm(parity))
     records = run(practice, rollouts=12)
     assert any(record.rejections for record in records)
-    again = practice_of(CANDIDATES, settings_of(practice), 3, records, AnyArm(never))
+    again = practice_of(CANDIDATES, practice.settings, 3, records, AnyArm(never))
     assert again.records == practice.records
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.best_policy import Best, choose_best
 from wam_power_ros.practice.choose_demonstration import choose_demonstration
-from wam_power_ros.practice.improvement import ArmModel, Improvement, LearnerFactory
+from wam_power_ros.practice.improvement import ArmModel, Improvement
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
 from wam_power_ros.practice.trial import Draw
 from wam_power_ros.tasks.task import Task
 
@@ -62,7 +62,6 @@ class Course:
       mean or else the last one; the answer is re-tested and does not change any more.
 
     Attributes:
-        settings: Settings of the course.
         candidates: Policies of the demonstrations that have taken effect.
         parametrizations: Their parametrizations, by id.
         improvement: Practice of the chosen demonstration, None before the choice.
@@ -74,9 +73,8 @@ class Course:
     def __init__(
         self,
         candidates: Sequence[Policy],
-        settings: PracticeSettings,
+        settings: SessionSettings,
         task: Task,
-        make_learner: LearnerFactory,
         rng: np.random.Generator,
         arm: ArmModel,
     ) -> None:
@@ -85,9 +83,9 @@ class Course:
         Raises:
             ValueError: `check_candidates` refuses them.
         """
-        check_candidates(candidates, settings)
-        self.settings = settings
-        self._task, self._make_learner, self._rng, self._arm = task, make_learner, rng, arm
+        check_candidates(candidates, settings.practice)
+        self._session_settings, self._settings = settings, settings.practice
+        self._task, self._rng, self._arm = task, rng, arm
         self.candidates = list(candidates)
         self.parametrizations = {p.id: task.parametrization(p) for p in candidates}
         self.improvement: Improvement | None = None
@@ -105,7 +103,7 @@ class Course:
         return (
             self._retry is None
             and bool(self.stopped)
-            and (self._answer is None or self._retested >= self.settings.retests)
+            and (self._answer is None or self._retested >= self._settings.retests)
         )
 
     def best(self, records: Sequence[Record]) -> Best | None:
@@ -115,7 +113,7 @@ class Course:
             None if self.improvement is None else self.improvement.demonstration,
             self._answer,
             self.stopped,
-            self.settings.return_noise,
+            self._settings.return_noise,
         )
         if chosen is None:
             return None
@@ -154,14 +152,14 @@ class Course:
             return self.improvement.draw(records, rejections)
         draw = self.improvement.draw_feasible(self._answer, records, rejections)
         self._answer = draw.z
-        purpose = f"re-test {self._retested + 1} of {self.settings.retests}"
+        purpose = f"re-test {self._retested + 1} of {self._settings.retests}"
         return replace(draw, kind="retest", purpose=purpose)
 
     def advance(self, records: Sequence[Record]) -> str:
         """Process the newest record; returns the decision, for its note."""
         record = records[-1]
         z = np.array(record.z)
-        if record.ret is None and record.attempt < self.settings.attempts:
+        if record.ret is None and record.attempt < self._settings.attempts:
             attempt = record.attempt + 1
             purpose = f"attempt {attempt}: {record.why}"
             self._retry = Draw(record.kind, record.demonstration, z, attempt, 0, purpose)
@@ -177,9 +175,9 @@ class Course:
             note = self._advance_practice(record, z)
         if self.improvement is not None and not self.stopped:
             answer = self.improvement.answer
-            limit = 3 * self.settings.budget
-            if self.used >= self.settings.budget:
-                self._stop(answer, f"budget of {self.settings.budget} rollouts used")
+            limit = 3 * self._settings.budget
+            if self.used >= self._settings.budget:
+                self._stop(answer, f"budget of {self._settings.budget} rollouts used")
             elif len(records) >= limit:
                 self._stop(answer, f"{limit} rollouts, of which only {self.used} were usable")
         return "; ".join(part for part in (note, self.stopped) if part)
@@ -222,9 +220,8 @@ class Course:
         self.choice = f"learns from {demonstration}: {why}"
         self.improvement = Improvement(
             self.parametrizations[demonstration],
-            self.settings,
+            self._session_settings,
             self._task,
-            self._make_learner,
             self._rng,
             self._arm,
             records,
@@ -237,7 +234,7 @@ class Course:
             raise ValueError(f"record {record.number}: {record.kind} before the choice")
         note = self.improvement.add(record)
         if self.improvement.confirmed:
-            self._stop(z, f"a mean succeeded {self.settings.confirm} times in a row")
+            self._stop(z, f"a mean succeeded {self._settings.confirm} times in a row")
         return note
 
     def _stop(self, answer: np.ndarray, why: str) -> None:

@@ -3,23 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
-from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.practice.feasible_sampler import FeasibleSampler
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.stopping_rule import StoppingRule
 from wam_power_ros.practice.trial import Draw
 from wam_power_ros.tasks.task import Task
-
-LearnerFactory = Callable[[int, np.random.Generator, Model | None], Learner]
 
 
 class ArmModel(Protocol):
@@ -59,9 +56,8 @@ class Improvement:
 
     Args:
         parametrization: Parametrization of the demonstration.
-        settings: Settings of the course of the session.
+        settings: Settings of the session.
         task: Task that is practised.
-        make_learner: Creates a learner, see `SessionSettings.make_learner`.
         rng: Random generator of the exploration.
         arm: Model of the arm.
         records: Rollouts of the session so far; those of this demonstration are learnt from.
@@ -71,9 +67,8 @@ class Improvement:
     def __init__(
         self,
         parametrization: Parametrization,
-        settings: PracticeSettings,
+        settings: SessionSettings,
         task: Task,
-        make_learner: LearnerFactory,
         rng: np.random.Generator,
         arm: ArmModel,
         records: Sequence[Record],
@@ -83,8 +78,7 @@ class Improvement:
         self.parametrization = parametrization
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
-        self._make_learner = make_learner
-        self._rule = StoppingRule(settings, task.confirms)
+        self._rule = StoppingRule(settings.practice, task.confirms)
         self.learn_again(records)
 
     @property
@@ -101,7 +95,7 @@ class Improvement:
         """Start a new learner and feed it all rollouts of the demonstration, in their order."""
         start = self._arm.tool_position(self.parametrization.policy0.q_start)
         model = self._task.model(self.parametrization, start)
-        self.learner = self._make_learner(self.parametrization.size, self._rng, model)
+        self.learner = self._settings.make_learner(self.parametrization.size, self._rng, model)
         for record in records:
             if record.demonstration == self.demonstration and record.learnt_as is not None:
                 self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
@@ -117,7 +111,7 @@ class Improvement:
             records: Rollouts of the session so far.
             rejections: Logged number of rejections in a replay, else None; see `FeasibleSampler`.
         """
-        rule, settings = self._rule, self._settings
+        rule, settings = self._rule, self._settings.practice
         if rule.z is not None:
             purpose = f"confirms a mean, {rule.count + 1} of {settings.confirm}"
             return Draw("mean", self.demonstration, rule.z, 1, 0, purpose)

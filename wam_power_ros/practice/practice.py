@@ -22,7 +22,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.best_policy import Best
 from wam_power_ros.practice.course import Course, reproduction_of
 from wam_power_ros.practice.feedback import make_demonstration, make_rating
-from wam_power_ros.practice.improvement import ArmModel, LearnerFactory, overruns_in
+from wam_power_ros.practice.improvement import ArmModel, overruns_in
 from wam_power_ros.practice.session_log import (
     Event,
     Line,
@@ -31,9 +31,9 @@ from wam_power_ros.practice.session_log import (
     Record,
     plain,
 )
-from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
+from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.trial import Trial, check_record
-from wam_power_ros.tasks.task import Assessment, Task
+from wam_power_ros.tasks.task import Assessment
 
 L = TypeVar("L", bound=Line)
 
@@ -57,57 +57,39 @@ class Practice:
 
     def __init__(
         self,
-        candidates: Sequence[Policy],
-        settings: PracticeSettings,
-        task: Task,
-        learner: LearnerFactory,
-        seed: int,
-        arm: ArmModel,
-    ) -> None:
-        """Begin a session.
-
-        Args:
-            candidates: Policies fitted to the demonstrations, with distinct ids.
-            settings: Settings of the course of the session.
-            task: Task that is practised.
-            learner: Creates a learner, see `SessionSettings.make_learner`.
-            seed: Seed of the exploration, >= 0.
-            arm: Model of the arm. These candidates are not simulated: the caller checks
-                `reproduction_of` each.
-
-        Raises:
-            ValueError: `check_candidates` refuses them.
-        """
-        self.settings = settings
-        self.task = task
-        self._arm = arm
-        self._rng = np.random.Generator(np.random.PCG64(seed))
-        self._course = Course(candidates, settings, task, learner, self._rng, arm)
-        self._records: list[Record] = []
-        self._log: list[Line] = []
-        self._waiting: list[Event] = []  # take effect after the pending trial
-        self._pending: Trial | None = None
-
-    @classmethod
-    def of(
-        cls,
         settings: SessionSettings,
         context: Mapping[str, Any],
         candidates: Sequence[Policy],
         seed: int,
         arm: ArmModel,
         log: Sequence[Line] = (),
-    ) -> Practice:
-        """Practice of a session as it was after the last line of `log`.
+    ) -> None:
+        """Begin a session, or resume it after the last line of `log`.
+
+        Args:
+            settings: Settings of the session.
+            context: Data of the demonstrations that the task needs, see `Task.context_of`.
+            candidates: Policies fitted to the demonstrations, with distinct ids.
+            seed: Seed of the exploration, >= 0.
+            arm: Model of the arm. These candidates are not simulated: the caller checks
+                `reproduction_of` each.
+            log: Lines of the log, oldest first.
 
         Raises:
-            ValueError: The log is of another session; names the first line that differs.
+            ValueError: `check_candidates` refuses the candidates, or the log is of another
+                session; names the first line that differs.
         """
-        task = settings.make_task(context)
-        practice = cls(candidates, settings.practice, task, settings.make_learner, seed, arm)
+        self.settings = settings
+        self.task = settings.make_task(context)
+        self._arm = arm
+        self._rng = np.random.Generator(np.random.PCG64(seed))
+        self._course = Course(candidates, settings, self.task, self._rng, arm)
+        self._records: list[Record] = []
+        self._log: list[Line] = []
+        self._waiting: list[Event] = []  # take effect after the pending trial
+        self._pending: Trial | None = None
         for line in log:
-            practice.apply(line)
-        return practice
+            self.apply(line)
 
     @property
     def log(self) -> tuple[Line, ...]:

@@ -187,7 +187,7 @@ class Session:
             SessionError: The log does not follow from this session's settings and seed.
         """
         try:
-            return Practice.of(
+            return Practice(
                 self.settings, self.context, self.candidates, self.seed, arm, self._log.lines
             )
         except ValueError as error:
