@@ -54,7 +54,7 @@ class Course:
       same z is executed again, up to `attempts` times, then dropped. So a transient failure does
       not change the course of learning.
     * A rollout ended by a motion limit is learnt from with return 0: the policy caused it.
-    * An infeasible policy is not executed, see `FeasibleSampler`.
+    * An infeasible policy is not executed, see `feasible_sampler`.
     * A mean that succeeds is run again, unchanged, until it fails or has succeeded `confirm` times
       in a row; all these runs are learnt from. Returns are noisy and lucky rollouts stay in the
       elite for ever; running the mean again separates luck from skill.
@@ -138,7 +138,8 @@ class Course:
 
         Args:
             records: Rollouts of the session so far.
-            rejections: Logged number of rejections in a replay, else None; see `FeasibleSampler`.
+            rejections: Logged number of rejections in a replay, else None; see
+                `feasible_sampler.sample`.
         """
         if self._retry is not None:
             return self._retry

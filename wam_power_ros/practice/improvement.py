@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Improvement of one demonstration by a learner, a feasible sampler and a stopping rule."""
+"""Improvement of one demonstration by a learner, feasible sampling and a stopping rule."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault
-from wam_power_ros.practice.feasible_sampler import FeasibleSampler
+from wam_power_ros.practice.feasible_sampler import sample, shrink
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.stopping_rule import StoppingRule
@@ -29,20 +29,32 @@ class ArmModel(Protocol):
 
         Args:
             policy: Policy to simulate.
-            overruns: Number of rollouts in which the arm exceeded a limit that its model kept, see
-                `overruns_in`.
+            overruns: Number of rollouts in which the arm exceeded a limit that its model kept.
         """
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Position of the tool at joint angles q [m]. Shape (3,)."""
 
 
-def overruns_in(records: Sequence[Record]) -> int:
-    """Number of rollouts ended by a motion limit that the model of the arm had kept.
+def feasibility(
+    parametrization: Parametrization, arm: ArmModel, records: Sequence[Record], name: str
+) -> Callable[[np.ndarray], bool]:
+    """Function that returns whether the policy at coordinates (size,) is feasible.
 
-    Such a fault counts as return 0; any other leaves a rollout without a return.
+    Args:
+        parametrization: Parametrization of the demonstration.
+        arm: Model of the arm.
+        records: Rollouts of the session so far.
+        name: Id of the simulated policies.
     """
-    return sum(bool(record.fault) and record.ret is not None for record in records)
+    # A fault with return 0 is a motion limit that the model had kept; others leave no return.
+    overruns = sum(bool(record.fault) and record.ret is not None for record in records)
+
+    def is_feasible(z: np.ndarray) -> bool:
+        policy, _ = parametrization.policy(z, name)
+        return arm.infeasible(policy, overruns) is None
+
+    return is_feasible
 
 
 class Improvement:
@@ -109,7 +121,8 @@ class Improvement:
 
         Args:
             records: Rollouts of the session so far.
-            rejections: Logged number of rejections in a replay, else None; see `FeasibleSampler`.
+            rejections: Logged number of rejections in a replay, else None; see
+                `feasible_sampler.sample`.
         """
         rule, settings = self._rule, self._settings.practice
         if rule.z is not None:
@@ -119,7 +132,8 @@ class Improvement:
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             return self.draw_feasible(self.learner.mean, records, rejections)
         ran = self._best_without_fault(records)
-        z, rejections = self._sampler(records).sample(self.learner, ran, rejections)
+        is_feasible = feasibility(self.parametrization, self._arm, records, "sample")
+        z, rejections = sample(self.learner, ran, is_feasible, rejections)
         return Draw("explore", self.demonstration, z, 1, rejections, "explores")
 
     def draw_feasible(
@@ -127,7 +141,8 @@ class Improvement:
     ) -> Draw:
         """Run of a mean, shrunk to feasible coordinates if necessary."""
         ran = self._best_without_fault(records)
-        z, rejections = self._sampler(records).shrunk(z, ran, rejections)
+        is_feasible = feasibility(self.parametrization, self._arm, records, "sample")
+        z, rejections = shrink(z, ran, is_feasible, rejections)
         purpose = "the mean, without exploration"
         return Draw("mean", self.demonstration, z, 1, rejections, purpose)
 
@@ -137,12 +152,6 @@ class Improvement:
         if record.learnt_as is not None and record.ret is not None:
             self.learner.tell(np.array(record.learnt_as), record.ret)
         return self._rule.add(record) or ("" if record.ret is not None else "dropped")
-
-    def _sampler(self, records: Sequence[Record]) -> FeasibleSampler:
-        overruns = overruns_in(records)
-        return FeasibleSampler(
-            self.parametrization, lambda policy: self._arm.infeasible(policy, overruns)
-        )
 
     def _best_without_fault(self, records: Sequence[Record]) -> np.ndarray:
         """Coordinates of the fault-free rollout with the highest return, else 0. Shape (size,)."""

@@ -22,7 +22,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.best_policy import Best
 from wam_power_ros.practice.course import Course, reproduction_of
 from wam_power_ros.practice.feedback import make_demonstration, make_rating
-from wam_power_ros.practice.improvement import ArmModel, overruns_in
+from wam_power_ros.practice.improvement import ArmModel, feasibility
 from wam_power_ros.practice.session_log import (
     Event,
     Line,
@@ -337,18 +337,13 @@ class Practice:
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates at which a rollout is learnt from: corrected as far as it stays feasible."""
         parametrization = self._course.parametrizations[trial.demonstration]
-        overruns = overruns_in(self._records)
-
-        def feasible(z: np.ndarray) -> bool:
-            policy, _ = parametrization.policy(z, "corrected")
-            return self._arm.infeasible(policy, overruns) is None
-
+        is_feasible = feasibility(parametrization, self._arm, self._records, "corrected")
         z = trial.z
         parts = self.task.hindsight(assessment, parametrization)
-        if not parts or feasible(z + sum(parts)):
+        if not parts or is_feasible(z + sum(parts)):
             return z + sum(parts)
         for part in parts:  # one at a time: an infeasible part does not prevent the others
-            shares = (share for share in (1.0, 0.5, 0.25) if feasible(z + share * part))
+            shares = (share for share in (1.0, 0.5, 0.25) if is_feasible(z + share * part))
             z = z + next(shares, 0.0) * part
         return z
 
@@ -374,8 +369,6 @@ class Practice:
         if isinstance(event, NewDemonstration):
             self._course.add_candidate(event.candidate())
             return
-        record = self._records[event.rollout - 1]
-        total = (record.adjustment or 0.0) + event.amount
-        record = record.model_copy(update={"adjustment": total})
+        record = self._records[event.rollout - 1].with_rating(event.amount)
         self._records[event.rollout - 1] = record
         self._course.apply_rating(record, self._records)

@@ -100,6 +100,10 @@ class Record(_Line):
         """Whether the rollout was a success and was not punished."""
         return self.success and (self.adjustment or 0.0) >= 0.0
 
+    def with_rating(self, amount: float) -> Record:
+        """The record with a further rating of this amount."""
+        return self.model_copy(update={"adjustment": (self.adjustment or 0.0) + amount})
+
 
 class Rating(_Line):
     """A person's reward or punishment for a rollout.
@@ -180,9 +184,7 @@ def with_ratings(log: Sequence[Line]) -> tuple[Record, ...]:
     records = [line for line in log if isinstance(line, Record)]
     for line in log:
         if isinstance(line, Rating):
-            rated = records[line.rollout - 1]
-            total = (rated.adjustment or 0.0) + line.amount
-            records[line.rollout - 1] = rated.model_copy(update={"adjustment": total})
+            records[line.rollout - 1] = records[line.rollout - 1].with_rating(line.amount)
     return tuple(records)
 
 

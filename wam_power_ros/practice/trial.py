@@ -22,7 +22,7 @@ class Draw:
         z: Coordinates. Shape (size,).
         attempt: 1, or more after rollouts of the same z without a return.
         rejections: Number of infeasible samples before this one, plus the number of halvings after
-            20 of them; for a mean or an answer the number of halvings, see `FeasibleSampler`.
+            20 of them; for a mean or an answer the number of halvings, see `feasible_sampler`.
         purpose: Human-readable purpose of the trial.
     """
 
