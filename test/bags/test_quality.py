@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grades of movements: what is smooth, whole and within the limits is good."""
+"""Grades of movements: a smooth, complete movement within the limits is good."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: what goes in comes out, another reader agrees, and damage is called by its name."""
+"""Reader: round trip, agreement with another reader, and errors that name the damage."""
 
 import json
 import time

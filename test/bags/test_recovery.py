@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recovering a bag: whatever is whole of what was left comes back, whatever else is said."""
+"""Recovery: every complete message is recovered, and everything else is reported."""
 
 import json
 import resource

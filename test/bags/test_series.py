@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A series of demonstrations names its bags, whatever is renamed or thrown away."""
+"""A series of demonstrations stays correct when bags are renamed or discarded."""
 
 from __future__ import annotations
 

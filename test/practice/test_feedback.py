@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person's part in a session: rewards, punishments and further demonstrations."""
+"""User input during a session: rewards, punishments and further demonstrations."""
 
 import json
 import math
@@ -68,7 +68,7 @@ def next_trial(practice: Practice) -> str:
 def with_a_person(
     practice: Practice, rollouts: int, keep: Callable[[Line], object] = lambda line: None
 ) -> None:
-    """Go on, with a person who comes in between trials and while they are under way."""
+    """Continue with a person who gives input between trials and during them."""
     rng = np.random.default_rng(0)
 
     def perhaps() -> None:

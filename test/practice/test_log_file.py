@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log of a session by itself: in order, all of it there again, or refused."""
+"""Session log: lines are kept in order, and a log that lost some is refused."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def started(name: str, seed: int = 0, **changes: object) -> Practice:
 
 
 def run(practice: Practice, judge: Judge | None = None, rollouts: int = 10_000) -> list[Record]:
-    """Go on for a number of rollouts or to the end."""
+    """Continue for a number of rollouts or to the end."""
     judge = judge or (lambda trial: toss(trial, practice.task.settings))
     records = []
     while len(records) < rollouts and (trial := practice.next_trial()) is not None:
@@ -54,7 +54,7 @@ def bad(ret: float = 0.5) -> Assessment:
 
 
 def image(practice: Practice) -> str:
-    """All that matters about a practice: what it would do next, and what it knows."""
+    """State of a practice and its next trial, as text for comparison."""
     trial, best, learner = practice.next_trial(), practice.best, practice.learner
     return json.dumps(
         [
@@ -523,7 +523,7 @@ def test_infeasible_samples_are_rejected_and_only_feasible_ones_are_tried() -> N
 
 
 class SlowModel(AnyArm):
-    """An arm whose model is asked with the number of overruns, which it keeps."""
+    """Model of an arm that records the number of overruns at each simulation."""
 
     def __init__(self) -> None:
         super().__init__()

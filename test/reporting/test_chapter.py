@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapters show what they were given, escaped, and a table is as wide as its head."""
+"""Chapters show their contents, escaped; the rows of a table match its head."""
 
 import numpy as np
 import pytest

@@ -35,7 +35,7 @@ def check_candidates(candidates: Sequence[Policy], settings: PracticeSettings) -
     """
     ids = [policy.id for policy in candidates]
     if not ids:
-        raise ValueError("no candidate: a session needs at least one demonstration")
+        raise ValueError("candidates is empty: a session needs at least one demonstration")
     if len(set(ids)) != len(ids):
         raise ValueError(f"candidates must have different ids, got {ids}")
     if settings.budget <= len(ids):
@@ -148,7 +148,7 @@ class Course:
             zero = np.zeros(self.parametrizations[candidate.id].size)
             return Draw("reproduction", candidate.id, zero, 1, 0, f"reproduces {candidate.id}")
         if self.improvement is None:
-            raise ValueError("a session that never chose a demonstration is over")
+            raise ValueError("the session has ended: no demonstration was chosen")
         if self._answer is None:
             return self.improvement.draw(records, rejections)
         draw = self.improvement.draw_feasible(self._answer, records, rejections)

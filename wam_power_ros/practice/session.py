@@ -11,7 +11,7 @@
                      missing, shorter or different is damaged
     policy.json      best policy so far, replaced atomically
     bags/            recordings
-    .lock            held while a learner writes
+    .lock            locked while a learner writes
 
 After a kill at any moment, `Session.open(folder).practice(arm)` resumes bit for bit.
 """
@@ -56,11 +56,11 @@ class Session:
         bags: Folder of the recordings.
     """
 
-    def __init__(self, folder: Path, held: int) -> None:
+    def __init__(self, folder: Path, lock_file: int) -> None:
         """Use `begin` or `open`."""
         self.folder = folder
         self.bags = folder / "bags"
-        self._lock: int | None = held
+        self._lock: int | None = lock_file
         self.header, self.candidates, self.context = read_head(folder)
         self._log = LogFile(folder)
         self._compare_versions()
@@ -110,7 +110,7 @@ class Session:
         folder = Path(folder)
         new = [folder, *(parent for parent in folder.parents if not parent.exists())]
         folder.mkdir(parents=True, exist_ok=True)
-        held = lock(folder)
+        lock_file = lock(folder)
         try:
             if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
                 raise SessionError(f"{folder} holds a session already; open it, or name another")
@@ -131,9 +131,9 @@ class Session:
             write_header(folder, header)
             for each in new:
                 durable_files.sync(each.parent)
-            return cls(folder, held)
+            return cls(folder, lock_file)
         except BaseException:
-            os.close(held)
+            os.close(lock_file)
             raise
 
     @classmethod
@@ -150,11 +150,11 @@ class Session:
         folder = Path(folder)
         if not cls.exists(folder):
             raise SessionError(f"{folder} holds no session: there is no session.yaml")
-        held = lock(folder)
+        lock_file = lock(folder)
         try:
-            return cls(folder, held)
+            return cls(folder, lock_file)
         except BaseException:
-            os.close(held)
+            os.close(lock_file)
             raise
 
     @property

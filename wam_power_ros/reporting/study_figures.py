@@ -130,7 +130,7 @@ def learner_curves(
 
 
 def _label_ends(axes: Axes, ends: Sequence[tuple[float, int, str, str, bool]]) -> None:
-    """Write names beside the axes, as close to the ends of their lines as they do not overlap."""
+    """Write names beside the axes, close to the ends of their lines but without overlap."""
     low, high = axes.get_ylim()
     room = 0.052 * (high - low)
     order = sorted(ends)
