@@ -81,6 +81,6 @@ def test_missing_messages_are_named_from_a_share_on() -> None:
 
 
 def test_a_recording_that_nobody_asked_to_end_is_named() -> None:
-    assert quality.completeness_remarks({}, {}, layout.ASKED) == []
+    assert quality.completeness_remarks({}, {}, layout.STOP_REQUESTED) == []
     (found,) = quality.completeness_remarks({}, {}, "shutdown")
     assert (found.grade, found.text) == (Grade.FAIR, "cut short: shutdown")

@@ -20,7 +20,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
 STATES = "/joint_states"
 EVENT = "/recorder/event"  # start and stop of the recording; only written to the bag
-ASKED = "asked to"  # reason of a stop that no trouble has brought about
+STOP_REQUESTED = "asked to"  # reason of a recording stopped on request
 UNFINISHED = ".unfinished"
 INFINITE = QosTime(9223372036, 854775807)  # an infinite duration, as written by rosbag2
 

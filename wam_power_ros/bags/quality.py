@@ -118,7 +118,9 @@ def completeness_remarks(
         missing: Number of missing messages by topic.
         ended: Reason for the end of the recording, empty if unknown.
     """
-    cut = [] if ended in ("", layout.ASKED) else [Remark(Grade.FAIR, f"cut short: {ended}")]
+    cut = (
+        [] if ended in ("", layout.STOP_REQUESTED) else [Remark(Grade.FAIR, f"cut short: {ended}")]
+    )
     return cut + [
         Remark(Grade.FAIR, f"{lost} of {lost + counts[topic]} messages missing on {topic}")
         for topic, lost in missing.items()

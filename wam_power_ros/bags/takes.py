@@ -27,7 +27,7 @@ class Take:
         kind: Stem of a task, "rollout" or "replay", see `kind_of`.
         counts: Number of messages by topic.
         missing: Number of messages missing according to the stamps, by topic.
-        ended: Reason for the end of the recording, such as `layout.ASKED`; empty if unknown.
+        ended: Reason for the end, such as `layout.STOP_REQUESTED`; empty if unknown.
         stamps: Stamps of the joint states [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, n).
     """
