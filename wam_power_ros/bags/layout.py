@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 from rosbags.interfaces import (
     Qos,
@@ -38,6 +40,15 @@ def qos(reliable: bool, latched: bool, depth: int = 10) -> Qos:
         liveliness_lease_duration=INFINITE,
         avoid_ros_namespace_conventions=False,
     )
+
+
+def event(cdr: bytes) -> dict[str, Any]:
+    """Contents of a message on EVENT, see `BagWriter.event`; empty if it is not one."""
+    try:
+        found = json.loads(TYPES.deserialize_cdr(cdr, STRING).data)
+    except Exception:  # of any type, depending on the bytes
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 def unfinished(path: Path) -> Path:

@@ -121,13 +121,14 @@ def notes(path: Path) -> dict[str, str]:
 
 def custom_data(metadata: object) -> dict[str, str]:
     """Notes of the recorder in the contents of a metadata.yaml; empty if there are none."""
-    for key in ("rosbag2_bagfile_information", "custom_data"):
-        if isinstance(metadata, dict) and key in metadata:
-            metadata = metadata[key]
-        elif key == "custom_data":
-            return {}
-    found = metadata if isinstance(metadata, dict) else {}
-    return {str(key): str(value) for key, value in found.items()}
+    if isinstance(metadata, dict):
+        metadata = metadata.get("rosbag2_bagfile_information", metadata)
+    return texts(metadata.get("custom_data") if isinstance(metadata, dict) else None)
+
+
+def texts(notes: object) -> dict[str, str]:
+    """Notes with keys and values as texts; empty if they are not a mapping."""
+    return {str(k): str(v) for k, v in notes.items()} if isinstance(notes, dict) else {}
 
 
 def _joint_angles(

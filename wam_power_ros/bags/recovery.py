@@ -170,7 +170,7 @@ class _Copy:
                 cdr = body[22:]
                 self.writer.write(topic, stamp_ns, cdr)
                 if topic == layout.EVENT and not self.notes:
-                    self.notes = _event_notes(cdr)
+                    self.notes = reader.texts(layout.event(cdr).get("notes"))
         elif opcode == METADATA and _text(body, 0)[0] == "rosbag2":  # of a closed bag
             for _, text in _map(body, _text(body, 0)[1]):
                 self.notes |= _metadata_notes(text)
@@ -246,15 +246,6 @@ def _metadata_notes(text: str) -> dict[str, str]:
     try:
         return reader.custom_data(plain_yaml.parse(text.encode(), "the metadata record"))
     except ValueError:
-        return {}
-
-
-def _event_notes(cdr: bytes) -> dict[str, str]:
-    """Notes of our recorder in its first event."""
-    try:
-        notes = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data).get("notes", {})
-        return {str(key): str(value) for key, value in notes.items()}
-    except Exception:  # of any type, depending on the bytes
         return {}
 
 

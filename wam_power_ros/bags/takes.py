@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,17 +67,9 @@ def kind_of(path: Path) -> str:
     Raises:
         ValueError: `path` is not a bag, or is damaged.
     """
-    first = next((cdr for _, _, cdr in reader.messages(path, [layout.EVENT])), b"")
-    return _reason(first, "start") or path.resolve().name.partition("_")[0]
-
-
-def _reason(cdr: bytes, event: str) -> str:
-    """Reason in a message of this event of the recorder; empty for another or unreadable one."""
-    try:
-        found = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data)
-        return str(found["reason"]) if found["event"] == event else ""
-    except Exception:  # of any type, depending on the bytes
-        return ""
+    first = layout.event(next((cdr for _, _, cdr in reader.messages(path, [layout.EVENT])), b""))
+    noted = str(first.get("reason", "")) if first.get("event") == "start" else ""
+    return noted or path.resolve().name.partition("_")[0]
 
 
 def read(path: Path, joint_names: Sequence[str]) -> Take:
@@ -94,8 +85,8 @@ def read(path: Path, joint_names: Sequence[str]) -> Take:
     ended = ""
     for name, _, cdr in reader.messages(path, topics):
         counts[name] += 1
-        if name == layout.EVENT:
-            ended = _reason(cdr, "stop") or ended
+        if name == layout.EVENT and (event := layout.event(cdr)).get("event") == "stop":
+            ended = str(event.get("reason", ended))
         msgtype = topics[name].msgtype
         if msgtype in layout.TYPES.fielddefs and has_header(msgtype):
             gaps.setdefault(name, GapCounter()).add(header_stamp(cdr))
