@@ -6,7 +6,6 @@ import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -69,7 +68,6 @@ class AnyArm:
 
 
 ANY_ARM = AnyArm()
-_SETTINGS: WeakKeyDictionary[Practice, SessionSettings] = WeakKeyDictionary()
 
 
 def practice_of(
@@ -80,9 +78,7 @@ def practice_of(
     arm: AnyArm = ANY_ARM,
 ) -> Practice:
     """The practice of a session of the flip."""
-    practice = Practice.of(settings, {}, candidates, seed, arm, log)
-    _SETTINGS[practice] = settings
-    return practice
+    return Practice(settings, {}, candidates, seed, arm, log)
 
 
 def practice_in(folder: Path) -> Practice:
@@ -93,11 +89,6 @@ def practice_in(folder: Path) -> Practice:
         for name in header.candidates
     ]
     return practice_of(policies, header.settings, header.seed, session.read_log(folder))
-
-
-def settings_of(practice: Practice) -> SessionSettings:
-    """Settings with which `practice_of` began."""
-    return _SETTINGS[practice]
 
 
 def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:

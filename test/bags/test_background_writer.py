@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording: whoever hands messages in goes on, whatever the disk does."""
+"""Recording in a thread: the disk never delays the subscriber."""
 
 import os
 import threading
@@ -16,7 +16,7 @@ from wam_power_ros.bags.recovery import recover
 
 
 class Disk:
-    """fsync as a test wants it."""
+    """Replacement of fsync that a test can block or let fail."""
 
     def __init__(self) -> None:
         self.free, self.asked = threading.Event(), threading.Event()
@@ -24,7 +24,7 @@ class Disk:
         self._fsync = os.fsync
 
     def __call__(self, handle: int) -> None:
-        """Wait, then do it or raise."""
+        """Wait for the release, then flush or raise."""
         self.asked.set()
         assert self.free.wait(60.0)
         if self.error is not None:
@@ -34,7 +34,7 @@ class Disk:
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
-    """One that hangs until it is set free."""
+    """Disk that blocks until it is released."""
     disk = Disk()
     monkeypatch.setattr(writer.os, "fsync", disk)
     monkeypatch.setattr(background_writer, "WRITE_PERIOD", 0.01)

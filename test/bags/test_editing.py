@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags made of others hold what they should, and the others are left as they are."""
+"""Trimmed, merged and imported bags have the right contents; their sources are unchanged."""
 
 from __future__ import annotations
 

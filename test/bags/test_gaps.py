@@ -28,7 +28,7 @@ def test_gaps_are_counted_in_periods() -> None:
 
 def test_a_gap_after_the_period_is_known_counts_as_one_before(seed: int = 3) -> None:
     rng = np.random.default_rng(seed)
-    steps = np.full(3 * GapCounter.LEARNT, 2_000_000)
+    steps = np.full(3 * GapCounter.PERIOD_INTERVALS, 2_000_000)
     places = rng.choice(len(steps), 20, replace=False)
     steps[places] *= 4  # three are missing at each
     found = find_gaps(1_000_000_000 + np.cumsum(steps))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Integrity of bags: no changed bit is read, no small file becomes a large one, nothing blocks."""
+"""Damaged bags are refused, the unpacked size is bounded, and no read blocks."""
 
 from __future__ import annotations
 
@@ -188,7 +188,7 @@ def zeros(size: int) -> bytes:
 
 
 def chunk_bomb(path: Path, declared: int, compression: str, content: bytes) -> None:
-    """Replace the first chunk of a bag, and what its index says of it."""
+    """Replace the first chunk of a bag, and its description in the index."""
     demonstration(path, random_q(5))
     file = path / "demo.mcap"
     whole = unsealed(file.read_bytes())
@@ -253,7 +253,7 @@ BOMBS = [
     (many_chunks, "unpacks to more than"),
     (file_bomb, "unpacks to more than"),
     (message_bomb, "unpacks to more than 64000000 bytes"),
-    (computed_rows, "'messages', a view, a trigger or computed"),
+    (computed_rows, "a view, trigger or computed table 'messages'"),
 ]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grades of movements: what is smooth, whole and within the limits is good."""
+"""Grades of movements: a smooth, complete movement within the limits is good."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def test_the_more_a_hand_trembles_the_less_smooth_the_movement() -> None:
     assert -2.0 < arcs[0] < -1.3  # as published for movements of least jerk
 
 
-def test_a_movement_that_falters_is_fair_and_says_so() -> None:
+def test_a_jerky_movement_is_fair_with_a_remark() -> None:
     found = remarks(reach() + 0.05 * np.sin(2 * np.pi * 5 * T)[:, None], None)
     assert quality.grade(found) is Grade.FAIR
-    assert found[0].text.startswith("falters")
+    assert found[0].text.startswith("jerky")
 
 
 def test_an_arm_that_rests_is_poor() -> None:
@@ -81,6 +81,6 @@ def test_missing_messages_are_named_from_a_share_on() -> None:
 
 
 def test_a_recording_that_nobody_asked_to_end_is_named() -> None:
-    assert quality.completeness_remarks({}, {}, layout.ASKED) == []
+    assert quality.completeness_remarks({}, {}, layout.STOP_REQUESTED) == []
     (found,) = quality.completeness_remarks({}, {}, "shutdown")
     assert (found.grade, found.text) == (Grade.FAIR, "cut short: shutdown")

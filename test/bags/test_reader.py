@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags: what goes in comes out, another reader agrees, and damage is called by its name."""
+"""Reader: round trip, agreement with another reader, and errors that name the damage."""
 
 import json
 import time
@@ -167,9 +167,9 @@ def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> No
         read_demonstration(path, NAMES, "/robot_description")
     with pytest.raises(ValueError, match=r"no metadata\.yaml"):
         read_demonstration(tmp_path, NAMES)
-    with pytest.raises(ValueError, match="nothing of that name"):
+    with pytest.raises(ValueError, match="there is no such folder"):
         read_demonstration(tmp_path / "nowhere", NAMES)
-    with pytest.raises(ValueError, match="not of the common interfaces"):
+    with pytest.raises(ValueError, match="not a type of the common interfaces"):
         BagWriter(tmp_path / "x").add("/custom", "wam_msgs/msg/RTJointPosition", QOS)
 
 

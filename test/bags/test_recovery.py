@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recovering a bag: whatever is whole of what was left comes back, whatever else is said."""
+"""Recovery: every complete message is recovered, and everything else is reported."""
 
 import json
 import resource
@@ -202,8 +202,12 @@ def test_a_topic_of_an_unknown_type_is_left_out_and_named(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("compression", "storage", "why"),
     [
-        (CompressionMode.STORAGE, StoragePlugin.MCAP, "compressed with zstd.*`mcap recover` can"),
-        (CompressionMode.NONE, StoragePlugin.SQLITE3, r"no .mcap file to recover: \['lab.db3'"),
+        (CompressionMode.STORAGE, StoragePlugin.MCAP, "compressed with zstd.*`mcap recover`"),
+        (
+            CompressionMode.NONE,
+            StoragePlugin.SQLITE3,
+            r"no .mcap file to recover; it has \['lab.db3'",
+        ),
     ],
 )
 def test_what_cannot_be_recovered_is_refused_by_its_name_and_leaves_nothing(
@@ -225,7 +229,7 @@ def test_nothing_and_rubbish_are_refused_and_a_recovered_bag_is_never_replaced(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["recover", str(tmp_path / "nowhere")]) == 2
-    assert "nothing is there" in capsys.readouterr().err
+    assert "it has no files" in capsys.readouterr().err
     (tmp_path / "rubbish.mcap").write_bytes(b"0" * 100)
     assert main.main(["recover", str(tmp_path / "rubbish.mcap")]) == 2
     assert "is not an MCAP file" in capsys.readouterr().err

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A series of demonstrations names its bags, whatever is renamed or thrown away."""
+"""A series of demonstrations stays correct when bags are renamed or discarded."""
 
 from __future__ import annotations
 
@@ -79,6 +79,6 @@ def test_a_bag_that_is_named_another_way_is_the_one_in_its_series(way: str, tmp_
 @pytest.mark.parametrize("name", ["b", "", "..", ".hidden", "x/y", "x.unfinished"])
 def test_a_name_that_is_taken_or_none_is_refused(file: Path, name: str) -> None:
     first, _ = series.read(file)
-    with pytest.raises(ValueError, match=r"name of a bag|there already"):
+    with pytest.raises(ValueError, match=r"name of a bag|exists already"):
         series.rename(first, name)
     assert first.is_dir()

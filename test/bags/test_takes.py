@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Takes are found in folders, and say what they are."""
+"""Takes are found in folders and summarized."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def test_the_stamp_of_a_serialized_header_is_read_without_decoding() -> None:
 
 def test_a_topic_of_an_unknown_type_is_refused_before_anything_is_written(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "bag")
-    with pytest.raises(ValueError, match="/odd: type my_msgs/msg/Odd"):
+    with pytest.raises(ValueError, match="/odd: my_msgs/msg/Odd is not a type"):
         writer.add("/odd", "my_msgs/msg/Odd", QOS)
     assert writer.counts == {}
     writer.abandon()

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rejection sampling of infeasible policies, and shrinking to the best feasible one."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,8 +11,8 @@ from toss_task import AnyArm, demonstrated_policy
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.rollout import Fault
-from wam_power_ros.practice.feasible_sampler import HALVINGS_MAX, REJECTIONS_MAX, FeasibleSampler
+from wam_power_ros.practice.feasible_sampler import HALVINGS_MAX, REJECTIONS_MAX, sample, shrink
+from wam_power_ros.practice.improvement import feasibility
 from wam_power_ros.practice.settings import preset
 
 SETTINGS = preset("flip")
@@ -19,8 +21,12 @@ RAN = np.zeros(PARAMETERS.size)
 RIGHT = np.eye(PARAMETERS.size)[PARAMETERS.groups["catch_shift"].start]  # catches further out
 
 
-def never(policy: Policy) -> Fault | None:
-    raise AssertionError(f"asked about {policy.id}")
+def never(z: np.ndarray) -> bool:
+    raise AssertionError(f"simulated {z}")
+
+
+def feasible(refuse: Callable[[Policy], str]) -> Callable[[np.ndarray], bool]:
+    return feasibility(PARAMETERS, AnyArm(refuse), [], "sample")
 
 
 def place(policy: Policy) -> float:
@@ -37,15 +43,13 @@ def test_what_is_infeasible_is_shrunk_no_further_than_needed(share: float, far: 
     z = far * RIGHT
     end, begin = (place(PARAMETERS.policy(point, "asked")[0]) for point in (z, RAN))
     limit = begin + share * (end - begin)
-    sampler = FeasibleSampler(
-        PARAMETERS, AnyArm(lambda policy: "too far" * (place(policy) > limit)).infeasible
-    )
-    given_back, halved = sampler.shrunk(z, RAN)
+    is_feasible = feasible(lambda policy: "too far" * (place(policy) > limit))
+    given_back, halved = shrink(z, RAN, is_feasible)
     assert place(PARAMETERS.policy(given_back, "allowed")[0]) <= limit
     assert np.array_equal(given_back, z) == (halved == 0) == (share >= 1.0)
     if halved not in (0, HALVINGS_MAX):
         assert place(PARAMETERS.policy(2.0 * given_back, "one-less")[0]) > limit
-    again, _ = FeasibleSampler(PARAMETERS, never).shrunk(z, RAN, halved)
+    again, _ = shrink(z, RAN, never, halved)
     assert np.array_equal(again, given_back)
 
 
@@ -61,9 +65,9 @@ def test_a_sample_is_feasible_or_what_ran_and_its_count_restores_it(
         return "no" * verdicts.setdefault(place(policy), bool(rng.random() < share))
 
     once, twice = learner(seed), learner(seed)
-    z, count = FeasibleSampler(PARAMETERS, AnyArm(infeasible).infeasible).sample(once, RAN)
+    z, count = sample(once, RAN, feasible(infeasible))
     assert np.array_equal(z, RAN) or not infeasible(PARAMETERS.policy(z, "tried")[0])
     assert (share < 1.0) or count == REJECTIONS_MAX + HALVINGS_MAX
-    again, _ = FeasibleSampler(PARAMETERS, never).sample(twice, RAN, count)
+    again, _ = sample(twice, RAN, never, count)
     assert np.array_equal(again, z)
     assert np.array_equal(once.ask(), twice.ask())  # both have drawn as often

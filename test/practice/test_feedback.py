@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person's part in a session: rewards, punishments and further demonstrations."""
+"""User input during a session: rewards, punishments and further demonstrations."""
 
 import json
 import math
@@ -15,7 +15,6 @@ from toss_task import (
     learner_state,
     practice_in,
     practice_of,
-    settings_of,
     toss,
 )
 
@@ -29,7 +28,7 @@ from wam_power_ros.practice.session_log import (
     NewDemonstration,
     Rating,
     Record,
-    line_of,
+    parse_line,
     with_ratings,
 )
 from wam_power_ros.practice.settings import preset
@@ -69,7 +68,7 @@ def next_trial(practice: Practice) -> str:
 def with_a_person(
     practice: Practice, rollouts: int, keep: Callable[[Line], object] = lambda line: None
 ) -> None:
-    """Go on, with a person who comes in between trials and while they are under way."""
+    """Continue with a person who gives input between trials and during them."""
     rng = np.random.default_rng(0)
 
     def perhaps() -> None:
@@ -93,10 +92,10 @@ def with_a_person(
 def test_a_log_with_a_persons_part_goes_on_bit_for_bit_from_every_line(name: str) -> None:
     practice = started(name, budget=40, learner={"decay": 0.98})
     with_a_person(practice, 17)
-    log = [line_of(line.to_json()) for line in practice.log]
+    log = [parse_line(line.to_json()) for line in practice.log]
     assert {type(line) for line in log} == {Record, Rating, NewDemonstration}
     for cut in range(len(log) + 1):
-        again = practice_of(CANDIDATES, settings_of(practice), 0, log[:cut])
+        again = practice_of(CANDIDATES, practice.settings, 0, log[:cut])
         assert list(again.log) == log[:cut]
         record = next((line for line in log[cut:] if isinstance(line, Record)), None)
         between = log[cut : log.index(record)] if record else []
@@ -125,9 +124,7 @@ def test_a_rating_changes_the_elite_from_the_next_trial_on_and_not_the_one_under
     for each in (practice, other):
         each.learn_assessed(under_way, toss(under_way, each.task.settings))
     assert not np.allclose(practice.learner.mean, other.learner.mean)
-    told = Power(
-        practice.learner.size, settings_of(practice).learner_settings, np.random.default_rng()
-    )
+    told = Power(practice.learner.size, practice.settings.learner_settings, np.random.default_rng())
     for record in practice.records:
         if record.demonstration == practice.parametrization.policy0.id:
             told.tell(np.array(record.learnt_as), record.ret + (record.number == worst.number))
@@ -185,8 +182,8 @@ def test_what_cannot_be_rated_is_refused_with_a_reason() -> None:
     run(practice, 1, worth(None))
     refused("trial-0003 has no return and is not learnt from: so it was")
     run(practice, 4, worth(0.5))
-    refused("nothing is learnt any more: budget of 4 rollouts used")
-    with pytest.raises(ValueError, match="nothing is learnt any more"):
+    refused("the session has stopped learning: budget of 4 rollouts used")
+    with pytest.raises(ValueError, match="has stopped learning"):
         practice.add_demonstration(LATER)
 
 
@@ -273,7 +270,7 @@ def test_events_out_of_place_are_refused() -> None:
     fresh = started()
     with pytest.raises(ValueError, match="after record 0 cannot take effect after record 3"):
         fresh.apply(rating)
-    with pytest.raises(ValueError, match="rollout 3 was rated before it was on record"):
+    with pytest.raises(ValueError, match="rollout 3 was rated before it was recorded"):
         fresh.apply(rating.model_copy(update={"after": 1}))
 
 
@@ -312,8 +309,8 @@ def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
     kinds = [json.loads(text)["schema"].split("/")[1] for text in lines]
     for kind, change, reason in (
         ("rating", {"amount": "much"}, "amount: "),
-        ("rating", {"after": 99}, "what takes effect after rollout 99 cannot follow"),
-        ("rating", {"rollout": 99}, "rollout 99 is rated before it is on record"),
+        ("rating", {"after": 99}, "a line that takes effect after rollout 99 cannot follow"),
+        ("rating", {"rollout": 99}, "rollout 99 is rated before it is recorded"),
         ("demonstration", {"id": "other"}, "holds policy 'flick-91', expected 'other'"),
         ("demonstration", {"policy": {}}, "policy"),
     ):
@@ -335,4 +332,4 @@ def test_table_log_and_report_show_what_a_person_did(tmp_path: Path) -> None:
     assert line(event, task.outcome).strip() == f"a person: {event.note}"
     page = render(header, task, candidates[0], None, records)
     assert returned(rated) in page and "A person rewarded" in page
-    assert "Given in the middle of learning: flick-91, flick-102." in page
+    assert "Demonstrations added while learning: flick-91, flick-102." in page

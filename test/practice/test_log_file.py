@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log of a session by itself: in order, all of it there again, or refused."""
+"""Session log: lines are kept in order, and a log that lost some is refused."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_what_was_appended_is_there_when_it_is_opened_again(tmp_path: Path) -> N
 def test_a_line_out_of_order_and_one_after_the_end_are_refused(tmp_path: Path) -> None:
     first, second = some_records(2)
     log = LogFile(tmp_path)
-    with pytest.raises(SessionError, match="rollout 2 cannot follow 0"):
+    with pytest.raises(SessionError, match="rollout 2 cannot follow rollout 0"):
         log.append(second)
     log.append(first)
     log.close()

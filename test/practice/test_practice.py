@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from toss_task import AnyArm, demonstrated_policy, learner_state, practice_of, settings_of, toss
+from toss_task import AnyArm, demonstrated_policy, learner_state, practice_of, toss
 
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import (
@@ -20,7 +20,7 @@ from wam_power_ros.learning.rollout import (
 )
 from wam_power_ros.practice.choose_demonstration import choose_demonstration
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_log import Record, line_of
+from wam_power_ros.practice.session_log import Record, parse_line
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
@@ -36,7 +36,7 @@ def started(name: str, seed: int = 0, **changes: object) -> Practice:
 
 
 def run(practice: Practice, judge: Judge | None = None, rollouts: int = 10_000) -> list[Record]:
-    """Go on for a number of rollouts or to the end."""
+    """Continue for a number of rollouts or to the end."""
     judge = judge or (lambda trial: toss(trial, practice.task.settings))
     records = []
     while len(records) < rollouts and (trial := practice.next_trial()) is not None:
@@ -54,7 +54,7 @@ def bad(ret: float = 0.5) -> Assessment:
 
 
 def image(practice: Practice) -> str:
-    """All that matters about a practice: what it would do next, and what it knows."""
+    """State of a practice and its next trial, as text for comparison."""
     trial, best, learner = practice.next_trial(), practice.best, practice.learner
     return json.dumps(
         [
@@ -102,8 +102,8 @@ def test_replaying_records_rebuilds_the_practice_at_every_boundary(name: str, se
         images.append(image(practice))
     assert practice.finished and len(lines) > 27
     for cut, expected in enumerate(images):
-        records = [line_of(line) for line in lines[:cut]]
-        again = practice_of(CANDIDATES, settings_of(practice), seed, records)
+        records = [parse_line(line) for line in lines[:cut]]
+        again = practice_of(CANDIDATES, practice.settings, seed, records)
         assert image(again) == expected
         while (trial := again.next_trial()) is not None and len(again.records) < cut + 2:
             assert (
@@ -420,7 +420,7 @@ def test_paths_and_trials_that_are_not_due_are_refused_without_a_trace() -> None
 def test_records_of_another_session_are_refused() -> None:
     practice = started("flip", 1)
     records = run(practice, rollouts=10)
-    settings = settings_of(practice)
+    settings = practice.settings
     for candidates, other, seed, taken, reason in [
         (CANDIDATES, settings, 2, records, "record 1: the generator is not this session's"),
         (CANDIDATES[::-1], settings, 1, records, "record 1: demonstration is 'flick-1'"),
@@ -486,7 +486,7 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
     )
     line = record.to_json()
     assert "\n" not in line and json.loads(line)["schema"] == "wam_power_ros/rollout/2"
-    again = line_of(line)
+    again = parse_line(line)
     assert again == record and again.to_json() == line
     assert again.terms["b"] is None
     assert again.truth == {"angle": 1.5, "n": [0, 1], "ok": True}
@@ -501,7 +501,7 @@ def test_a_record_is_one_line_of_strict_json_and_comes_back_exactly() -> None:
     ):
         assert damage != line
         with pytest.raises(ValueError):
-            line_of(damage)
+            parse_line(damage)
 
 
 @pytest.mark.requirement("S-31")
@@ -523,7 +523,7 @@ def test_infeasible_samples_are_rejected_and_only_feasible_ones_are_tried() -> N
 
 
 class SlowModel(AnyArm):
-    """An arm whose model is asked with the number of overruns, which it keeps."""
+    """Model of an arm that records the number of overruns at each simulation."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -568,7 +568,7 @@ def test_a_replayed_practice_draws_without_simulating_again() -> None:
     practice = practice_of(CANDIDATES, settings, 3, arm=AnyArm(parity))
     records = run(practice, rollouts=12)
     assert any(record.rejections for record in records)
-    again = practice_of(CANDIDATES, settings_of(practice), 3, records, AnyArm(never))
+    again = practice_of(CANDIDATES, practice.settings, 3, records, AnyArm(never))
     assert again.records == practice.records
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A session on disk outlives everything that can happen to the process that writes it."""
+"""A session on disk survives kills, a full disk and damaged files."""
 
 import hashlib
 import json
@@ -34,7 +34,7 @@ HERE = Path(__file__).resolve().parents[1]
 
 
 def begun(folder: Path, rollouts: int = 0, seed: int = 5) -> Path:
-    """A session of some rollouts, closed again."""
+    """Folder of a closed session of some rollouts."""
     with Session.begin(
         folder, SETTINGS, seed, CANDIDATES, context={"home": [0.0, 20.0]}
     ) as session:
@@ -53,7 +53,7 @@ def go_on(session: Session, practice: Practice, rollouts: int) -> None:
 
 
 def acknowledge(folder: Path, log: bytes) -> None:
-    """Put the folder into the state in which this log was the last that was acknowledged."""
+    """Write acknowledged.json as if this log was acknowledged last."""
     noted = {
         "rollouts": log.count(b"\n"),
         "bytes": len(log),
@@ -70,7 +70,7 @@ def next_trial(practice: Practice) -> str:
 
 
 def expected_next_trials() -> list[str]:
-    """What an undisturbed session would try after each number of rollouts."""
+    """Next trial of an undisturbed session after each number of rollouts."""
     practice = practice_of(CANDIDATES, SETTINGS, 5)
     expected = [next_trial(practice)]
     while (trial := practice.next_trial()) is not None:
@@ -288,7 +288,7 @@ def test_a_log_that_may_not_grow_is_left_as_it_was(tmp_path: Path) -> None:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert log.read_bytes() == before
         session.append(record)
-        with pytest.raises(SessionError, match="rollout 4 cannot follow 4"):
+        with pytest.raises(SessionError, match="rollout 4 cannot follow rollout 4"):
             session.append(record)
     assert len(read(folder)[2]) == 4
     with pytest.raises(SessionError, match="closed"):
@@ -310,7 +310,7 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
         (json.dumps({**record, "ret": "high"}).encode() + b"\n", "line 2: ret: .* got high"),
         (json.dumps({**record, "extra": 1}).encode() + b"\n", "line 2: extra: "),
         (json.dumps({**record, "schema": "x/2"}).encode() + b"\n", "line 2: schema: "),
-        (lines[0], "line 2: rollout 1 cannot follow 1"),
+        (lines[0], "line 2: rollout 1 cannot follow rollout 1"),
     ]:
         text = b"".join([lines[0], damaged, *lines[2:]])
         log.write_bytes(text)

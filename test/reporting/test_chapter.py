@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapters show what they were given, escaped, and a table is as wide as its head."""
+"""Chapters show their contents, escaped; the rows of a table match its head."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_colours_of_drawings_are_inverted_in_the_dark_and_those_of_photographs_n
 
 
 def test_a_row_of_another_width_than_the_head_is_refused() -> None:
-    with pytest.raises(ValueError, match="a row of 1 cells under a head of 2"):
+    with pytest.raises(ValueError, match="row of 1 cells in a table of 2 columns"):
         chapter.html(Chapter("t", tables=[Table("", ["a", "b"], [["1"]])]))
 
 

@@ -25,8 +25,8 @@ def test_the_normal_of_a_flipped_pancake_points_down_in_the_figure() -> None:
     side = flip_figures.side_view(*a_toss(), t_f=0.9).axes[0]
     pan, pancake = side.collections
     assert np.all(pan.V > 0.0)
-    assert pancake.V[0] == pytest.approx(flip_figures.NORMAL)
-    assert pancake.V[-1] == pytest.approx(-flip_figures.NORMAL)
+    assert pancake.V[0] == pytest.approx(flip_figures.NORMAL_LENGTH)
+    assert pancake.V[-1] == pytest.approx(-flip_figures.NORMAL_LENGTH)
 
 
 def test_a_rollout_without_a_single_frame_is_drawn_all_the_same() -> None:

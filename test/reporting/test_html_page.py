@@ -32,5 +32,5 @@ def test_a_page_is_one_document_with_its_title() -> None:
 
 
 def test_a_row_of_another_length_than_the_head_is_refused() -> None:
-    with pytest.raises(ValueError, match="a row of 2 cells under a head of 1"):
+    with pytest.raises(ValueError, match="row of 2 cells in a table of 1 columns"):
         html_page.table(["a"], [["1", "2"]])

@@ -71,8 +71,8 @@ def test_a_report_lists_every_rollout_with_its_angle(folder: Path) -> None:
 
 def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Path) -> None:
     html = session_report.write(folder).read_text()
-    assert "Rollout 2 was the first that was flipped and caught" in html  # 100 degrees topple over
-    assert "1.37 m/s" in html and "over the factory fault speed" in html
+    assert "Rollout 2 was the first that flipped and caught" in html  # 100 degrees topple over
+    assert "1.37 m/s" in html and "exceeds the factory fault speed" in html
 
 
 def test_a_report_has_the_reproduction_beside_the_answer(folder: Path) -> None:
@@ -142,7 +142,7 @@ def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Pat
     visible = re.sub(r"<style>.*?</style>", "", html, flags=re.DOTALL)
     for word in ("pancake", "flip", "Eq. 5", "caught"):
         assert word not in visible
-    assert "Rollout 2 was the first that was a success." in html
+    assert "Rollout 2 was the first that succeeded." in html
     assert "obstacle was touched, the observation agreed with the simulator in 3 of 3" in html
     assert (
         html.count("data:image/svg+xml;base64,") == 4

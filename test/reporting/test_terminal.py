@@ -52,7 +52,7 @@ def test_no_head_and_no_outcome_is_cut_at_any_width(practice: Practice, width: i
 def test_the_budget_is_not_known_before_the_session_is(practice: Practice) -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80, force_terminal=True)) as display:
-        display.say("torque_controller: waiting for joint states", trouble=False)
+        display.show_message("torque_controller: waiting for joint states", is_problem=False)
     shown = text.getvalue()
     assert "of at most" not in shown
     assert "waiting for joint states" in shown
@@ -61,15 +61,15 @@ def test_the_budget_is_not_known_before_the_session_is(practice: Practice) -> No
 def test_trouble_is_printed_and_stays(practice: Practice) -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80)) as display:
-        display.say("torque_controller: mode hold", trouble=False)
-        display.say("torque_controller: fault (jump): joint 3", trouble=True)
+        display.show_message("torque_controller: mode hold", is_problem=False)
+        display.show_message("torque_controller: fault (jump): joint 3", is_problem=True)
     assert text.getvalue() == "torque_controller: fault (jump): joint 3\n"
 
 
 def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80)) as display:
-        display.say("learner: waiting: the pancake is ready", trouble=False)
+        display.show_message("learner: waiting: the pancake is ready", is_problem=False)
         for now in (0.0, 4.0, 5.5, 6.0, 11.0):
             display.tick(now)
         assert [line.split()[1] for line in text.getvalue().splitlines()] == ["6", "11"]
@@ -77,7 +77,7 @@ def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
         display.show(practice.log[:1], 6, practice.task.outcome)
         display.tick(12.0)
         display.tick(16.0)
-    assert len(text.getvalue().splitlines()) == 3  # the rollout was a sign of life itself
+    assert len(text.getvalue().splitlines()) == 3  # the rollout was itself a line of the file
 
 
 def test_a_line_has_number_return_terms_and_outcome(practice: Practice) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing of a bag in a thread of its own, so that the subscriber never waits for the disk.
+"""Writes a bag in a separate thread, so that the subscriber never waits for the disk.
 
-The thread has the scheduling of the one that begins the recording. Both need the interpreter's
-lock: a thread of lower priority that is preempted while it has the lock would delay the subscriber.
+The thread inherits the scheduling of the thread that begins the recording. Both need the
+interpreter's lock: a low-priority thread preempted while holding it would delay the subscriber.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from rosbags.interfaces import Qos
 from wam_power_ros.bags.gaps import Gaps
 from wam_power_ros.bags.writer import BagWriter
 
-WRITE_PERIOD = 0.3  # [s] of messages that a kill loses, and those that are being written
-WAITING_MAX = 100_000  # messages; a disk that hangs for minutes counts as full
+WRITE_PERIOD = 0.3  # between two flushes; a kill loses the messages of about this time [s]
+WAITING_MAX = 100_000  # queued messages; a disk that hangs for minutes counts as full
 
 
 class Recording:
-    """One bag being written; `close` makes it a bag, anything else leaves it unfinished.
+    """One bag being written; only `close` completes it.
 
     Attributes:
         path: Folder of the finished bag.
-        error: Error that has ended the writing; None while it goes on.
+        error: Error that ended the writing; None while there is none.
     """
 
     def __init__(
@@ -37,17 +37,17 @@ class Recording:
         notes: Mapping[str, str],
         now: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Begin the bag `path` with a "start" event, its kind as the reason.
+        """Begin the bag `path` with a "start" event, whose reason is the kind.
 
         Args:
             path: Folder of the finished bag.
             kind: Kind of the recording.
             notes: Notes for the metadata, see `BagWriter.event`.
-            now: Clock by which messages are stamped when they are received [ns].
+            now: Clock for the time of reception [ns].
 
         Raises:
-            FileExistsError: When it exists, finished or not.
-            OSError: When the folder cannot be written.
+            FileExistsError: The bag exists, finished or not.
+            OSError: The folder cannot be written.
         """
         self.path = path
         self.error: OSError | None = None
@@ -55,7 +55,7 @@ class Recording:
         self._writer = BagWriter(path)
         self._topics: set[str] = set()
         self._queue: deque[tuple[Callable[..., None], tuple[object, ...]]] = deque()
-        self._over = threading.Event()
+        self._closing = threading.Event()
         self._enqueue(self._writer.event, "start", kind, now(), notes)
         self._thread = threading.Thread(target=self._run, name="writing", daemon=True)
         self._thread.start()
@@ -67,11 +67,11 @@ class Recording:
     @property
     def counts(self) -> dict[str, int]:
         """Number of messages written, by topic."""
-        return dict(self._writer.counts)  # a copy in one step: the thread may be adding one
+        return dict(self._writer.counts)  # an atomic copy: the thread may be adding a topic
 
     @property
     def waiting(self) -> int:
-        """Number of messages that wait to be written."""
+        """Number of queued messages."""
         return len(self._queue)
 
     def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
@@ -80,20 +80,20 @@ class Recording:
         self._enqueue(self._writer.add, topic, msgtype, offered)
 
     def write(self, topic: str, cdr: bytes) -> None:
-        """Queue a serialized message, received now."""
+        """Queue a serialized message; its time of reception is now."""
         self._enqueue(self._writer.write, topic, self._now(), cdr)
 
     def close(self, reason: str, notes: Mapping[str, str], state_topic: str) -> Gaps | None:
         """Write the queue and finish the bag, with notes for its metadata.
 
         Returns:
-            Gaps of the state topic; None without messages on it.
+            Gaps of the state topic; None if the topic was not added.
 
         Raises:
-            OSError: When the writing has failed; the bag stays unfinished.
+            OSError: The writing failed; the bag stays unfinished.
         """
         self._enqueue(self._writer.event, "stop", reason, self._now())
-        self._over.set()
+        self._closing.set()
         self._thread.join()
         if self.error is not None:
             raise self.error
@@ -105,21 +105,21 @@ class Recording:
         counter = self._writer.stamps.get(state_topic)
         return None if counter is None else counter.gaps()
 
-    def _enqueue(self, what: Callable[..., None], *arguments: object) -> None:
+    def _enqueue(self, call: Callable[..., None], *arguments: object) -> None:
         if len(self._queue) < WAITING_MAX:
-            self._queue.append((what, arguments))
+            self._queue.append((call, arguments))
         elif self.error is None:
-            self.error = OSError(f"the disk is too slow: {WAITING_MAX} messages wait for it")
+            self.error = OSError(f"the disk is too slow: {WAITING_MAX} messages are queued")
 
     def _run(self) -> None:
-        """Body of the thread: flush the queue to the disk periodically."""
-        over = False
+        """Body of the thread: write the queue to the disk periodically."""
+        closing = False
         try:
-            while not over and self.error is None:
-                over = self._over.wait(WRITE_PERIOD)
+            while not closing and self.error is None:
+                closing = self._closing.wait(WRITE_PERIOD)
                 while self._queue:
-                    what, arguments = self._queue.popleft()
-                    what(*arguments)
+                    call, arguments = self._queue.popleft()
+                    call(*arguments)
                 self._writer.flush()
         except Exception as error:
             self.error = error if isinstance(error, OSError) else OSError(repr(error))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""New bags of others: a part of one, several in one, one of another recorder; none is changed."""
+"""New bags from existing ones: trim, merge and import; the existing bags are not changed."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 from rosbags.interfaces import QosDurability
 
-from wam_power_ros import plain_yaml
 from wam_power_ros.bags import layout, reader
-from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES
+from wam_power_ros.bags.layout import EVENT, JOINT_STATE, STATES, TYPES
 from wam_power_ros.bags.reader import Topic
 from wam_power_ros.bags.writer import BagWriter, header_stamp
 
@@ -25,19 +24,19 @@ Message = tuple[str, int, bytes]  # topic, time of reception [ns], data
 def trim(path: Path, to: Path, begin: float, end: float) -> Path:
     """Copy the part of a bag between two times [s] since its first joint state.
 
-    Latched messages are kept whenever they came.
+    All latched messages are kept.
 
     Raises:
-        ValueError: It is no bag, or has no joint state in that part.
+        ValueError: `path` is not a bag, or has no joint state in that part.
         FileExistsError: `to` exists already.
     """
     topics = reader.topics(path)
-    notes = _notes(path)
+    notes = reader.notes(path)
     states = notes.get("state_topic", STATES)
     times = [(stamp, header_stamp(data)) for _, stamp, data in reader.messages(path, [states])]
     kept = [
         stamp for stamp, time in times if begin <= (time - times[0][1]) * 1e-9 <= end
-    ]  # by the device's clock; a simulation may be recorded faster or slower than it runs
+    ]  # by header stamps; a simulation may be recorded faster or slower than real time
     if not kept:
         raise ValueError(f"{path}: no message on {states} from {begin} to {end} s")
     low, high = min(kept), max(kept)
@@ -50,14 +49,14 @@ def trim(path: Path, to: Path, begin: float, end: float) -> Path:
             elif name in latched:
                 yield name, min(max(stamp, low), high), data
 
-    return _written(to, topics, sorted(part(), key=itemgetter(1)), notes)
+    return _write(to, topics, sorted(part(), key=itemgetter(1)), notes)
 
 
 def merge(paths: Sequence[Path], to: Path) -> Path:
-    """Copy the messages of several bags into one, in the order of their reception.
+    """Copy the messages of several bags into one, in the order of reception.
 
     Raises:
-        ValueError: One is no bag, or a topic is in two of them at the same time or of two types.
+        ValueError: A path is not a bag, or a topic has two types or overlaps in time in two bags.
         FileExistsError: `to` exists already.
     """
     topics: dict[str, Topic] = {}
@@ -65,7 +64,7 @@ def merge(paths: Sequence[Path], to: Path) -> Path:
     for path in paths:
         for name, topic in reader.topics(path).items():
             if topics.setdefault(name, topic).msgtype != topic.msgtype:
-                raise ValueError(f"{name} is of type {topics[name].msgtype} and {topic.msgtype}")
+                raise ValueError(f"{name} has types {topics[name].msgtype} and {topic.msgtype}")
             stamps = [stamp for _, stamp, _ in reader.messages(path, [name])]
             if stamps and not _latched(topic):
                 spans.setdefault(name, []).append((min(stamps), max(stamps), path))
@@ -76,98 +75,95 @@ def merge(paths: Sequence[Path], to: Path) -> Path:
             if first <= last:
                 raise ValueError(f"{name} is in {one} and {other} at the same time")
     messages = heapq.merge(*(reader.messages(path, topics) for path in paths), key=itemgetter(1))
-    return _written(to, topics, messages, _notes(paths[0]))
+    return _write(to, topics, messages, reader.notes(paths[0]))
 
 
 def import_bag(
     path: Path,
     to: Path,
     joint_names: Sequence[str],
-    theirs: Sequence[str] = (),
+    bag_names: Sequence[str] = (),
     topic: str = "",
     kind: str = "",
 ) -> Path:
-    """Make a demonstration of the joint states in any rosbag2 bag, MCAP or SQLite.
+    """Create a demonstration from the joint states in any rosbag2 bag, MCAP or SQLite.
 
     Args:
         path: Folder of the bag.
         to: Folder of the new bag.
-        joint_names: Names of our joints, base to tip.
-        theirs: Names of the same joints in the bag, in that order; ours if omitted.
+        joint_names: Names of the arm's joints, base to tip.
+        bag_names: Names of the same joints in the bag, in that order; `joint_names` if omitted.
         topic: Topic of the joint states; the only one of this type if omitted.
-        kind: Stem of the task that it demonstrates.
+        kind: Stem of the demonstrated task.
 
     Raises:
-        ValueError: It is no bag, has no such topic or joints, or not one value for each name.
+        ValueError: `path` is not a bag, has no such topic or joints, or the numbers of names
+            differ.
         FileExistsError: `to` exists already.
     """
-    theirs = list(theirs) or list(joint_names)
-    if len(theirs) != len(joint_names):
-        raise ValueError(f"{len(theirs)} names {theirs} for the joints {list(joint_names)}")
+    bag_names = list(bag_names) or list(joint_names)
+    if len(bag_names) != len(joint_names):
+        raise ValueError(f"{len(bag_names)} names {bag_names} for the joints {list(joint_names)}")
     topic = topic or _only_states(path)
     messages = [
-        (STATES, stamp, renamed)
+        (STATES, stamp, converted)
         for _, stamp, data in reader.messages(path, [topic])
-        if (renamed := _renamed(path, data, stamp, theirs, joint_names))
+        if (converted := _converted(path, data, stamp, bag_names, joint_names))
     ]
     if not messages:
-        seen = {name for _, _, data in reader.messages(path, [topic]) for name in _names(data)}
+        found: set[str] = set()
+        for _, _, data in reader.messages(path, [topic]):
+            found |= set(TYPES.deserialize_cdr(data, JOINT_STATE).name)
         raise ValueError(
-            f"{path}: no message on {topic} has the joints {theirs}; it has {sorted(seen)}. Name "
-            "those of the arm, base to tip, with --joints"
+            f"{path}: no message on {topic} has the joints {bag_names}; it has {sorted(found)}. "
+            "Name the joints of the arm, base to tip, with --joints"
         )
     notes = {
         "joint_names": json.dumps(list(joint_names)),
         "state_topic": STATES,
         "source": "imported",
-        "imported": json.dumps({"from": path.resolve().name, "topic": topic, "joints": theirs}),
+        "imported": json.dumps({"from": path.resolve().name, "topic": topic, "joints": bag_names}),
     }
     offered = (layout.qos(reliable=True, latched=False),)
-    return _written(to, {STATES: Topic(JOINT_STATE, offered)}, messages, notes, kind)
+    return _write(to, {STATES: Topic(JOINT_STATE, offered)}, messages, notes, kind)
 
 
 def _only_states(path: Path) -> str:
-    found = [name for name, topic in reader.topics(path).items() if topic.msgtype == JOINT_STATE]
+    """Name of the only topic of joint states."""
+    topics = reader.topics(path)
+    found = [name for name, topic in topics.items() if topic.msgtype == JOINT_STATE]
     if len(found) != 1:
-        others = ", ".join(found or reader.topics(path)) or "nothing"
+        names = ", ".join(found or topics) or "nothing"
         what = "several topics" if found else "no topic"
-        raise ValueError(f"{path} has {what} of joint states: {others}; name one with --topic")
+        raise ValueError(f"{path} has {what} of joint states: {names}; name one with --topic")
     return found[0]
 
 
-def _names(data: bytes) -> list[str]:
-    return list(TYPES.deserialize_cdr(data, JOINT_STATE).name)
-
-
-def _renamed(
-    path: Path, data: bytes, stamp: int, theirs: Sequence[str], ours: Sequence[str]
+def _converted(
+    path: Path, data: bytes, stamp: int, bag_names: Sequence[str], joint_names: Sequence[str]
 ) -> bytes | None:
-    """Joint state in our names and order; None for a state of other joints.
+    """Joint state with the names and order of the arm; None for a state of other joints.
 
     Raises:
-        ValueError: Some of the joints are missing, or it is not a joint state.
+        ValueError: Some of the joints are missing, or the message is not a joint state.
     """
     message = TYPES.deserialize_cdr(data, JOINT_STATE)
-    place = {name: index for index, name in enumerate(message.name)}
-    missing = [name for name in theirs if name not in place]
-    if len(missing) == len(theirs):
+    index = {name: place for place, name in enumerate(message.name)}
+    missing = [name for name in bag_names if name not in index]
+    if len(missing) == len(bag_names):
         return None
     if missing:
         raise ValueError(f"{path}: joints {missing} missing among {list(message.name)}")
-    order = [place[name] for name in theirs]
+    order = [index[name] for name in bag_names]
     for field in ("position", "velocity", "effort"):
         values = getattr(message, field)
-        whole = len(values) == len(message.name)
-        setattr(message, field, values[order] if whole else np.zeros(0))
-    message.name = list(ours)
+        complete = len(values) == len(message.name)
+        setattr(message, field, values[order] if complete else np.zeros(0))
+    message.name = list(joint_names)
     time = message.header.stamp
-    if time.sec == time.nanosec == 0:  # a driver without stamps: when it came
+    if time.sec == time.nanosec == 0:  # a driver without stamps: use the time of reception
         time.sec, time.nanosec = divmod(stamp, 1_000_000_000)
     return bytes(TYPES.serialize_cdr(message, JOINT_STATE))
-
-
-def _notes(path: Path) -> dict[str, str]:
-    return reader.custom_data(plain_yaml.read(path / "metadata.yaml"))
 
 
 def _latched(topic: Topic) -> bool:
@@ -176,23 +172,21 @@ def _latched(topic: Topic) -> bool:
     )
 
 
-def _written(
+def _write(
     to: Path,
     topics: Mapping[str, Topic],
     messages: Iterable[Message],
     notes: Mapping[str, str],
     kind: str = "",
 ) -> Path:
-    """Write a bag, or nothing of it when something is wrong; `kind` of an event at its start."""
+    """Write a bag, removed again on an error; a `kind` is noted by a start event."""
     writer = BagWriter(to)
     try:
         for name, topic in topics.items():
             writer.add(name, topic.msgtype, topic.offered)
-        begun = not kind
         for name, stamp, data in messages:
-            if not begun:
+            if kind and EVENT not in writer.counts:
                 writer.event("start", kind, stamp)
-                begun = True
             writer.write(name, stamp, data)
         states = notes.get("state_topic", STATES)
         return writer.close({**notes, **writer.completeness(states)})

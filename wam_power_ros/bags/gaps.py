@@ -11,10 +11,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Gaps:
-    """Completeness of a topic by its stamps.
+    """Gaps between the stamps of a topic.
 
     Attributes:
-        period: Median time between messages [s].
+        period: Median interval between messages [s].
         missing: Number of messages that would fill the intervals longer than 1.5 periods.
         longest: Longest interval [s].
     """
@@ -27,10 +27,10 @@ class Gaps:
 class GapCounter:
     """Counts gaps in the stamps of one topic online, in constant memory.
 
-    The period is the median of the first `LEARNT` intervals; messages sent again count once.
+    The period is the median of the first `PERIOD_INTERVALS` intervals; repeated stamps count once.
     """
 
-    LEARNT = 1000  # intervals
+    PERIOD_INTERVALS = 1000
 
     def __init__(self) -> None:
         self._last: int | None = None
@@ -50,7 +50,7 @@ class GapCounter:
             self._missing += _missing(step, self._period)
             return
         self._first_steps.append(step)
-        if len(self._first_steps) == self.LEARNT:
+        if len(self._first_steps) == self.PERIOD_INTERVALS:
             found = self.gaps()
             self._period, self._missing = found.period * 1e9, found.missing
             self._first_steps = array("q")

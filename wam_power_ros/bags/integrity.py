@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is a bag whole and of bounded size? Asked of its files before anything in them is believed.
+"""Checks that a bag is undamaged and of bounded size, before its contents are used.
 
-MCAP has checksums of each chunk, of everything recorded and of the summary at the end. They are
-checked wherever a recorder wrote them; ours does (`seal`), so no bit of its bags changes unnoticed.
-Compressed data are unpacked up to limits only, whatever sizes a file claims. Files that are no
-regular files (a FIFO, a device) are refused, as reading them could block for ever.
+MCAP has checksums of each chunk, of the data section and of the summary. They are verified if the
+recorder wrote them; ours does (`seal`), so any changed bit of its bags is detected. Compressed data
+are unpacked up to fixed limits, whatever sizes a file declares. Files other than regular ones (a
+FIFO, a device) are refused, as reading them could block for ever.
 """
 
 from __future__ import annotations
@@ -27,23 +27,24 @@ from wam_power_ros import plain_yaml
 from wam_power_ros.durable_files import check_regular
 
 MAGIC = b"\x89MCAP0\r\n"
-HEADER, CHUNK, CHUNK_INDEX, METADATA, DATA_END, FOOTER = 0x01, 0x06, 0x08, 0x0C, 0x0F, 0x02
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06  # opcodes of records
+CHUNK_INDEX, METADATA, DATA_END = 0x08, 0x0C, 0x0F
 RECORD_HEADER = struct.Struct("<BQ")  # opcode and size
 CHUNK_HEADER = struct.Struct("<QQQI")  # first and last stamp, unpacked size, checksum
-CHUNK_CRC_AT = 24  # of the checksum in the body of a chunk
+CHUNK_CRC_OFFSET = 24  # of the checksum in the body of a chunk [byte]
 DATA_END_SIZE = RECORD_HEADER.size + 4
 FOOTER_SIZE = RECORD_HEADER.size + 20
-# The largest chunk or message; rosbag2 writes chunks of 0.8 MB, other recorders of some MB.
+# The largest chunk or message; rosbag2 writes chunks of 0.8 MB, other recorders of a few MB.
 UNPACKED_MAX = 64_000_000  # [byte]
-# A bag may unpack to this many times its size, and UNPACKED_MAX: joint states pack to a third.
+# A bag may unpack to this many times its size plus UNPACKED_MAX: joint states pack to a third.
 RATIO_MAX = 50
-TOTAL_MAX = 4_000_000_000  # of everything in a bag, unpacked: six hours of ours [byte]
-RECORD_MAX = 1_000_000  # of what is read whole: metadata, or the index of one chunk [byte]
-STEP = 1 << 20  # read at once [byte]
+TOTAL_MAX = 4_000_000_000  # unpacked size of a bag: six hours of our recorder [byte]
+RECORD_MAX = 1_000_000  # of a record that is read as a whole: metadata, index of a chunk [byte]
+READ_SIZE = 1 << 20  # [byte]
 
 
 class Budget:
-    """Bytes to which a bag may unpack, by its size on the disk; spent by reading it.
+    """Number of bytes to which a bag may unpack, by its size on the disk.
 
     Args:
         path: Folder of the bag, for messages.
@@ -52,33 +53,33 @@ class Budget:
 
     def __init__(self, path: Path, packed: int) -> None:
         self._path, self._packed = path, packed
-        self.most = self._left = min(TOTAL_MAX, UNPACKED_MAX + RATIO_MAX * packed)
+        self._limit = self._left = min(TOTAL_MAX, UNPACKED_MAX + RATIO_MAX * packed)
 
-    def take(self, size: int) -> None:
-        """Spend some bytes.
+    def spend(self, size: int) -> None:
+        """Spend a number of bytes.
 
         Raises:
-            ValueError: There are not as many left.
+            ValueError: The budget is exhausted.
         """
         self._left -= size
         if self._left < 0:
             raise ValueError(
-                f"{self._path} has {self._packed} bytes and unpacks to more than {self.most}, the "
-                f"most allowed ({RATIO_MAX} times its size and {UNPACKED_MAX}, at most {TOTAL_MAX})"
+                f"{self._path} has {self._packed} bytes and unpacks to more than {self._limit}, "
+                f"the limit ({RATIO_MAX} times its size plus {UNPACKED_MAX}, at most {TOTAL_MAX})"
             )
 
 
 def unpack(data: bytes, compression: str, size_max: int, where: str) -> bytes:
-    """Decompress data, with memory for what is allowed only.
+    """Decompress data without using more memory than allowed.
 
     Args:
         data: Compressed data.
         compression: "lz4", "zstd", or "" for none.
-        size_max: Largest size allowed [byte].
-        where: Origin for messages.
+        size_max: Largest unpacked size allowed [byte].
+        where: Origin of the data for messages.
 
     Raises:
-        ValueError: They are larger, damaged, or compressed in another way.
+        ValueError: The data are larger, damaged, or of an unknown compression.
     """
     openers: dict[str, Callable[[BytesIO], Any]] = {
         "": lambda packed: packed,
@@ -87,7 +88,7 @@ def unpack(data: bytes, compression: str, size_max: int, where: str) -> bytes:
     }
     if compression not in openers:
         known = ", ".join(filter(None, openers))
-        raise ValueError(f"{where} is compressed with {compression!r}; known are {known}")
+        raise ValueError(f"{where} is compressed with {compression!r}, which is not one of {known}")
     try:
         with openers[compression](BytesIO(data)) as packed:
             raw: bytes = packed.read(size_max + 1)
@@ -99,10 +100,10 @@ def unpack(data: bytes, compression: str, size_max: int, where: str) -> bytes:
 
 
 def seal(file: Path) -> None:
-    """Write the checksums of everything recorded and of the summary into a closed MCAP file.
+    """Write the checksums of the data section and of the summary into a closed MCAP file.
 
     Raises:
-        OSError: When the disk refuses.
+        OSError: The file cannot be written.
     """
     with file.open("r+b") as data:
         footer = data.seek(-FOOTER_SIZE - len(MAGIC), 2)
@@ -119,18 +120,18 @@ def seal(file: Path) -> None:
 
 @contextmanager
 def checked(path: Path) -> Iterator[tuple[Path, Budget]]:
-    """Folder in which a bag can be read, and the bytes it may yet unpack to, message by message.
+    """Check a bag; yields the folder to read it from, and the budget for its messages.
 
-    The folder is the bag's own, or a temporary one where its files are compressed as a whole.
+    The folder is the bag itself, or a temporary one if its files are compressed as a whole.
 
     Raises:
-        ValueError: A file is damaged, missing, no regular file, or too large unpacked.
+        ValueError: A file is damaged, missing, not a regular file, or too large when unpacked.
     """
     metadata = plain_yaml.read(path / "metadata.yaml")
     information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else 0
     names = information.get("relative_file_paths") if isinstance(information, dict) else 0
     if not isinstance(names, list) or not names:
-        raise ValueError(f"{path}/metadata.yaml names no file of the bag")
+        raise ValueError(f"{path}/metadata.yaml has no relative_file_paths")
     files = [path / PurePath(str(name)).name for name in names]
     for file in files:
         check_regular(file)
@@ -156,8 +157,8 @@ def checked(path: Path) -> Iterator[tuple[Path, Budget]]:
 def _unpack_file(file: Path, to: Path, budget: Budget) -> Path:
     try:
         with zstd.open(file, "rb") as packed, to.open("xb") as out:
-            while piece := packed.read(STEP):
-                budget.take(len(piece))
+            while piece := packed.read(READ_SIZE):
+                budget.spend(len(piece))
                 out.write(piece)
     except (zstd.ZstdError, EOFError) as error:
         raise ValueError(f"{file} cannot be unpacked: {error}") from None
@@ -175,7 +176,7 @@ def _check_files(files: list[Path], information: Mapping[str, Any]) -> None:
 def _check_sqlite(file: Path, _: Mapping[str, Any]) -> None:
     """Refuse a damaged database, and one whose rows are computed instead of stored.
 
-    SQLite has no checksums: a changed value within a message is not noticed.
+    SQLite has no checksums: a changed value within a message is not detected.
     """
     computed = (
         "SELECT name FROM sqlite_master WHERE type IN ('view', 'trigger') "
@@ -189,17 +190,17 @@ def _check_sqlite(file: Path, _: Mapping[str, Any]) -> None:
             found = database.execute(computed).fetchall()
             (verdict,) = database.execute("PRAGMA quick_check(1)").fetchone()
     except sqlite3.Error as error:
-        raise ValueError(f"{file} is no sound database: {error}") from None
+        raise ValueError(f"{file} is not a valid database: {error}") from None
     if found:
-        raise ValueError(f"{file} has {found[0][0]!r}, a view, a trigger or computed; no bag needs")
+        raise ValueError(f"{file} has a view, trigger or computed table {found[0][0]!r}: refused")
     if verdict != "ok":
         raise ValueError(f"{file} is damaged: {verdict}")
 
 
 def _check_mcap(file: Path, information: Mapping[str, Any]) -> None:
-    """Check the checksums of a file, that its index is of its chunks, and that these are small."""
+    """Check the checksums of a file, the index of its chunks, and their unpacked size."""
     size = file.stat().st_size
-    chunks: set[tuple[int, int, str, int, int]] = set()  # where, lengths and compression
+    chunks: set[tuple[int, int, str, int, int]] = set()  # see `_check_chunk`
     index: set[tuple[int, int, str, int, int]] = set()
     noted, sealed, footer = b"", False, -1
     budget = Budget(file, size)
@@ -208,7 +209,9 @@ def _check_mcap(file: Path, information: Mapping[str, Any]) -> None:
             raise ValueError(f"{file} is not an MCAP file")
         for at, opcode, length in _records(data, file, size):
             if opcode in (METADATA, CHUNK_INDEX, DATA_END, FOOTER) and length > RECORD_MAX:
-                raise ValueError(f"{file}: record at byte {at} has {length} bytes")
+                raise ValueError(
+                    f"{file}: record at byte {at} has {length} bytes, limit {RECORD_MAX}"
+                )
             if opcode == CHUNK:
                 chunks.add(_check_chunk(data, at, length, budget, file))
             elif opcode == METADATA:
@@ -217,9 +220,9 @@ def _check_mcap(file: Path, information: Mapping[str, Any]) -> None:
                 (crc,) = struct.unpack("<I", data.read(4))
                 sealed = bool(crc)
                 if crc and crc != _crc(data, 0, at):
-                    raise ValueError(f"{file} is damaged: its checksum is not that of its contents")
+                    raise ValueError(f"{file} is damaged: the checksum of its data is wrong")
             elif opcode == CHUNK_INDEX:
-                index.add(_indexed(data.read(length)))
+                index.add(_indexed_chunk(data.read(length)))
             elif opcode == FOOTER:
                 footer = at
                 summary, _, crc = struct.unpack("<QQI", data.read(20))
@@ -227,22 +230,24 @@ def _check_mcap(file: Path, information: Mapping[str, Any]) -> None:
                     raise ValueError(f"{file} is damaged: the checksum of its summary is wrong")
         data.seek(size - len(MAGIC))
         if data.read() != MAGIC or footer != size - len(MAGIC) - FOOTER_SIZE:
-            raise ValueError(f"{file} does not end as an MCAP file: it is cut or damaged")
+            raise ValueError(f"{file} does not end as an MCAP file: it is truncated or damaged")
     if index and index != chunks:
-        raise ValueError(f"{file} is damaged: its index is not of its chunks")
+        raise ValueError(f"{file} is damaged: its index does not match its chunks")
     if sealed:
         _check_notes(file, noted, information)
 
 
 def _records(data: BinaryIO, file: Path, size: int) -> Iterator[tuple[int, int, int]]:
-    """Offset, opcode and length of every record of a file, which is then at its body."""
+    """Offset, opcode and length of every record; the file is positioned at its body."""
     at, end = len(MAGIC), size - len(MAGIC)
     while at < end:
         data.seek(at)
         head = data.read(RECORD_HEADER.size)
         opcode, length = RECORD_HEADER.unpack(head) if len(head) == RECORD_HEADER.size else (0, end)
         if at + RECORD_HEADER.size + length > end:
-            raise ValueError(f"{file}: record at byte {at} ends beyond the file: cut or damaged")
+            raise ValueError(
+                f"{file}: record at byte {at} ends beyond the file, which is truncated or damaged"
+            )
         yield at, opcode, length
         at += RECORD_HEADER.size + length
 
@@ -250,40 +255,41 @@ def _records(data: BinaryIO, file: Path, size: int) -> Iterator[tuple[int, int, 
 def _check_chunk(
     data: BinaryIO, at: int, length: int, budget: Budget, file: Path
 ) -> tuple[int, int, str, int, int]:
+    """Check a chunk; returns its offset, length, compression, packed and unpacked size [byte]."""
     where = f"{file}: chunk at byte {at}"
     head = data.read(CHUNK_HEADER.size + 4)
-    _, _, size, crc, named = struct.unpack("<QQQII", head)
-    if named > 16:
-        raise ValueError(f"{where} is damaged: {named} bytes name its compression")
-    compression = data.read(named).decode()
+    _, _, size, crc, name_size = struct.unpack("<QQQII", head)
+    if name_size > 16:
+        raise ValueError(f"{where} is damaged: its compression has a name of {name_size} bytes")
+    compression = data.read(name_size).decode()
     (packed,) = struct.unpack("<Q", data.read(8))
-    if length != CHUNK_HEADER.size + 4 + named + 8 + packed:
+    if length != CHUNK_HEADER.size + 4 + name_size + 8 + packed:
         raise ValueError(f"{where} is damaged: {packed} bytes do not fit in {length}")
     if max(size, packed) > UNPACKED_MAX:
         raise ValueError(f"{where} unpacks to {size} bytes; at most {UNPACKED_MAX} are allowed")
-    budget.take(size)
+    budget.spend(size)
     raw = unpack(data.read(packed), compression, size, where)
     if len(raw) != size:
         raise ValueError(f"{where} unpacks to {len(raw)} bytes, not {size}")
     if crc and crc != zlib.crc32(raw):
-        raise ValueError(f"{where} is damaged: its checksum is not that of its contents")
+        raise ValueError(f"{where} is damaged: its checksum is wrong")
     return at, RECORD_HEADER.size + length, compression, packed, size
 
 
-def _indexed(record: bytes) -> tuple[int, int, str, int, int]:
-    """What the index says of a chunk, as `_check_chunk` returns it."""
+def _indexed_chunk(record: bytes) -> tuple[int, int, str, int, int]:
+    """Description of a chunk in the index, as `_check_chunk` returns it."""
     at, length = struct.unpack_from("<QQ", record, 16)
     (offsets,) = struct.unpack_from("<I", record, 32)
-    (named,) = struct.unpack_from("<I", record, 36 + offsets + 8)
+    (name_size,) = struct.unpack_from("<I", record, 36 + offsets + 8)
     begin = 36 + offsets + 12
-    packed, size = struct.unpack_from("<QQ", record, begin + named)
-    return at, length, record[begin : begin + named].decode(), packed, size
+    packed, size = struct.unpack_from("<QQ", record, begin + name_size)
+    return at, length, record[begin : begin + name_size].decode(), packed, size
 
 
 def _check_notes(file: Path, noted: bytes, information: Mapping[str, Any]) -> None:
-    """Refuse a metadata.yaml that is not what the checked file says it was."""
+    """Refuse a metadata.yaml that differs from the copy in the checked file."""
     at, texts = 0, []
-    while at + 4 <= len(noted):  # name, size of the map, key, value: of ours each once
+    while at + 4 <= len(noted):  # name, size of the map, key, value; our recorder writes one each
         (size,) = struct.unpack_from("<I", noted, at)
         texts.append(noted[at + 4 : at + 4 + size])
         at += 4 + (0 if len(texts) == 2 else size)
@@ -294,7 +300,7 @@ def _check_notes(file: Path, noted: bytes, information: Mapping[str, Any]) -> No
         keys = first.keys() | information.keys()
         differ = sorted(key for key in keys if first.get(key) != information.get(key))
         raise ValueError(
-            f"{file.parent / 'metadata.yaml'} is not as the recorder wrote it: "
+            f"{file.parent / 'metadata.yaml'} was changed after the recording: "
             f"{', '.join(map(str, differ))} differ from the copy in {file.name}"
         )
 
@@ -303,7 +309,7 @@ def _crc(data: BinaryIO, begin: int, end: int) -> int:
     """CRC-32 of the bytes from `begin` to before `end`."""
     data.seek(begin)
     crc = 0
-    while begin < end and (piece := data.read(min(STEP, end - begin))):
+    while begin < end and (piece := data.read(min(READ_SIZE, end - begin))):
         crc = zlib.crc32(piece, crc)
         begin += len(piece)
     return crc

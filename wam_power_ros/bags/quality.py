@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of a recorded movement: smoothness, limits, completeness, and the reasons for a grade."""
+"""Quality of a recorded movement: smoothness, limits, completeness, and a grade with reasons."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from wam_power_ros.bags import layout
 
 # Spectral arc length [Balasubramanian2012]
 CUTOFF_MAX = 10.0  # [Hz]
-AMPLITUDE_MIN = 0.05  # of the spectrum's largest, below which it ends
-PADDING = 4  # powers of two by which the spectrum is refined
-SMOOTH = -2.5  # a single smooth movement has about -1.6; below this it falters
-RANGE_MIN = 0.05  # movement of the joint that moves most [rad]
-SPEED_SHARE = 0.9  # of a speed limit, which a rollout may use up
+AMPLITUDE_MIN = 0.05  # share of the largest amplitude at which the spectrum is cut off
+PADDING = 4  # zero padding, as a power of two of the length
+SMOOTHNESS_MIN = -2.5  # a single smooth movement has about -1.6
+RANGE_MIN = 0.05  # range of the joint that moves most [rad]
+SPEED_SHARE_MAX = 0.9  # of a speed limit; a rollout may be faster than its demonstration
 MARGIN_MIN = 0.02  # distance from a position limit [rad]
-MISSING_SHARE = 0.05  # of the messages of a topic
+MISSING_SHARE_MAX = 0.05  # of the messages of a topic
 
 
 class Grade(enum.IntEnum):
@@ -27,7 +27,7 @@ class Grade(enum.IntEnum):
 
     GOOD = 0
     FAIR = 1  # usable; look at the reason
-    POOR = 2  # not to be learnt from
+    POOR = 2  # not suitable for learning
 
 
 class Remark(NamedTuple):
@@ -38,7 +38,7 @@ class Remark(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """Limits of the joints: position [rad] and speed [rad/s]. Shapes (n,)."""
+    """Joint limits: positions [rad] and speeds [rad/s]. Shapes (n,)."""
 
     q_min: np.ndarray
     q_max: np.ndarray
@@ -46,7 +46,7 @@ class Limits(NamedTuple):
 
 
 def smoothness(speed: np.ndarray, period: float) -> float:
-    """Spectral arc length of a speed profile: the nearer to 0 the smoother, whatever its size.
+    """Spectral arc length of a speed profile: the closer to 0, the smoother; independent of scale.
 
     Args:
         speed: Speed of a movement, in any unit. Shape (N,).
@@ -77,18 +77,19 @@ def movement_remarks(
     """Remarks on a smooth movement.
 
     Args:
-        t: Times from 0 [s], evenly. Shape (N,).
+        t: Evenly spaced times from 0 [s]. Shape (N,).
         q: Joint angles [rad]. Shape (N, n).
         joint_names: Names of the joints.
         limits: Limits of the arm, if known.
     """
     found = []
-    if np.ptp(q, axis=0).max() < RANGE_MIN:
-        return [Remark(Grade.POOR, f"hardly moves: {np.ptp(q, axis=0).max():.3f} rad")]
+    largest = np.ptp(q, axis=0).max()
+    if largest < RANGE_MIN:
+        return [Remark(Grade.POOR, f"hardly moves: {largest:.3f} rad")]
     qd = joint_speeds(t, q)
     arc = smoothness(np.linalg.norm(qd, axis=1), float(t[1] - t[0]))
-    if arc < SMOOTH:
-        found.append(Remark(Grade.FAIR, f"falters: smoothness {arc:.1f}, below {SMOOTH:g}"))
+    if arc < SMOOTHNESS_MIN:
+        found.append(Remark(Grade.FAIR, f"jerky: smoothness {arc:.1f}, below {SMOOTHNESS_MIN:g}"))
     if limits is None or len(limits.q_min) != q.shape[1]:
         return found
     margin = np.minimum(q.min(axis=0) - limits.q_min, limits.q_max - q.max(axis=0))
@@ -99,7 +100,7 @@ def movement_remarks(
         found.append(Remark(grade, f"{joint_names[joint]} {where} its position limit"))
     share = np.abs(qd).max(axis=0) / limits.qd_max
     joint = int(share.argmax())
-    if share[joint] > SPEED_SHARE:
+    if share[joint] > SPEED_SHARE_MAX:
         grade = Grade.POOR if share[joint] > 1.0 else Grade.FAIR
         found.append(
             Remark(grade, f"{joint_names[joint]} at {share[joint]:.0%} of its speed limit")
@@ -110,21 +111,23 @@ def movement_remarks(
 def completeness_remarks(
     counts: Mapping[str, int], missing: Mapping[str, int], ended: str
 ) -> list[Remark]:
-    """Remarks on messages that are missing by their stamps, and on an end nobody asked for.
+    """Remarks on missing messages and on a recording that was not stopped on request.
 
     Args:
         counts: Number of messages by topic.
         missing: Number of missing messages by topic.
-        ended: Reason why the recording ended, empty if it is not known.
+        ended: Reason for the end of the recording, empty if unknown.
     """
-    cut = [] if ended in ("", layout.ASKED) else [Remark(Grade.FAIR, f"cut short: {ended}")]
+    cut = (
+        [] if ended in ("", layout.STOP_REQUESTED) else [Remark(Grade.FAIR, f"cut short: {ended}")]
+    )
     return cut + [
         Remark(Grade.FAIR, f"{lost} of {lost + counts[topic]} messages missing on {topic}")
         for topic, lost in missing.items()
-        if lost > MISSING_SHARE * (lost + counts[topic])
+        if lost > MISSING_SHARE_MAX * (lost + counts[topic])
     ]
 
 
 def grade(remarks: Sequence[Remark]) -> Grade:
-    """Grade of a take: that of its worst remark."""
+    """Grade of a take: the grade of its worst remark."""
     return max((remark.grade for remark in remarks), default=Grade.GOOD)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recovery of damaged bags, as a kill, a full disk or an incomplete copy leaves them.
+"""Recovery of bags damaged by a kill, a full disk or an incomplete copy.
 
-An MCAP file is a sequence of records. Every complete message, also of a truncated chunk, is copied
-into a new bag; a chunk that does not match its checksum is left out whole and named.
+An MCAP file is a sequence of records. Every complete message, even of a truncated chunk, is copied
+into a new bag; a chunk that does not match its checksum is skipped as a whole and reported.
 """
 
 from __future__ import annotations
@@ -22,13 +22,23 @@ from rosbags.interfaces import Qos
 
 from wam_power_ros import plain_yaml
 from wam_power_ros.bags import layout, reader
-from wam_power_ros.bags.integrity import CHUNK, CHUNK_CRC_AT, CHUNK_HEADER, MAGIC, RECORD_HEADER
+from wam_power_ros.bags.integrity import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_CRC_OFFSET,
+    CHUNK_HEADER,
+    MAGIC,
+    MESSAGE,
+    METADATA,
+    RECORD_HEADER,
+    SCHEMA,
+)
 from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.durable_files import check_regular
 
 PROFILES = "offered_qos_profiles"
-# How rosbag2 names what is not the default; before Jazzy by number
+# rosbag2's names of the policies that are not the default; before Jazzy numbers
 BEST_EFFORT = {"best_effort", 2}
 LATCHED = {"transient_local", 1}
 
@@ -38,9 +48,9 @@ class Recovered:
     """Result of a recovery.
 
     Attributes:
-        path: Folder of the new bag; the damaged one is left as it is.
+        path: Folder of the new bag; the damaged one is not changed.
         messages: Number of messages in it, by topic.
-        left_out: Reason by topic that could not be copied, or by part of a file that is damaged.
+        left_out: Reason for each topic or damaged part of a file that is not in it.
     """
 
     path: Path
@@ -56,15 +66,15 @@ class Recovered:
 
 
 def recover(path: Path) -> Recovered:
-    """Make the bag `<name>_recovered` of the complete messages of a damaged one.
+    """Write the complete messages of a damaged bag to a new bag `<name>_recovered`.
 
     Args:
         path: Folder of the bag, closed or not, with or without metadata; or its .mcap file.
 
     Raises:
-        ValueError: When there is no MCAP file, or it is still being written or compressed.
-        FileExistsError: When there is a recovered bag already.
-        OSError: When the disk refuses.
+        ValueError: There is no MCAP file, or it is still being written, or it is compressed.
+        FileExistsError: There is a recovered bag already.
+        OSError: The new bag cannot be written.
     """
     if path.name.endswith(layout.UNFINISHED):
         path = path.with_name(path.name.removesuffix(layout.UNFINISHED))
@@ -88,23 +98,23 @@ def recover(path: Path) -> Recovered:
 
 
 def _files(path: Path) -> list[Path]:
-    """MCAP files of a bag, in order; ValueError when there is none or one is being written."""
+    """MCAP files of a bag, in order; ValueError if there is none or the bag is being written."""
     if path.is_file():
         return [path]
-    left = unfinished(path)
-    if not path.exists() and left.is_dir():
-        handle = os.open(left, os.O_RDONLY)
+    parent = unfinished(path)
+    if not path.exists() and parent.is_dir():
+        handle = os.open(parent, os.O_RDONLY)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             raise ValueError(f"{path} is still being written") from None
         finally:
             os.close(handle)
-        path = left / path.name
+        path = parent / path.name
     files = sorted(path.glob("*.mcap"), key=lambda file: (len(file.name), file.name))
     if not files:
         others = sorted(file.name for file in path.glob("*")) if path.is_dir() else []
-        raise ValueError(f"{path} holds no .mcap file to recover: {others or 'nothing is there'}")
+        raise ValueError(f"{path} has no .mcap file to recover; it has {others or 'no files'}")
     return files
 
 
@@ -117,17 +127,17 @@ def _notes(file: Path) -> dict[str, str]:
 
 @dataclass
 class _Copy:
-    """Copying of records into a new bag."""
+    """Copies records into a new bag."""
 
     writer: BagWriter
     notes: dict[str, str] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     _schemas: dict[int, str] = field(default_factory=dict)
-    _topics: dict[int, str | None] = field(default_factory=dict)  # None: left out
+    _topics: dict[int, str | None] = field(default_factory=dict)  # None: not copied
 
     def file(self, file: Path) -> None:
-        """Copy the records of one file, which has ids of schemas and channels of its own."""
-        self._schemas.clear()
+        """Copy the records of one file."""
+        self._schemas.clear()  # ids of schemas and channels are local to a file
         self._topics.clear()
         check_regular(file)
         if file.stat().st_size <= len(MAGIC):
@@ -140,27 +150,28 @@ class _Copy:
                 for opcode, body in _records(data, len(MAGIC), damaged):
                     self._record(opcode, body)
             except (struct.error, UnicodeDecodeError, KeyError):
-                damaged.append("all that follows a damaged record")
+                damaged.append("everything after a damaged record")
             except _CompressedError as error:
-                text = f"{file} holds chunks compressed with {error}, which this cannot recover"
-                raise ValueError(f"{text}; `mcap recover` can") from None
+                raise ValueError(
+                    f"{file} has chunks compressed with {error}; recover it with `mcap recover`"
+                ) from None
             self.left_out |= {f"{file.name}, {part}": "damaged" for part in damaged}
 
     def _record(self, opcode: int, body: bytes) -> None:
-        if opcode == 0x03:  # schema
+        if opcode == SCHEMA:
             (number,) = struct.unpack_from("<H", body)
             self._schemas[number] = _text(body, 2)[0]
-        elif opcode == 0x04:  # channel
+        elif opcode == CHANNEL:
             self._channel(body)
-        elif opcode == 0x05:  # message
+        elif opcode == MESSAGE:
             channel, _, stamp_ns = struct.unpack_from("<HIQ", body)
             topic = self._topics[channel]
             if topic is not None:
                 cdr = body[22:]
                 self.writer.write(topic, stamp_ns, cdr)
                 if topic == layout.EVENT and not self.notes:
-                    self.notes = _event_notes(cdr)
-        elif opcode == 0x0C and _text(body, 0)[0] == "rosbag2":  # metadata, of a closed bag
+                    self.notes = reader.texts(layout.event(cdr).get("notes"))
+        elif opcode == METADATA and _text(body, 0)[0] == "rosbag2":  # of a closed bag
             for _, text in _map(body, _text(body, 0)[1]):
                 self.notes |= _metadata_notes(text)
 
@@ -169,10 +180,10 @@ class _Copy:
         if channel in self._topics:
             return
         topic, at = _text(body, 4)
-        at = _text(body, at)[1]  # beyond the encoding
+        _, at = _text(body, at)  # the encoding
         offered = _profiles(dict(_map(body, at)).get(PROFILES, ""))
         self._topics[channel] = topic
-        if topic in self.writer.counts:  # of a bag in several files
+        if topic in self.writer.counts:  # added by an earlier file of the bag
             return
         try:
             self.writer.add(topic, self._schemas[schema], offered)
@@ -182,14 +193,14 @@ class _Copy:
 
 
 class _CompressedError(Exception):
-    """A chunk is compressed, by the algorithm that the message names."""
+    """A chunk is compressed; the message names the algorithm."""
 
 
 def _records(data: bytes | mmap.mmap, at: int, damaged: list[str]) -> Iterator[tuple[int, bytes]]:
-    """Complete MCAP records from an offset on, also in chunks; the data may be truncated.
+    """Complete MCAP records from an offset on, including those in chunks; data may be truncated.
 
-    A chunk that does not match its checksum, or was not written as it is, is named in `damaged`.
-    The checksum of one that is cut off by the end of the data cannot be asked.
+    A chunk that does not match its checksum or its declared size is added to `damaged`. A chunk
+    truncated by the end of the data cannot be checked.
     """
     while at + RECORD_HEADER.size <= len(data):
         opcode, size = RECORD_HEADER.unpack_from(data, at)
@@ -200,11 +211,11 @@ def _records(data: bytes | mmap.mmap, at: int, damaged: list[str]) -> Iterator[t
             compression, end = _text(body, CHUNK_HEADER.size)
             if compression:
                 raise _CompressedError(compression)
-            (crc,) = struct.unpack_from("<I", body, CHUNK_CRC_AT)
+            (crc,) = struct.unpack_from("<I", body, CHUNK_CRC_OFFSET)
             (packed,) = struct.unpack_from("<Q", body, end)
             records = body[end + 8 : end + 8 + packed]
-            whole = len(records) == packed
-            if crc and (zlib.crc32(records) != crc if whole else len(body) == size):
+            complete = len(records) == packed
+            if crc and (zlib.crc32(records) != crc if complete else len(body) == size):
                 damaged.append(where)
             else:
                 yield from _records(body, end + 8, damaged)
@@ -238,23 +249,16 @@ def _metadata_notes(text: str) -> dict[str, str]:
         return {}
 
 
-def _event_notes(cdr: bytes) -> dict[str, str]:
-    """Notes of our recorder in its first event."""
-    try:
-        notes = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data).get("notes", {})
-        return {str(key): str(value) for key, value in notes.items()}
-    except Exception:  # whatever bytes make the decoder raise
-        return {}
-
-
 def _profiles(text: str) -> list[Qos]:
-    """QoS profiles in a channel's metadata; none when they cannot be read."""
+    """QoS profiles in a channel's metadata; empty when they cannot be parsed."""
     try:
-        items = plain_yaml.parse(text.encode(), PROFILES) or []
         return [
-            layout.qos(qos["reliability"] not in BEST_EFFORT, qos["durability"] in LATCHED, depth)
-            for qos in items
-            for depth in [int(qos["depth"])]
+            layout.qos(
+                qos["reliability"] not in BEST_EFFORT,
+                qos["durability"] in LATCHED,
+                int(qos["depth"]),
+            )
+            for qos in plain_yaml.parse(text.encode(), PROFILES) or []
         ]
     except (ValueError, TypeError, KeyError):
         return []

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Series of demonstrations: a list of bags, demonstrations.json beside the folder they are in.
+"""Series of demonstrations: demonstrations.json, a list of bags, beside the folder of the bags.
 
-The list is written again after every take. A bag that is renamed or discarded is renamed or left
-out there too; discarding moves it to `.trash` beside it, from where it can be moved back.
+The list is updated after every take, and when a bag is renamed or discarded. Discarding moves a bag
+to `.trash` beside it, from where it can be moved back.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ TRASH = ".trash"
 
 
 def read(file: Path) -> list[Path]:
-    """Bags of a series, in order; none when there is no list yet.
+    """Bags of a series, in order; empty when there is no list yet.
 
     Raises:
-        ValueError: It is no list of paths.
+        ValueError: The file is not a list of paths.
     """
     if not file.exists():
         return []
@@ -36,62 +36,61 @@ def read(file: Path) -> list[Path]:
 
 
 def write(file: Path, bags: Sequence[Path]) -> None:
-    """Replace the list of a series, atomically."""
+    """Replace the list of a series atomically."""
     durable_files.replace(file, json.dumps([str(bag) for bag in bags]) + "\n")
 
 
 def discard(bag: Path) -> Path:
-    """Move a bag to the trash beside it and take it off its series.
+    """Move a bag to the trash beside it and remove it from its series.
 
     Returns:
-        Its new path.
+        New path of the bag.
 
     Raises:
-        ValueError: There is no bag, closed or not, of this path.
+        ValueError: The path is not a bag, closed or not.
     """
-    held = bag if bag.is_dir() else layout.unfinished(bag)
-    if bag.name == "" or not held.is_dir() or not _is_bag(bag, held):
+    folder = bag if bag.is_dir() else layout.unfinished(bag)
+    if bag.name == "" or not folder.is_dir() or not _is_bag(bag, folder):
         raise ValueError(f"{bag} is not a bag")
-    trash = held.parent / TRASH
+    trash = folder.parent / TRASH
     trash.mkdir(exist_ok=True)
-    return _moved(held, layout.free_path(trash, held.name), lambda bags: _without(bags, held))
+    old = folder.parent.resolve() / folder.name
+    to = layout.free_path(trash, folder.name)
+    return _move(folder, to, lambda bags: [b for b in bags if b.resolve() != old])
 
 
 def rename(bag: Path, name: str) -> Path:
-    """Give a bag another name in its folder, and in its series.
+    """Rename a bag in its folder, and in its series.
 
     Returns:
-        Its new path.
+        New path of the bag.
 
     Raises:
-        ValueError: There is no bag of this path, or the name is no name of a folder or taken.
+        ValueError: The path is not a bag, or the new name is invalid or in use.
     """
     if not _is_bag(bag, bag):
         raise ValueError(f"{bag} is not a bag")
-    odd = not name or Path(name).name != name or name.startswith(".")
-    if odd or name.endswith(layout.UNFINISHED):
-        raise ValueError(f"{name!r} is no name of a bag")
+    invalid = not name or Path(name).name != name or name.startswith(".")
+    if invalid or name.endswith(layout.UNFINISHED):
+        raise ValueError(f"{name!r} is not a valid name of a bag")
     to = bag.with_name(name)
     if to.exists() or layout.unfinished(to).exists():
-        raise ValueError(f"{to} is there already")
+        raise ValueError(f"{to} exists already")
     old, new = bag.resolve(), to.resolve()
-    return _moved(bag, to, lambda bags: [new if b.resolve() == old else b for b in bags])
+    return _move(bag, to, lambda bags: [new if b.resolve() == old else b for b in bags])
 
 
-def _is_bag(bag: Path, held: Path) -> bool:
-    """Whether a folder is a bag, or one that was not closed."""
+def _is_bag(bag: Path, folder: Path) -> bool:
+    """Whether the folder of a bag, closed or not, contains one."""
     return (
-        (held / "metadata.yaml").is_file() or any(held.glob("*.mcap")) or (held / bag.name).is_dir()
+        (folder / "metadata.yaml").is_file()
+        or any(folder.glob("*.mcap"))
+        or (folder / bag.name).is_dir()
     )
 
 
-def _without(bags: Sequence[Path], held: Path) -> list[Path]:
-    gone = held.parent.resolve() / held.name
-    return [bag for bag in bags if bag.resolve() != gone]
-
-
-def _moved(bag: Path, to: Path, change: Callable[[Sequence[Path]], list[Path]]) -> Path:
-    """Move a bag, then change the series that it belongs to."""
+def _move(bag: Path, to: Path, change: Callable[[Sequence[Path]], list[Path]]) -> Path:
+    """Move a bag, then change the series that contains it."""
     file = bag.parent.resolve().parent / FILE
     listed = read(file)
     bag.rename(to)

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Takes: recordings in folders, and what a person wants to know of each."""
+"""Takes: recordings in folders, and a summary of each."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ from wam_power_ros.bags.gaps import GapCounter
 from wam_power_ros.bags.series import TRASH
 from wam_power_ros.bags.writer import has_header, header_stamp
 
-FOLDERS = ("bags", "demonstrations", "replays", "sessions")  # where takes are, unless named
+FOLDERS = ("bags", "demonstrations", "replays", "sessions")  # searched by default
 
 
 @dataclass(frozen=True)
@@ -24,10 +23,10 @@ class Take:
 
     Attributes:
         path: Folder of the bag.
-        kind: Stem of a task, "rollout" or "replay", as noted or by its name.
+        kind: Stem of a task, "rollout" or "replay", see `kind_of`.
         counts: Number of messages by topic.
-        missing: Number of messages missing by their stamps, by topic.
-        ended: Reason why the recording ended, such as `layout.ASKED`; empty if it is not noted.
+        missing: Number of messages missing according to the stamps, by topic.
+        ended: Reason for the end, such as `layout.STOP_REQUESTED`; empty if unknown.
         stamps: Stamps of the joint states [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, n).
     """
@@ -47,7 +46,7 @@ class Take:
 
 
 def find(places: Iterable[Path]) -> list[Path]:
-    """Bags below some folders, closed or not, oldest name first; a bag may be named itself."""
+    """Bags in some folders and below, closed or not, sorted by path; a place may be a bag."""
     found = set()
     for place in places:
         for path in (place, *place.rglob("*")) if place.is_dir() else ():
@@ -63,22 +62,14 @@ def find(places: Iterable[Path]) -> list[Path]:
 
 
 def kind_of(path: Path) -> str:
-    """Kind of a recording as our recorder noted it when it began, else the first part of its name.
+    """Kind of a recording in the start event of our recorder, else the first part of its name.
 
     Raises:
-        ValueError: It is no bag, or damaged.
+        ValueError: `path` is not a bag, or is damaged.
     """
-    first = next((cdr for _, _, cdr in reader.messages(path, [layout.EVENT])), b"")
-    return _reason(first, "start") or path.resolve().name.partition("_")[0]
-
-
-def _reason(cdr: bytes, of: str) -> str:
-    """Reason in an event of a recording; empty if it is another event, or not readable."""
-    try:
-        event = json.loads(layout.TYPES.deserialize_cdr(cdr, layout.STRING).data)
-        return str(event["reason"]) if event["event"] == of else ""
-    except Exception:  # whatever bytes make the decoder raise
-        return ""
+    first = layout.event(next((cdr for _, _, cdr in reader.messages(path, [layout.EVENT])), b""))
+    noted = str(first.get("reason", "")) if first.get("event") == "start" else ""
+    return noted or path.resolve().name.partition("_")[0]
 
 
 def read(path: Path, joint_names: Sequence[str]) -> Take:
@@ -94,8 +85,8 @@ def read(path: Path, joint_names: Sequence[str]) -> Take:
     ended = ""
     for name, _, cdr in reader.messages(path, topics):
         counts[name] += 1
-        if name == layout.EVENT:
-            ended = _reason(cdr, "stop") or ended
+        if name == layout.EVENT and (event := layout.event(cdr)).get("event") == "stop":
+            ended = str(event.get("reason", ended))
         msgtype = topics[name].msgtype
         if msgtype in layout.TYPES.fielddefs and has_header(msgtype):
             gaps.setdefault(name, GapCounter()).add(header_stamp(cdr))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags are written as rosbag2 in MCAP, so that a kill loses a second at most.
+"""Writes rosbag2 bags with MCAP storage, of which a kill loses one second at most.
 
-A bag under way is in `<name>.unfinished/`; closing it makes it `<name>/` in one rename. A bag that
-was never closed is still there under its first name, and `recovery` makes a bag of it.
+A bag being written is in `<name>.unfinished/`; closing it makes it `<name>/` by one rename. A bag
+that was never closed keeps the first name, and `recovery` makes a bag of it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from wam_power_ros.bags import integrity
 from wam_power_ros.bags.gaps import GapCounter
 from wam_power_ros.bags.layout import EVENT, STRING, TYPES, qos, unfinished
 
-DISTRIBUTION = "ros_distro: rosbags", "ros_distro: jazzy"  # what rosbags writes, and what it is
+DISTRIBUTION = "ros_distro: rosbags", "ros_distro: jazzy"  # as rosbags writes it, and corrected
 
 
 def has_header(msgtype: str) -> bool:
@@ -40,7 +40,7 @@ def header_stamp(cdr: bytes) -> int:
     """Stamp [ns] of a serialized message that begins with a header.
 
     Raises:
-        ValueError: When the bytes are too few for one.
+        ValueError: The message is too short for a header.
     """
     if len(cdr) < 12:
         raise ValueError(f"message of {len(cdr)} bytes cannot hold a header")
@@ -49,7 +49,7 @@ def header_stamp(cdr: bytes) -> int:
 
 
 class _Storage(McapWriter):
-    """MCAP with what rosbags leaves out: checksums, hashes of the types, the distribution."""
+    """MCAP storage with what rosbags omits: checksums, hashes of the types, the distribution."""
 
     def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
         """Add a channel as rosbag2 describes it."""
@@ -69,7 +69,7 @@ class _Storage(McapWriter):
     def close_chunk(self) -> None:
         """Write the chunk, then its checksum."""
         crc = zlib.crc32(self.chunk.bio.getbuffer())
-        begin = self.bio.tell() + integrity.RECORD_HEADER.size + integrity.CHUNK_CRC_AT
+        begin = self.bio.tell() + integrity.RECORD_HEADER.size + integrity.CHUNK_CRC_OFFSET
         super().close_chunk()
         end = self.bio.tell()
         self.bio.seek(begin)
@@ -77,7 +77,7 @@ class _Storage(McapWriter):
         self.bio.seek(end)
 
     def close(self, version: int, metadata: str) -> None:
-        """Close the file, then write the checksums of the whole of it."""
+        """Close the file, then write its checksums."""
         super().close(version, metadata.replace(*DISTRIBUTION))
         integrity.seal(self.path)
 
@@ -86,26 +86,26 @@ class _Writer(Writer):
     STORAGE_PLUGINS: ClassVar = {StoragePlugin.MCAP: _Storage}
 
     def close(self) -> None:
-        """Close the bag, then name the distribution in its metadata."""
+        """Close the bag, then write the distribution to its metadata."""
         super().close()
         self.metapath.write_text(self.metapath.read_text("utf8").replace(*DISTRIBUTION), "utf8")
 
 
 class BagWriter:
-    """One bag being written; `close` makes it a bag, anything else leaves it unfinished.
+    """One bag being written; only `close` completes it.
 
     Attributes:
         path: Folder of the finished bag.
         counts: Number of messages written, by topic.
-        stamps: Counter of gaps between header stamps, by topic that has them.
+        stamps: Counter of gaps between header stamps, for each topic with headers.
     """
 
     def __init__(self, path: Path) -> None:
         """Begin the bag `path`.
 
         Raises:
-            FileExistsError: When it exists, finished or not.
-            OSError: When the folder cannot be written.
+            FileExistsError: The bag exists, finished or not.
+            OSError: The folder cannot be written.
         """
         self.path = path
         self._parent = unfinished(path)
@@ -113,7 +113,7 @@ class BagWriter:
             raise FileExistsError(f"{path} exists already")
         self._parent.mkdir(parents=True)
         self._lock = os.open(self._parent, os.O_RDONLY)
-        fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # `recover` keeps off a live bag
+        fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # `recover` refuses a locked bag
         self._writer = _Writer(
             self._parent / path.name, version=9, storage_plugin=StoragePlugin.MCAP
         )
@@ -123,13 +123,13 @@ class BagWriter:
         self.stamps: dict[str, GapCounter] = {}
 
     def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
-        """Add a topic, of a message type in Jazzy's common interfaces.
+        """Add a topic with a message type of Jazzy's common interfaces.
 
         Raises:
-            ValueError: The type is not known, so its definition could not go into the bag.
+            ValueError: The type is unknown, so the bag could not contain its definition.
         """
         if msgtype not in TYPES.fielddefs:
-            raise ValueError(f"{topic}: type {msgtype} is not of the common interfaces")
+            raise ValueError(f"{topic}: {msgtype} is not a type of the common interfaces")
         self._connections[topic] = self._writer.add_connection(
             topic, msgtype, typestore=TYPES, offered_qos_profiles=list(offered)
         )
@@ -138,11 +138,11 @@ class BagWriter:
             self.stamps[topic] = GapCounter()
 
     def write(self, topic: str, stamp_ns: int, cdr: bytes) -> None:
-        """Write a serialized message as received at `stamp_ns`; on the disk after `flush`.
+        """Write a serialized message received at `stamp_ns`; it is on the disk after `flush`.
 
         Raises:
             KeyError: The topic was not added.
-            OSError: When the disk refuses.
+            OSError: The disk refuses the message.
         """
         self._writer.write(self._connections[topic], stamp_ns, cdr)
         self.counts[topic] += 1
@@ -152,13 +152,13 @@ class BagWriter:
     def event(
         self, event: str, reason: str, stamp_ns: int, notes: Mapping[str, str] | None = None
     ) -> None:
-        """Write an event of the recording itself, on topic EVENT.
+        """Write an event of the recorder on topic EVENT.
 
-        Notes for the metadata may be given with the first event, where they are found if the bag
-        is never closed.
+        Notes for the metadata may be given with the first event, for recovery if the bag is never
+        closed.
 
         Raises:
-            OSError: When the disk refuses.
+            OSError: The disk refuses the event.
         """
         if EVENT not in self.counts:
             self.add(EVENT, STRING, [qos(reliable=True, latched=True, depth=1)])
@@ -170,7 +170,7 @@ class BagWriter:
         """Flush everything written so far to the disk, readable after a crash.
 
         Raises:
-            OSError: When the disk refuses.
+            OSError: The disk refuses the data.
         """
         storage = self._writer.storage
         if storage.chunk.msgs:
@@ -179,7 +179,7 @@ class BagWriter:
         os.fsync(storage.bio.fileno())
 
     def completeness(self, state_topic: str) -> dict[str, str]:
-        """Notes for the metadata: rate of a topic [Hz], and number of messages missing on each."""
+        """Notes for the metadata: rate of the state topic [Hz], and missing messages by topic."""
         found = {topic: counter.gaps() for topic, counter in self.stamps.items()}
         period = found[state_topic].period if state_topic in found else 0.0
         return {
@@ -191,7 +191,7 @@ class BagWriter:
         """Finish the bag, with notes for its metadata, and return its path.
 
         Raises:
-            OSError: When the disk refuses; the bag stays unfinished.
+            OSError: The disk refuses the data; the bag stays unfinished.
         """
         for key, value in custom_data.items():
             self._writer.set_custom_data(key, value)
@@ -211,5 +211,5 @@ class BagWriter:
         try:
             self._writer.abort()
         except OSError:
-            pass  # the disk that refused before refuses its last bytes too
+            pass  # a disk that refused data before refuses the rest, too
         os.close(self._lock)

@@ -261,7 +261,7 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
     over = False
     with terminal.Display() as display, Keys(session_environment(folder)) as keys:
         while not over:
-            display.said = keys.poll()
+            display.footer = keys.poll()
             over = learner.process.poll() is not None
             processes.check(but=learner)
             size = path.stat().st_size if path.exists() else 0
@@ -271,7 +271,7 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
                 outcome = session.read_task(folder).outcome
                 display.show(log, settings.budget + settings.retests, outcome)
             for said in logs.new():
-                display.say(said.text, said.severity in TROUBLE)
+                display.show_message(said.text, said.severity in TROUBLE)
                 prompt.cue(bell and said.severity == "ERROR", "fault")
             display.tick(time.monotonic())
             time.sleep(0.2)

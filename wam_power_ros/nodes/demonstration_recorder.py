@@ -159,7 +159,7 @@ class DemonstrationRecorder(Node):
 
     def _on_record(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         try:
-            answer = self._start() if request.data else self._stop(layout.ASKED)
+            answer = self._start() if request.data else self._stop(layout.STOP_REQUESTED)
         except (OSError, ValueError) as error:
             answer = Answer(Code.REFUSED, str(error))
         if not answer.success:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a session: which policy is tried next, and its log on disk."""
+"""Course of a session: selection of the next policy, and the session log on disk."""

@@ -15,13 +15,13 @@ from wam_power_ros.practice.session_log import Record
 
 @dataclass(frozen=True)
 class Best:
-    """The policy a session would answer with now.
+    """Current answer of a session.
 
     Attributes:
         policy: The policy, named after the first trial that ran it.
         returns: Returns of its runs without exploration.
         successes: Number of these runs that succeeded.
-        why: Reason for the choice, for a person.
+        why: Human-readable reason for the choice.
     """
 
     policy: Policy
@@ -35,10 +35,10 @@ class Runs:
     """Runs of one policy without exploration.
 
     Attributes:
-        id: Id of the first of them.
-        demonstration: Id of the candidate the policy starts from.
+        id: Id of the first run.
+        demonstration: Id of the candidate that the policy was derived from.
         z: Coordinates of the policy. Shape (size,).
-        returns: Returns of the runs, ratings included.
+        returns: Returns of the runs, including ratings.
         successes: Number of runs that succeeded.
     """
 
@@ -49,16 +49,12 @@ class Runs:
     successes: int = 0
 
     def lower_bound(self, return_noise: float) -> float:
-        """Mean return less its standard error, one return having this standard deviation."""
+        """Mean return minus its standard error; `return_noise` is the sd of a single return."""
         return float(np.mean(self.returns)) - return_noise / math.sqrt(len(self.returns))
 
 
 def runs_without_exploration(records: Sequence[Record]) -> list[Runs]:
-    """Runs of each policy that was executed without exploration, in the order of first runs.
-
-    Args:
-        records: Records of a session, oldest first.
-    """
+    """Group the runs without exploration by policy, in the order of first runs."""
     found: dict[tuple[str, bytes], Runs] = {}
     for record in records:
         if record.rated_return is not None and record.kind != "explore":
@@ -77,18 +73,18 @@ def choose_best(
     stopped: str,
     return_noise: float,
 ) -> tuple[Runs, str] | None:
-    """The runs that speak for the best policy, and why; None before a usable run.
+    """Runs of the best policy and the reason for the choice; None before a usable run.
 
-    Only runs without exploration count: reproductions, means and re-tests, never an exploring
-    rollout that was lucky. While learning: of the policies of the demonstration that is learnt from
-    the one of highest lower bound, the later one of equals. Once the session has stopped: its
-    answer.
+    Only runs without exploration count: reproductions, means and re-tests, so that a lucky
+    exploration is never chosen. While learning, the policy with the highest lower bound is chosen
+    among those of the current demonstration; the later one wins a tie. Once the session has
+    stopped, its answer is chosen.
 
     Args:
         records: Records of the session, oldest first.
-        demonstration: Id of the candidate that is learnt from, None before the choice.
-        answer: Coordinates of the session's answer, None while it learns. Shape (size,).
-        stopped: Reason why nothing more is learnt.
+        demonstration: Id of the current demonstration, None before the choice.
+        answer: Coordinates of the session's answer, None while learning. Shape (size,).
+        stopped: Reason why learning stopped.
         return_noise: Standard deviation of the return of one policy.
     """
     known = [
@@ -111,11 +107,7 @@ def choose_best(
 
 
 def reproduction_learnt_from(records: Sequence[Record]) -> Record | None:
-    """The reproduction of the demonstration that is learnt from; None before it is chosen.
-
-    Args:
-        records: Records of a session, oldest first.
-    """
+    """Reproduction of the current demonstration; None before the demonstration is chosen."""
     practised = [record.demonstration for record in records if record.kind != "reproduction"]
     usable = (r for r in records if r.kind == "reproduction" and r.ret is not None)
     return next((r for r in usable if practised and r.demonstration == practised[-1]), None)

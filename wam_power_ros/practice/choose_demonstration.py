@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of the demonstration to learn from, by how it reproduces."""
+"""Choice of the demonstration to learn from, by the return of its reproduction."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from wam_power_ros.practice.session_log import Record
 
 
 def choose_demonstration(reproductions: Sequence[Record]) -> tuple[int, str]:
-    """The reproduction of highest return, a person's ratings included.
+    """Choose the reproduction with the highest return, including ratings.
 
     The authors selected one good demonstration of a small series ([Kormushev2010], Sec. IV).
 
@@ -18,10 +18,10 @@ def choose_demonstration(reproductions: Sequence[Record]) -> tuple[int, str]:
             eligible.
 
     Returns:
-        Index into `reproductions`, the first of equals, and the reason for a person.
+        Index into `reproductions`, the first one on a tie, and a human-readable reason.
 
     Raises:
-        ValueError: None is eligible.
+        ValueError: No reproduction is eligible.
     """
     eligible = [
         index

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rejection sampling of infeasible policies; after 20 rejections, shrink to the best feasible one.
+"""Rejection sampling of feasible coordinates; after 20 rejections, shrink to feasible ones.
 
-A policy is infeasible when its simulation on the rigid-body model ends in a fault.
+Coordinates are infeasible when the simulation of their policy on the rigid-body model ends in a
+fault. The number of rejections is logged: a replay passes it in, and nothing is simulated.
 """
 
 from __future__ import annotations
@@ -11,73 +12,59 @@ from collections.abc import Callable
 import numpy as np
 
 from wam_power_ros.learning.learner import Learner
-from wam_power_ros.learning.parametrization import Parametrization
-from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault
 
 REJECTIONS_MAX = 20
-HALVINGS_MAX = 5  # of the way from what ran without a fault to what is infeasible
-
-Infeasible = Callable[[Policy], Fault | None]  # fault in which a policy would end, None for none
+HALVINGS_MAX = 5  # of the distance from coordinates that ran without a fault to infeasible ones
 
 
-class FeasibleSampler:
-    """Feasible coordinates about one demonstration.
-
-    The number of rejections goes into the log: where it is known, in a replay, nothing is asked.
+def sample(
+    learner: Learner,
+    ran: np.ndarray,
+    is_feasible: Callable[[np.ndarray], bool],
+    rejections: int | None = None,
+) -> tuple[np.ndarray, int]:
+    """Draw a feasible sample from a learner; after 20 infeasible ones, shrink the last.
 
     Args:
-        parametrization: Parametrization of the demonstration.
-        infeasible: Fault in which a policy would end, None when it is feasible; the same policy
-            must always get the same answer.
+        learner: Learner to draw from.
+        ran: Coordinates that ran without a fault. Shape (size,).
+        is_feasible: Returns whether coordinates are feasible; must be deterministic.
+        rejections: Logged number of rejections in a replay, else None.
+
+    Returns:
+        Coordinates (size,), and the number of rejections and halvings.
     """
+    draws = REJECTIONS_MAX if rejections is None else min(rejections + 1, REJECTIONS_MAX)
+    for count in range(draws):
+        z = learner.ask()
+        if rejections is None and is_feasible(z):
+            return z, count
+    if rejections is not None and rejections < REJECTIONS_MAX:
+        return z, rejections
+    halvings = None if rejections is None else rejections - REJECTIONS_MAX
+    z, halvings = shrink(z, ran, is_feasible, halvings)
+    return z, REJECTIONS_MAX + halvings
 
-    def __init__(self, parametrization: Parametrization, infeasible: Infeasible) -> None:
-        self._parametrization = parametrization
-        self._infeasible = infeasible
 
-    def sample(
-        self, learner: Learner, ran: np.ndarray, rejections: int | None = None
-    ) -> tuple[np.ndarray, int]:
-        """A feasible sample of a learner; the last of 20 infeasible ones is shrunk.
+def shrink(
+    z: np.ndarray,
+    ran: np.ndarray,
+    is_feasible: Callable[[np.ndarray], bool],
+    halvings: int | None = None,
+) -> tuple[np.ndarray, int]:
+    """Halve the distance from `ran` to `z` until the coordinates are feasible.
 
-        Args:
-            learner: Learner that is asked.
-            ran: Coordinates that ran without a fault. Shape (size,).
-            rejections: Number of rejections, where it is known.
+    Args:
+        z: Desired coordinates. Shape (size,).
+        ran: Coordinates that ran without a fault; not simulated again. Shape (size,).
+        is_feasible: Returns whether coordinates are feasible; must be deterministic.
+        halvings: Logged number of halvings in a replay, else None.
 
-        Returns:
-            Coordinates (size,), and the number of rejections and halvings.
-        """
-        asked = REJECTIONS_MAX if rejections is None else min(rejections + 1, REJECTIONS_MAX)
-        for count in range(asked):
-            z = learner.ask()
-            if rejections is None and self._is_feasible(z):
-                return z, count
-        if rejections is not None and rejections < REJECTIONS_MAX:
-            return z, rejections
-        halvings = None if rejections is None else rejections - REJECTIONS_MAX
-        z, halvings = self.shrunk(z, ran, halvings)
-        return z, REJECTIONS_MAX + halvings
-
-    def shrunk(
-        self, z: np.ndarray, ran: np.ndarray, halvings: int | None = None
-    ) -> tuple[np.ndarray, int]:
-        """Coordinates themselves or, where infeasible, the first feasible ones on the way to `ran`.
-
-        Args:
-            z: Wanted coordinates. Shape (size,).
-            ran: Coordinates that ran without a fault; taken without asking. Shape (size,).
-            halvings: Number of halvings, where it is known.
-
-        Returns:
-            Coordinates (size,), and the number of times the way to them was halved.
-        """
-        nearer = [z, *(ran + 0.5**count * (z - ran) for count in range(1, HALVINGS_MAX)), ran]
-        if halvings is None:
-            feasible = (count for count in range(HALVINGS_MAX) if self._is_feasible(nearer[count]))
-            halvings = next(feasible, HALVINGS_MAX)
-        return nearer[halvings], halvings
-
-    def _is_feasible(self, z: np.ndarray) -> bool:
-        return self._infeasible(self._parametrization.policy(z, "sample")[0]) is None
+    Returns:
+        Coordinates (size,), and the number of halvings.
+    """
+    nearer = [z, *(ran + 0.5**count * (z - ran) for count in range(1, HALVINGS_MAX)), ran]
+    if halvings is None:
+        feasible = (count for count in range(HALVINGS_MAX) if is_feasible(nearer[count]))
+        halvings = next(feasible, HALVINGS_MAX)
+    return nearer[halvings], halvings

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person's part in a session: ratings of rollouts, and further demonstrations."""
+"""User input during a session: ratings of rollouts, and further demonstrations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.practice.session_log import Event, NewDemonstration, Rating, Record, plain
 
-RATING_MAX = 1.0  # size of one rating: a whole return
+RATING_MAX = 1.0  # magnitude of one rating; returns are of this order
 
 
 def make_rating(
@@ -23,18 +23,18 @@ def make_rating(
     number: int | None = None,
     clock: Mapping[str, Any] | None = None,
 ) -> Rating:
-    """Rating of a rollout as a line of the log.
+    """Create the log line of a rating.
 
     Args:
         records: Rollouts of the session, with the ratings that have taken effect.
         waiting: Events that have not taken effect yet.
-        after: Number of rollouts on record when it takes effect.
-        amount: Is added to the return; several ratings of a rollout add up.
+        after: Number of recorded rollouts when it takes effect.
+        amount: Amount added to the return; several ratings of a rollout add up.
         number: Number of the rollout, the last finished one when omitted.
         clock: Wall-clock figures, logged only.
 
     Raises:
-        ValueError: The amount is out of range, or the rollout is not there or has no return.
+        ValueError: The amount is out of range, or the rollout does not exist or has no return.
     """
     if not (np.isfinite(amount) and 0.0 < abs(amount) <= RATING_MAX):
         raise ValueError(f"a rating must be within ±{RATING_MAX} and not 0, got {amount}")
@@ -62,11 +62,11 @@ def make_rating(
 def make_demonstration(
     policy: Policy, after: int, bag: str = "", clock: Mapping[str, Any] | None = None
 ) -> NewDemonstration:
-    """A further demonstration as a line of the log.
+    """Create the log line of a further demonstration.
 
     Args:
-        policy: Policy fitted to it.
-        after: Number of rollouts on record when it is reproduced next.
+        policy: Policy fitted to the demonstration.
+        after: Number of recorded rollouts when it takes effect.
         bag: Bag of the demonstration, logged only.
         clock: Wall-clock figures, logged only.
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Improvement of one demonstration: its learner, feasible sampler and stopping rule."""
+"""Improvement of one demonstration by a learner, feasible sampling and a stopping rule."""
 
 from __future__ import annotations
 
@@ -8,72 +8,79 @@ from typing import Protocol
 
 import numpy as np
 
-from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault
-from wam_power_ros.practice.feasible_sampler import FeasibleSampler
+from wam_power_ros.practice.feasible_sampler import sample, shrink
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.practice.settings import PracticeSettings
+from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.stopping_rule import StoppingRule
 from wam_power_ros.practice.trial import Draw
 from wam_power_ros.tasks.task import Task
 
-LearnerFactory = Callable[[int, np.random.Generator, Model | None], Learner]
-
 
 class ArmModel(Protocol):
-    """What a practice asks the model of the arm."""
+    """Model of the arm as a practice needs it."""
 
     def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
-        """Fault in which a simulated execution of a policy ends, None when there is none.
+        """Fault in which a simulated execution of a policy ends, None if it is feasible.
 
-        The same policy and number must always get the same answer.
+        Must be a function of its arguments: a replay depends on it.
 
         Args:
             policy: Policy to simulate.
-            overruns: Number of rollouts in which the arm was faster than this said, see
-                `overruns_in`.
+            overruns: Number of rollouts in which the arm exceeded a limit that its model kept.
         """
 
     def tool_position(self, q: np.ndarray) -> np.ndarray:
         """Position of the tool at joint angles q [m]. Shape (3,)."""
 
 
-def overruns_in(records: Sequence[Record]) -> int:
-    """Number of rollouts that a limit of motion ended, which the model of the arm had kept.
+def feasibility(
+    parametrization: Parametrization, arm: ArmModel, records: Sequence[Record], name: str
+) -> Callable[[np.ndarray], bool]:
+    """Function that returns whether the policy at coordinates (size,) is feasible.
 
-    Such a fault counts as return 0; any other leaves a rollout without a return.
+    Args:
+        parametrization: Parametrization of the demonstration.
+        arm: Model of the arm.
+        records: Rollouts of the session so far.
+        name: Id of the simulated policies.
     """
-    return sum(bool(record.fault) and record.ret is not None for record in records)
+    # A fault with return 0 is a motion limit that the model had kept; others leave no return.
+    overruns = sum(bool(record.fault) and record.ret is not None for record in records)
+
+    def is_feasible(z: np.ndarray) -> bool:
+        policy, _ = parametrization.policy(z, name)
+        return arm.infeasible(policy, overruns) is None
+
+    return is_feasible
 
 
 class Improvement:
-    """Draws trials about one demonstration and learns from their records.
+    """Selects trials around one demonstration and learns from their records.
 
     Attributes:
         demonstration: Id of the candidate that is learnt from.
         parametrization: Its parametrization.
-        learner: Learner; to be read only.
-        practised: Number of trials of the practice that are over, dropped ones included.
+        learner: Learner; read-only for callers.
+        practised: Number of finished trials of the practice, including dropped ones.
 
     Args:
         parametrization: Parametrization of the demonstration.
-        settings: Settings of the course of the session.
+        settings: Settings of the session.
         task: Task that is practised.
-        make_learner: Makes a learner, see `SessionSettings.make_learner`.
-        rng: Source of the exploration.
+        rng: Random generator of the exploration.
         arm: Model of the arm.
         records: Rollouts of the session so far; those of this demonstration are learnt from.
-        practised: Number of trials of the practice that are over.
+        practised: Number of finished trials of the practice.
     """
 
     def __init__(
         self,
         parametrization: Parametrization,
-        settings: PracticeSettings,
+        settings: SessionSettings,
         task: Task,
-        make_learner: LearnerFactory,
         rng: np.random.Generator,
         arm: ArmModel,
         records: Sequence[Record],
@@ -83,41 +90,41 @@ class Improvement:
         self.parametrization = parametrization
         self.practised = practised
         self._settings, self._task, self._arm, self._rng = settings, task, arm, rng
-        self._make_learner = make_learner
-        self._rule = StoppingRule(settings, task.confirms)
+        self._rule = StoppingRule(settings.practice, task.confirms)
         self.learn_again(records)
 
     @property
     def answer(self) -> np.ndarray:
-        """Coordinates of the session's answer, were it to stop now. Shape (size,)."""
+        """Answer if the session stopped now: the mean under test or the latest. Shape (size,)."""
         return self.learner.mean if self._rule.z is None else self._rule.z
 
     @property
     def confirmed(self) -> bool:
-        """Whether a mean has succeeded as often in a row as is needed."""
+        """Whether a mean fulfils the stopping rule."""
         return self._rule.complete
 
     def learn_again(self, records: Sequence[Record]) -> None:
-        """Give a new learner all rollouts of the demonstration, in their order."""
+        """Start a new learner and feed it all rollouts of the demonstration, in their order."""
         start = self._arm.tool_position(self.parametrization.policy0.q_start)
         model = self._task.model(self.parametrization, start)
-        self.learner = self._make_learner(self.parametrization.size, self._rng, model)
+        self.learner = self._settings.make_learner(self.parametrization.size, self._rng, model)
         for record in records:
             if record.demonstration == self.demonstration and record.learnt_as is not None:
                 self.learner.tell(np.array(record.learnt_as), float(record.rated_return or 0.0))
 
     def forget_success(self, record: Record) -> None:
-        """Begin the stopping rule anew if this record was one of its successes."""
+        """Restart the stopping rule if this record was one of its successes."""
         self._rule.forget(record)
 
     def draw(self, records: Sequence[Record], rejections: int | None) -> Draw:
-        """The next trial: the mean that is being confirmed, the mean, or an exploration.
+        """Next trial: the mean being confirmed, the current mean, or an exploration.
 
         Args:
             records: Rollouts of the session so far.
-            rejections: Number of rejections, where it is known; see `FeasibleSampler`.
+            rejections: Logged number of rejections in a replay, else None; see
+                `feasible_sampler.sample`.
         """
-        rule, settings = self._rule, self._settings
+        rule, settings = self._rule, self._settings.practice
         if rule.z is not None:
             purpose = f"confirms a mean, {rule.count + 1} of {settings.confirm}"
             return Draw("mean", self.demonstration, rule.z, 1, 0, purpose)
@@ -125,33 +132,29 @@ class Improvement:
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
             return self.draw_feasible(self.learner.mean, records, rejections)
         ran = self._best_without_fault(records)
-        z, rejections = self._sampler(records).sample(self.learner, ran, rejections)
+        is_feasible = feasibility(self.parametrization, self._arm, records, "sample")
+        z, rejections = sample(self.learner, ran, is_feasible, rejections)
         return Draw("explore", self.demonstration, z, 1, rejections, "explores")
 
     def draw_feasible(
         self, z: np.ndarray, records: Sequence[Record], rejections: int | None
     ) -> Draw:
-        """A run of these coordinates, shrunk to feasible ones if need be."""
+        """Run of a mean, shrunk to feasible coordinates if necessary."""
         ran = self._best_without_fault(records)
-        z, rejections = self._sampler(records).shrunk(z, ran, rejections)
+        is_feasible = feasibility(self.parametrization, self._arm, records, "sample")
+        z, rejections = shrink(z, ran, is_feasible, rejections)
         purpose = "the mean, without exploration"
         return Draw("mean", self.demonstration, z, 1, rejections, purpose)
 
     def add(self, record: Record) -> str:
-        """Learn from a trial that explored or ran the mean; returns a remark for the log."""
+        """Learn from a record of an exploration or a mean; returns a remark for the log."""
         self.practised += 1
         if record.learnt_as is not None and record.ret is not None:
             self.learner.tell(np.array(record.learnt_as), record.ret)
         return self._rule.add(record) or ("" if record.ret is not None else "dropped")
 
-    def _sampler(self, records: Sequence[Record]) -> FeasibleSampler:
-        overruns = overruns_in(records)
-        return FeasibleSampler(
-            self.parametrization, lambda policy: self._arm.infeasible(policy, overruns)
-        )
-
     def _best_without_fault(self, records: Sequence[Record]) -> np.ndarray:
-        """The z of the rollout of highest return; 0 if each had a fault."""
+        """Coordinates of the fault-free rollout with the highest return, else 0. Shape (size,)."""
         ran = [
             record
             for record in records

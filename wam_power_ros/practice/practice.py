@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The course of a session: which policy is tried next, and how a finished rollout is used.
+"""Course of a session: selection of the next policy and use of each finished rollout.
 
-A session reproduces every demonstration once on the arm, chooses the one to learn from by its
-reproduction, explores, runs the mean now and then, stops by a rule, and re-tests its answer.
-Meanwhile a person may rate rollouts and add demonstrations. Everything `Practice` knows follows
-from its arguments and its log, and every line of the log, live or replayed, goes through
-`Practice.apply`; so replaying a log rebuilds the practice bit for bit. No ROS, no files, no clock.
+A session reproduces every demonstration once on the arm, chooses one of them by its reproduction,
+explores, periodically runs the mean, stops by a rule, and re-tests its answer. Meanwhile a person
+may rate rollouts and add demonstrations. The state of a `Practice` is a function of its arguments
+and its log, and every line of the log, live or replayed, goes through `Practice.apply`; so
+replaying a log rebuilds the practice bit for bit. No ROS, no files, no clock.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.practice.best_policy import Best
 from wam_power_ros.practice.course import Course, reproduction_of
 from wam_power_ros.practice.feedback import make_demonstration, make_rating
-from wam_power_ros.practice.improvement import ArmModel, LearnerFactory, overruns_in
+from wam_power_ros.practice.improvement import ArmModel, feasibility
 from wam_power_ros.practice.session_log import (
     Event,
     Line,
@@ -31,9 +31,9 @@ from wam_power_ros.practice.session_log import (
     Record,
     plain,
 )
-from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
+from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.trial import Trial, check_record
-from wam_power_ros.tasks.task import Assessment, Task
+from wam_power_ros.tasks.task import Assessment
 
 L = TypeVar("L", bound=Line)
 
@@ -41,77 +41,59 @@ L = TypeVar("L", bound=Line)
 class Practice:
     """A session from its first reproduction to its last re-test.
 
-    Call `next_trial`, execute it, call `learn` with its rollout, make the record durable, and so on
-    until `next_trial` has none. `Course` has the rules of what is tried next. While it learns:
+    Call `next_trial`, execute the trial, call `learn` with its rollout, write the record to disk,
+    and repeat until `next_trial` returns None. `Course` has the rules for the next trial. While
+    learning:
 
-    * A person may add to the return of any usable rollout (`rate`): the learner is given
-      everything again, with `Record.rated_return`. A punished rollout is no success.
-    * A person may add a demonstration (`add_demonstration`). It is reproduced next. If
-      its return exceeds the mean of the last five rollouts, it is learnt from instead, from the
-      beginning and with what is left of the budget; if not, learning goes on as it was. The two
-      are not mixed: a weighted mean of different demonstrations smooths out the peaks of
-      acceleration that make a toss ([Kormushev2010], Sec. IV).
-    * Ratings and demonstrations take effect on the next trial that is drawn, not on the one under
-      way.
+    * A person may add to the return of any usable rollout (`rate`): the learner is rebuilt from
+      all rollouts, with `Record.rated_return`. A punished rollout is no success.
+    * A person may add a demonstration (`add_demonstration`), which is reproduced next. If its
+      return exceeds the mean of the last five rollouts, learning restarts from it with the rest
+      of the budget; otherwise learning continues unchanged. The two are not mixed: a weighted mean
+      of different demonstrations smooths out the peaks of acceleration that make a toss
+      ([Kormushev2010], Sec. IV).
+    * Ratings and demonstrations take effect on the next trial, not on the one being executed.
     """
 
     def __init__(
         self,
-        candidates: Sequence[Policy],
-        settings: PracticeSettings,
-        task: Task,
-        learner: LearnerFactory,
-        seed: int,
-        arm: ArmModel,
-    ) -> None:
-        """Begin a session.
-
-        Args:
-            candidates: Policies fitted to the demonstrations, each with an id of its own.
-            settings: Settings of its course.
-            task: Task that is practised.
-            learner: Makes a learner, see `SessionSettings.make_learner`.
-            seed: Seed of the exploration, >= 0.
-            arm: Model of the arm. It is not asked about these candidates: ask it yourself about
-                `reproduction_of` each.
-
-        Raises:
-            ValueError: No candidates, two of the same id, or a budget that leaves no practice.
-        """
-        self.settings = settings
-        self.task = task
-        self._arm = arm
-        self._rng = np.random.Generator(np.random.PCG64(seed))
-        self._course = Course(candidates, settings, task, learner, self._rng, arm)
-        self._records: list[Record] = []
-        self._log: list[Line] = []
-        self._waiting: list[Event] = []  # for the end of the trial under way
-        self._pending: Trial | None = None
-
-    @classmethod
-    def of(
-        cls,
         settings: SessionSettings,
         context: Mapping[str, Any],
         candidates: Sequence[Policy],
         seed: int,
         arm: ArmModel,
         log: Sequence[Line] = (),
-    ) -> Practice:
-        """Practice of a session as it was after the last line of `log`.
+    ) -> None:
+        """Begin a session, or resume it after the last line of `log`.
+
+        Args:
+            settings: Settings of the session.
+            context: Data of the demonstrations that the task needs, see `Task.context_of`.
+            candidates: Policies fitted to the demonstrations, with distinct ids.
+            seed: Seed of the exploration, >= 0.
+            arm: Model of the arm. These candidates are not simulated: the caller checks
+                `reproduction_of` each.
+            log: Lines of the log, oldest first.
 
         Raises:
-            ValueError: The log is not that of such a session; names the first line that differs.
+            ValueError: `check_candidates` refuses the candidates, or the log is of another
+                session; names the first line that differs.
         """
-        task = settings.make_task(context)
-        practice = cls(candidates, settings.practice, task, settings.make_learner, seed, arm)
+        self.settings = settings
+        self.task = settings.make_task(context)
+        self._arm = arm
+        self._rng = np.random.Generator(np.random.PCG64(seed))
+        self._course = Course(candidates, settings, self.task, self._rng, arm)
+        self._records: list[Record] = []
+        self._log: list[Line] = []
+        self._waiting: list[Event] = []  # take effect after the pending trial
+        self._pending: Trial | None = None
         for line in log:
-            practice.apply(line)
-        return practice
+            self.apply(line)
 
     @property
     def log(self) -> tuple[Line, ...]:
-        """All lines so far, oldest first."""
+        """All log lines so far, oldest first."""
         return tuple(self._log)
 
     @property
@@ -121,7 +103,7 @@ class Practice:
 
     @property
     def candidates(self) -> tuple[Policy, ...]:
-        """Policies of all demonstrations, those added later included."""
+        """Policies of all demonstrations, including those added later."""
         waiting = [e.candidate() for e in self._waiting if isinstance(e, NewDemonstration)]
         return (*self._course.candidates, *waiting)
 
@@ -133,13 +115,13 @@ class Practice:
 
     @property
     def learner(self) -> Learner | None:
-        """The learner, None before the choice; to be read only."""
+        """The learner, None before the choice; read-only for callers."""
         improvement = self._course.improvement
         return None if improvement is None else improvement.learner
 
     @property
     def choice(self) -> str:
-        """Demonstration that is learnt from and why, empty before the choice."""
+        """Current demonstration and the reason for its choice, empty before the choice."""
         return self._course.choice
 
     @property
@@ -149,7 +131,7 @@ class Practice:
 
     @property
     def unusable_in_a_row(self) -> int:
-        """Number of rollouts up to now from which nothing could be learnt."""
+        """Number of latest rollouts without a return."""
         count = 0
         for record in reversed(self._records):
             if record.ret is not None:
@@ -159,21 +141,21 @@ class Practice:
 
     @property
     def stopped(self) -> str:
-        """Reason why nothing more is learnt, empty while learning; re-tests may be outstanding."""
+        """Reason why learning stopped, empty while learning; re-tests may be outstanding."""
         return self._course.stopped
 
     @property
     def finished(self) -> bool:
-        """Whether there is nothing more to execute."""
+        """Whether no rollout is left to execute."""
         return self._pending is None and self._course.finished
 
     @property
     def best(self) -> Best | None:
-        """The policy to save as the best so far, see `choose_best`."""
+        """Best policy so far, see `choose_best`."""
         return self._course.best(self._records)
 
     def next_trial(self) -> Trial | None:
-        """Rollout to execute now, the same until it is on record; None when finished."""
+        """Trial to execute now, the same until it is recorded; None when finished."""
         return self._next_trial(None)
 
     def learn(
@@ -198,7 +180,7 @@ class Practice:
             The record, to be appended to the log before the next trial.
 
         Raises:
-            ValueError: Not the trial that is due, or a path of another rollout.
+            ValueError: This is not the trial that is due, or a path is of another rollout.
         """
         if rollout.tool.id != trial.id:
             raise ValueError(f"paths are of rollout {rollout.tool.id!r}, expected {trial.id!r}")
@@ -218,10 +200,10 @@ class Practice:
         truth: Mapping[str, Any] | None = None,
         clock: Mapping[str, Any] | None = None,
     ) -> Record:
-        """Like `learn`, of a rollout that was assessed elsewhere.
+        """Learn from a rollout that the caller has assessed; otherwise like `learn`.
 
         Raises:
-            ValueError: Not the trial that is due, or a return that cannot be learnt from.
+            ValueError: This is not the trial that is due, or the return is negative or not finite.
         """
         due = self._pending
         if due is None or trial.id != due.id:
@@ -263,11 +245,10 @@ class Practice:
         """Add a person's rating to the return of a rollout; see `make_rating`.
 
         Returns:
-            The line, to be appended to the log before anything else.
+            The line, to be appended to the log before any other.
 
         Raises:
-            ValueError: Not a rating, no such rollout, one that is not learnt from, or nothing is
-                learnt any more.
+            ValueError: `make_rating` refuses the rating, or learning has stopped.
         """
         self._check_still_learning()
         return self.apply(
@@ -280,16 +261,16 @@ class Practice:
         """Add a further demonstration: its policy is reproduced next.
 
         Args:
-            policy: Policy fitted to the demonstration, with an id of its own.
+            policy: Policy fitted to the demonstration, with an id not in use.
             bag: Bag of the demonstration, logged only.
             clock: Wall-clock figures, logged only.
 
         Returns:
-            The line, to be appended to the log before anything else.
+            The line, to be appended to the log before any other.
 
         Raises:
-            ValueError: The id is taken, the policy does not have the parameters that are learnt,
-                it is infeasible, or nothing is learnt any more.
+            ValueError: The id is in use, the policy does not have the learnt parameters, it is
+                infeasible, or learning has stopped.
         """
         self._check_still_learning()
         check_id(policy.id)
@@ -300,16 +281,16 @@ class Practice:
         return self.apply(make_demonstration(policy, self._effective, bag, clock))
 
     def apply(self, line: L) -> L:
-        """Take up a line of the log, one that was just made or one that is replayed.
+        """Process a log line, new or replayed.
 
-        A replayed record's figures are used, so a log goes on where it was even where another
-        processor would have rounded its last digit differently.
+        The figures of a replayed record are used as logged, so a session resumes exactly even on a
+        processor that would round the last digit differently.
 
         Returns:
-            The line as it belongs into the log.
+            The line to be logged.
 
         Raises:
-            ValueError: It is not what comes next in this session.
+            ValueError: The line is not the next one of this session.
         """
         if isinstance(line, Record):
             self._check_is_due(line)
@@ -329,7 +310,7 @@ class Practice:
                 f"after record {line.after}"
             )
         if isinstance(line, Rating) and line.rollout > len(self._records):
-            raise ValueError(f"rollout {line.rollout} was rated before it was on record")
+            raise ValueError(f"rollout {line.rollout} was rated before it was recorded")
         self._log.append(line)
         if line.after == len(self._records):
             self._take_effect(line)
@@ -337,10 +318,8 @@ class Practice:
             self._waiting.append(line)
         return line
 
-    # Drawing
-
     def _next_trial(self, rejections: int | None) -> Trial | None:
-        """The next trial; `rejections` is known when it is replayed."""
+        """The next trial; `rejections` is given in a replay."""
         if self._pending is None and not self.finished:
             draw = self._course.draw(self._records, rejections)
             number = len(self._records) + 1
@@ -356,24 +335,17 @@ class Practice:
         return self._pending
 
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
-        """Coordinates a rollout is learnt from at: corrected, but not to where it is infeasible."""
+        """Coordinates at which a rollout is learnt from: corrected as far as it stays feasible."""
         parametrization = self._course.parametrizations[trial.demonstration]
-        overruns = overruns_in(self._records)
-
-        def feasible(z: np.ndarray) -> bool:
-            policy, _ = parametrization.policy(z, "corrected")
-            return self._arm.infeasible(policy, overruns) is None
-
+        is_feasible = feasibility(parametrization, self._arm, self._records, "corrected")
         z = trial.z
         parts = self.task.hindsight(assessment, parametrization)
-        if not parts or feasible(z + sum(parts)):
+        if not parts or is_feasible(z + sum(parts)):
             return z + sum(parts)
-        for part in parts:  # one that the arm cannot follow does not keep the others back
-            shares = (share for share in (1.0, 0.5, 0.25) if feasible(z + share * part))
+        for part in parts:  # one at a time: an infeasible part does not prevent the others
+            shares = (share for share in (1.0, 0.5, 0.25) if is_feasible(z + share * part))
             z = z + next(shares, 0.0) * part
         return z
-
-    # Taking up
 
     def _check_is_due(self, record: Record) -> None:
         """Raise ValueError if a record is not of the trial that is due."""
@@ -384,21 +356,19 @@ class Practice:
 
     @property
     def _effective(self) -> int:
-        """Number of rollouts after which a line made now takes effect."""
+        """Number of rollouts after which a new line takes effect."""
         return len(self._records) + (self._pending is not None)
 
     def _check_still_learning(self) -> None:
         if self.stopped:
-            raise ValueError(f"nothing is learnt any more: {self.stopped}")
+            raise ValueError(f"the session has stopped learning: {self.stopped}")
 
     def _take_effect(self, event: Event) -> None:
-        if self.stopped:  # by the very rollout that was under way when it came
+        if self.stopped:  # by the rollout during which the event arrived
             return
         if isinstance(event, NewDemonstration):
             self._course.add_candidate(event.candidate())
             return
-        record = self._records[event.rollout - 1]
-        total = (record.adjustment or 0.0) + event.amount
-        record = record.model_copy(update={"adjustment": total})
+        record = self._records[event.rollout - 1].with_rating(event.amount)
         self._records[event.rollout - 1] = record
-        self._course.rated(record, self._records)
+        self._course.apply_rating(record, self._records)

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A session on disk: nothing learnt is ever lost.
+"""Session folder: everything learnt is on disk at any moment.
 
-    session.yaml     everything needed to run it again; written last, so it is complete or absent
-    candidates/      the policies fitted to the demonstrations, one JSON file each
-    task.json        what the task must remember of the demonstrations, see `Task.context_of`
-    rollouts.jsonl   one `Record`, `Rating` or `NewDemonstration` a line, append-only, on disk
+    session.yaml     settings and seed; written last when a session begins, so it marks a complete
+                     session
+    candidates/      policies fitted to the demonstrations, one JSON file each
+    task.json        data of the demonstrations that the task needs, see `Task.context_of`
+    rollouts.jsonl   one `Record`, `Rating` or `NewDemonstration` per line, append-only, on disk
                      before it is acknowledged
-    acknowledged.json  size and SHA-256 of the log when a line was last acknowledged: a log that is
-                     missing, shorter or other than that was damaged
-    policy.json      the best policy so far, replaced atomically
+    acknowledged.json  size and SHA-256 of the log at the last acknowledgement; a log that is
+                     missing, shorter or different is damaged
+    policy.json      best policy so far, replaced atomically
     bags/            recordings
-    .lock            held while a learner writes
+    .lock            locked while a learner writes
 
-Kill anything at any moment: `Session.open(folder).practice(arm)` goes on bit-identically.
+After a kill at any moment, `Session.open(folder).practice(arm)` resumes bit for bit.
 """
 
 from __future__ import annotations
@@ -45,28 +46,28 @@ from wam_power_ros.tasks.task import Task
 
 
 class Session:
-    """A session folder, held for writing; close it, or use it as a context manager.
+    """A session folder, locked for writing; close it, or use it as a context manager.
 
     Attributes:
         folder: Folder of the session.
         header: Contents of session.yaml.
         context: Contents of task.json.
-        candidates: Policies it began with.
-        bags: Folder for the recordings.
+        candidates: Policies that the session began with.
+        bags: Folder of the recordings.
     """
 
-    def __init__(self, folder: Path, held: int) -> None:
+    def __init__(self, folder: Path, lock_file: int) -> None:
         """Use `begin` or `open`."""
         self.folder = folder
         self.bags = folder / "bags"
-        self._lock: int | None = held
+        self._lock: int | None = lock_file
         self.header, self.candidates, self.context = read_head(folder)
         self._log = LogFile(folder)
         self._compare_versions()
 
     @staticmethod
     def exists(folder: Path | str) -> bool:
-        """Whether a session was begun in a folder, so that it is to be opened."""
+        """Whether a folder holds a session, to be opened instead of begun."""
         return (Path(folder) / "session.yaml").is_file()
 
     @staticmethod
@@ -74,7 +75,7 @@ class Session:
         """Name of the task of a session.
 
         Raises:
-            SessionError: No session, or a malformed one.
+            SessionError: There is no session, or it is malformed.
         """
         return read_head(Path(folder))[0].settings.task
 
@@ -90,26 +91,26 @@ class Session:
         demonstrations: Sequence[str] = (),
         clock: Mapping[str, Any] | None = None,
     ) -> Session:
-        """Begin a session in a new folder, or in one whose beginning was interrupted.
+        """Begin a session in a new folder, or in one whose creation was interrupted.
 
         Args:
-            folder: Becomes the session; missing parents are made.
+            folder: Folder of the session; created with its parents.
             settings: Settings of the session.
             seed: Seed of the exploration.
             candidates: Policies fitted to the demonstrations.
-            context: Data of them that the task keeps, see `Task.context_of`.
-            demonstrations: Bags the candidates were fitted to.
+            context: Data of the demonstrations that the task needs, see `Task.context_of`.
+            demonstrations: Bags that the candidates were fitted to.
             clock: Wall-clock figures.
 
         Raises:
-            SessionError: There is a session already, or another process holds the folder.
-            ValueError: `Practice` would refuse the arguments.
+            SessionError: The folder holds a session already, or another process has locked it.
+            ValueError: `check_candidates` refuses the candidates.
         """
         check_candidates(candidates, settings.practice)
         folder = Path(folder)
         new = [folder, *(parent for parent in folder.parents if not parent.exists())]
         folder.mkdir(parents=True, exist_ok=True)
-        held = lock(folder)
+        lock_file = lock(folder)
         try:
             if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
                 raise SessionError(f"{folder} holds a session already; open it, or name another")
@@ -130,29 +131,30 @@ class Session:
             write_header(folder, header)
             for each in new:
                 durable_files.sync(each.parent)
-            return cls(folder, held)
+            return cls(folder, lock_file)
         except BaseException:
-            os.close(held)
+            os.close(lock_file)
             raise
 
     @classmethod
     def open(cls, folder: Path | str) -> Session:
-        """Go on with a session. A last line torn by a crash is cut off, with a warning.
+        """Open a session to resume it; an incomplete last line is cut off, with a warning.
 
-        Other versions of the software than those it was begun with are a warning, and are recorded.
+        If versions of the software differ from those at the beginning, they are recorded, with a
+        warning.
 
         Raises:
-            SessionError: No session, one that another process holds, a malformed file, or a log
-                that is missing or not what was acknowledged; names the file and line.
+            SessionError: There is no session, another process has locked it, a file is malformed,
+                or the log has lost acknowledged lines; names the file and line.
         """
         folder = Path(folder)
         if not cls.exists(folder):
             raise SessionError(f"{folder} holds no session: there is no session.yaml")
-        held = lock(folder)
+        lock_file = lock(folder)
         try:
-            return cls(folder, held)
+            return cls(folder, lock_file)
         except BaseException:
-            os.close(held)
+            os.close(lock_file)
             raise
 
     @property
@@ -167,7 +169,7 @@ class Session:
 
     @property
     def log(self) -> tuple[Line, ...]:
-        """All lines on disk, oldest first."""
+        """All log lines on disk, oldest first."""
         return tuple(self._log.lines)
 
     @property
@@ -179,28 +181,28 @@ class Session:
         """The practice as it was after the last line on disk.
 
         Args:
-            arm: Model of the arm it goes on with.
+            arm: Model of the arm for the rest of the session.
 
         Raises:
-            SessionError: The rollouts are not those of this session's settings and seed.
+            SessionError: The log does not follow from this session's settings and seed.
         """
         try:
-            return Practice.of(
+            return Practice(
                 self.settings, self.context, self.candidates, self.seed, arm, self._log.lines
             )
         except ValueError as error:
             raise SessionError(f"{self.folder / 'rollouts.jsonl'}: {error}") from error
 
     def append(self, entry: Line) -> None:
-        """Put a rollout, or what a person did, on disk; see `LogFile.append`."""
+        """Append a line to the log; see `LogFile.append`."""
         self._log.append(entry)
 
     def save_policy(self, policy: Policy) -> None:
-        """Replace policy.json, atomically: a reader sees the old or the new one, never a part."""
+        """Replace policy.json atomically: a reader sees the old or the new policy."""
         durable_files.replace(self.folder / "policy.json", policy_module.to_json(policy))
 
     def close(self) -> None:
-        """Release the folder. Closing twice is fine."""
+        """Unlock the folder; may be called twice."""
         self._log.close()
         if self._lock is not None:
             os.close(self._lock)
@@ -213,7 +215,7 @@ class Session:
         self.close()
 
     def _compare_versions(self) -> None:
-        """Warn of other versions than those the session began with, and record them."""
+        """Warn of versions that differ from those at the beginning, and record them."""
         begun, now = self.header.versions, versions()
         changed = [
             f"{name} {begun.get(name, 'none')}, now {now.get(name, 'none')}"
@@ -222,8 +224,8 @@ class Session:
         ]
         if changed:
             logging.getLogger(__name__).warning(
-                "%s was begun with other versions: %s. Its next policies may differ from those it "
-                "would have had",
+                "%s was begun with other versions: %s. Its next policies may differ from those "
+                "with the old versions",
                 self.folder,
                 "; ".join(changed),
             )
@@ -234,10 +236,10 @@ class Session:
 
 
 def read_task(folder: Path | str) -> Task:
-    """The task of a session, for reports.
+    """Task of a session, for reports.
 
     Raises:
-        SessionError: As `read`, or its task or context is not acceptable.
+        SessionError: There is no session, or its header, task or context is malformed.
     """
     header, _, context = read_head(Path(folder))
     try:
@@ -247,28 +249,25 @@ def read_task(folder: Path | str) -> Task:
 
 
 def read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], tuple[Record, ...]]:
-    """Header, candidates and rollouts of a session, for looking at: nothing is locked or changed.
+    """Header, candidates and rollouts of a session, read without locking or changing it.
 
-    Candidates include those given later; rollouts have their ratings. A learner may be writing
-    meanwhile; a line not yet complete is not returned.
+    Candidates include those added later; rollouts have their ratings. A learner may be writing
+    meanwhile; an incomplete line is not returned.
 
     Raises:
-        SessionError: No session, or a malformed file; names the file and line.
+        SessionError: There is no session, or a file is malformed; names the file and line.
     """
-    header, candidates, log = _read(folder)
-    later = [line.candidate() for line in log if isinstance(line, NewDemonstration)]
-    return header, (*candidates, *later), with_ratings(log)
+    header, candidates, _ = read_head(Path(folder))
+    log, _ = read_lines(Path(folder))
+    added = [line.candidate() for line in log if isinstance(line, NewDemonstration)]
+    return header, (*candidates, *added), with_ratings(log)
 
 
 def read_log(folder: Path | str) -> tuple[Line, ...]:
-    """All lines of a session's log, for looking at.
+    """All lines of a session's log, read without locking or changing it.
 
     Raises:
         SessionError: As `read`.
     """
-    return tuple(_read(folder)[2])
-
-
-def _read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], list[Line]]:
-    header, candidates, _ = read_head(Path(folder))
-    return header, candidates, read_lines(Path(folder))[0]
+    read_head(Path(folder))
+    return tuple(read_lines(Path(folder))[0])

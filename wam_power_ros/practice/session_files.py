@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of a session beside its log: header, candidates, context of the task, lock."""
+"""Files of a session other than its log: header, candidates, context of the task, lock."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazz
 
 
 class SessionError(ValueError):
-    """A session folder that cannot be used, and why."""
+    """A session folder cannot be used; the message has the reason."""
 
 
 class SessionHeader(BaseModel):
@@ -32,13 +32,13 @@ class SessionHeader(BaseModel):
 
     Attributes:
         schema_: Version of this layout ("schema" in YAML).
-        seed: Seed of the exploration (and of the stand-in, where there is one).
+        seed: Seed of the exploration, and of the simulator in simulation.
         settings: Settings of practice, task and learner.
         candidates: Ids of the candidate policies, in their order.
-        demonstrations: Bags they were fitted to, as given.
-        versions: Versions of the software that began it, see `versions`.
-        resumed: Other versions that it was resumed with, one entry a change, oldest first.
-        clock: Wall-clock figures, such as when it began.
+        demonstrations: Bags that the candidates were fitted to, as given.
+        versions: Versions of the software at the beginning, see `versions`.
+        resumed: Versions at each resumption that changed them, oldest first.
+        clock: Wall-clock figures, such as the time of the beginning.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
@@ -58,12 +58,12 @@ class SessionHeader(BaseModel):
     @classmethod
     def _are_ids(cls, candidates: list[str]) -> list[str]:
         for id in candidates:
-            policy_module.check_id(id)  # they become file names
+            policy_module.check_id(id)  # ids are file names
         return candidates
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, this package and what it computes with; what is missing is left out."""
+    """Versions of Python, this package and its numerical dependencies, as far as installed."""
     found = {"python": platform.python_version()}
     for name in ("wam_power_ros", *_PACKAGES):
         try:
@@ -77,7 +77,7 @@ def read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str
     """Header, candidates and context of a session.
 
     Raises:
-        SessionError: No session, or a malformed file; names it.
+        SessionError: There is no session, or a file is malformed; names the file.
     """
     path = folder / "session.yaml"
     if not path.is_file():
@@ -110,7 +110,7 @@ def read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str
 
 
 def write_header(folder: Path, header: SessionHeader) -> None:
-    """Replace session.yaml, atomically."""
+    """Replace session.yaml atomically."""
     text = yaml.safe_dump(header.model_dump(mode="json", by_alias=True), sort_keys=False)
     durable_files.replace(folder / "session.yaml", text)
 
@@ -124,7 +124,7 @@ def check_regular(path: Path) -> None:
 
 
 def brief(error: Exception) -> str:
-    """First thing wrong in a file, in one line."""
+    """Message of an error in one line; of a validation error, the first fault."""
     if isinstance(error, ValidationError):
         first, *others = error.errors()
         where = ".".join(str(part) for part in first["loc"]) or "file"
@@ -137,7 +137,11 @@ def brief(error: Exception) -> str:
 
 
 def lock(folder: Path) -> int:
-    """Descriptor that holds the folder until it is closed, by whatever ends the process."""
+    """Lock a folder; the lock is held until the returned descriptor is closed or the process ends.
+
+    Raises:
+        SessionError: Another process has locked it.
+    """
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lines of a session's log: rollouts, and a person's ratings and demonstrations.
+"""Lines of a session's log: rollouts, and a person's ratings and demonstrations.
 
-A `Record` is one executed rollout. A `Rating` and a `NewDemonstration` may come at any moment, also
-while the next trial, drawn already, is under way. Each says after which rollout it takes effect, so
-that a log replayed line by line draws the same policies as the session did.
+A `Record` is one executed rollout. A `Rating` and a `NewDemonstration` may be added at any moment,
+even while the next trial is being executed. Each holds the rollout after which it takes effect, so
+that replaying the log line by line selects the same policies as the session did.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class _Line(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
 
     def to_json(self) -> str:
-        """One line of JSON; floats come back bit for bit."""
+        """One line of JSON, which restores floats bit for bit."""
         return json.dumps(self.model_dump(mode="json", by_alias=True), allow_nan=False)
 
 
@@ -35,22 +35,23 @@ class Record(_Line):
     Attributes:
         schema_: Version of this layout ("schema" in JSON).
         number, id, kind, demonstration, attempt, rejections: See `Trial`.
-        z, theta: Executed parameters, in scaled coordinates and in their own units.
+        z, theta: Executed parameters, as scaled coordinates and in physical units.
         learnt: Whether the rollout is learnt from.
-        learnt_as: Coordinates it is learnt from at, hindsight included; None when not learnt from.
-        ret, terms: Return and its terms; `ret` is None when the rollout says nothing about its
+        learnt_as: Coordinates at which it is learnt from, including the hindsight correction; None
+            when not learnt from.
+        ret, terms: Return and its terms; `ret` is None when the rollout is no evidence about its
             policy.
         success: Whether it met the task's criterion of success.
         why: Reason why it was not learnt from, or a remark.
-        note: Decision of the practice after this rollout, for a person.
+        note: Human-readable decision of the practice after this rollout.
         observation: Observation of the task, as data for JSON; None when there is none.
         fault: Text of the controller's fault, empty when there was none.
         generator: State of the random generator after this trial was drawn.
         bag: Name of its bag.
-        adjustment: Sum of a person's ratings of it, see `with_ratings`; in the log itself ratings
-            are lines of their own and this is None.
+        adjustment: Sum of a person's ratings, see `with_ratings`; None in the log itself, where
+            ratings are separate lines.
         truth: Ground truth of the simulator; None on hardware. Never learnt from.
-        clock: Wall-clock figures; all that differs between two runs of one seed is in here.
+        clock: Wall-clock figures; only these differ between two runs of one seed.
     """
 
     schema_: Literal["wam_power_ros/rollout/2"] = Field(
@@ -80,24 +81,28 @@ class Record(_Line):
     clock: dict[str, Any]
 
     @model_validator(mode="after")
-    def _fit_together(self) -> Record:
+    def _is_consistent(self) -> Record:
         if self.learnt != (self.learnt_as is not None) or (self.learnt and self.ret is None):
-            raise ValueError("learnt goes with learnt_as and a return")
+            raise ValueError("a learnt rollout must have learnt_as and ret, any other no learnt_as")
         if len(self.theta) != len(self.z) or len(self.learnt_as or self.z) != len(self.z):
-            raise ValueError("z, theta and learnt_as must be equally long")
+            raise ValueError("z, theta and learnt_as must have the same length")
         if not np.isfinite([*self.z, *self.theta, *(self.learnt_as or [])]).all():
             raise ValueError("z, theta and learnt_as must be finite")
         return self
 
     @property
     def rated_return(self) -> float | None:
-        """Return that is learnt from: ratings included, not below 0; None without a return."""
+        """Return including ratings, at least 0; None without a return."""
         return None if self.ret is None else max(self.ret + (self.adjustment or 0.0), 0.0)
 
     @property
     def succeeded(self) -> bool:
-        """Whether it was a success and was not punished."""
+        """Whether the rollout was a success and was not punished."""
         return self.success and (self.adjustment or 0.0) >= 0.0
+
+    def with_rating(self, amount: float) -> Record:
+        """The record with a further rating of this amount."""
+        return self.model_copy(update={"adjustment": (self.adjustment or 0.0) + amount})
 
 
 class Rating(_Line):
@@ -105,10 +110,10 @@ class Rating(_Line):
 
     Attributes:
         schema_: Version of this layout ("schema" in JSON).
-        after: Number of rollouts on record when it takes effect.
-        rollout: Number of the rollout that is rated.
-        amount: Is added to its return.
-        note: Its effect, for a person.
+        after: Number of recorded rollouts when it takes effect.
+        rollout: Number of the rated rollout.
+        amount: Amount added to the return.
+        note: Human-readable effect.
         clock: Wall-clock figures.
     """
 
@@ -123,15 +128,15 @@ class Rating(_Line):
 
 
 class NewDemonstration(_Line):
-    """A demonstration added in the middle of learning.
+    """A demonstration added while learning.
 
     Attributes:
         schema_: Version of this layout ("schema" in JSON).
-        after: Number of rollouts on record when it is reproduced next.
+        after: Number of recorded rollouts when it takes effect.
         id: Id of the policy.
         policy: Policy fitted to the demonstration, as `policy.to_json` writes it.
-        bag: Bag of the demonstration, as it was named.
-        note: Its effect, for a person.
+        bag: Bag of the demonstration, as given.
+        note: Human-readable effect.
         clock: Wall-clock figures.
     """
 
@@ -152,7 +157,7 @@ class NewDemonstration(_Line):
         return self
 
     def candidate(self) -> Policy:
-        """The policy that was fitted to it."""
+        """The policy fitted to the demonstration."""
         return from_json(json.dumps(self.policy))
 
 
@@ -163,11 +168,11 @@ _KINDS: dict[Any, type[Record] | type[Rating] | type[NewDemonstration]] = {
 }
 
 
-def line_of(text: str) -> Line:
-    """Line of a log.
+def parse_line(text: str) -> Line:
+    """Parse a line of a log.
 
     Raises:
-        ValueError: Not JSON, or none of the three kinds; the message names the field.
+        ValueError: The text is not JSON or none of the three kinds; names the field.
     """
     data = json.loads(text)
     schema = data.get("schema") if isinstance(data, dict) else None
@@ -175,18 +180,16 @@ def line_of(text: str) -> Line:
 
 
 def with_ratings(log: Sequence[Line]) -> tuple[Record, ...]:
-    """The rollouts of a log, oldest first, each with the sum of its ratings as `adjustment`."""
+    """Rollouts of a log, oldest first, each with the sum of its ratings as `adjustment`."""
     records = [line for line in log if isinstance(line, Record)]
     for line in log:
         if isinstance(line, Rating):
-            rated = records[line.rollout - 1]
-            total = (rated.adjustment or 0.0) + line.amount
-            records[line.rollout - 1] = rated.model_copy(update={"adjustment": total})
+            records[line.rollout - 1] = records[line.rollout - 1].with_rating(line.amount)
     return tuple(records)
 
 
 def plain(value: Any) -> Any:  # noqa: ANN401 - JSON is any of its types
-    """The same value as data for JSON; numbers that are not finite become None."""
+    """Convert a value to data for JSON; numbers that are not finite become None."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

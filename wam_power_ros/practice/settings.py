@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of a session: of its practice, its task and its learner."""
+"""Settings of a session: course, task and learner."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.practice import plugins
 from wam_power_ros.tasks.task import Task
 
-SHOWN_MAX = 80  # characters of a refused value in its message
+SHOWN_MAX = 80  # characters of an invalid value in an error message
 
 
 class PracticeSettings(BaseModel):
-    """Settings of the course of a session, whatever its task.
+    """Settings of the course of a session, for any task.
 
     Attributes:
-        budget: Number of usable rollouts, reproductions included and re-tests not.
+        budget: Number of usable rollouts, including reproductions and excluding re-tests.
         mean_every: Every n-th trial of the practice runs the mean; 0 runs it only to confirm a
             success.
-        confirm: Number of runs of one mean that must succeed in a row for the session to stop; 0
-            for no such rule.
-        retests: Number of runs of the final answer, not learnt from.
-        attempts: Number of times a policy is tried when its rollouts say nothing about it.
+        confirm: Number of successes of one mean in a row that stop the session; 0 disables the
+            rule.
+        retests: Number of runs of the final answer, which are not learnt from.
+        attempts: Number of times a policy is executed while its rollouts have no return.
         return_noise: Standard deviation of the return of one policy, for `Practice.best`.
     """
 
@@ -45,9 +45,9 @@ class SessionSettings(BaseModel):
 
     Attributes:
         task: Name of the task.
-        task_settings: Its settings, of the task's own `Settings`.
+        task_settings: Settings of the task, of its class `Settings`.
         learner: Name of the learner.
-        learner_settings: Its settings, of the learner's own `Settings`.
+        learner_settings: Settings of the learner, of its class `Settings`.
         practice: Settings of the course of the session.
     """
 
@@ -61,8 +61,8 @@ class SessionSettings(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _by_name(cls, values: Any) -> Any:  # noqa: ANN401 - whatever was read
-        """Task and learner check their own settings."""
+    def _by_name(cls, values: Any) -> Any:  # noqa: ANN401 - unchecked input
+        """Validate the settings of task and learner by the classes of these names."""
         if not isinstance(values, Mapping) or not {"task", "learner"} <= values.keys():
             return values
         found = dict(values)
@@ -80,17 +80,17 @@ class SessionSettings(BaseModel):
         return found
 
     def make_task(self, context: Mapping[str, Any]) -> Task:
-        """The task; `context` as its `context_of` gave it."""
+        """Create the task; `context` as returned by its `context_of`."""
         return plugins.task_type(self.task)(self.task_settings, context)
 
     def make_learner(
         self, size: int, rng: np.random.Generator, task_model: Model | None
     ) -> Learner:
-        """A learner that was told nothing.
+        """Create a learner.
 
         Args:
             size: Number of parameters.
-            rng: Source of the exploration.
+            rng: Random generator of the exploration.
             task_model: Model of the task for a learner that needs one.
 
         Raises:
@@ -104,11 +104,6 @@ class SessionSettings(BaseModel):
         )
         return learner
 
-    @property
-    def needs_model(self) -> bool:
-        """Whether the learner needs a model of the task."""
-        return bool(plugins.learner_type(self.learner).needs_model)
-
 
 def preset(
     task: str,
@@ -116,18 +111,18 @@ def preset(
     learner: Mapping[str, Any] | None = None,
     **changes: Any,  # noqa: ANN401 - checked by the models
 ) -> SessionSettings:
-    """Settings of a session by the name of a preset of its task, with some of them changed.
+    """Settings of a preset of a task, with changes.
 
     Args:
         task: Name of the task.
         name: Name of the preset; the task's first when empty.
-        learner: Changes of the learner's settings; with another `name` than the preset's, all of
-            its settings but the defaults.
-        **changes: Fields of `PracticeSettings` or of the task's own settings; a mapping for a field
-            that is a mapping changes only what it names.
+        learner: Changes of the learner's settings. If `name` is not the preset's learner, changes
+            of the defaults of that learner.
+        **changes: Fields of `PracticeSettings` or of the task's settings; a mapping for a field
+            that is a mapping changes only the keys it contains.
 
     Raises:
-        ValueError: Unknown task, preset, learner or field, or a value out of range.
+        ValueError: The task, preset, learner or a field is unknown, or a value is out of range.
     """
     kind = plugins.task_type(task)
     name = name or next(iter(kind.presets))
@@ -155,15 +150,15 @@ def preset(
             }
         )
     except ValidationError as error:
-        raise ValueError(f"settings of {task!r} refused: {in_one_line(error)}") from None
+        raise ValueError(f"invalid settings of task {task!r}: {in_one_line(error)}") from None
 
 
 def in_one_line(error: ValidationError, prefix: str = "") -> str:
-    """Key, value and rule of every fault, in one line.
+    """Key, value and rule of every fault of a validation error, in one line.
 
     Args:
-        error: What a model refused.
-        prefix: Put before every key.
+        error: Error of a model.
+        prefix: Prefix of every key.
     """
     lines = []
     for fault in error.errors():

@@ -13,16 +13,16 @@ from wam_power_ros.tasks.task import LoggedRollout
 
 
 class StoppingRule:
-    """Number of successes in a row of one mean.
+    """Counts the successes in a row of one mean.
 
     Attributes:
-        z: Coordinates of the mean that is run again, None when there is none. Shape (size,).
+        z: Coordinates of the mean being confirmed, None when there is none. Shape (size,).
         count: Number of its successes in a row.
-        mean_is_due: Whether the mean is to be run next because an exploring rollout succeeded.
+        mean_is_due: Whether the mean is run next because an exploration succeeded.
 
     Args:
-        settings: Number of successes that are needed; 0 for no such rule.
-        confirms: Whether a success counts, see `Task.confirms`.
+        settings: Settings; `confirm` is the required number of successes, 0 disables the rule.
+        confirms: Returns whether a success counts, see `Task.confirms`.
     """
 
     def __init__(
@@ -36,11 +36,11 @@ class StoppingRule:
 
     @property
     def complete(self) -> bool:
-        """Whether there were as many successes as are needed."""
+        """Whether the required number of successes is reached."""
         return 0 < self._settings.confirm == self.count
 
     def add(self, record: Record) -> str:
-        """Count a rollout of the practice; returns a remark for the log, or nothing."""
+        """Count a rollout of the practice; returns a remark for the log, may be empty."""
         needed = self._settings.confirm
         if needed == 0:
             return ""
@@ -57,6 +57,6 @@ class StoppingRule:
         return ""
 
     def forget(self, record: Record) -> None:
-        """Begin anew if a rollout that no longer counts as a success was one of these."""
+        """Restart the count if a rollout that is no success any more was part of it."""
         if self.z is not None and record.kind == "mean" and record.z == self.z.tolist():
             self.z, self.count = None, 0

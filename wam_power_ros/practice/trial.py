@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A rollout that is to be executed."""
+"""Trials: rollouts to be executed."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from wam_power_ros.practice.session_log import Kind, Record
 
 @dataclass(frozen=True)
 class Draw:
-    """Coordinates that a session wants to try, and why.
+    """Coordinates selected for the next trial.
 
     Attributes:
         kind: "reproduction" of a demonstration, "explore", "mean" or "retest" (not learnt from).
-        demonstration: Id of the candidate it starts from.
+        demonstration: Id of the candidate that the coordinates refer to.
         z: Coordinates. Shape (size,).
-        attempt: 1, or more when earlier rollouts of the same z said nothing about it.
-        rejections: Number of infeasible samples before this one; from 20 on, and for a mean or an
-            answer, the number of times the way to it was halved instead, see `FeasibleSampler`.
-        purpose: Purpose of the trial, for a person.
+        attempt: 1, or more after rollouts of the same z without a return.
+        rejections: Number of infeasible samples before this one, plus the number of halvings after
+            20 of them; for a mean or an answer the number of halvings, see `feasible_sampler`.
+        purpose: Human-readable purpose of the trial.
     """
 
     kind: Kind
@@ -42,7 +42,7 @@ class Trial(Draw):
         number: Position in the session, from 1.
         id: Name of the rollout and of its policy, "trial-0007".
         policy: Policy to execute, at the coordinates z.
-        theta: Its learnt parameters in their own units. Shape (size,).
+        theta: Its learnt parameters in physical units. Shape (size,).
     """
 
     number: int
@@ -52,22 +52,22 @@ class Trial(Draw):
 
 
 def check_record(trial: Trial, record: Record, generator: dict[str, Any]) -> None:
-    """Check that a record is of a trial.
+    """Check that a logged record belongs to a trial.
 
     Args:
         trial: Trial that is due.
-        record: Its record, as it was logged.
+        record: Record as logged.
         generator: State of the session's generator after the trial was drawn.
 
     Raises:
-        ValueError: It is of another one; names the first difference.
+        ValueError: The record belongs to another trial; names the first difference.
     """
     for name in ("number", "id", "kind", "demonstration", "attempt"):
         wanted, got = getattr(trial, name), getattr(record, name)
         if wanted != got:
             raise ValueError(
-                f"record {trial.number}: {name} is {got!r}, "
-                f"this session's was {wanted!r}: other settings, seed or candidates?"
+                f"record {trial.number}: {name} is {got!r}, expected {wanted!r} in this session: "
+                "other settings, seed or candidates?"
             )
     same_z = len(record.z) == len(trial.z) and np.allclose(record.z, trial.z, rtol=0, atol=1e-6)
     if not same_z or record.generator != generator:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A chapter of a report as data, and its HTML: claims, tables and figures under a title."""
+"""Chapter of a report as data, and its HTML: claims, tables and figures under a title."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from wam_power_ros.reporting import figures, html_page
 
-RUNS_MIN = 5  # of a verdict: with fewer, no rank-sum test comes to p < 0.01
+RUNS_MIN = 5  # for a verdict: with fewer runs, no rank-sum test reaches p < 0.01
 
 
 @dataclass(frozen=True)
@@ -19,14 +19,14 @@ class Claim:
     """A row of the overview: a claim of the paper or of this project, and the measurement.
 
     Attributes:
-        what: The claim in short, such as "Reaching, full stiffness, return after 100".
+        what: Claim in short, such as "Reaching, full stiffness, return after 100".
         paper: Value in the paper, such as "0.73"; empty if it has none.
         ours: Measured value, such as "0.754".
-        spread: Its spread, such as "sd 0.08" or "0.61 to 0.83"; may be empty.
+        spread: Spread of the measured value, such as "sd 0.08" or "0.61 to 0.83"; may be empty.
         count: Sample size, such as "40 seeds".
         met: Whether the claim holds; None if there is no criterion and the value is only reported.
-        left_open: What the paper leaves open and had to be decided; may be empty.
-        runs: Number of independent runs of each condition that the verdict is about.
+        left_open: Decision that the paper leaves open; may be empty.
+        runs: Number of independent runs per condition; None if the verdict does not depend on it.
     """
 
     what: str
@@ -45,7 +45,7 @@ class Claim:
 
     @property
     def verdict(self) -> str:
-        """Verdict: "met", "not met", "reported" or "too few runs"."""
+        """One of "met", "not met", "reported" and "too few runs"."""
         if self._too_few:
             return "too few runs"
         return {True: "met", False: "not met", None: "reported"}[self.met]
@@ -77,10 +77,10 @@ class Figure:
     """A picture.
 
     Attributes:
-        name: Name of its file without suffix, unique in a report, such as "fig5-learning-curve".
+        name: File name without suffix, unique in a report, such as "fig5-learning-curve".
         caption: Description, one or two sentences.
-        png: Content of the file; empty if it could not be drawn, `caption` then gives the reason.
-        drawn: True for a line drawing, whose colours may be inverted in the dark.
+        png: Content of the file; empty if it could not be drawn, then `caption` gives the reason.
+        drawn: True for a line drawing, whose colours may be inverted in dark mode.
     """
 
     name: str
@@ -90,9 +90,9 @@ class Figure:
 
     @classmethod
     def of(cls, name: str, caption: str, drawn: MatplotlibFigure) -> Figure:
-        """Figure drawn by matplotlib, such as those of `wam_power_ros.reporting.figures`."""
-        photographs = any(axes.images for axes in drawn.axes)
-        return cls(name, caption, figures.png(drawn), not photographs)
+        """Create a figure from one drawn by matplotlib, such as those of `reporting.figures`."""
+        has_photographs = any(axes.images for axes in drawn.axes)
+        return cls(name, caption, figures.png(drawn), not has_photographs)
 
 
 @dataclass(frozen=True)
@@ -116,11 +116,11 @@ class Chapter:
     parts: Sequence[Chapter] = ()
 
     def all_claims(self) -> list[Claim]:
-        """Its own and those of its parts, in order."""
+        """Claims of the chapter and its parts, in order."""
         return [claim for chapter in self._walk() for claim in chapter.claims]
 
     def all_figures(self) -> list[Figure]:
-        """Its own and those of its parts, in order."""
+        """Figures of the chapter and its parts, in order."""
         return [drawn for chapter in self._walk() for drawn in chapter.figures]
 
     def _walk(self) -> Iterator[Chapter]:
@@ -130,7 +130,7 @@ class Chapter:
 
 
 def html(chapter: Chapter, level: int = 2) -> str:
-    """HTML of a chapter with its parts; `level` is that of its heading."""
+    """HTML of a chapter with its parts; `level` is the level of its heading."""
     content = "".join(
         html_page.table(t.head, t.rows, t.caption, best=t.best) for t in chapter.tables
     )

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a session: data in, matplotlib figures out; nothing is shown or written here.
+"""Figures of a session: functions from data to matplotlib figures.
 
-Figures are made without pyplot: no window, no global state, any number of them at once.
+Figures are created without pyplot: no window, no global state, any number at a time.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 INK, GRID, PAPER, STEEL = "#24292f", "#e3e6ea", "#8b949e", "#5b6570"
 PAN, PANCAKE, ACCENT = "#3b6ea5", "#d98324", "#2f855a"
-# Told apart by the colour-blind as well (CIELAB distances of 12 and more, deutan to tritan).
+# Distinct for colour-blind readers, too (CIELAB distances of 12 and more, deutan to tritan).
 CYCLE = (PAN, PANCAKE, ACCENT, "#9b3fe0", "#8a1c1c")
 POINTS = {  # kind of a rollout -> label, marker and colour
     "reproduction": ("reproductions", "D", STEEL),
@@ -36,7 +36,7 @@ def paper_table(name: str) -> np.ndarray:
             vertical stiffness [1/s^2] of the learnt policy.
 
     Raises:
-        FileNotFoundError: `name` is another one.
+        FileNotFoundError: There is no curve of this name.
     """
     text = (resources.files("wam_power_ros") / "data" / f"{name}.csv").read_text()
     return np.array(list(csv.reader(io.StringIO(text)))[1:], dtype=float)
@@ -51,34 +51,34 @@ def learning_curve(
 ) -> Figure:
     """Return over the rollouts of a session by their kind, with a running mean of explorations.
 
-    The first reproduction, which nothing has been learnt for, is a level line; re-tests, which
-    repeat one policy, are shaded and in no mean.
+    The first reproduction, before any learning, is a horizontal line; re-tests, which repeat one
+    policy, are shaded and excluded from the mean.
 
     Args:
         returns: Return of each rollout, NaN where it was not usable. Length n.
         kinds: Kind of each rollout, see `session_log.Kind`; all explorations if omitted.
         marks: Rollout number -> text above it, such as "first success".
-        paper: Draw Fig. 5 of the paper behind it: returns must be those of Eq. 5.
+        paper: Draw Fig. 5 of the paper behind the data: returns must be those of Eq. 5.
     """
     figure, (axes,) = side_by_side(7.2, 3.8, 1.0)
     values = np.asarray(returns, dtype=float)
     rollout = np.arange(1, len(values) + 1)
-    of_kind = np.array([*kinds] or ["explore"] * len(values))
-    tests = rollout[of_kind == "retest"]
+    rollout_kinds = np.array([*kinds] or ["explore"] * len(values))
+    tests = rollout[rollout_kinds == "retest"]
     if len(tests):
         axes.axvspan(tests[0] - 0.5, tests[-1] + 0.5, color=GRID, alpha=0.6, lw=0)
     if paper:
         mean_of_six = paper_table("fig5").T
         axes.plot(*mean_of_six, color=PAPER, lw=1.2, label="paper, Fig. 5 (mean of 6 sessions)")
-    first = values[(of_kind == "reproduction") & np.isfinite(values)][:1]
+    first = values[(rollout_kinds == "reproduction") & np.isfinite(values)][:1]
     for level in first:
         axes.axhline(level, color=STEEL, lw=1.0, ls="--", label="first reproduction")
     for kind, (label, marker, color) in POINTS.items():
-        there = of_kind == kind
-        if there.any():
+        selected = rollout_kinds == kind
+        if selected.any():
             style = {"ms": 4.0, "color": color, "alpha": 0.75, "label": label}
-            axes.plot(rollout[there], values[there], marker, **style)
-    explored = of_kind == "explore"
+            axes.plot(rollout[selected], values[selected], marker, **style)
+    explored = rollout_kinds == "explore"
     if explored.any():
         means = _running_mean(values[explored], 5)
         axes.plot(
@@ -100,7 +100,7 @@ def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) 
 
     Args:
         numbers: Numbers of the rollouts. Length n.
-        values: Term -> its share of the return, None where unknown. Lengths n.
+        values: Name of a term -> its values, None where unknown. Lengths n.
     """
     figure, (axes,) = side_by_side(7.2, 2.8, 1.0)
     bottom = np.zeros(len(numbers))
@@ -116,12 +116,12 @@ def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) 
 
 
 def stiffness(profiles: Mapping[str, np.ndarray], *, paper: bool) -> Figure:
-    """Vertical stiffness K33 over the movement, absolute and about its own mean.
+    """Vertical stiffness K33 over the movement, absolute and relative to its mean.
 
     Args:
-        profiles: Name -> K33 of one policy, or of several, evenly in time [1/s^2]. Shapes (T,) or
-            (n, T), of which median and the middle 80 % are drawn.
-        paper: Draw the paper's policy of the pancake beside them.
+        profiles: Name -> K33 at evenly spaced times [1/s^2], of one policy, shape (T,), or several,
+            shape (n, T), of which the median and the middle 80 % are drawn.
+        paper: Draw the learnt policy of the paper, too.
     """
     figure, (absolute, relative) = side_by_side(9.4, 3.6, 1.0, 1.0)
     if paper:
@@ -148,18 +148,18 @@ def stiffness(profiles: Mapping[str, np.ndarray], *, paper: bool) -> Figure:
 
 
 def filmstrip(frames: Sequence[np.ndarray], count: int = 8, times: Sequence[float] = ()) -> Figure:
-    """Frames of a film side by side, evenly picked from first to last.
+    """Frames of a film side by side, evenly selected from first to last.
 
     Args:
         frames: RGB images. Shapes (h, w, 3), uint8.
-        count: Largest number of frames shown.
-        times: Times of the frames [s], written below each; may be empty.
+        count: Maximum number of frames shown.
+        times: Times of the frames [s], shown below each; may be empty.
 
     Raises:
         ValueError: There are no frames.
     """
     if not frames:
-        raise ValueError("a filmstrip needs at least one frame")
+        raise ValueError("a filmstrip must have at least one frame, got none")
     chosen = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))
     high, wide = frames[0].shape[:2]
     width = 10.0 / len(chosen)
@@ -188,14 +188,14 @@ def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
     from PIL import Image
 
     if not frames:
-        raise ValueError("a film needs at least one frame")
+        raise ValueError("a film must have at least one frame, got none")
     first, *others = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
     settings = {"duration": round(1000 / rate), "loop": 0, "quality": 70, "method": 4}
     first.save(path, format="WEBP", save_all=True, append_images=others, **settings)
 
 
 def svg(figure: Figure) -> bytes:
-    """A figure as an SVG file, the same bytes for the same figure."""
+    """Content of an SVG file of a figure, the same bytes for the same figure."""
     from matplotlib import rc_context
 
     buffer = io.BytesIO()
@@ -205,23 +205,23 @@ def svg(figure: Figure) -> bytes:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as a PNG file, the same bytes for the same figure."""
+    """Content of a PNG file of a figure, the same bytes for the same figure."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def side_by_side(width: float, height: float, *widths: float) -> tuple[Figure, list[Axes]]:
-    """A figure of this size [inch] with axes side by side, of such relative widths."""
+    """Create a figure of this size [inch] with axes side by side, of these relative widths."""
     figure = Figure(figsize=(width, height), layout="constrained")
-    found = list(figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0])
-    for axes in found:
+    row = list(figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0])
+    for axes in row:
         dress(axes)
-    return figure, found
+    return figure, row
 
 
 def dress(axes: Axes) -> None:
-    """Give axes the common style."""
+    """Apply the common style to axes."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color(GRID)
     axes.grid(color=GRID, lw=0.7)
@@ -232,12 +232,12 @@ def dress(axes: Axes) -> None:
 
 
 def legend(axes: Axes) -> None:
-    """Legend above the axes, where it hides no data."""
+    """Add a legend above the axes, where it hides no data."""
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
 
 
 def shared_legend(figure: Figure, many: Iterable[Axes], columns: int) -> None:
-    """Legend below a figure, each label of its axes once."""
+    """Add a legend below a figure with each label of its axes once."""
     found = {}
     for axes in many:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -247,7 +247,7 @@ def shared_legend(figure: Figure, many: Iterable[Axes], columns: int) -> None:
 
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:
-    """Mean of the last `width` usable values up to each place. Shape (n,)."""
+    """Mean of the usable values among the last `width` up to each index. Shape (n,)."""
     means = np.full(len(values), np.nan)
     for place in range(len(values)):
         window = values[max(0, place - width + 1) : place + 1]

@@ -22,37 +22,41 @@ from wam_power_ros.tasks.flip.task import Flip
 
 YELLOW, BROWN = "#e3a72f", "#7a4a1c"
 PANCAKE_RADIUS, PAN_RADIUS = 0.09, 0.14  # as drawn [m]
-MARGIN = 0.03  # around what is drawn [m]
-NORMAL = 0.06  # drawn length of a normal [m]
+MARGIN = 0.03  # around the drawn paths [m]
+NORMAL_LENGTH = 0.06  # as drawn [m]
 
 
 def flipped_and_caught(record: Record) -> bool:
-    """Whether the pancake was seen to flip and to rest in the pan."""
+    """Whether the observed pancake flipped and came to rest in the pan."""
     seen = record.observation or {}
     return bool(not record.fault and seen.get("flipped") and seen.get("resting"))
 
 
 def angle_deg(record: Record) -> float | None:
-    """Rotation of the pancake at t_f [degree], None if it is not known."""
+    """Rotation of the pancake at t_f [degree], None if unknown."""
     turned = (record.observation or {}).get("angle")
     return None if turned is None else abs(math.degrees(turned))
 
 
 def median_angle(records: Sequence[Record]) -> str:
-    """Median rotation of the pancake at t_f as a text, empty where none is known."""
+    """Median rotation of the pancake at t_f as text, empty if all are unknown."""
     angles = [turned for record in records if (turned := angle_deg(record)) is not None]
     return f"{np.median(angles):.0f}°" if angles else ""
 
 
 def equation_5(record: Record) -> float:
-    """Eq. 5 of a rollout, whatever the session learnt from; NaN if no pancake was seen."""
+    """Eq. 5 of a rollout, regardless of the session's return; NaN if no pancake was observed."""
     seen = None if record.ret is None else record.observation
     flight = None if seen is None else flight_of(seen)
     return math.nan if flight is None else pancake_return(flight).total
 
 
 def answer(task: Flip, rollout: Rollout) -> Figure:
-    """Figure of a rollout in the report of its session."""
+    """Figure of the answer's rollout in the report of its session.
+
+    Raises:
+        ValueError: The rollout has no path of the pancake.
+    """
     if rollout.body is None:
         raise ValueError(f"rollout {rollout.tool.id} of the task flip has no path of the pancake")
     flight = observe_flight(rollout.tool, rollout.body, task.settings.delta_h)
@@ -62,13 +66,13 @@ def answer(task: Flip, rollout: Rollout) -> Figure:
 def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None) -> Figure:
     """A rollout seen from the side, as in Figs. 3-4 of the paper, and its heights over time.
 
-    Arrows are the normals of pan and pancake; the pancake's is the direction fixed in it that
-    pointed along the pan's normal in its first frame.
+    Arrows are the normals of pan and pancake; the pancake's normal is its body-fixed direction
+    that coincides with the pan's normal in its first frame.
 
     Args:
         pan: Path of the pan.
         pancake: Path of the pancake; may be empty.
-        t_f: Time at which the fall was judged [s], marked if given.
+        t_f: Time at which the fall was assessed [s], marked if given.
     """
     figure, (side, height) = figures.side_by_side(8.6, 4.0, 1.15, 1.0)
     every = max(1, round(len(pan.t) / 18))
@@ -96,8 +100,8 @@ def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None)
 def flights(rollouts: Mapping[str, tuple[EndEffectorPath, BodyPath, float | None]]) -> Figure:
     """Figs. 3 and 4 of the paper: pan and pancake seen from the side, with their normals.
 
-    The pancake is drawn edge-on at every camera frame, its two sides in two colours; the side
-    that lay in the pan at first is brown. The pan is drawn at the same times.
+    The pancake is drawn edge-on at camera frames, its two sides in two colours; the side that
+    initially lies in the pan is brown. The pan is drawn at the same times.
 
     Args:
         rollouts: Title -> paths of pan and pancake, and t_f [s] or None.
@@ -106,14 +110,14 @@ def flights(rollouts: Mapping[str, tuple[EndEffectorPath, BodyPath, float | None
         ValueError: There is no rollout.
     """
     if not rollouts:
-        raise ValueError("a figure of flights needs at least one rollout")
+        raise ValueError("a figure of flights must have at least one rollout, got none")
     pans = np.concatenate([pan.position[:, [0, 2]] for pan, _, _ in rollouts.values()])
     pancakes = [pancake.position[:, [0, 2]] for _, pancake, _ in rollouts.values()]
     drawn = np.concatenate([pans, *pancakes])
     margin = MARGIN + 0.8 * PAN_RADIUS
     low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin
     lowest = pans[:, 1].min() - MARGIN - 2.0 * PAN_RADIUS
-    low[1] = max(low[1], lowest)  # a pancake that is dropped leaves the view
+    low[1] = max(low[1], lowest)  # a dropped pancake leaves the view
     height = 4.2 * (high[1] - low[1]) / (high[0] - low[0])
     figure = Figure(figsize=(4.2 * len(rollouts) + 0.6, height + 1.1), layout="compressed")
     row = figure.subplots(1, len(rollouts), squeeze=False)[0]
@@ -144,23 +148,23 @@ def flights(rollouts: Mapping[str, tuple[EndEffectorPath, BodyPath, float | None
 
 
 def _normals(pancake: BodyPath, first: np.ndarray) -> np.ndarray:
-    """Direction fixed in the pancake that is `first` (3,) in its first frame. Shape (M, 3)."""
+    """Body-fixed direction of the pancake that is `first` (3,) in its first frame. Shape (M, 3)."""
     turns = rotations.matrix(pancake.quat_xyzw)  # (M, 3, 3)
     return turns @ (turns[0].T @ first)
 
 
 def _apart(positions: np.ndarray, distance: float) -> list[int]:
-    """Indices of positions (n, 3) farther than `distance` [m] from the one taken before."""
-    taken = [0]
+    """Indices of positions (n, 3) farther than `distance` [m] from the previous selected one."""
+    selected = [0]
     for k in range(len(positions)):
-        if np.linalg.norm(positions[k] - positions[taken[-1]]) > distance:
-            taken.append(k)
-    return taken
+        if np.linalg.norm(positions[k] - positions[selected[-1]]) > distance:
+            selected.append(k)
+    return selected
 
 
 def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> None:
     """Draw normals (m, 3) at places (m, 3), in the x-z plane."""
-    (x, _, z), (u, _, w) = places.T, NORMAL * normals.T
+    (x, _, z), (u, _, w) = places.T, NORMAL_LENGTH * normals.T
     as_data = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(x, z, u, w, color=color, width=0.004, alpha=0.8, **as_data)
 
@@ -168,7 +172,7 @@ def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> 
 def _disc(
     axes: Axes, pose: tuple[np.ndarray, ...], radius: float, colors: tuple[str, str], alpha: float
 ) -> None:
-    """Draw a disc (place, normal) edge-on with its normal, which points to the first colour."""
+    """Draw a disc (centre, normal) edge-on; the normal is on the side of the first colour."""
     place, normal = pose
     n = normal[[0, 2]]
     along = np.array([n[1], -n[0]])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Self-contained HTML page of a report, light or dark, wide or on a phone.
+"""Self-contained HTML page of a report, in light or dark mode, on a wide screen or a phone.
 
-Text arguments are escaped here; arguments that are HTML already are named so.
+Text arguments are escaped here; arguments that are HTML are documented as such.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from collections.abc import Collection, Sequence
 from html import escape
 from string import Template
 
-TEXT = re.compile(r"\W*[^\W\d]|.*[^\W\d]{4}")  # begins with no number, or has a word
+TEXT = re.compile(r"\W*[^\W\d]|.*[^\W\d]{4}")  # begins with a letter, or contains a word
 
 
 def page(title: str, body: Sequence[str]) -> str:
-    """A whole HTML document; `body` is HTML."""
+    """A complete HTML document; `body` is HTML."""
     return PAGE.substitute(title=escape(title), body="\n".join(part for part in body if part))
 
 
 def section(title: str, text: Sequence[str] = (), content: str = "", level: int = 2) -> str:
-    """HTML of a titled section: paragraphs, then content, which is HTML."""
+    """HTML of a titled section: paragraphs, then `content`, which is HTML."""
     return (
         f'<section id="{anchor(title)}"><h{level}>{escape(title)}</h{level}>'
         f"{paragraphs(text)}{content}</section>"
@@ -29,12 +29,12 @@ def section(title: str, text: Sequence[str] = (), content: str = "", level: int 
 
 
 def anchor(title: str) -> str:
-    """Anchor of the section of this title."""
+    """Anchor of the section with this title."""
     return "-".join("".join(c if c.isalnum() else " " for c in title.lower()).split())
 
 
 def paragraphs(text: Sequence[str]) -> str:
-    """HTML of paragraphs; empty ones are left out."""
+    """HTML of paragraphs; empty ones are omitted."""
     return "".join(f"<p>{escape(part)}</p>" for part in text if part)
 
 
@@ -44,13 +44,14 @@ def items(text: Sequence[str]) -> str:
 
 
 def image(data: bytes, kind: str = "image/svg+xml", alt: str = "", style: str = "") -> str:
-    """HTML of a picture embedded in the page; style "drawn": its colours are inverted in the dark.
+    """HTML of a picture embedded in the page.
 
     Args:
         data: Content of the picture.
-        kind: Its media type.
+        kind: Media type.
         alt: Description.
-        style: Class of the element; "drawn" for lines and text on white.
+        style: Class of the element; "drawn" for lines and text on white, whose colours are
+            inverted in dark mode.
     """
     coded = base64.b64encode(data).decode()
     img = f'<img alt="{escape(alt)}"{_class(style)} src="data:{kind};base64,{coded}">'
@@ -58,7 +59,7 @@ def image(data: bytes, kind: str = "image/svg+xml", alt: str = "", style: str = 
 
 
 def figure(content: str, caption: str) -> str:
-    """HTML of content, which is HTML, with a caption below it."""
+    """HTML of `content`, which is HTML, with a caption below it."""
     return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
@@ -75,7 +76,7 @@ def table(
     good: Collection[int] = (),
     best: Collection[tuple[int, int]] = (),
 ) -> str:
-    """HTML of a table that scrolls sideways where it is too wide; numbers go to the right.
+    """HTML of a table that scrolls horizontally if too wide; numbers are aligned to the right.
 
     Args:
         head: Names of the columns.
@@ -89,7 +90,7 @@ def table(
     """
     for row in rows:
         if len(row) != len(head):
-            raise ValueError(f"a row of {len(row)} cells under a head of {len(head)}: {row}")
+            raise ValueError(f"row of {len(row)} cells in a table of {len(head)} columns: {row}")
     text = [any(TEXT.match(row[k]) for row in rows) for k in range(len(head))]
 
     def cell(kind: str, content: str, column: int, marked: bool = False) -> str:

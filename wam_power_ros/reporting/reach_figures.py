@@ -27,9 +27,9 @@ class Panel:
         demonstrations: Demonstrated positions [m]. Shapes (T, 3).
         obstacle: Centre of the sphere [m]. Shape (3,).
         radius: Radius of the sphere [m].
-        learnt: Path of the learnt policy [m], drawn bold. Shape (T, 3); may be empty.
+        learnt: Path of the learnt policy [m], drawn bold. Shape (T, 3); None if there is none.
         rollouts: Further paths [m]. Shapes (T, 3); may be empty.
-        executed: Path the arm executed [m]. Shape (M, 3), None where none was.
+        executed: Path executed by the arm [m]. Shape (M, 3); None if there is none.
     """
 
     demonstrations: Sequence[np.ndarray]
@@ -51,10 +51,9 @@ class Panel:
 
 
 def paths(panels: Mapping[str, Panel]) -> Figure:
-    """Fig. 2 of the paper: paths around the obstacle, each from the side and from above.
+    """Fig. 2 of the paper: paths around the obstacle, from the side and from above.
 
-    The axes are along the line from the mean start of the demonstrations to their mean end, to its
-    left, and up.
+    The axes point from the mean start of the demonstrations to their mean end, to the left, and up.
 
     Args:
         panels: Title -> panel, such as "diagonal" and "full".
@@ -63,8 +62,8 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
         ValueError: There is no panel.
     """
     if not panels:
-        raise ValueError("a figure of reaching needs at least one panel")
-    boxes = []  # of each panel and view: lowest and highest drawn coordinates
+        raise ValueError("a figure of reaching must have at least one panel, got none")
+    boxes = []  # lowest and highest drawn coordinates of each panel and view
     for panel in panels.values():
         corners = panel.obstacle + panel.radius * np.array([[-1.0] * 3, [1.0] * 3])
         other = [path for path in (panel.learnt, panel.executed) if path is not None]
@@ -96,13 +95,13 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
 
 
 def answer(task: Reach, rollout: Rollout) -> Figure:
-    """Figure of a rollout in the report of its session."""
+    """Figure of the answer's rollout in the report of its session."""
     panel = Panel([task.demonstrated], task.obstacle, task.radius, learnt=rollout.tool.position)
     return paths({f"{rollout.tool.id}, executed": panel})
 
 
 def _views(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
-    """Rows along and up, and along and left of the movement. Shapes (2, 3)."""
+    """Axes of the side view, along and up, and of the top view, along and left. Shapes (2, 3)."""
     level = (panel.goal - panel.start) * np.array([1.0, 1.0, 0.0])
     length = float(np.linalg.norm(level))
     level = level / length if length > 0.0 else np.array([1.0, 0.0, 0.0])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report of a session as one self-contained HTML file, figures and film included.
 
-Every figure and sentence is computed from the session's records; the same folder gives the same
-file. What only one task has (the paper's Eq. 5 of a pancake, its flight) is shown for that task.
+All figures and sentences are computed from the session's records; the same folder gives the same
+file. Parts specific to a task, such as Eq. 5 of the paper for the pancake, are shown for it only.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from wam_power_ros.tasks.task import Task
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
 ANSWER_FIGURES = {"flip": flip_figures.answer, "reach": reach_figures.answer}
-AGREEMENT = {  # task -> question, and the keys of its answer in ground truth and observation
+AGREEMENT = {  # task -> question, and the key of the answer in ground truth and observation
     "flip": ("whether the pancake was caught", "caught", "resting"),
     "reach": ("whether the obstacle was touched", "touched", "touched"),
 }
@@ -41,11 +41,17 @@ AGREEMENT = {  # task -> question, and the keys of its answer in ground truth an
 
 @dataclass(frozen=True)
 class ShownRollout:
-    """A rollout shown in full, with its outcome as caption."""
+    """The answer's rollout, shown in detail.
+
+    Attributes:
+        caption: Outcome of the rollout.
+        rollout: The rollout.
+        film: Animated .webp image, None without a film.
+    """
 
     caption: str
     rollout: Rollout
-    film: bytes | None = None  # an animated .webp
+    film: bytes | None = None
 
 
 def render(
@@ -57,16 +63,16 @@ def render(
     shown: ShownRollout | None = None,
     why_no_film: str = "",
 ) -> str:
-    """The report as HTML.
+    """Render the report as HTML.
 
     Args:
         header: Header of the session.
         task: Task of the session.
-        start: Policy of the demonstration that was learnt from, None while it is not chosen.
-        answer: Best policy so far, None while there is none.
+        start: Policy of the demonstration that was learnt from, None before the choice.
+        answer: Best policy so far, None before there is one.
         records: The rollouts.
-        shown: A rollout to be shown in full, if any.
-        why_no_film: Reason why there is no film of it.
+        shown: Rollout to show in detail, None for none.
+        why_no_film: Reason why that rollout has no film.
     """
     parts = [_cards(task, records), _verdict(header, task, records)]
     if shown is not None:
@@ -92,7 +98,7 @@ def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = ""
         Path of the report.
 
     Raises:
-        session.SessionError: There is no session, or a malformed one.
+        session.SessionError: There is no session, or it is malformed.
     """
     header, candidates, records = session.read(folder)
     task = session.read_task(folder)
@@ -108,13 +114,13 @@ def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = ""
 
 
 def vertical_stiffness(of: policy.Policy) -> np.ndarray:
-    """K33 = sum_i h_i K_i,33 of a policy, evenly in time [1/s^2]. Shape (200,)."""
+    """K33 = sum_i h_i K_i,33 of a policy at evenly spaced times [1/s^2]. Shape (200,)."""
     t = np.linspace(0.0, of.basis.duration, 200)
     return activations(of.basis, t) @ of.stiffness[:, 2, 2]
 
 
-def _good(task: Task, record: Record) -> bool:
-    """Whether a rollout had the outcome the task is about, whatever its settings ask for."""
+def _achieved(task: Task, record: Record) -> bool:
+    """Whether a rollout achieved the goal of the task, regardless of the settings of success."""
     return flip_figures.flipped_and_caught(record) if task.name == "flip" else record.success
 
 
@@ -133,9 +139,9 @@ def _cards(task: Task, records: Sequence[Record]) -> str:
             cards.append(("return of the reproduction, before learning", number(first.ret)))
         cards.append((f"mean return of the last {len(last)}", f"{statistics.mean(last):.3f}"))
     if tests:
-        good = sum(_good(task, record) for record in tests)
+        achieved = sum(_achieved(task, record) for record in tests)
         what = "flipped and caught" if task.name == "flip" else "that succeeded"
-        cards.append((f"re-tests {what}", f"{good} of {len(tests)}"))
+        cards.append((f"re-tests {what}", f"{achieved} of {len(tests)}"))
     if task.name == "flip" and (angle := flip_figures.median_angle(tests)):
         cards.append(("median angle of the re-tests", angle))
     return html_page.cards(cards)
@@ -148,32 +154,32 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
         f"learner {settings.learner!r} and may use "
         f"{counted(settings.practice.budget, 'rollout')}."
     ]
-    first = next((record.number for record in records if _good(task, record)), None)
-    what = "flipped and caught" if task.name == "flip" else "a success"
+    first = next((record.number for record in records if _achieved(task, record)), None)
+    goal = "flipped and caught the pancake" if task.name == "flip" else "succeeded"
     if first is not None:
-        text.append(f"Rollout {first} was the first that was {what}.")
+        text.append(f"Rollout {first} was the first that {goal}.")
     elif records:
-        text.append(f"No rollout was {what} yet.")
+        text.append(f"No rollout {goal} yet.")
     if ratings := [record.adjustment for record in records if record.adjustment is not None]:
         rewarded = sum(rating > 0.0 for rating in ratings)
         text.append(
             f"A person rewarded {counted(rewarded, 'rollout')} and punished "
-            f"{len(ratings) - rewarded}; the table has the amounts behind the returns."
+            f"{len(ratings) - rewarded}; the table has the amounts beside the returns."
         )
     begun = header.candidates
-    if later := dict.fromkeys(r.demonstration for r in records if r.demonstration not in begun):
-        text.append(f"Given in the middle of learning: {', '.join(later)}.")
+    if added := dict.fromkeys(r.demonstration for r in records if r.demonstration not in begun):
+        text.append(f"Demonstrations added while learning: {', '.join(added)}.")
     if unusable := sum(record.ret is None for record in records):
-        text.append(f"Not judged, and therefore not learnt from: {counted(unusable, 'rollout')}.")
+        text.append(f"Without a return, and not learnt from: {counted(unusable, 'rollout')}.")
     if task.name in AGREEMENT:
         question, true, seen = AGREEMENT[task.name]
         pairs = [(r.truth, r.observation) for r in records if r.truth and r.observation]
-        judged = [(t[true], o[seen]) for t, o in pairs if true in t and seen in o]
-        if judged:
-            agree = sum(bool(one) == bool(other) for one, other in judged)
+        answers = [(t[true], o[seen]) for t, o in pairs if true in t and seen in o]
+        if answers:
+            agree = sum(bool(one) == bool(other) for one, other in answers)
             text.append(
                 f"On {question}, the observation agreed with the simulator in {agree} of "
-                f"{counted(len(judged), 'rollout')}."
+                f"{counted(len(answers), 'rollout')}."
             )
     lines = [*before_and_after(records, task), *task.summary(records)]
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
@@ -201,29 +207,27 @@ def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
 
 def _curves(task: Task, records: Sequence[Record]) -> str:
     flip = task.name == "flip"
-    first = next((record.number for record in records if _good(task, record)), None)
+    first = next((record.number for record in records if _achieved(task, record)), None)
     marks = {} if first is None else {first: "first flip" if flip else "first success"}
     own = [math.nan if record.ret is None else record.ret for record in records]
     eq5 = [flip_figures.equation_5(record) for record in records] if flip else None
     kinds = [record.kind for record in records]
-    drawn = figures.learning_curve(own, kinds, marks, paper=own == eq5)
-    text = ["Return that was learnt from, of every rollout."]
-    html = html_page.section("Learning curve", text, _svg(drawn))
-    if eq5 is not None:
-        beside = "The paper's curve is the mean of six sessions; it has no re-tests."
-        if own == eq5:
-            html = html_page.section("Learning curve", [f"{text[0]} {beside}"], _svg(drawn))
-        else:
-            drawn = figures.learning_curve(eq5, kinds, marks, paper=True)
-            told = f"Eq. 5 of every rollout, which was not learnt from. {beside}"
-            html += html_page.section("Return of the paper, Eq. 5", [told], _svg(drawn))
+    learnt_eq5 = own == eq5
+    paper = " The paper's curve is the mean of six sessions; it has no re-tests."
+    drawn = figures.learning_curve(own, kinds, marks, paper=learnt_eq5)
+    text = f"Return of every rollout, as learnt from.{paper if learnt_eq5 else ''}"
+    html = html_page.section("Learning curve", [text], _svg(drawn))
+    if eq5 is not None and not learnt_eq5:
+        drawn = figures.learning_curve(eq5, kinds, marks, paper=True)
+        text = f"Eq. 5 of every rollout; this session did not learn from it.{paper}"
+        html += html_page.section("Return of the paper, Eq. 5", [text], _svg(drawn))
     values = {name: [record.terms.get(name) for record in records] for name in term_names(records)}
     drawn = figures.terms([record.number for record in records], values)
     return html + html_page.section("Terms", content=_svg(drawn))
 
 
 def _speeds(records: Sequence[Record]) -> str:
-    """Speeds a real arm's safety board would have to allow, from the simulator's ground truth."""
+    """Speeds that the safety board of a real arm would have to allow, from the ground truth."""
     names = {"elbow": "peak_elbow_speed", "forearm, 350 mm past the elbow": "peak_forearm_speed"}
     tests = [r.truth for r in records if r.kind == "retest" and r.truth]
     known = tests or [record.truth for record in records if record.truth]
@@ -238,10 +242,10 @@ def _speeds(records: Sequence[Record]) -> str:
     which = "re-tests" if tests else "rollouts"
     top = max(peaks.values())
     advice = (
-        f"That is over the factory fault speed of {VL2} m/s: the safety board would idle the arm. "
-        "Its owner has to decide whether to raise that limit."
+        f"This exceeds the factory fault speed of {VL2} m/s: the safety board would idle the arm. "
+        "The owner of the arm has to decide whether to raise the limit."
         if top > VL2
-        else f"That is within the factory fault speed of {VL2} m/s."
+        else f"This is within the factory fault speed of {VL2} m/s."
     )
     return html_page.section("Speeds", [f"Highest in the {which}: {rows}. {advice}"])
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the reproduction: many runs side by side, and beside the paper's.
+"""Figures of the reproduction: many runs side by side, compared with the paper's.
 
-Data in, matplotlib figures out, in the style of `figures`; nothing is computed here beyond means
-and quantiles.
+Functions from data to matplotlib figures, in the style of `figures`; they compute only means and
+quantiles.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ HALO = [patheffects.withStroke(linewidth=3, foreground="white")]
 def sessions_over_paper(sessions: Mapping[str, Sequence[Sequence[float | None]]]) -> Figure:
     """Fig. 5: mean return per rollout with standard deviations over the digitised curve.
 
-    Beside it the gain: mean of the first five rollouts and of the last five, per session.
+    A second panel shows the gain: mean of the first and of the last five rollouts of each session.
 
     Args:
         sessions: Name -> returns of each session, None or NaN where a rollout was not usable;
@@ -47,13 +47,13 @@ def sessions_over_paper(sessions: Mapping[str, Sequence[Sequence[float | None]]]
         stacked = stack(runs)
         color = COLORS[place - 1]
         rollout = np.arange(1, stacked.shape[1] + 1)
-        some = np.isfinite(stacked).any(axis=0)
+        usable = np.isfinite(stacked).any(axis=0)
         mean, sd = _moments(stacked)
-        # as in the paper, a bar at every rollout; each name a little aside of the other
+        # as in the paper, an error bar at every rollout; shifted a little for each name
         bars = {"elinewidth": 0.6, "ecolor": _faint(color), "capsize": 1.5, "capthick": 0.6}
-        x = rollout[some] + 0.16 * (place - 1)
+        x = rollout[usable] + 0.16 * (place - 1)
         label = f"{name}, {counted(len(runs), 'session')}"
-        axes.errorbar(x, mean[some], yerr=sd[some], color=color, lw=1.8, label=label, **bars)
+        axes.errorbar(x, mean[usable], yerr=sd[usable], color=color, lw=1.8, label=label, **bars)
         early, late = first_and_last_five(runs)
         for ends in zip(early, late, strict=True):
             gain.plot([place - 0.28, place + 0.28], ends, color=color, lw=0.6, alpha=0.28)
@@ -77,7 +77,7 @@ def _gain_line(axes: Axes, place: float, early: float, late: float, color: str) 
 
 
 def first_and_last_five(runs: Sequence[Sequence[float | None]]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of the first five and of the last five usable returns of each session, shapes (n,)."""
+    """Mean of the first five and of the last five usable returns of each session. Shapes (n,)."""
     usable = [row[np.isfinite(row)] for row in stack(runs)]
     return (
         np.array([row[:5].mean() for row in usable if len(row)]),
@@ -92,14 +92,14 @@ def learner_curves(
     ylabel: str,
     marks: Mapping[str, float] | None = None,
 ) -> Figure:
-    """Median over the runs of each learner, and their quartiles as a band.
+    """Median over the runs of each learner, with the quartiles as a band.
 
     Args:
-        curves: Name -> a value a rollout of each run, None or NaN where there is none: the best
-            return so far, or that of the current mean. Runs of one name may differ in length.
-        ours: Highlighted names: thicker lines, darker bands; all, if none is named.
+        curves: Name -> values of each run by rollout, None or NaN where there is none: the best
+            return so far, or the return of the current mean. Runs may differ in length.
+        ours: Names highlighted by thicker lines and darker bands; all if empty.
         ylabel: Label of the values.
-        marks: Text -> value at which a level line is drawn, such as "paper, full" -> 0.73.
+        marks: Text -> value of a horizontal line, such as "paper, full" -> 0.73.
     """
     figure, (axes,) = figures.side_by_side(8.6, 4.4, 1.0)
     ends, longest = [], 0
@@ -107,9 +107,9 @@ def learner_curves(
         stacked = stack(runs)
         color = COLORS[place % len(COLORS)]
         strong = not ours or name in ours
-        some = np.isfinite(stacked).any(axis=0)
-        x = np.arange(1, stacked.shape[1] + 1)[some]
-        low, middle, high = np.nanquantile(stacked[:, some], (0.25, 0.5, 0.75), axis=0)
+        usable = np.isfinite(stacked).any(axis=0)
+        x = np.arange(1, stacked.shape[1] + 1)[usable]
+        low, middle, high = np.nanquantile(stacked[:, usable], (0.25, 0.5, 0.75), axis=0)
         longest = max(longest, int(x[-1]))
         style = {"lw": 2.3} if strong else {"lw": 1.1, "ls": ("-", "--", "-.", ":")[place % 4]}
         axes.plot(x, middle, color=color, zorder=3 if strong else 2, **style)
@@ -130,7 +130,7 @@ def learner_curves(
 
 
 def _label_ends(axes: Axes, ends: Sequence[tuple[float, int, str, str, bool]]) -> None:
-    """Names right of the axes, each as near to the end of its line as possible without overlap."""
+    """Write names beside the axes, close to the ends of their lines but without overlap."""
     low, high = axes.get_ylim()
     room = 0.052 * (high - low)
     order = sorted(ends)
@@ -164,10 +164,10 @@ def _label_ends(axes: Axes, ends: Sequence[tuple[float, int, str, str, bool]]) -
 
 
 def stack(runs: Sequence[Sequence[float | None]]) -> np.ndarray:
-    """Runs of any length as the rows of one array, NaN where there is nothing. Shape (n, longest).
+    """Runs as rows of one array, padded with NaN. Shape (n, longest).
 
     Raises:
-        ValueError: There is no run, or only empty ones.
+        ValueError: There is no run, or all are empty.
     """
     longest = max((len(run) for run in runs), default=0)
     if longest == 0:
@@ -179,17 +179,17 @@ def stack(runs: Sequence[Sequence[float | None]]) -> np.ndarray:
 
 
 def _moments(stacked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of the finite values of each column, NaN without one."""
-    there = np.isfinite(stacked)
-    count = there.sum(axis=0)
-    values = np.where(there, stacked, 0.0)
+    """Mean and standard deviation of the finite values of each column, NaN if there are none."""
+    finite = np.isfinite(stacked)
+    count = finite.sum(axis=0)
+    values = np.where(finite, stacked, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = values.sum(axis=0) / count
-        sd = np.sqrt((np.where(there, stacked - mean, 0.0) ** 2).sum(axis=0) / count)
+        sd = np.sqrt((np.where(finite, stacked - mean, 0.0) ** 2).sum(axis=0) / count)
     return mean, sd
 
 
 def _faint(color: str) -> str:
-    """A colour half way to white."""
+    """Colour halfway between the given one and white."""
     parts = [int(color[k : k + 2], 16) for k in (1, 3, 5)]
     return "#" + "".join(f"{round(255 - 0.5 * (255 - part)):02x}" for part in parts)

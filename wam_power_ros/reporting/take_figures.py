@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figure of takes: joint angles and speeds, with the limits of the arm where they are near."""
+"""Figure of takes: joint angles and speeds, with the limits of the arm if within view."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -21,7 +22,7 @@ def joints(
     """Joint angles and speeds over time, a row for each joint.
 
     Args:
-        movements: Name -> times [s] (N,) and joint angles [rad] (N, n), smooth.
+        movements: Name -> times [s] (N,) and smooth joint angles [rad] (N, n).
         joint_names: Names of the joints.
         limits: Limits of the arm, drawn dashed, if known.
     """
@@ -31,14 +32,14 @@ def joints(
     for joint, (name, (angle, speed)) in enumerate(zip(joint_names, grid, strict=True)):
         for axes in (angle, speed):
             dress(axes)
-        for color, (label, (t, q)) in zip(_colors(len(movements)), movements.items(), strict=True):
+        for color, (label, (t, q)) in zip(cycle(CYCLE), movements.items(), strict=False):
             angle.plot(t, q[:, joint], color=color, lw=1.4, label=label)
             speed.plot(t, np.gradient(q[:, joint], t), color=color, lw=1.4)
         angle.set_ylabel(f"{name} [rad]")
         if limits is not None:
             low, high, fastest = (values[joint] for values in limits)
             for axes, values in ((angle, (low, high)), (speed, (-fastest, fastest))):
-                for value in values:  # beyond the view if it is far away
+                for value in values:  # outside the view if far away
                     bottom, top = axes.get_ylim()
                     axes.axhline(value, color=STEEL, lw=0.9, ls="--", label="limit")
                     axes.set_ylim(bottom, top)
@@ -48,7 +49,3 @@ def joints(
         axes.set_xlabel("time [s]")
     shared_legend(figure, [grid[0, 0]], 3)
     return figure
-
-
-def _colors(count: int) -> list[str]:
-    return [CYCLE[place % len(CYCLE)] for place in range(count)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Display of a running session: a growing table on a terminal, a line per rollout in a file."""
+"""Display of a running session: a live table on a terminal, one line per rollout in a file."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session_log import Line, Record, with_ratings
 from wam_power_ros.tasks.task import Task
 
-SHOWN = 14  # newest rollouts in the table
-QUIET_MAX = 5.0  # [s] without a line in a file
-KINDS = {"reproduction": "repro", "explore": "expl", "mean": "mean", "retest": "test"}
-OUTCOME_MIN = 24  # columns
+ROLLOUTS_SHOWN = 14  # newest rollouts in the table
+SILENCE_MAX = 5.0  # longest time without a line in a file [s]
+SHORT_KINDS = {"reproduction": "repro", "explore": "expl", "mean": "mean", "retest": "test"}
+OUTCOME_MIN = 24  # width of the column [characters]
 BARS = "▁▂▃▄▅▆▇█"
 STYLES = {"reproduction": "cyan", "explore": "", "mean": "magenta", "retest": "green"}
 Outcome = Callable[[Record], str]  # such as `Task.outcome`
 
 
 def number(value: float | None) -> str:
-    """A return or one of its terms; a dash for None."""
+    """Format a return or one of its terms; a dash for None."""
     return "–" if value is None else f"{value:.3f}"
 
 
@@ -52,16 +52,16 @@ def spark(values: Sequence[float], width: int = 60) -> str:
 
 
 def rollout_table(
-    records: Sequence[Record], outcome: Outcome, shown: int = SHOWN, width: int = 160
+    records: Sequence[Record], outcome: Outcome, shown: int = ROLLOUTS_SHOWN, width: int = 160
 ) -> Table:
-    """The newest rollouts: return and its terms, best return so far, outcome.
+    """Table of the newest rollouts: return and its terms, best return so far, outcome.
 
     Args:
         records: Rollouts, oldest first.
         outcome: Outcome of a rollout in a few words.
-        shown: Number of rollouts in the table.
-        width: Columns of the terminal. The terms are left out, last first, and the kinds
-            shortened, until the outcome has room.
+        shown: Maximum number of rollouts in the table.
+        width: Columns of the terminal. If it is too narrow for the outcome, terms are omitted,
+            last first, and kinds abbreviated.
     """
     newest, bests, best = records[-shown:], [], 0.0
     for record in records:
@@ -70,7 +70,7 @@ def rollout_table(
         bests.append((best, better))
     terms = term_names(records)
     longest = max((len(outcome(record)) for record in newest), default=0)
-    room = width - 32 - min(longest, OUTCOME_MIN)  # beside number, kind, return and best
+    room = width - 32 - min(longest, OUTCOME_MIN)  # 32 for number, kind, return and best
     while terms and sum(max(len(term), 5) + 1 for term in terms) > room:
         terms.pop()
     narrow = width < 100
@@ -81,7 +81,7 @@ def rollout_table(
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("outcome", no_wrap=True, overflow="ellipsis")
     for record, (top, better) in zip(newest, bests[-shown:], strict=True):
-        kind = KINDS.get(record.kind, record.kind) if narrow else record.kind
+        kind = SHORT_KINDS[record.kind] if narrow else record.kind
         table.add_row(
             str(record.number),
             Text(kind, style=STYLES.get(record.kind, "")),
@@ -94,7 +94,7 @@ def rollout_table(
 
 
 def summary(records: Sequence[Record], task: Task) -> str:
-    """A session in a few lines: rollouts, returns, outcomes, speeds, the last decision."""
+    """Summary of a session in a few lines: rollouts, returns, outcomes, speeds, last decision."""
     returns = [record.ret for record in records if record.ret is not None]
     if not returns:
         return f"{counted(len(records), 'rollout')}, none usable"
@@ -113,19 +113,19 @@ def summary(records: Sequence[Record], task: Task) -> str:
 
 
 def counted(number: int, noun: str) -> str:
-    """A number and its noun, with an s unless it is one."""
+    """Number and noun, with a plural s unless the number is one."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def wrapped(text: str) -> str:
-    """Lines broken between words to fit a terminal; as they are where the output is a file."""
+    """Wrap lines between words to the width of the terminal; unchanged if the output is a file."""
     width = shutil.get_terminal_size((10_000, 0)).columns
     lines = text.splitlines()
     return "\n".join(textwrap.fill(line, width, subsequent_indent="    ") for line in lines)
 
 
 def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
-    """The demonstration's reproduction beside the re-tests of the answer: what learning added."""
+    """Comparison of the reproduction with the re-tests of the answer; empty before the choice."""
     first = reproduction_learnt_from(records)
     if first is None:
         return []
@@ -145,15 +145,15 @@ def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
 
 
 def _angles(records: Sequence[Record]) -> list[str]:
-    """Median angle of the re-tests of a task that turns something, as the report has it."""
-    from wam_power_ros.reporting.flip_figures import median_angle  # matplotlib, only at the end
+    """Median angle of the re-tests, as in the report; empty for a task without an angle."""
+    from wam_power_ros.reporting.flip_figures import median_angle  # imports matplotlib: slow
 
     angle = median_angle([record for record in records if record.kind == "retest"])
     return [f"  median angle of the re-tests {angle}"] if angle else []
 
 
 def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Peak speeds of the arm in the simulator's ground truth of some rollouts."""
+    """Peak speeds of the arm in the ground truth of some rollouts."""
     if not truths or not all("peak_qd" in truth for truth in truths):
         return []
     points = ("peak_elbow_speed", "peak_forearm_speed", "peak_pan_speed")
@@ -169,19 +169,19 @@ def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 class Display:
-    """Shows records as they come: a live table on a terminal, one line each in a file.
+    """Shows new records: a live table on a terminal, one line each in a file.
 
     Attributes:
-        said: Line below the table, such as the answer to a key.
+        footer: Line below the table, such as the response to a key.
     """
 
     def __init__(self, console: Console | None = None) -> None:
-        self.said = ""
+        self.footer = ""
         self._outcome: Outcome = lambda record: ""
         self._log: Sequence[Line] = ()
-        self._told = ""  # last by a node
-        self._quiet_since: float | None = None  # [s]
-        self._told_at = 0.0  # [s]
+        self._message = ""  # latest one of a node
+        self._silent_since: float | None = None  # [s]
+        self._progress_shown_at = 0.0  # [s]
         self._console = console or Console()
         self._progress = Progress(
             TextColumn("{task.description}"),
@@ -201,43 +201,44 @@ class Display:
         if self._console.is_terminal:
             self._live.stop()
 
-    def show(self, log: Sequence[Line], most: int, outcome: Outcome) -> None:
-        """Show the whole log of a session of at most `most` rollouts as it is now."""
+    def show(self, log: Sequence[Line], rollouts_max: int, outcome: Outcome) -> None:
+        """Show the present log of a session of at most `rollouts_max` rollouts."""
         new = log[len(self._log) :]
         self._outcome, self._log = outcome, log
         count = sum(isinstance(entry, Record) for entry in log)
-        most = max(most, count)
-        text = f"{count} of at most {counted(most, 'rollout')}"
-        self._progress.update(self._task, completed=count, total=most, description=text)
+        total = max(rollouts_max, count)
+        text = f"{count} of at most {counted(total, 'rollout')}"
+        self._progress.update(self._task, completed=count, total=total, description=text)
         if not self._console.is_terminal:
             for entry in new:
                 self._print(line(entry, outcome))
 
-    def say(self, text: str, trouble: bool) -> None:
-        """Show what a node has said: trouble above the table, all else as the last line."""
-        self._told = text
-        if trouble:
+    def show_message(self, text: str, is_problem: bool) -> None:
+        """Show a log message of a node: a problem above the table, others below it."""
+        self._message = text
+        if is_problem:
             self._print(text, style="yellow")
 
     def tick(self, now: float) -> None:
-        """Give a sign of life in a file that had no line for `QUIET_MAX`; `now` in s."""
-        if self._quiet_since is None:
-            self._quiet_since = self._told_at = now
-        elif not self._console.is_terminal and now - self._told_at >= QUIET_MAX:
-            text = f"      ... {now - self._quiet_since:.0f} s, last: {self._told or 'nothing yet'}"
+        """Print a progress line in a file that had no line for `SILENCE_MAX`; `now` in s."""
+        if self._silent_since is None:
+            self._silent_since = self._progress_shown_at = now
+        elif not self._console.is_terminal and now - self._progress_shown_at >= SILENCE_MAX:
+            silence = now - self._silent_since
+            text = f"      ... {silence:.0f} s, last message: {self._message or 'none'}"
             self._console.print(text, highlight=False, soft_wrap=True, markup=False)
-            self._told_at = now
+            self._progress_shown_at = now
 
     def _print(self, text: str, style: str = "") -> None:
         self._console.print(text, style=style, highlight=False, soft_wrap=True, markup=False)
-        self._quiet_since = None
+        self._silent_since = None
 
     def _render(self) -> RenderableType:
         records = with_ratings(self._log)
-        told = Text(self._told, style="dim", no_wrap=True, overflow="ellipsis")
+        message = Text(self._message, style="dim", no_wrap=True, overflow="ellipsis")
         if not records:
             waiting = Text("waiting for the first rollout", style="italic")
-            return Group(waiting, told, Text(self.said), self._progress)
+            return Group(waiting, message, Text(self.footer), self._progress)
         returns = [record.rated_return for record in records if record.rated_return is not None]
         notes = [entry.note for entry in self._log if entry.note]
         parts: list[RenderableType] = [
@@ -245,11 +246,11 @@ class Display:
             Text(spark(returns), style="green"),
             Text(notes[-1] if notes else "", style="italic"),
         ]
-        return Group(*parts, told, Text(self.said), self._progress)
+        return Group(*parts, message, Text(self.footer), self._progress)
 
 
 def line(entry: Line, outcome: Outcome) -> str:
-    """A rollout, or an input of a person, in one line."""
+    """One line on a rollout or on an input of a person."""
     if not isinstance(entry, Record):
         return f"      a person: {entry.note}"
     terms = ", ".join(f"{name} {number(value)}" for name, value in entry.terms.items())

@@ -86,7 +86,7 @@ def session(
     """
     environment = stand_in(seed)
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
-    practice = Practice.of(preset("flip", name, **changes), {}, candidates, seed, environment)
+    practice = Practice(preset("flip", name, **changes), {}, candidates, seed, environment)
     rated, refused, sizes = 0, "", []
     for record in rollouts(environment, practice):
         truth = record.truth or {}

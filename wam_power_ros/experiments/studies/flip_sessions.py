@@ -129,7 +129,7 @@ def practise(
     report: Callable[[Record], None] | None = None,
 ) -> Practice:
     """A session in one process, to the last re-test; `report` is called with every record."""
-    practice = Practice.of(settings, {}, candidates, seed, environment)
+    practice = Practice(settings, {}, candidates, seed, environment)
     for record in rollouts(environment, practice):
         if report is not None:
             report(record)
