@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Movements as arrays to draw."""
+"""Movements as arrays for drawing."""
 
 from __future__ import annotations
 

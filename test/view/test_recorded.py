@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags made ready to draw."""
+"""Movements of bags for drawing."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def test_a_bag_without_a_description_is_of_the_arm_whose_joints_it_has(
 ) -> None:
     topics = {n: t for n, t in reader.topics(REACH).items() if n != recorded.DESCRIPTION}
     monkeypatch.setattr(reader, "topics", lambda bag: topics)
-    # `read_demonstration` looks at the topics, too: its own remain
+    # the topics that `read_demonstration` needs remain
     assert Skeleton(recorded.read(REACH).urdf).tool == "pan"
 
 
-def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_bag_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is not a bag"):
         recorded.read(tmp_path)
     shutil.copytree(REACH, tmp_path / "cut")

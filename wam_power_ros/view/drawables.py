@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Movements as arrays that a page can draw."""
+"""Movements as arrays for drawing."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ class Movement:
     """A recorded movement.
 
     Attributes:
-        name: Name of it.
+        name: Name of the movement.
         urdf: Text of the arm's URDF.
-        joint_names: Joints in the URDF.
-        t: Time since its first state [s], strictly increasing. Shape (T,).
+        joint_names: Names of the joints in the URDF.
+        t: Time since the first state [s], strictly increasing. Shape (T,).
         q: Joint angles [rad]. Shape (T, n).
-        body: Name of the tracked body, empty for none.
-        body_t: Times of its states [s]. Shape (M,).
-        body_position: Positions [m]. Shape (M, 3).
-        body_quat_wxyz: Orientations. Shape (M, 4).
-        policy: Policy that was executed, None for a demonstration.
+        body: Name of the tracked body, "" for none.
+        body_t: Times of the body states [s]. Shape (M,).
+        body_position: Positions of the body [m]. Shape (M, 3).
+        body_quat_wxyz: Orientations of the body. Shape (M, 4).
+        policy: Executed policy, None for a demonstration.
     """
 
     name: str
@@ -40,17 +40,17 @@ class Movement:
 
     @property
     def duration(self) -> float:
-        """Time from its first state to its last [s]."""
+        """Time from the first state to the last [s]."""
         return float(self.t[-1])
 
     def joints_at(self, t: float) -> np.ndarray:
-        """Joint angles at a time [rad], interpolated. Shape (n,)."""
+        """Interpolated joint angles at time t [s] in rad. Shape (n,)."""
         return np.array([np.interp(t, self.t, column) for column in self.q.T])
 
     def body_at(self, t: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """Newest position (3,) [m] and quaternion wxyz (4,) of the body at a time."""
-        seen = int(np.searchsorted(self.body_t, t, side="right")) - 1
-        return None if seen < 0 else (self.body_position[seen], self.body_quat_wxyz[seen])
+        """Position (3,) [m] and quaternion wxyz (4,) in the last body state before time t [s]."""
+        index = int(np.searchsorted(self.body_t, t, side="right")) - 1
+        return None if index < 0 else (self.body_position[index], self.body_quat_wxyz[index])
 
 
 def segments(points: np.ndarray) -> np.ndarray:
