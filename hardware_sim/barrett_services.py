@@ -48,13 +48,7 @@ class PositionControl:
         self._goal = None
 
     def torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Torque command (nj,) [N m] in state q (nj,) [rad], qd (nj,) [rad/s].
-
-        Raises:
-            RuntimeError: Position control is not engaged.
-        """
-        if self._goal is None:
-            raise RuntimeError("position control is not engaged")
+        """Torque command (nj,) [N m] in state q (nj,) [rad], qd (nj,) [rad/s], while engaged."""
         step = HOME_SPEED * self._period
         self._ref = self._ref + np.clip(self._goal - self._ref, -step, step)
         tau = POSITION_KP * (self._ref - q) - POSITION_KD * qd
@@ -91,10 +85,12 @@ class BarrettServices:
 
     def update(self) -> None:
         """Answer a pending move home once it has ended; called every tick."""
-        if self._home.pending and (self._control.arrived or not self._control.engaged):
-            code = Code.DONE if self._control.arrived else Code.STOPPED
-            text = "at home" if self._control.arrived else "interrupted"
-            self._home.finish(code is Code.DONE, str(Answer(code, text)))
+        arrived = self._control.arrived
+        if self._home.pending and (arrived or not self._control.engaged):
+            answer = (
+                Answer(Code.DONE, "at home") if arrived else Answer(Code.STOPPED, "interrupted")
+            )
+            self._home.finish(answer.success, str(answer))
 
     def _on_gravity_compensate(
         self, request: SetBool.Request, response: SetBool.Response

@@ -11,8 +11,8 @@ import numpy as np
 
 from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes import Scene
+from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
-from wam_power_ros.control.arm import WAM_GUARDED, Guarded
 from wam_power_ros.tasks.flip.frames import PAN_RADIUS
 
 TIMESTEP = 0.001  # [s] of the physics
@@ -23,25 +23,13 @@ _RIM_FLARE = 0.6  # [rad] outward: as of a real pan; a catch tolerates some cent
 _FIXED, _BODY = 1, 2  # collision bits: only bodies collide, with pan and ground
 
 
-def build(
-    urdf: str,
-    scene: Scene,
-    friction: float,
-    tool: str = "pan",
-    guarded: Sequence[Guarded] = WAM_GUARDED,
-    joints: Sequence[str] = JOINTS,
-    payload: float = 0.0,
-) -> mujoco.MjModel:
+def build(urdf: str, scene: Scene, settings: WorldSettings) -> mujoco.MjModel:
     """Compile the model of an arm in a scene.
 
     Args:
         urdf: Text of the arm's URDF.
         scene: Scene that adds its bodies.
-        friction: Sliding friction of pan and ground.
-        tool: Link that holds the pan: z normal to the pan, origin on its floor.
-        guarded: Points of the arm whose speeds are logged.
-        joints: Names of the arm's joints.
-        payload: Mass added at the tool's centre of mass [kg].
+        settings: Settings of the world.
 
     Returns:
         A model whose first degrees of freedom are the arm's joints, followed by those of the scene,
@@ -50,17 +38,19 @@ def build(
     Raises:
         ValueError: The text is no URDF.
     """
-    spec = arm(urdf, joints)
+    friction = settings.scene.friction
+    spec = arm(urdf, settings.arm.joints)
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.density = AIR_DENSITY
-    for point in guarded:
+    for point in settings.arm.guarded:
         spec.body(point.link).add_site(name=point.name, pos=list(point.offset), group=4)
-    spec.body(tool).add_site(name=TOOL_SITE, group=4)
-    spec.body(tool).mass += payload
-    _add_pan(spec.body(tool), friction)
+    tool = spec.body(settings.arm.tool)
+    tool.add_site(name=TOOL_SITE, group=4)
+    tool.mass += settings.payload
+    _add_pan(tool, friction)
     scene.build(spec)
     _add_surroundings(spec, friction)
     model = spec.compile()

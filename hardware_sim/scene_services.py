@@ -97,9 +97,8 @@ class SceneServices:
                 if self._resetting is None:
                     self._grip()
             elif waited:
-                text = f"the arm is not in gravity compensation (mode {self.label!r})"
-                refusal = Answer(Code.BUSY, text)
-                self._demonstrate.finish(False, str(refusal))
+                text = f"the arm is not free to be guided (mode {self.label!r})"
+                self._demonstrate.finish(False, str(Answer(Code.BUSY, text)))
         elif self._demonstrating and not world.pulled:
             self._demonstrating = False
             self._demonstrations += 1

@@ -7,7 +7,6 @@ In lockstep the world steps when the torque for the published state arrives; in 
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -88,10 +87,8 @@ class WamSimParams(Params):
         tool = self.tool_frame
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         guarded = guarded or (Guarded("tool", tool, (0.0, 0.0, 0.0)),)
-        own = {field.name for field in dataclasses.fields(WorldSettings)} & set(
-            type(self).model_fields
-        )
-        settings = {name: getattr(self, name) for name in own} | {
+        shared = WorldSettings.__dataclass_fields__.keys() & type(self).model_fields.keys()
+        settings = {name: getattr(self, name) for name in shared} | {
             "scene": SceneSettings(
                 self.friction, self.body_offset_sd, self.obstacle, pitch_rate=self.pitch_rate
             ),

@@ -91,10 +91,7 @@ class World:
         self._build(unknown_world.draw(settings, seed) if settings.unknown else settings)
 
         self.time_ns = PERIOD_NS
-        self.frozen = False
-        self.idle = False
         self.trace: list[np.ndarray] | None = None
-        self._delayed: deque[list[float] | None] = deque()
         self.reset("start", self.scene.home if arm.home is None else np.array(arm.home))
         self.release()
 
@@ -103,15 +100,7 @@ class World:
         self.settings = settings
         self.scene = self._make_scene(settings.scene)
         arm = settings.arm
-        self.model = model = scene.build(
-            self.urdf,
-            self.scene,
-            settings.scene.friction,
-            arm.tool,
-            arm.guarded,
-            arm.joints,
-            settings.payload,
-        )
+        self.model = model = scene.build(self.urdf, self.scene, settings)
         self.data = data = mujoco.MjData(model)
         self._pan = model.body(arm.tool).id
         self._friction = settings.friction_share * model.dof_frictionloss[:N]
@@ -186,6 +175,7 @@ class World:
         self._mocap.forget()
         self._command = [0.0] * N if settings.driver_compensates_gravity else gravity.tolist()
         self._effort: list[float] = gravity.tolist()
+        self._delayed: deque[list[float] | None]
         self._delayed = deque([self._command] * settings.command_delay_ticks)
         self._ticks_since_command = 0
         self._demonstrator: Demonstrator | None = None

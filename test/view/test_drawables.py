@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wam_power_ros.view.drawables import Movement, segments
+from wam_power_ros.view.drawables import Movement
 
 
 def movement() -> Movement:
@@ -26,8 +26,3 @@ def test_a_body_is_where_it_was_last_seen_and_nowhere_before() -> None:
     assert movement().body_at(0.4) is None
     position, quat = movement().body_at(1.7)
     assert position.tolist() == [0.6, 0.0, 0.0] and quat.tolist() == [0.0, 1.0, 0.0, 0.0]
-
-
-def test_a_path_of_three_points_is_two_segments() -> None:
-    points = np.arange(9.0).reshape(3, 3)
-    assert segments(points).tolist() == [points[:2].tolist(), points[1:].tolist()]

@@ -81,7 +81,7 @@ class Teach(Node):
             choice = choose(KEEP, KEYS) if params.review else KEEP
             if choice in (AGAIN, DISCARD):
                 bags.pop()
-                show(f"  discarded, kept in {series.discard(bag)}")
+                show(f"  discarded; moved to {series.discard(bag)}")
             wanted = {DONE: number, DISCARD: wanted - 1}.get(choice, wanted)
             number += choice in (KEEP, DONE)
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))

@@ -51,8 +51,3 @@ class Movement:
         """Position (3,) [m] and quaternion wxyz (4,) in the last body state before time t [s]."""
         index = int(np.searchsorted(self.body_t, t, side="right")) - 1
         return None if index < 0 else (self.body_position[index], self.body_quat_wxyz[index])
-
-
-def segments(points: np.ndarray) -> np.ndarray:
-    """Line segments (T - 1, 2, 3) of a path (T, 3)."""
-    return np.stack([points[:-1], points[1:]], axis=1)

@@ -14,7 +14,6 @@ from viser import uplot
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.policy_shapes import ellipsoids
-from wam_power_ros.view.drawables import segments
 from wam_power_ros.view.skeleton import Shape, Skeleton
 
 PLANNED, EXECUTED, ATTRACTOR = (37, 99, 235), (234, 88, 12), (13, 148, 136)
@@ -113,7 +112,7 @@ class Page:
             points = np.zeros((2, 3))
         self.server.scene.add_line_segments(
             f"/{name}",
-            segments(points).astype(np.float32),
+            np.stack([points[:-1], points[1:]], axis=1).astype(np.float32),
             rgb,
             thickness=PATH_THICKNESS,
             visible=self._is_shown.get("executed" if name == "trail" else name, True),
@@ -212,14 +211,14 @@ class Page:
                 title, text, auto_close_seconds=6.0, color="green" if good else "red"
             )
 
-    def add_curve(self, names: Sequence[str]) -> Callable[[tuple[np.ndarray, ...]], None]:
+    def add_curve(self, names: Sequence[str]) -> viser.GuiUplotHandle:
         """Add a panel with the learning curve.
 
         Args:
             names: Kinds of rollouts, one series each; the series of the best return is added last.
 
         Returns:
-            Function that replaces the columns of the curve.
+            Chart, whose `data` are the columns: rollout numbers, returns of each kind, best return.
         """
         points = [
             uplot.Series(
@@ -245,11 +244,7 @@ class Page:
                 height=220,
             )
             self.terms = self.server.gui.add_markdown("")
-
-        def replace(columns: tuple[np.ndarray, ...]) -> None:
-            chart.data = columns
-
-        return replace
+        return chart
 
 
 def _add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:

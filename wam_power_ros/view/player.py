@@ -11,7 +11,7 @@ from wam_power_ros.view.drawables import Movement
 from wam_power_ros.view.page import EXECUTED, PLANNED, Page
 from wam_power_ros.view.skeleton import Skeleton
 
-SPEEDS = ("1/8", "1/4", "1/2", "1")
+SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0}
 NO_MOVEMENT = "none"  # entry of an empty list of movements
 TIME_STEP = 0.01  # [s] of the slider
 PATH_STEP = 5  # states between two points of a drawn path
@@ -41,7 +41,7 @@ class Player:
         with gui.add_folder("Playback"):
             self._choice = gui.add_dropdown("movement", [*names] or [NO_MOVEMENT])
             self._time = gui.add_slider("time [s]", 0.0, 1.0, TIME_STEP, 0.0)
-            self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+            self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
             self._button = gui.add_button("Play")
         self.playing = False
         self.on_choice: Callable[[], object] = lambda: None
@@ -86,8 +86,7 @@ class Player:
     def advance(self, elapsed: float) -> None:
         """Advance playback by an elapsed time [s]; it starts again at the end."""
         if self.playing and self.movement is not None:
-            numerator, _, denominator = self._speed.value.partition("/")
-            t = self._time.value + elapsed * int(numerator) / int(denominator or 1)
+            t = self._time.value + elapsed * SPEEDS[self._speed.value]
             self._time.value = t if t < self.movement.duration else 0.0
 
     def _on_movement(self, by_person: bool) -> None:

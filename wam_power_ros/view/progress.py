@@ -59,7 +59,7 @@ class Progress:
     def __init__(self, page: Page, folder: Path, task: Task) -> None:
         self._page, self._folder, self._task = page, folder, task
         self._size = -1
-        self._replace = page.add_curve(KINDS)
+        self._chart = page.add_curve(KINDS)
         self.bags: dict[str, Path] = {}
         self.records: tuple[Record, ...] = ()
 
@@ -80,6 +80,6 @@ class Progress:
             for record in reversed(self.records)
             if record.bag
         }
-        self._replace(curve(self.records))
+        self._chart.data = curve(self.records)
         self._page.terms.content = newest(self.records, self._task)
         return True

@@ -157,9 +157,10 @@ class SessionPage:
             age = time.monotonic() - state.receipt_time
             if state.q is None:
                 lines["arm"] = "no joint state yet"
+            elif age > STATE_TIMEOUT:
+                lines["arm"] = f"no joint state for {age:.0f} s"
             else:
-                late = age > STATE_TIMEOUT
-                lines["arm"] = f"no joint state for {age:.0f} s" if late else "receiving states"
+                lines["arm"] = "receiving joint states"
             for name, (level, text) in state.diagnostics.items():
                 text = text.replace(f"{self._folder}/", "")
                 lines[name.replace("_", " ")] = text if level == "ok" else f"⚠ {level}: {text}"
