@@ -47,6 +47,11 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(teach_again, "RETRY_PERIOD", 0.001)
 
 
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(teach_again, "SERVICE_TIMEOUT", 0.01)
+
+
 def test_gravity_compensation_begins_only_after_the_trial_has_ended() -> None:
     under_way = Answer(Code.DONE, "waits after the trial under way", {"trial": "under_way"})
     services = Services(pause=[under_way] * 3)
@@ -60,11 +65,12 @@ def test_a_learner_that_is_paused_already_is_not_waited_for() -> None:
     assert services.asked == BEGUN
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("said", [{"trial": "under_way"}, {}])  # {}: another version
 def test_gravity_compensation_never_begins_if_the_trial_does_not_end(said: dict[str, str]) -> None:
     services = Services(pause=[Answer(Code.DONE, "waits", said)] * 1000)
     with pytest.raises(NotTaughtError, match="no trial ended in 0 s; the learner is paused"):
-        begin(services, lambda text: None, timeout=0.01)
+        begin(services, lambda text: None)
     assert set(services.asked) == {(PAUSE, True)}
 
 
@@ -100,18 +106,20 @@ def test_a_refused_demonstration_is_reported_and_the_learner_continues() -> None
     assert services.asked[-1] == (PAUSE, False)
 
 
+@pytest.mark.usefixtures("impatient")
 def test_a_service_that_keeps_refusing_is_named() -> None:
     busy = [Answer(Code.BUSY, "a rollout is under way")] * 1000
     with pytest.raises(NotTaughtError, match=f"{FREE}: a rollout is under way"):
-        begin(Services(gravity_compensation=busy), lambda text: None, timeout=0.01)
+        begin(Services(gravity_compensation=busy), lambda text: None)
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("step", ["begin", "finish"])
 def test_an_arm_that_cannot_be_recorded_holds_again(step: str) -> None:
     services = Services(record=[Answer(Code.BUSY, "the disk is full")] * 10_000)
     with pytest.raises(NotTaughtError, match="the disk is full"):
         if step == "begin":
-            begin(services, lambda text: None, timeout=0.01)
+            begin(services, lambda text: None)
         else:
-            finish(services, timeout=0.01)
+            finish(services)
     assert services.asked[-1] == (FREE, False)

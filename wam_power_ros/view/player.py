@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable, Sequence
 
 from wam_power_ros.learning.policy_shapes import plan
-from wam_power_ros.view.drawables import Movement
 from wam_power_ros.view.page import EXECUTED, PLANNED, Page
+from wam_power_ros.view.recorded import Movement
 from wam_power_ros.view.skeleton import Skeleton
 
 SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0}

@@ -23,33 +23,34 @@ class NotTaughtError(RuntimeError):
     """The demonstration failed; the message says why. The learner may be paused."""
 
 
-def begin(node: View, notify: Callable[[str], object], timeout: float = SERVICE_TIMEOUT) -> None:
+def begin(node: View, notify: Callable[[str], object]) -> None:
     """Pause the learner, start gravity compensation and begin to record.
 
     Args:
         node: Node with the services of the session.
         notify: Called with each progress message.
-        timeout: Longest wait for a service to succeed [s of wall time].
 
     Raises:
         NotTaughtError: A service refused, or the trial did not end.
     """
-    deadline = time.monotonic() + timeout
-    answer = _insist(node, interface.LEARNER_PAUSE, True, timeout)
+    deadline = time.monotonic() + SERVICE_TIMEOUT
+    answer = _insist(node, interface.LEARNER_PAUSE, True)
     notify(answer.text)
     while answer.values.get("trial") != "over":
         if time.monotonic() > deadline:
-            raise NotTaughtError(f"no trial ended in {timeout:.0f} s; the learner is paused")
+            raise NotTaughtError(
+                f"no trial ended in {SERVICE_TIMEOUT:.0f} s; the learner is paused"
+            )
         time.sleep(RETRY_PERIOD)
-        answer = _insist(node, interface.LEARNER_PAUSE, True, timeout)
-    _insist(node, interface.GRAVITY_COMPENSATION, True, timeout)
+        answer = _insist(node, interface.LEARNER_PAUSE, True)
+    _insist(node, interface.GRAVITY_COMPENSATION, True)
     try:
         if node.is_offered(interface.DEMONSTRATE):  # stand-in: arm and body back to the start
-            _insist(node, node.reset, None, timeout)
-        _insist(node, interface.RECORD, True, timeout)
+            _insist(node, node.reset, None)
+        _insist(node, interface.RECORD, True)
         if node.is_offered(interface.DEMONSTRATE):
             notify("the simulated demonstrator guides the arm")
-            _insist(node, interface.DEMONSTRATE, None, timeout)
+            _insist(node, interface.DEMONSTRATE, None)
         else:
             notify("guide the arm by hand, then press End of movement")
     except NotTaughtError:
@@ -58,7 +59,7 @@ def begin(node: View, notify: Callable[[str], object], timeout: float = SERVICE_
         raise
 
 
-def finish(node: View, timeout: float = SERVICE_TIMEOUT) -> str:
+def finish(node: View) -> str:
     """End the recording, hold the arm, hand the bag to the learner and let it continue.
 
     Returns:
@@ -68,25 +69,25 @@ def finish(node: View, timeout: float = SERVICE_TIMEOUT) -> str:
         NotTaughtError: A service refused, such as the learner; the message says why.
     """
     try:
-        bag = Path(_insist(node, interface.RECORD, False, timeout).text)
+        bag = Path(_insist(node, interface.RECORD, False).text)
     finally:
-        _insist(node, interface.GRAVITY_COMPENSATION, False, timeout)
+        _insist(node, interface.GRAVITY_COMPENSATION, False)
     node.publish_bag(bag.resolve())
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + SERVICE_TIMEOUT
     while True:  # topics and services are not ordered: the path may arrive after the request
         answer = node.call(interface.LEARNER_DEMONSTRATION)
         if answer.code is not Code.NOTHING or time.monotonic() > deadline:
             break
         time.sleep(RETRY_PERIOD)
-    _insist(node, interface.LEARNER_PAUSE, False, timeout)
+    _insist(node, interface.LEARNER_PAUSE, False)
     if not answer.success:
         raise NotTaughtError(answer.text)
     return answer.text
 
 
-def _insist(node: View, name: str, on: bool | None, timeout: float) -> Answer:
+def _insist(node: View, name: str, on: bool | None) -> Answer:
     """Call a service until it succeeds."""
-    deadline = time.monotonic() + timeout
+    deadline = time.monotonic() + SERVICE_TIMEOUT
     while True:
         answer = node.call(name, on)
         if answer.success:
