@@ -121,7 +121,7 @@ class RolloutLog:
             steps = np.diff(self._sites[:rows, self._points], axis=0)
             speeds = np.linalg.norm(steps, axis=2).max(axis=0) / PERIOD
         qd = self._qvel[:rows, :N]
-        motor_speeds = np.abs(qd @ motors.of_joints.T).max(axis=0, initial=0.0)
+        motor_speeds = np.abs(qd @ motors.motor_of_joint.T).max(axis=0, initial=0.0)
         return {
             "peak_qd": np.abs(qd).max(axis=0, initial=0.0).tolist(),
             "peak_tau": np.abs(self._tau[:rows]).max(axis=0, initial=0.0).tolist(),

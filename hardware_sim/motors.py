@@ -56,7 +56,7 @@ class DirectDrives:
     """One motor per joint with torque and speed limits of the URDF; for other arms than the WAM.
 
     Attributes:
-        of_joints: Matrix from joint speeds to motor speeds. Shape (7, 7).
+        motor_of_joint: Matrix from joint speeds to motor speeds. Shape (7, 7).
         motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (7,).
 
     Args:
@@ -65,7 +65,7 @@ class DirectDrives:
     """
 
     def __init__(self, tau_max: np.ndarray, qd_max: np.ndarray) -> None:
-        self.of_joints = np.eye(len(tau_max))
+        self.motor_of_joint = np.eye(len(tau_max))
         self.motor_no_load_speed = qd_max.copy()
         self._limits = np.stack([tau_max, qd_max], axis=1).tolist()
 
@@ -92,7 +92,7 @@ class Motors:
     beyond that the motor brakes. Against its motion it gives full torque at any speed.
 
     Attributes:
-        of_joints: Matrix from joint speeds to motor speeds. Shape (7, 7).
+        motor_of_joint: Matrix from joint speeds to motor speeds. Shape (7, 7).
         motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (7,).
         no_load_speed: No-load speed of each joint moving alone [rad/s]. Shape (7,).
         full_torque_speed: Speed up to which each joint, moving alone, has full torque [rad/s].
@@ -115,7 +115,7 @@ class Motors:
         full = (bus_voltage - current * RESISTANCE) / TORQUE_CONSTANT
         full = np.minimum(full, _FULL_TORQUE_SHARE * no_load)
         ratio = np.abs(MOTOR_OF_JOINT).max(axis=0)  # (joint,)
-        self.of_joints = MOTOR_OF_JOINT
+        self.motor_of_joint = MOTOR_OF_JOINT
         self.motor_no_load_speed = no_load
         self.no_load_speed = no_load / ratio
         self.full_torque_speed = full / ratio

@@ -18,12 +18,12 @@ _COUNTS_PER_RAD = ENCODER_COUNTS / math.tau  # of a motor's encoder
 _COUNT = math.tau / ENCODER_COUNTS  # [rad]
 
 
-def joint_counts(q: Sequence[float]) -> tuple[float, ...]:
+def quantize_geared(q: Sequence[float]) -> tuple[float, ...]:
     """Joint positions [rad] quantized by motor encoders behind gears of 1:100; seven."""
     return tuple([_COUNT / 100 * round(_COUNTS_PER_RAD * 100 * position) for position in q])
 
 
-def wam_counts(q: Sequence[float]) -> tuple[float, ...]:
+def quantize_wam(q: Sequence[float]) -> tuple[float, ...]:
     """Joint positions [rad] quantized by the encoders of the WAM's motors; seven."""
     return joint_motion(
         [_COUNT * round(_COUNTS_PER_RAD * position) for position in motor_motion(q)]
@@ -42,7 +42,7 @@ class Encoders:
     """
 
     def __init__(
-        self, quantize: Callable[[Sequence[float]], tuple[float, ...]] = wam_counts
+        self, quantize: Callable[[Sequence[float]], tuple[float, ...]] = quantize_wam
     ) -> None:
         self._quantize = quantize
         self._keep = math.exp(-VELOCITY_CUTOFF * PERIOD)

@@ -22,7 +22,7 @@ from hardware_sim.ground_truth import LOG_TICKS, RolloutLog, Snapshot, Truth, ro
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene
 from hardware_sim.scenes.flip import Flip
-from hardware_sim.sensors import Encoders, Mocap, MocapFrame, joint_counts
+from hardware_sim.sensors import Encoders, Mocap, MocapFrame, quantize_geared
 from hardware_sim.settings import SceneSettings, WorldSettings
 from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS, N
 from wam_power_ros.control.arm import Arm
@@ -85,7 +85,7 @@ class World:
         self._encoders = Encoders()
         if arm.drives == "direct":
             self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
-            self._encoders = Encoders(joint_counts)
+            self._encoders = Encoders(quantize_geared)
         self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
         self._velocity = np.zeros(6)
         self._build(unknown_world.draw(settings, seed) if settings.unknown else settings)
