@@ -16,7 +16,7 @@ from wam_power_ros.ros.deferred_service import LateTrigger
 
 
 class PositionControl:
-    """Position control on top of gravity compensation, while engaged.
+    """Position control with gravity compensation; overrides torque commands while engaged.
 
     Args:
         arm: The driver's model of the arm.
@@ -31,7 +31,7 @@ class PositionControl:
 
     @property
     def engaged(self) -> bool:
-        """Whether it overrides commands."""
+        """Whether position control overrides commands."""
         return self._goal is not None
 
     @property
@@ -40,21 +40,15 @@ class PositionControl:
         return self._goal is not None and bool(np.array_equal(self._goal, self._ref))
 
     def move(self, q: np.ndarray, goal: np.ndarray) -> None:
-        """Move from q (nj,) to a goal (nj,) [rad], all joints at `HOME_SPEED`, and hold there."""
+        """Move every joint from q (nj,) to goal (nj,) [rad] at `HOME_SPEED`, then hold there."""
         self._ref, self._goal = q.copy(), goal.copy()
 
     def disengage(self) -> None:
-        """Let commands through again."""
+        """Let torque commands take effect again."""
         self._goal = None
 
     def torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Commanded torque (nj,) [N m] in state q (nj,) [rad], qd (nj,) [rad/s].
-
-        Raises:
-            RuntimeError: It is not engaged.
-        """
-        if self._goal is None:
-            raise RuntimeError("position control is not engaged")
+        """Torque command (nj,) [N m] in state q (nj,) [rad], qd (nj,) [rad/s], while engaged."""
         step = HOME_SPEED * self._period
         self._ref = self._ref + np.clip(self._goal - self._ref, -step, step)
         tau = POSITION_KP * (self._ref - q) - POSITION_KD * qd
@@ -63,18 +57,18 @@ class PositionControl:
 
 
 class BarrettServices:
-    """The services, on a simulated world.
+    """Barrett's services on a simulated world.
 
     Attributes:
-        deactivated: Only zeros reach the arm until gravity compensation is requested, as with a
-            ros2_control controller after a command it cannot take.
+        deactivated: True if only zero torques reach the arm, until gravity compensation is
+            requested, as with a ros2_control controller after a command of the wrong size.
 
     Args:
         node: Node that offers the services.
         world: World they act on.
         control: Position control of the arm.
-        home: Posture of a move home [rad]. Shape (7,).
-        lockstep: The world steps in lockstep and may wait frozen between rollouts.
+        home: Home posture [rad]. Shape (7,).
+        lockstep: True if the world steps in lockstep, where it may be frozen between rollouts.
     """
 
     def __init__(
@@ -90,16 +84,18 @@ class BarrettServices:
         self._home = LateTrigger(node, interface.WAM_MOVE_HOME, self._begin_home)
 
     def update(self) -> None:
-        """Answer a move home that has ended; called once a tick."""
-        if self._home.pending and (self._control.arrived or not self._control.engaged):
-            code = Code.DONE if self._control.arrived else Code.STOPPED
-            text = "at home" if self._control.arrived else "interrupted"
-            self._home.finish(code is Code.DONE, str(Answer(code, text)))
+        """Answer a pending move home once it has ended; called every tick."""
+        arrived = self._control.arrived
+        if self._home.pending and (arrived or not self._control.engaged):
+            answer = (
+                Answer(Code.DONE, "at home") if arrived else Answer(Code.STOPPED, "interrupted")
+            )
+            self._home.finish(answer.success, str(answer))
 
     def _on_gravity_compensate(
         self, request: SetBool.Request, response: SetBool.Response
     ) -> SetBool.Response:
-        """On: torque commands reach the arm. Off: as idle."""
+        """On: torque commands reach the arm. Off: the arm is idle."""
         self._control.disengage()
         self.deactivated = False
         self._world.idle = not request.data

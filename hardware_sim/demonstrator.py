@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated demonstrator: leads the pan along a movement of its own making, as a person would.
+"""Simulated demonstrator: guides the pan along a scripted movement, as a person would by hand.
 
-A spring-damper pulls the pan towards the wanted pose; the arm only carries its own weight. The
-movements of a task are scripts of its scene.
+A spring-damper pulls the pan towards the target pose; the arm only carries its own weight. The
+scene of a task provides the scripts.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ STIFFNESS = 3000.0  # [N/m]
 DAMPING = 120.0  # [N s/m]
 ROTATION_STIFFNESS = 60.0  # [N m/rad]
 ROTATION_DAMPING = 3.0  # [N m s/rad]
-FORCE_MAX = 150.0  # [N] what a person's arm gives
+FORCE_MAX = 150.0  # [N] of a person's arm
 MOMENT_MAX = 15.0  # [N m]
 PAUSE = 0.25  # [s] at rest before a movement
-RELEASE_TIME = 0.3  # [s] in which the grip fades after a movement
+RELEASE_TIME = 0.3  # [s] in which the grip fades out after a movement
 
 
 class Target(NamedTuple):
-    """Wanted pose and velocity of the pan."""
+    """Target pose and velocity of the pan."""
 
     position: np.ndarray  # (3,) [m]
     rotation: np.ndarray  # (3, 3)
@@ -33,16 +33,14 @@ class Target(NamedTuple):
 
 
 class Script(Protocol):
-    """A movement, before it is known where it begins."""
+    """A movement relative to the pose in which it begins."""
 
     @property
     def end(self) -> float:
         """Duration of the movement [s]."""
-        ...
 
     def target(self, t: float, position: np.ndarray, rotation: np.ndarray) -> Target:
         """Target at time t [s] of a movement that began at `position` (3,), `rotation` (3, 3)."""
-        ...
 
 
 class Demonstrator:
@@ -50,17 +48,13 @@ class Demonstrator:
 
     Args:
         script: Movement to follow.
-        position: Position of the pan when it is gripped [m]. Shape (3,).
-        rotation: Rotation of the pan when it is gripped. Shape (3, 3).
+        position: Position of the gripped pan [m]. Shape (3,).
+        rotation: Rotation of the gripped pan. Shape (3, 3).
     """
 
     def __init__(self, script: Script, position: np.ndarray, rotation: np.ndarray) -> None:
         self.script = script
         self._position, self._rotation = position, rotation
-
-    def target(self, t: float) -> Target:
-        """Target at time t since the grip [s]."""
-        return self.script.target(t, self._position, self._rotation)
 
     def wrench(
         self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
@@ -73,11 +67,11 @@ class Demonstrator:
             rotation: Rotation of the pan. Shape (3, 3).
             twist: Velocity [m/s] and angular velocity [rad/s] of the pan. Shape (6,).
         """
-        late = max(t - self.script.end, 0.0)
-        if late > RELEASE_TIME:
+        release = max(t - self.script.end, 0.0)
+        if release > RELEASE_TIME:
             return None
-        p, r, v, omega = self.target(t)
-        grip = 1.0 - late / RELEASE_TIME
+        p, r, v, omega = self.script.target(t, self._position, self._rotation)
+        grip = 1.0 - release / RELEASE_TIME
         force = STIFFNESS * (p - position) + DAMPING * (v - twist[:3])
         moment = ROTATION_STIFFNESS * rotations.log(r @ rotation.T) + ROTATION_DAMPING * (
             omega - twist[3:]

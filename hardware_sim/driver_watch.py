@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Watch for a robot in the domain of a stand-in: a driver, or another stand-in.
+"""Detect a real driver or another stand-in in the DDS domain of a stand-in.
 
-A driver publishes joint states or receives commands. With a stand-in beside it, the torques for the
-simulation would move the robot. Another stand-in is accepted in another namespace, a robot nowhere.
+A driver publishes joint states or subscribes to commands. With a stand-in beside it, the torques
+for the simulation would move the robot. A stand-in in another namespace is allowed, a robot is not
+allowed in any.
 
     python -m hardware_sim.driver_watch --ros-args --params-file FILE
 
-looks once, before a launch file starts anything, and ends with status 2 where a robot is.
+checks once, before a launch file starts anything; exit status 2 if there is a robot.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import math
 import os
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from rclpy.node import Node
@@ -29,143 +31,138 @@ from wam_power_ros.ros import interface, network, node_runner, security
 from wam_power_ros.ros.domain import FIRST, PER_PARTICIPANT, exported, ports
 
 STAND_IN = "wam_sim"
-STATES = "sensor_msgs/msg/JointState"
-OURS = {*security.TABLE, "check_driver"}  # nodes that may listen to commands
-TOOLS = (
-    "_ros2cli",
-    "rosbag2",
-    "rqt",
-    "plotjuggler",
-    "foxglove",
-)  # so may these, by their beginning
-UNNAMED = "_NODE_NAME_UNKNOWN_"  # until the name of an endpoint's node has come, or not a ROS node
-DISCOVERY = 10.0  # [s] in which who is there is found: they announce themselves every 3 s
-SETTLED = 1.0  # [s] from the discovery of a participant to that of its topics
-LISTENERS = "listeners"  # the parameter that names others
+STATE_TYPE = "sensor_msgs/msg/JointState"
+OWN_NODES = {*security.TABLE, "check_driver"}  # may subscribe to commands
+TOOL_PREFIXES = ("_ros2cli", "rosbag2", "rqt", "plotjuggler", "foxglove")  # may do so as well
+UNNAMED = "_NODE_NAME_UNKNOWN_"  # the node's name is not discovered yet, or it is no ROS node
+DISCOVERY_TIME = 10.0  # [s] to discover all participants, which announce themselves every 3 s
+SETTLE_TIME = 1.0  # [s] from the discovery of a participant to that of its topics
+CHECK_PERIOD = 0.25  # [s] between checks for a robot while the simulation runs
 # A global id of Fast DDS begins with vendor and host, process (two bytes of its id, two at random),
-# and number of the participant.
-HOST, PROCESS, PARTICIPANT = 4, 8, 12
-EVENTS = "/parameter_events"  # which every node publishes
-HEARS = "receives"
-EVERY = 0.25  # [s] between two looks
+# and number of the participant: ends of these three.
+HOST_END, PROCESS_END, PARTICIPANT_END = 4, 8, 12
+EVENTS = "/parameter_events"  # every node publishes it
 
 
 class DriverWatch:
-    """Looks at who publishes joint states and who listens to commands.
+    """Checks who publishes joint states and who subscribes to commands.
 
     Args:
-        node: Node of the stand-in.
-        command_topic: Topic of the torques.
-        listeners: Names of other nodes that may listen to commands, or beginnings of them.
+        node: Node of the stand-in, with its parameters.
     """
 
-    def __init__(self, node: Node, command_topic: str, listeners: Sequence[str]) -> None:
+    def __init__(self, node: Node) -> None:
         self._node = node
-        self._mine = self._own_process()
-        names = (command_topic, f"/{interface.EFFORT_COMMANDS}")
-        self._commands = {node.resolve_topic_name(name) for name in names}
-        lockstep = node.get_parameter("pace").value == "lockstep"
-        self._clock = node.resolve_topic_name(interface.CLOCK) if lockstep else ""
-        self._listeners = (*TOOLS, *filter(None, listeners))
-        self._begun = self._looked = time.monotonic()
-        own = node.resolve_topic_name(node.get_parameter("state_topic").value)
-        self._at_once = {f"publishes {topic}" for topic in (own, self._clock)}
-        self._unnamed = 0.0  # when somebody without a name was first seen [s], 0 for nobody
+        self._own_gid_prefix = self._find_own_gid_prefix()
+        parameter = {
+            name: node.get_parameter(name).value
+            for name in ("pace", "state_topic", "command_topic", "listeners")
+        }
+        names = (parameter["command_topic"], f"/{interface.EFFORT_COMMANDS}")
+        self._command_topics = {node.resolve_topic_name(name) for name in names}
+        lockstep = parameter["pace"] == "lockstep"
+        self._clock_topic = node.resolve_topic_name(interface.CLOCK) if lockstep else ""
+        self._listeners = (*TOOL_PREFIXES, *filter(None, parameter["listeners"]))
+        self._start_time = self._check_time = time.monotonic()
+        own_states = node.resolve_topic_name(parameter["state_topic"])
+        self._own_outputs = {f"publishes {topic}" for topic in (own_states, self._clock_topic)}
+        self._unnamed_since = 0.0  # [s] first sight of a participant without a name, 0 for none
 
     def check(self) -> None:
-        """Wait until those who are there have been discovered.
+        """Wait until discovery is complete.
 
         Raises:
             ValueError: A robot, or another stand-in, is in this domain.
         """
         domain = exported(os.environ)
-        here_only = network.asked(os.environ) is None
-        known = math.inf  # since when everybody is
+        loopback_only = network.asked(os.environ) is None
+        complete_since = math.inf
         while True:
             now, others = time.monotonic(), _participants(domain)
-            name, what = self._robot()
-            end = self._begun + DISCOVERY if others or not here_only else 0.0
-            if name and (name != UNNAMED or now > end):
+            name, activity = self._robot()
+            deadline = self._start_time + DISCOVERY_TIME if others or not loopback_only else 0.0
+            if name and (name != UNNAMED or now > deadline):
                 raise ValueError(
-                    f"{_named(name)} {what} in DDS domain {domain}: a simulation must not meet a "
-                    "robot; start it in another domain: export ROS_DOMAIN_ID=N"
+                    f"{_described(name)} {activity} in DDS domain {domain}: a simulation must not "
+                    "share a domain with a robot; choose another one: export ROS_DOMAIN_ID=N"
                 )
-            everybody = here_only and self._known() >= others
-            known = min(known, now) if everybody else math.inf
-            if not name and now > min(end, known + SETTLED):
+            complete = loopback_only and self._discovered() >= others
+            complete_since = min(complete_since, now) if complete else math.inf
+            if not name and now > min(deadline, complete_since + SETTLE_TIME):
                 return
             time.sleep(0.05)
 
     def look(self) -> str:
-        """Who has appeared, in words; not looked for more often than every `EVERY` [s]."""
+        """Describe a robot that has appeared; "" for none.
+
+        Checks at most every `CHECK_PERIOD` and returns "" in between.
+        """
         now = time.monotonic()
-        if now < self._looked + EVERY:
+        if now < self._check_time + CHECK_PERIOD:
             return ""
-        self._looked = now
-        name, what = self._robot()
-        patient = name == UNNAMED and what not in self._at_once
-        if patient and now < (self._unnamed or now) + DISCOVERY:
-            self._unnamed = self._unnamed or now  # its name may be on its way: another stand-in's
+        self._check_time = now
+        name, activity = self._robot()
+        tolerated = name == UNNAMED and activity not in self._own_outputs
+        if tolerated and now < (self._unnamed_since or now) + DISCOVERY_TIME:
+            self._unnamed_since = self._unnamed_since or now  # it may prove to be a stand-in
             return ""
-        self._unnamed = 0.0
-        return f"{_named(name)} {what}" if name else ""
+        self._unnamed_since = 0.0
+        return f"{_described(name)} {activity}" if name else ""
 
     def _robot(self) -> tuple[str, str]:
-        """Name of a node that a simulation must not meet, and what it does; empty for none."""
+        """Name and activity of a node that must not share the domain; empty for none."""
         node = self._node
         for topic, types in node.get_topic_names_and_types():
-            if topic == self._clock or (STATES in types and topic not in self._commands):
-                for other in self._others(node.get_publishers_info_by_topic(topic)):
-                    if topic == self._clock or not self._beside(other):
+            is_clock = topic == self._clock_topic
+            if is_clock or (STATE_TYPE in types and topic not in self._command_topics):
+                for other in self._alive(node.get_publishers_info_by_topic(topic)):
+                    if is_clock or not self._is_stand_in_elsewhere(other):
                         return other.node_name, f"publishes {topic}"
-        for topic in self._commands:
-            for other in self._others(node.get_subscriptions_info_by_topic(topic)):
+        for topic in self._command_topics:
+            for other in self._alive(node.get_subscriptions_info_by_topic(topic)):
                 name = other.node_name
-                if name not in OURS and not name.startswith(self._listeners):
-                    return name, f"{HEARS} {topic}"
+                if name not in OWN_NODES and not name.startswith(self._listeners):
+                    return name, f"receives {topic}"
         return "", ""
 
-    def _beside(self, other: TopicEndpointInfo) -> bool:
-        """Whether an endpoint is of a stand-in in another namespace, which commands its own arm."""
+    def _is_stand_in_elsewhere(self, other: TopicEndpointInfo) -> bool:
+        """Whether an endpoint is of a stand-in in another namespace, with an arm of its own."""
         elsewhere = other.node_namespace != self._node.get_namespace()
         return elsewhere and other.node_name == STAND_IN
 
-    def _known(self) -> int:
+    def _discovered(self) -> int:
         """Number of participants of other processes that have been discovered."""
-        events = self._node.get_publishers_info_by_topic(EVENTS)
-        return len({gid[:PARTICIPANT] for gid, _ in self._alive(events)})
+        events = self._alive(self._node.get_publishers_info_by_topic(EVENTS))
+        return len({bytes(each.endpoint_gid)[:PARTICIPANT_END] for each in events})
 
-    def _others(self, endpoints: Sequence[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
-        """Endpoints in other processes that are alive."""
-        return [endpoint for _, endpoint in self._alive(endpoints)]
+    def _alive(self, endpoints: Sequence[TopicEndpointInfo]) -> list[TopicEndpointInfo]:
+        """Endpoints of other processes, without those of processes that have ended here.
 
-    def _alive(
-        self, endpoints: Sequence[TopicEndpointInfo]
-    ) -> list[tuple[bytes, TopicEndpointInfo]]:
-        """Global ids of endpoints in other processes that are alive, and these.
-
-        A killed process of this machine stays announced for 20 s.
+        A killed process stays announced for 20 s.
         """
+        own = self._own_gid_prefix
+        if not own:  # another middleware
+            name = self._node.get_name(), self._node.get_namespace()
+            return [each for each in endpoints if (each.node_name, each.node_namespace) != name]
         gids = [(bytes(each.endpoint_gid), each) for each in endpoints]
-        if not self._mine:  # another middleware
-            mine = self._node.get_name(), self._node.get_namespace()
-            return [each for each in gids if (each[1].node_name, each[1].node_namespace) != mine]
-        others = [each for each in gids if each[0][:PROCESS] != self._mine]
+        others = [(gid, each) for gid, each in gids if gid[:PROCESS_END] != own]
         if not others:
             return []
         ids = (path.name for path in Path("/proc").glob("[0-9]*"))
         running = {_low_bytes(int(id)) for id in ids}
-        here = self._mine[:HOST]
-        return [each for each in others if each[0][:HOST] != here or each[0][HOST:][:2] in running]
+        host = own[:HOST_END]
+        return [
+            each for gid, each in others if gid[:HOST_END] != host or gid[HOST_END:][:2] in running
+        ]
 
-    def _own_process(self) -> bytes:
-        """How the global ids of this process begin; empty where they are not those of Fast DDS."""
-        end = time.monotonic() + 1.0
-        while time.monotonic() < end:
+    def _find_own_gid_prefix(self) -> bytes:
+        """First bytes of the global ids of this process; empty if they are not of Fast DDS."""
+        deadline = time.monotonic() + 1.0
+        while time.monotonic() < deadline:
             for each in self._node.get_publishers_info_by_topic(EVENTS):
                 gid = bytes(each.endpoint_gid)
-                if gid[HOST:][:2] == _low_bytes(os.getpid()):
-                    return gid[:PROCESS]
+                if gid[HOST_END:][:2] == _low_bytes(os.getpid()):
+                    return gid[:PROCESS_END]
             time.sleep(0.01)
         return b""
 
@@ -175,27 +172,17 @@ def _low_bytes(process: int) -> bytes:
 
 
 def _participants(domain: int) -> int:
-    """Number of other DDS participants of a domain on this machine, by their ports of discovery."""
+    """Number of other DDS participants of a domain on this machine, by their discovery ports."""
     own = {int(address.rpartition(":")[2]) for address in network.bound()}
     others = network.ports_in_use() & set(ports(domain)) - own
     return sum((port - FIRST) % PER_PARTICIPANT == 0 for port in others)
 
 
-def _named(name: str) -> str:
-    return "a program without a name" if name == UNNAMED else f"node {name!r}"
-
-
-class _Look(Node):
-    """A node with the parameters of the stand-in and nothing else of it."""
-
-    def __init__(self) -> None:
-        super().__init__(STAND_IN, automatically_declare_parameters_from_overrides=True)
-
-    def look(self) -> None:
-        topic, listeners = (self.get_parameter(name).value for name in ("command_topic", LISTENERS))
-        DriverWatch(self, topic, listeners).check()
+def _described(name: str) -> str:
+    return "a participant without a node name" if name == UNNAMED else f"node {name!r}"
 
 
 def main() -> int:
-    """Look once; returns REFUSED where a robot is."""
-    return node_runner.run_script(_Look, _Look.look)
+    """Check once, with the parameters of the stand-in; returns the exit status."""
+    make = partial(Node, STAND_IN, automatically_declare_parameters_from_overrides=True)
+    return node_runner.run_script(make, lambda node: DriverWatch(node).check())

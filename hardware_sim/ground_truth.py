@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ground truth of a rollout: the log of its states, and the peaks of the arm in it.
+"""Ground truth of a rollout: log of the simulated states, and peak values of the arm.
 
-Only the simulator knows it: it is logged and shown, and no part of the system learns from it.
+It is logged and displayed only; no part of the system learns from it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.wam import PERIOD, N
 
 TOOL_SITE = "pan"  # site of the model at the origin of the tool
-LOG_TICKS = 5000  # ticks since the release that are logged: 10 s
+LOG_TICKS = 5000  # length of the log: 10 s from the release on
 
-Truth = dict[str, Any]  # plain data by name, as it is published and written to the session log
+Truth = dict[str, Any]  # JSON data, as published and written to the session log
 
 
 class Snapshot(NamedTuple):
@@ -37,15 +37,15 @@ def rotation_of(body: np.ndarray) -> np.ndarray:
 
 
 class RolloutLog:
-    """States after each tick since the release, one row a tick.
+    """State after each tick since the release, one row per tick.
 
     Attributes:
         start: Body and tool at the release.
-        rows: Number of ticks logged.
+        rows: Number of logged ticks.
 
     Args:
         model: Model with a site at every point and at the tool.
-        data: State that is logged.
+        data: Simulated state to log.
         points: Names of the guarded points.
         body: Columns of the tracked body in qpos, and in qvel; empty without one.
     """
@@ -70,11 +70,15 @@ class RolloutLog:
         self._saturated = 0
 
     def restart(self, start: Snapshot) -> None:
-        """Forget all rows; `start` is not copied."""
+        """Clear all rows; `start` is not copied."""
         self.start, self.rows, self._saturated = start, 0, 0
 
     def record(self, saturated: bool) -> None:
-        """Add a row, in the first 10 s; `saturated`: a motor could not give what was commanded."""
+        """Add a row unless the log is full.
+
+        Args:
+            saturated: True if a motor could not give the commanded torque.
+        """
         self._saturated += saturated
         row, data = self.rows, self._data
         if row == LOG_TICKS:
@@ -92,7 +96,7 @@ class RolloutLog:
 
     @property
     def body_twist(self) -> np.ndarray:
-        """Velocity [m/s], and angular velocity in its own frame [rad/s]. Shape (rows, 6)."""
+        """Velocity [m/s], and angular velocity in the body's frame [rad/s]. Shape (rows, 6)."""
         return self._qvel[: self.rows, self._body[1]]
 
     @property
@@ -101,15 +105,15 @@ class RolloutLog:
         return self._sites[: self.rows, self._points[-1]]
 
     def arm_truth(self, motors: Motors | DirectDrives) -> Truth:
-        """Peaks of the arm since the release, driven by `motors`.
+        """Peak values of an arm driven by `motors` since the release.
 
         * peak_qd: Peak joint speeds [rad/s]; seven.
-        * peak_tau: Peak torques the motors gave [N m]; seven.
+        * peak_tau: Peak torques of the motors at the joints [N m]; seven.
         * peak_elbow_speed: Peak speed of the first guarded point [m/s].
         * peak_forearm_speed: Peak speed of the last guarded point [m/s].
         * peak_pan_speed: Peak speed of the tool [m/s].
-        * beyond_no_load: A motor was turned faster than its bus voltage turns it unloaded.
-        * saturated: Share of ticks in which a motor could not give what was commanded.
+        * beyond_no_load: A motor exceeded its no-load speed at the bus voltage.
+        * saturated: Share of ticks in which a motor could not give the commanded torque.
         """
         rows = self.rows
         speeds = np.zeros(len(self._points))
@@ -117,7 +121,7 @@ class RolloutLog:
             steps = np.diff(self._sites[:rows, self._points], axis=0)
             speeds = np.linalg.norm(steps, axis=2).max(axis=0) / PERIOD
         qd = self._qvel[:rows, :N]
-        motor_speeds = np.abs(qd @ motors.of_joints.T).max(axis=0, initial=0.0)
+        motor_speeds = np.abs(qd @ motors.motor_of_joint.T).max(axis=0, initial=0.0)
         return {
             "peak_qd": np.abs(qd).max(axis=0, initial=0.0).tolist(),
             "peak_tau": np.abs(self._tau[:rows]).max(axis=0, initial=0.0).tolist(),

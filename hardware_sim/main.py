@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process of both stand-ins: one world, two nodes, and the pace.
+"""Process of both stand-ins: one world, two nodes, and the pace.
 
-Lockstep: a state is published, and again every 50 ms, until the torque labelled with its stamp has
-come; then the world steps. Real time: 500 steps a second on absolute deadlines, with links that
-delay, jitter and lose as real networks do.
+Lockstep: publish a state, and repeat it every 50 ms, until the torque with its stamp arrives; then
+step the world. Real time: 500 steps a second on absolute deadlines, over links that delay, jitter
+and lose messages as real networks do.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hardware_sim.driver_watch import DriverWatch
 from hardware_sim.network_link import Link
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.scenes import scene_type
-from hardware_sim.sensors import MocapFrame, MocapSettings
+from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import PERIOD_NS
 from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
@@ -35,32 +35,32 @@ from wam_power_ros.ros.domain import exported, hold
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 from wam_power_ros.ros.node_runner import REFUSED
 
-REPEAT_NS = 50_000_000  # [ns] without the torque, after which a state is published again
-LATE_NS = 100_000_000  # [ns] behind by more, real time gives up on catching up
+REPEAT_PERIOD_NS = 50_000_000  # [ns] after which an unanswered state is published again
+LAG_MAX_NS = 100_000_000  # [ns] behind the clock; beyond, the time of the simulation is shifted
 
 
 class Simulation:
-    """The two nodes on one world; only the WAM's when the scene has no tracked body.
+    """The two nodes on one world; only that of the WAM if the scene has no tracked body.
 
-    Nothing is published in a domain in which a robot or another simulation is.
+    Nothing is published in a domain with a robot or another simulation.
 
     Attributes:
-        intruder: Who has appeared there since and ended the simulation; empty for nobody.
+        intruder: Robot whose appearance ended the simulation, described; "" for none.
 
     Raises:
-        ValueError: A parameter that is not acceptable, or a domain that is not free.
+        ValueError: A parameter is not acceptable, or the domain is not free.
     """
 
     def __init__(self) -> None:
         self.intruder = ""
         self.wam = WamSim()
         params = self.wam.params
-        # for as long as the process lives
+        # a lock, held while the process lives
         self._domain = hold(exported(os.environ), self.wam.get_namespace())
-        self._watch = DriverWatch(self.wam, params.command_topic, params.listeners)
+        self._watch = DriverWatch(self.wam)
         make_scene = scene_type(params.scene)
         self.optitrack: OptitrackSim | None = None
-        mocap, on_frame = MocapSettings(), _no_frame
+        mocap, on_frame = MocapSettings(), lambda *_: None
         if make_scene.body:
             self.optitrack = OptitrackSim()
             mocap, on_frame = self.optitrack.params.mocap(), self.optitrack.publish
@@ -71,44 +71,48 @@ class Simulation:
                     f"{params.scene!r} is {make_scene.body!r}"
                 )
         world = World(params.world(mocap), params.seed, make_scene)
-        self._watch.check()  # while the world was built, others were discovered
+        self._watch.check()  # discovery went on while the world was built
         self.wam.attach(world, on_frame)
         rngs = [np.random.default_rng((params.seed, link)) for link in range(2)]
-        self._out = Link(params.state_latency, params.state_jitter, params.state_loss, rngs[0])
-        self._in = Link(params.command_latency, params.command_jitter, params.command_loss, rngs[1])
+        self._state_link = Link(
+            params.state_latency, params.state_jitter, params.state_loss, rngs[0]
+        )
+        self._command_link = Link(
+            params.command_latency, params.command_jitter, params.command_loss, rngs[1]
+        )
         self._statistics = LoopStatistics(PERIOD_NS)
-        self._published_ns = 0  # steady clock
+        self._published_ns = 0  # [ns] on the steady clock
         self._granted = _schedule(0 if self.wam.lockstep else params.realtime_priority)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.wam.create_timer(1.0, self._report, clock=steady)
 
     def spin(self, ended: Callable[[], bool]) -> None:
-        """Keep the pace until `ended()`, or until a robot appears."""
+        """Step the world at its pace until `ended()`, or until a robot appears."""
 
-        def over() -> bool:
+        def stopped() -> bool:
             self.intruder = self._watch.look()
             return bool(self.intruder) or ended()
 
         commands = self.wam.resolve_topic_name(self.wam.params.command_topic)
-        for_what = "each step waits" if self.wam.lockstep else "the arm waits, held by itself,"
-        self.wam.get_logger().info(f"{for_what} for torques on {commands}")
+        waiting = "each step waits" if self.wam.lockstep else "the arm, held by its driver, waits"
+        self.wam.get_logger().info(f"{waiting} for torques on {commands}")
         executor = node_runner.executor_for(self.wam)
         if self.optitrack is not None:
             executor.add_node(self.optitrack)
         if self.wam.lockstep:
-            self._lockstep(executor, over)
+            self._lockstep(executor, stopped)
         else:
-            self._real_time(executor, over)
+            self._real_time(executor, stopped)
 
     def _lockstep(self, executor: Executor, ended: Callable[[], bool]) -> None:
-        self.wam.on_torque = self._answer
+        self.wam.on_torque = self._step
         while not ended():
-            if time.monotonic_ns() - self._published_ns > REPEAT_NS:
+            if time.monotonic_ns() - self._published_ns > REPEAT_PERIOD_NS:
                 self._publish(self.wam.state())
             executor.spin_once(timeout_sec=0.02)
 
-    def _answer(self, reading: joint_messages.TorqueReading) -> None:
-        """One step, if this is the torque for the state that was published last."""
+    def _step(self, reading: joint_messages.TorqueReading) -> None:
+        """Step once if this is the torque for the last published state."""
         if reading.stamp_ns != self.wam.stamp_ns:
             self.wam.counters["torques out of step"] += 1
             return
@@ -121,30 +125,27 @@ class Simulation:
         self._published_ns = time.monotonic_ns()
 
     def _real_time(self, executor: Executor, ended: Callable[[], bool]) -> None:
-        self.wam.on_torque = lambda reading: self._in.put(time.monotonic_ns(), reading)
+        self.wam.on_torque = lambda reading: self._command_link.put(time.monotonic_ns(), reading)
+        delayed = self.wam.params.state_latency > 0.0 or self.wam.params.state_jitter > 0.0
         deadline_ns = time.monotonic_ns() + PERIOD_NS
-        self.wam.stamp_offset_ns = time.time_ns() - self.wam.world.time_ns  # the clock starts now
+        self.wam.stamp_offset_ns = time.time_ns() - self.wam.world.time_ns  # system clock
         while not ended():
             now = time.monotonic_ns()
             if now < deadline_ns:
                 executor.spin_once(timeout_sec=(deadline_ns - now) * 1e-9)
                 continue
-            arrived = self._in.take(now)
+            arrived = self._command_link.take(now)
             state = self.wam.tick(arrived[-1] if arrived else None)
-            self._out.put(now, copy.deepcopy(state) if self._delays else state)
-            for message in self._out.take(now):
+            self._state_link.put(now, copy.deepcopy(state) if delayed else state)
+            for message in self._state_link.take(now):
                 self.wam.publish(message)
             self._statistics.add(now, time.monotonic_ns())
             deadline_ns += PERIOD_NS  # absolute: being late once does not shift the rest
             due_ns = deadline_ns
-            if now - due_ns > LATE_NS:
+            if now - due_ns > LAG_MAX_NS:
                 self.wam.counters["clock held"] += 1
-                deadline_ns = time.monotonic_ns() + PERIOD_NS  # a rest: others need the core too
+                deadline_ns = time.monotonic_ns() + PERIOD_NS  # leaves the core to others
                 self.wam.stamp_offset_ns += deadline_ns - due_ns
-
-    @property
-    def _delays(self) -> bool:
-        return self.wam.params.state_latency > 0.0 or self.wam.params.state_jitter > 0.0
 
     def _report(self) -> None:
         granted = {"real-time scheduling": self._granted.scheduling}
@@ -152,14 +153,10 @@ class Simulation:
 
 
 def _schedule(priority: int) -> scheduling.Granted:
-    """Real-time scheduling, except on a single core, where nothing else would run beside it."""
+    """Request real-time scheduling, except on a single core, where nothing else would run."""
     if priority and hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) == 1:
-        return scheduling.Granted("refused: on a single core a simulation would take it whole")
+        return scheduling.Granted("refused: on a single core nothing else would run")
     return scheduling.request(priority)
-
-
-def _no_frame(frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
-    """Frames of a scene without a tracked body: there are none."""
 
 
 def main() -> int:
@@ -170,7 +167,9 @@ def main() -> int:
         simulation.spin(ended)
         if simulation.intruder:
             intruders.append(simulation.intruder)
-            text = f"{simulation.intruder}: a simulation must not meet a robot, and ends"
-            simulation.wam.get_logger().fatal(text)
+            simulation.wam.get_logger().fatal(
+                f"{simulation.intruder}: the simulation ends, as it must not share a domain with a "
+                "robot"
+            )
 
     return node_runner.run(Simulation, spin=spin) or (REFUSED if intruders else 0)

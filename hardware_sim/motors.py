@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Torques the motors can give: cable limits and the torque-speed envelope of a bus voltage.
+"""Torque limits of the motors: cable limits and the torque-speed envelope at a bus voltage.
 
-Joints 2-3 and 5-6 share two motors each through differentials, so limits hold for motors, and a
-joint's limit depends on the torque of its neighbour. Plain floats, not arrays: for seven numbers,
-500 times a second, that is several times faster.
+Joints 2-3 and 5-6 each share two motors through a differential, so the limits apply to motors, and
+the limit of a joint depends on the torque of its neighbour. Plain floats, not arrays: several times
+faster for seven numbers, 500 times a second.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from hardware_sim.wam import (
     TORQUE_CONSTANT,
 )
 
-_FULL_TORQUE_AT_MOST = 0.9  # of the no-load speed: motor 7 is held back by its own drag
+_FULL_TORQUE_SHARE = 0.9  # most of the no-load speed with full torque: motor 7 has drag
 
 
 def motor_motion(joints: Sequence[float]) -> tuple[float, ...]:
-    """Motor positions [rad] or speeds [rad/s] for those of the joints; seven each."""
+    """Motor positions [rad] or speeds [rad/s] of joint positions or speeds; seven each."""
     q1, q2, q3, q4, q5, q6, q7 = joints
     a, b, c, d = J2 * q2, J3 * q3, J56 * q5, J56 * q6
     return J1 * q1, a - b, -a - b, J4 * q4, c - d, c + d, J7 * q7
 
 
 def joint_motion(motors: Sequence[float]) -> tuple[float, ...]:
-    """Joint positions [rad] or speeds [rad/s] for those of the motors: inverts `motor_motion`."""
+    """Joint positions [rad] or speeds [rad/s] of motor ones; inverse of `motor_motion`."""
     m1, m2, m3, m4, m5, m6, m7 = motors
     return (
         m1 / J1,
@@ -53,10 +53,10 @@ def joint_motion(motors: Sequence[float]) -> tuple[float, ...]:
 
 
 class DirectDrives:
-    """One motor per joint with the torque and speed limits of the URDF: of arms but the WAM.
+    """One motor per joint with torque and speed limits of the URDF; for other arms than the WAM.
 
     Attributes:
-        of_joints: Motor speeds over joint speeds. Shape (7, 7).
+        motor_of_joint: Matrix from joint speeds to motor speeds. Shape (7, 7).
         motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (7,).
 
     Args:
@@ -65,35 +65,34 @@ class DirectDrives:
     """
 
     def __init__(self, tau_max: np.ndarray, qd_max: np.ndarray) -> None:
-        self.of_joints = np.eye(len(tau_max))
+        self.motor_of_joint = np.eye(len(tau_max))
         self.motor_no_load_speed = qd_max.copy()
-        self._rows = np.stack([tau_max, qd_max], axis=1).tolist()
+        self._limits = np.stack([tau_max, qd_max], axis=1).tolist()
 
     def limit(self, tau: Sequence[float], qd: Sequence[float]) -> Sequence[float]:
         """See `Motors.limit`: beyond its speed limit a motor only brakes."""
         given = []
-        for torque, speed, (peak, fastest) in zip(tau, qd, self._rows, strict=True):
-            most = 0.0 if speed > fastest else peak
-            least = 0.0 if speed < -fastest else -peak
+        for torque, speed, (peak, speed_max) in zip(tau, qd, self._limits, strict=True):
+            most = 0.0 if speed > speed_max else peak
+            least = 0.0 if speed < -speed_max else -peak
             given.append(max(least, min(most, torque)))
         return tau if given == list(tau) else given
 
     def braking(self, qd: Sequence[float]) -> Sequence[float]:
-        """See `Motors.braking`: full torque at the speed limit, in proportion below."""
-        return [
-            -peak / fastest * speed for speed, (peak, fastest) in zip(qd, self._rows, strict=True)
-        ]
+        """See `Motors.braking`: proportional to speed, full torque at the speed limit."""
+        rows = zip(qd, self._limits, strict=True)
+        return [-peak / speed_max * speed for speed, (peak, speed_max) in rows]
 
 
 class Motors:
     """Torque-speed envelope of the WAM's motors at one bus voltage.
 
-    A motor gives its full torque up to the speed at which the voltage less the back-EMF still
-    drives the current for it; from there the torque falls linearly, to zero at the no-load speed,
-    and beyond that the motor brakes. Against its motion it gives full torque at any speed.
+    A motor gives full torque up to the speed at which the voltage minus the back-EMF still drives
+    the required current; above it the torque falls linearly, to zero at the no-load speed, and
+    beyond that the motor brakes. Against its motion it gives full torque at any speed.
 
     Attributes:
-        of_joints: Motor speeds over joint speeds. Shape (7, 7).
+        motor_of_joint: Matrix from joint speeds to motor speeds. Shape (7, 7).
         motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (7,).
         no_load_speed: No-load speed of each joint moving alone [rad/s]. Shape (7,).
         full_torque_speed: Speed up to which each joint, moving alone, has full torque [rad/s].
@@ -101,10 +100,10 @@ class Motors:
         tau_max: Full torque of each joint alone [N m]. Shape (7,).
 
     Args:
-        bus_voltage: Bus voltage [V]; the arm is made for 48 V and allows 36 to 90 V.
+        bus_voltage: Bus voltage [V]; nominal 48 V, allowed 36 to 90 V.
 
     Raises:
-        ValueError: The voltage is outside that range.
+        ValueError: The voltage is out of range.
     """
 
     def __init__(self, bus_voltage: float = 48.0) -> None:
@@ -114,22 +113,22 @@ class Motors:
         no_load = NO_LOAD_SPEED_48V * bus_voltage / 48.0
         current = CABLE_LIMIT / TORQUE_CONSTANT
         full = (bus_voltage - current * RESISTANCE) / TORQUE_CONSTANT
-        full = np.minimum(full, _FULL_TORQUE_AT_MOST * no_load)
+        full = np.minimum(full, _FULL_TORQUE_SHARE * no_load)
         ratio = np.abs(MOTOR_OF_JOINT).max(axis=0)  # (joint,)
-        self.of_joints = MOTOR_OF_JOINT
+        self.motor_of_joint = MOTOR_OF_JOINT
         self.motor_no_load_speed = no_load
         self.no_load_speed = no_load / ratio
         self.full_torque_speed = full / ratio
         self.tau_max = CABLE_LIMIT @ np.abs(MOTOR_OF_JOINT)
         slope = CABLE_LIMIT / (no_load - full)  # [N m s/rad]
         self._envelope = np.stack([CABLE_LIMIT, no_load, slope], axis=1).tolist()
-        self._full = np.stack([CABLE_LIMIT, full], axis=1).tolist()  # nothing is cut within these
+        self._full = np.stack([CABLE_LIMIT, full], axis=1).tolist()  # no limit is active within
         self._brake = (TORQUE_CONSTANT**2 / RESISTANCE).tolist()
 
     def limit(self, tau: Sequence[float], qd: Sequence[float]) -> Sequence[float]:
-        """Joint torques the motors give for wanted ones [N m] at joint speeds [rad/s]; seven each.
+        """Limit joint torques [N m] at joint speeds [rad/s]; seven each.
 
-        It is `tau` itself when no motor is at a limit.
+        Returns `tau` itself if no motor is at a limit.
         """
         t1, t2, t3, t4, t5, t6, t7 = tau
         a, b, c, d = t2 / (2.0 * J2), t3 / (2.0 * J3), t5 / (2.0 * J56), t6 / (2.0 * J56)
@@ -154,7 +153,7 @@ class Motors:
         return tau if within else _joint_torques(given)
 
     def braking(self, qd: Sequence[float]) -> Sequence[float]:
-        """Joint torques [N m] of shorted motors at joint speeds [rad/s]; the arm's IDLE."""
+        """Joint torques [N m] of shorted motors at joint speeds [rad/s]: the arm in IDLE."""
         rows = zip(self._brake, motor_motion(qd), strict=True)
         return _joint_torques([-k * speed for k, speed in rows])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network link between a device and its topic: delays, jitters and loses messages."""
+"""Network link between a device and its topic, with latency, jitter and loss of messages."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 
 
 class Link:
-    """First in, first out; each item arrives after a random delay, some never.
+    """Queue whose items arrive in order after random delays, except those that are lost.
 
     Args:
         latency: Mean delay [s].
-        jitter: Standard deviation of the delay, which is never negative [s].
-        loss: Share of items that never arrive.
+        jitter: Standard deviation of the delay, which is cut at 0 [s].
+        loss: Share of lost items.
         rng: Generator of losses and delays.
     """
 
@@ -33,7 +33,7 @@ class Link:
         self._in_transit.append((now_ns + round(delay * 1e9), item))
 
     def take(self, now_ns: int) -> list[Any]:
-        """Items that have arrived by `now_ns` [ns], in order: none overtakes the one before."""
+        """Remove and return the items that have arrived by `now_ns` [ns], in order."""
         arrived = []
         while self._in_transit and self._in_transit[0][0] <= now_ns:
             arrived.append(self._in_transit.popleft()[1])

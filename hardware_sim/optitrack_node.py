@@ -2,7 +2,7 @@
 """OptiTrack stand-in: frames of the world in, pose and markers of the tracked body out.
 
 Its cameras observe the world that `wam_sim` steps, so it runs in that process: see `main`. Its
-parameters are what drivers of motion capture differ in, and get wrong.
+parameters cover the differences between motion-capture drivers, and their common errors.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from wam_power_ros.params.pancake_tracker_params import WorldToBase
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.tracking.tracker import Y_UP
 
-PAIR_NS = 100_000  # [ns] between the receipts of frames that are delivered together
-STRAY = np.array([[0.4, -0.3, 0.05], [0.45, -0.2, 0.05], [-0.1, 0.6, 0.3]])  # [m] other markers
+RECEIPT_GAP_NS = 100_000  # [ns] between the receipts of frames that are delivered together
+STRAY_MARKERS = np.array([[0.4, -0.3, 0.05], [0.45, -0.2, 0.05], [-0.1, 0.6, 0.3]])  # [m]
 
 
 class OptitrackSimParams(Params):
@@ -40,15 +40,15 @@ class OptitrackSimParams(Params):
     world_to_base: WorldToBase
     stamps: Literal["exposure", "receipt"]
     together: int = Field(ge=1, le=10)
-    stray: int = Field(ge=0, le=len(STRAY))
-    rate: float = Field(ge=1.0, le=500.0, description="in Hz: of the cameras there are")
-    noise: float = Field(ge=0.0, le=1.0, description="in m: a metre of noise is no measurement")
-    latency: float = Field(ge=0.0, le=1.0, description="in s: of a broken network")
-    dropout: float = Field(ge=0.0, le=1.0, description="a share")
+    stray: int = Field(ge=0, le=len(STRAY_MARKERS))
+    rate: float = Field(ge=1.0, le=500.0, description="in Hz: frame rates of existing cameras")
+    noise: float = Field(ge=0.0, le=1.0, description="in m: a metre of noise measures nothing")
+    latency: float = Field(ge=0.0, le=1.0, description="in s: more is a broken network")
+    dropout: float = Field(ge=0.0, le=1.0, description="a share of the frames")
     lost: Literal["omit", "repeat", "zero"]
 
     def mocap(self) -> MocapSettings:
-        """Settings of the motion capture."""
+        """Settings of the simulated motion capture."""
         names = ("rate", "noise", "latency", "dropout", "lost")
         return MocapSettings(**{name: getattr(self, name) for name in names})
 
@@ -76,18 +76,18 @@ class OptitrackSim(Node):
             self._markers = self.create_publisher(PointCloud2, params.markers_topic, qos)
         pose = np.array(params.world_to_base)
         self._origin = pose[:3]
-        turn = rotations.matrix(pose[3:]).T  # base frame to the motion capture's
+        turn = rotations.matrix(pose[3:]).T  # base frame to motion-capture frame
         self._turn = Y_UP.T @ turn if params.up_axis == "y" else turn
         self._turn_quat = rotations.quat_xyzw(self._turn)
-        self._rng = np.random.default_rng(0)  # for the order of unlabelled markers
+        self._rng = np.random.default_rng(0)  # shuffles the unlabelled markers
         self._waiting: list[MocapFrame] = []
 
     def publish(self, frame: MocapFrame, stamp_offset_ns: int, now_ns: int) -> None:
-        """Publish a frame, or keep it for the one it is delivered together with.
+        """Publish a frame, or hold it back until it can be delivered together with others.
 
         Args:
-            frame: Frame in the arm's base frame, stamped by the world's clock.
-            stamp_offset_ns: Offset of the stamping clock from the world's [ns].
+            frame: Motion-capture frame in the base frame of the arm, stamped by the world's clock.
+            stamp_offset_ns: Offset of the stamping clock from the world's clock [ns].
             now_ns: Time of the world's clock [ns].
         """
         params = self.params
@@ -96,19 +96,19 @@ class OptitrackSim(Node):
             return
         frames, self._waiting = self._waiting, []
         for number, each in enumerate(frames):
-            late_ns = PAIR_NS * (number + 1 - len(frames))
-            stamp_ns = each.stamp_ns if params.stamps == "exposure" else now_ns + late_ns
+            receipt_ns = now_ns + RECEIPT_GAP_NS * (number + 1 - len(frames))
+            stamp_ns = each.stamp_ns if params.stamps == "exposure" else receipt_ns
             self._send(each, stamp_ns + stamp_offset_ns)
 
     def _send(self, frame: MocapFrame, stamp_ns: int) -> None:
         name = self.params.frame
         if self._poses is not None:
             position, quat_xyzw = frame.position, frame.quat_xyzw
-            if position.any():  # a pose of zeros is one in any frame
+            if position.any():  # zeros mark a lost frame, whatever the coordinates
                 position = self._turn @ (position - self._origin)
                 quat_xyzw = rotations.multiply(self._turn_quat, quat_xyzw)
             self._poses.publish(pose_messages.pose_message(stamp_ns, name, position, quat_xyzw))
         if self._markers is not None:
-            seen = np.vstack([frame.markers, STRAY[: self.params.stray]])
+            seen = np.vstack([frame.markers, STRAY_MARKERS[: self.params.stray]])
             points = self._rng.permutation(seen - self._origin) @ self._turn.T
             self._markers.publish(pose_messages.markers_message(stamp_ns, name, points))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The MuJoCo model: the arm of the URDF with its pan, air, ground, light and a task's bodies."""
+"""MuJoCo model: the arm of the URDF with its pan, air, ground, light and the bodies of a task."""
 
 from __future__ import annotations
 
@@ -11,69 +11,59 @@ import numpy as np
 
 from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes import Scene
+from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
-from wam_power_ros.control.arm import WAM_GUARDED_POINTS, GuardedPoint
 from wam_power_ros.tasks.flip.frames import PAN_RADIUS
 
 TIMESTEP = 0.001  # [s] of the physics
 AIR_DENSITY = 1.2  # [kg/m^3]
 _RIM_SEGMENTS = 16
 _RIM_HEIGHT = 0.035  # [m]
-_RIM_FLARE = 0.6  # [rad] outward: the pan of a person, and a catch forgives some centimetres
-_FIXED, _BODY = 1, 2  # collision bits: a body touches pan and ground, nothing else touches
+_RIM_FLARE = 0.6  # [rad] outward: as of a real pan; a catch tolerates some centimetres
+_FIXED, _BODY = 1, 2  # collision bits: only bodies collide, with pan and ground
 
 
-def build(
-    urdf: str,
-    scene: Scene,
-    friction: float,
-    tool: str = "pan",
-    guarded: Sequence[GuardedPoint] = WAM_GUARDED_POINTS,
-    joints: Sequence[str] = JOINTS,
-    payload: float = 0.0,
-) -> mujoco.MjModel:
+def build(urdf: str, scene: Scene, settings: WorldSettings) -> mujoco.MjModel:
     """Compile the model of an arm in a scene.
 
     Args:
         urdf: Text of the arm's URDF.
         scene: Scene that adds its bodies.
-        friction: Sliding friction of pan and ground.
-        tool: Link that holds the pan: z normal to the pan, origin on its floor.
-        guarded: Points of the arm whose speeds are logged.
-        joints: Names of the arm's joints.
-        payload: Mass at the tool's centre of mass that the URDF does not have [kg].
+        settings: Settings of the world.
 
     Returns:
-        A model whose first degrees of freedom are the arm's joints, those of the scene after them;
-        with a site `TOOL_SITE` at the tool and one of its name at every guarded point.
+        A model whose first degrees of freedom are the arm's joints, followed by those of the scene,
+        with a site `TOOL_SITE` at the tool and a site at every guarded point, with its name.
 
     Raises:
         ValueError: The text is no URDF.
     """
-    spec = arm(urdf, joints)
+    friction = settings.scene.friction
+    spec = arm(urdf, settings.arm.joints)
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.density = AIR_DENSITY
-    for point in guarded:
+    for point in settings.arm.guarded:
         spec.body(point.link).add_site(name=point.name, pos=list(point.offset), group=4)
-    spec.body(tool).add_site(name=TOOL_SITE, group=4)
-    spec.body(tool).mass += payload
-    _add_pan(spec.body(tool), friction)
+    tool = spec.body(settings.arm.tool)
+    tool.add_site(name=TOOL_SITE, group=4)
+    tool.mass += settings.payload
+    _add_pan(tool, friction)
     scene.build(spec)
     _add_surroundings(spec, friction)
     model = spec.compile()
-    # The ellipsoid model's added mass and lift would cancel the flip of a thin disc: drag alone.
-    # mj_setConst would bring the added mass back: what the model is to have, it has before.
+    # Drag alone: the ellipsoid model's added mass and lift would cancel the flip of a thin disc.
+    # After this line mj_setConst must not be called: it would restore the added mass.
     model.geom_fluid[:, 4:12] = 0.0
     return model
 
 
 def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
-    """Model of the arm alone as the URDF has it, with rotors and friction; shapes are only drawn.
+    """Model of the arm alone from its URDF, with rotor inertia and friction, without collisions.
 
-    Other joints, such as a gripper's, are locked at zero; meshes are left out.
+    Other joints, such as those of a gripper, are locked at zero; meshes are left out.
 
     Args:
         urdf: Text of the URDF.
@@ -100,7 +90,13 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
         dynamics = tree.find(f"./joint[@name='{joint.name}']/dynamics")
         if dynamics is not None:
             joint.armature = float(dynamics.get("armature", "0"))
-        joint.solimp_friction = [0.99, 0.999, 0.001, 0.5, 2.0]  # by default a loaded joint creeps
+        joint.solimp_friction = [
+            0.99,
+            0.999,
+            0.001,
+            0.5,
+            2.0,
+        ]  # with the default a loaded joint creeps
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
         geom.group = 1
@@ -108,12 +104,12 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
 
 
 def body_contact(friction: float) -> dict[str, object]:
-    """Contact of a body that touches pan and ground, as arguments of a geom."""
+    """Geom arguments for the contact of a body with pan and ground."""
     return _contact(friction) | {"contype": _BODY, "conaffinity": _FIXED}
 
 
 def _contact(friction: float) -> dict[str, object]:
-    """Nearly inelastic; MuJoCo's softer default lets a thin disc fall through the pan."""
+    """Nearly inelastic contact; MuJoCo's softer default lets a thin disc fall through the pan."""
     return {
         "solref": [0.005, 0.6],
         "solimp": [0.9, 0.97, 0.002, 0.5, 2.0],

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services a simulation offers beside a driver's: reset the scene, demonstrate, drop the body.
+"""Services of the simulation beside those of a driver: reset the scene, demonstrate, drop the body.
 
-They stand for the person in the lab, who puts the pancake back and leads the arm. The ground truth
-of a rollout is published when it ends.
+They replace the person in the lab, who puts the pancake back and guides the arm by hand. The ground
+truth of a rollout is published when it ends.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.deferred_service import LateTrigger
 
-WAIT_TICKS = 50  # after a request, before the world is taken to be at rest
+WAIT_TICKS = 50  # from a reset to its answer, and from a demonstration request to its refusal
 START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
 
 
 class SceneServices:
-    """The services, on a simulated world.
+    """Services on a simulated world.
 
     Attributes:
-        label: Activity of the controller, as it labels its torques; empty before the first.
+        label: Activity of the controller, the label of its torques; "" before the first.
 
     Args:
         node: Node that offers the services.
         world: World they act on.
         seed: Seed of the demonstrations.
-        lockstep: The world steps in lockstep; a reset is then done within one tick.
-        home: Posture in which demonstrations begin [rad], shape (7,); None for the scene's.
-        overridden: Whether the driver moves the arm by itself.
+        lockstep: True if the world steps in lockstep; a reset then takes one tick.
+        home: Posture in which demonstrations begin [rad], shape (7,); None for that of the scene.
+        overridden: Returns True while the driver moves the arm itself.
         counters: Counters of the node, for refused policies.
     """
 
@@ -60,9 +60,9 @@ class SceneServices:
         self._home = world.scene.home if home is None else home
         self._counters = counters
         self._policy: policies.Policy | None = None
-        self._demonstrations = 0  # that have been given
+        self._demonstrations = 0  # completed
         self._demonstrating = False
-        self._ticks_left = 0  # until a reset may be answered or a demonstration refused
+        self._ticks_left = 0  # see WAIT_TICKS
         self._resetting: Iterator[None] | None = None
         body = world.scene.body
         self._truths = node.create_publisher(
@@ -75,31 +75,30 @@ class SceneServices:
             node.create_service(Trigger, interface.body_topic(body, "drop"), self._on_drop)
 
     def change(self, label: str) -> None:
-        """The controller does something else: a rollout begins or ends with that very tick."""
-        was, self.label = self.label, label
+        """Change the activity of the controller; a rollout begins or ends with this tick."""
+        previous, self.label = self.label, label
         world = self._world
         if world.frozen and self._resetting is None and label not in ("hold", "inactive"):
             world.release()
-        if was.startswith("rollout "):
+        if previous.startswith("rollout "):
             self._truths.publish(String(data=json.dumps(world.truth())))
 
     def update(self) -> None:
-        """Go on with what was requested; called once a tick."""
+        """Advance a pending reset or demonstration; called every tick."""
         world, waited = self._world, self._ticks_left == 0
         self._ticks_left = max(0, self._ticks_left - 1)
         if self._resetting is not None and next(self._resetting, self) is self:
             self._resetting = None
             world.release()
         if self._reset.pending and waited and self._resetting is None:
-            self._finish(self._reset)  # the controller is at rest by now
+            self._finish(self._reset)  # the controller has settled by now
         if self._demonstrate.pending and not self._demonstrating:
-            free = self.label == "gravity_compensation" and not self._overridden()
-            if free:
+            if self.label == "gravity_compensation" and not self._overridden():
                 if self._resetting is None:
                     self._grip()
             elif waited:
-                refusal = Answer(Code.BUSY, f"the arm is not free (mode {self.label!r})")
-                self._demonstrate.finish(False, str(refusal))
+                text = f"the arm is not free to be guided (mode {self.label!r})"
+                self._demonstrate.finish(False, str(Answer(Code.BUSY, text)))
         elif self._demonstrating and not world.pulled:
             self._demonstrating = False
             self._demonstrations += 1
@@ -117,16 +116,16 @@ class SceneServices:
             self._node.get_logger().warning(f"policy refused: {error}")
 
     def _begin_reset(self) -> str | None:
-        """Reset the scene; in lockstep the world then waits, frozen, for what comes next.
+        """Reset the scene; in lockstep the world then stays frozen until the next activity.
 
-        While teaching, the arm is led back to where demonstrations begin as well.
+        Under gravity compensation, the arm is put to the start of the next demonstration as well.
         """
         policy, world = self._policy, self._world
         if self.label == "gravity_compensation" and not world.pulled:
             self._put_back(*self._next_demonstration())
             return None
         if policy is None or len(policy.q_start) != N:
-            return str(Answer(Code.NOTHING, "no policy for this arm has come"))
+            return str(Answer(Code.NOTHING, "no policy for this arm has been received"))
         if world.pulled or self.label not in ("", "inactive", "hold", "move_to_start"):
             return str(Answer(Code.BUSY, f"the arm is in use (mode {self.label!r})"))
         far = np.abs(world.joint_state().q - policy.q_start).max()
@@ -137,7 +136,7 @@ class SceneServices:
         return None
 
     def _put_back(self, rollout_id: str, q: np.ndarray) -> None:
-        """Reset the world: at once in lockstep, else in slices, as the clock goes on."""
+        """Reset the world: at once in lockstep, else in slices while the clock goes on."""
         if self._lockstep:
             self._world.reset(rollout_id, q)
         else:
@@ -151,10 +150,10 @@ class SceneServices:
         return None
 
     def _grip(self) -> None:
-        """Begin a demonstration, another one each time."""
+        """Begin the next demonstration."""
         world = self._world
         rollout_id, home = self._next_demonstration()
-        if world.rollout_id != rollout_id:  # the jump back to the start is for the reset to make
+        if world.rollout_id != rollout_id:  # not reset for it yet
             world.reset(rollout_id, home)
         rng = np.random.default_rng((self._seed, self._demonstrations))
         if world.frozen:
@@ -172,7 +171,7 @@ class SceneServices:
     def _on_drop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         answer = Answer(Code.DONE)
         if self._lockstep or self._world.pulled:
-            answer = Answer(Code.REFUSED, "only in real time, and while nobody leads the arm")
+            answer = Answer(Code.REFUSED, "only in real time, and not during a demonstration")
         else:
             self._world.drop()
         response.success, response.message = answer.success, str(answer)

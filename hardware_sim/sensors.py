@@ -14,35 +14,37 @@ from hardware_sim.motors import joint_motion, motor_motion
 from hardware_sim.wam import ENCODER_COUNTS, PERIOD, VELOCITY_CUTOFF, check_range
 from wam_power_ros import rotations
 
-_COUNTS = ENCODER_COUNTS / math.tau  # [1/rad] of a motor's encoder
+_COUNTS_PER_RAD = ENCODER_COUNTS / math.tau  # of a motor's encoder
 _COUNT = math.tau / ENCODER_COUNTS  # [rad]
 
 
-def joint_counts(q: Sequence[float]) -> tuple[float, ...]:
-    """Joint positions [rad] quantized by motor encoders of an arm with gears of 1:100; seven."""
-    return tuple([_COUNT / 100 * round(_COUNTS * 100 * position) for position in q])
+def quantize_geared(q: Sequence[float]) -> tuple[float, ...]:
+    """Joint positions [rad] quantized by motor encoders behind gears of 1:100; seven."""
+    return tuple([_COUNT / 100 * round(_COUNTS_PER_RAD * 100 * position) for position in q])
 
 
-def wam_counts(q: Sequence[float]) -> tuple[float, ...]:
+def quantize_wam(q: Sequence[float]) -> tuple[float, ...]:
     """Joint positions [rad] quantized by the encoders of the WAM's motors; seven."""
-    return joint_motion([_COUNT * round(_COUNTS * position) for position in motor_motion(q)])
+    return joint_motion(
+        [_COUNT * round(_COUNTS_PER_RAD * position) for position in motor_motion(q)]
+    )
 
 
 class Encoders:
-    """Motor positions in whole counts, differenced and low-passed as libbarrett does.
+    """Joint encoders with velocities differenced and low-passed as in libbarrett.
 
     Attributes:
         q: Joint positions [rad]; seven.
         qd: Joint velocities [rad/s]; seven.
 
     Args:
-        counted: Quantizes joint positions.
+        quantize: Quantizes joint positions.
     """
 
     def __init__(
-        self, counted: Callable[[Sequence[float]], tuple[float, ...]] = wam_counts
+        self, quantize: Callable[[Sequence[float]], tuple[float, ...]] = quantize_wam
     ) -> None:
-        self._counted = counted
+        self._quantize = quantize
         self._keep = math.exp(-VELOCITY_CUTOFF * PERIOD)
         self._gain = (1.0 - self._keep) / PERIOD
         self.q: tuple[float, ...] = (0.0,) * 7
@@ -50,12 +52,12 @@ class Encoders:
 
     def reset(self, q: Sequence[float]) -> None:
         """Reset to rest at joint positions [rad]; seven."""
-        self.q = self._counted(q)
+        self.q = self._quantize(q)
         self.qd = (0.0,) * 7
 
     def read(self, q: Sequence[float]) -> None:
-        """Read the joint positions [rad] of one period later; seven."""
-        now, before, keep, gain = self._counted(q), self.q, self._keep, self._gain
+        """Read the joint positions [rad] one period after the last ones; seven."""
+        now, before, keep, gain = self._quantize(q), self.q, self._keep, self._gain
         rows = zip(self.qd, now, before, strict=True)
         self.qd = tuple([keep * qd + gain * (new - old) for qd, new, old in rows])
         self.q = now
@@ -63,18 +65,18 @@ class Encoders:
 
 @dataclass(frozen=True)
 class MocapSettings:
-    """Motion capture as in the paper, with figures of present systems for what it leaves out.
+    """Settings of motion capture: the paper's, else typical of present systems.
 
     Attributes:
-        rate: Frame rate [Hz]; the paper's is 30.
+        rate: Frame rate [Hz]; 30 in the paper.
         noise: Standard deviation of a marker's position, per axis [m].
         latency: Time from exposure to delivery [s].
-        dropout: Share of frames that are lost.
+        dropout: Share of lost frames.
         occlusion: Share of frames in which one marker is hidden.
         lost: Output of the driver for a lost frame: none, the last pose again, or a pose of zeros.
 
     Raises:
-        ValueError: A value out of range.
+        ValueError: A value is out of range.
     """
 
     rate: float = 30.0
@@ -92,14 +94,14 @@ class MocapSettings:
 class MocapFrame(NamedTuple):
     """One frame of the tracked body, as delivered."""
 
-    stamp_ns: int  # of the exposure
+    stamp_ns: int  # time of exposure
     position: np.ndarray  # (3,) [m]
     quat_xyzw: np.ndarray  # (4,)
     markers: np.ndarray  # (m, 3) [m]; m < 4 when some are hidden, 0 when the frame is lost
 
 
 class Mocap:
-    """Motion capture of a rigid body: markers with noise, a pose fitted to them, delivered late.
+    """Motion capture of a rigid body: noisy markers and a pose fitted to them, with latency.
 
     Args:
         layout: Marker positions in the frame of the body, all at z = 0 [m]. Shape (4, 3).
@@ -121,17 +123,17 @@ class Mocap:
         self._latency_ns = round(settings.latency * 1e9)
         self._rng = np.random.default_rng(0)
         self._waiting: list[MocapFrame] = []
-        self._last: MocapFrame | None = None  # that was not lost
+        self._last: MocapFrame | None = None  # last frame that was not lost
         self._next_ns = 0
 
     def restart(self, now_ns: int, rng: np.random.Generator) -> None:
-        """Restart the frames: from now on they and their phase depend on `rng` alone."""
+        """Restart the frame clock: from now on, phase and noise depend on `rng` alone."""
         self._rng = rng
         self._waiting = [frame for frame in self._waiting if frame.stamp_ns < now_ns]
         self._next_ns = now_ns + 5_000_000 + int(rng.uniform(0.0, self._period_ns))
 
     def forget(self) -> None:
-        """Discard frames that have not been delivered."""
+        """Discard undelivered frames."""
         self._waiting = []
 
     def due(self, now_ns: int) -> bool:
@@ -139,7 +141,7 @@ class Mocap:
         return now_ns >= self._next_ns
 
     def expose(self, now_ns: int, position: np.ndarray, rotation: np.ndarray) -> None:
-        """Take the frame that is due, of a body at `position` (3,) [m], `rotation` (3, 3)."""
+        """Take the due frame of a body at `position` (3,) [m] with `rotation` (3, 3)."""
         self._next_ns += self._period_ns
         settings, rng = self._settings, self._rng
         noise = rng.standard_normal((4, 3)) * settings.noise
@@ -157,7 +159,7 @@ class Mocap:
         self._waiting.append(self._last)
 
     def miss(self, now_ns: int) -> None:
-        """Take the frame that is due without seeing the body."""
+        """Take the due frame without seeing the body."""
         self._next_ns += self._period_ns
         self._lose(now_ns)
 
@@ -170,7 +172,7 @@ class Mocap:
             self._waiting.append(last._replace(stamp_ns=now_ns, markers=np.empty((0, 3))))
 
     def delivered(self, now_ns: int) -> list[MocapFrame]:
-        """Frames due for delivery by now, oldest first."""
+        """Remove and return the frames to deliver by now, oldest first."""
         if not self._waiting or self._waiting[0].stamp_ns + self._latency_ns > now_ns:
             return []
         due = [f for f in self._waiting if f.stamp_ns + self._latency_ns <= now_ns]
@@ -179,10 +181,10 @@ class Mocap:
 
 
 def _flat_fit(flat: np.ndarray, markers: np.ndarray) -> np.ndarray:
-    """Least-squares rotation of coplanar markers: the polar factor of a 3 x 2 matrix, completed.
+    """Least-squares rotation of coplanar markers: completed polar factor of a 3 x 2 matrix.
 
     Args:
-        flat: x and y of the markers in the body's frame, about their mean [m]. Shape (m, 2).
+        flat: x and y of the markers in the body's frame, relative to their mean [m]. Shape (m, 2).
         markers: Measured marker positions [m]. Shape (m, 3).
 
     Returns:

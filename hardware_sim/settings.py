@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the simulated world: which arm, how it is driven and sensed, what surrounds it."""
+"""Settings of the simulated world: arm, drives, sensors and scene."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, N, check_range
 from wam_power_ros.control.arm import WAM_GUARDED_POINTS, GuardedPoint
 
-PITCH_RATE = 7.6  # [rad/s] of a practised person: most such tosses reproduce at 90 degrees or more
+PITCH_RATE = 7.6  # [rad/s] of an expert: most reproductions turn by 90 degrees or more
 
 
 @dataclass(frozen=True)
@@ -22,12 +22,12 @@ class ArmSettings:
         urdf: URDF file, absolute or below the package's share folder.
         joints: Names of the joints from base to tip; seven.
         tool: Link that holds the pan: z normal to the pan, origin on its floor.
-        guarded: Points whose speeds are logged; the first counts as elbow, the last as forearm.
+        guarded: Points whose speeds are logged; the first as elbow, the last as forearm.
         home: Initial posture [rad]; seven, or None for that of the scene.
-        drives: "wam" for its cables and motors, "direct" for the limits in the URDF.
+        drives: "wam" for the WAM's cables and motors, "direct" for the limits in the URDF.
 
     Raises:
-        ValueError: Not seven joints, or no guarded point.
+        ValueError: There are not seven joints, or no guarded points.
     """
 
     urdf: str = "urdf/wam7.urdf"
@@ -41,26 +41,26 @@ class ArmSettings:
         for name in ("joints", "home"):
             values = getattr(self, name)
             if values is not None and len(values) != N:
-                raise ValueError(f"{name} {values} must be {N}")
+                raise ValueError(f"{name} {values} must have {N} entries")
         if not self.guarded:
-            raise ValueError("the stand-in logs the speed of at least one guarded point")
+            raise ValueError("guarded must name at least one point, whose speed is logged")
 
 
 @dataclass(frozen=True)
 class SceneSettings:
-    """Settings of what surrounds the arm; a scene uses those that concern it.
+    """Settings of the scene and its demonstrations; each scene uses some of them.
 
     Attributes:
         friction: Sliding friction between pan and body.
-        body_offset_sd: Standard deviation of the body's place in the pan, per axis [m].
+        body_offset_sd: Standard deviation of the body's initial position in the pan, per axis [m].
         obstacle: Centre and radius of a sphere in the base frame [m]; four, radius 0 for none.
-        body_mass: Mass of the body, as a share of its own.
-        body_size: Radius of the body, as a share of its own.
-        pitch_rate: Intended pitch rate of the demonstrator of a toss at the release [rad/s].
-        level: A demonstrator of a toss begins with the pan level, the body in its middle.
+        body_mass: Mass of the body, relative to nominal.
+        body_size: Radius of the body, relative to nominal.
+        pitch_rate: Intended pitch rate of a demonstrated toss at the release [rad/s].
+        level: True if a demonstrated toss begins with the pan level, the body in its middle.
 
     Raises:
-        ValueError: A value out of range.
+        ValueError: A value is out of range.
     """
 
     friction: float = 0.2
@@ -76,34 +76,34 @@ class SceneSettings:
         check_range(self, 0.1, 10.0, "body_mass", "body_size", "pitch_rate")
         values = self.obstacle
         if len(values) != 4 or not all(map(math.isfinite, values)) or values[3] < 0.0:
-            raise ValueError(f"obstacle {values} must be x, y, z and a radius from 0")
+            raise ValueError(f"obstacle {values} must be x, y, z and a radius of at least 0")
 
 
 @dataclass(frozen=True)
 class WorldSettings:
-    """Settings of the simulated world; the defaults describe the WAM as it is.
+    """Settings of the simulated world; the defaults describe the real WAM.
 
     Attributes:
         bus_voltage: Bus voltage of the motors [V].
-        command_delay_ticks: Control periods from a joint state to the torque that answers it.
+        command_delay_ticks: Delay from a torque command to the motors, in control periods.
         wind_sd: Standard deviation of a rollout's steady wind, per axis [m/s].
-        torque_scale_sd: Standard deviation of each joint's torque constant per rollout, as a share.
-        friction_sd: Standard deviation of each joint's Coulomb friction per rollout, as a share.
-        friction_share: Share of the URDF's Coulomb friction that the joints have.
-        torque_constants: Torque constant of each joint, as a share of its own; seven.
-        payload: Mass at the tool that no model knows of [kg].
-        unknown: Replaces some settings by a draw from the seed, see `unknown_world.drawn`: none
-            (""), one for all rollouts ("session"), or another one for each ("rollout").
-        driver_compensates_gravity: The driver adds g(q) to the commanded torque.
-        watchdog: After 10 ms without a command the driver compensates gravity, damped; without a
-            watchdog it holds the last command.
-        watchdog_damping: Damping of that fallback [1/s].
+        torque_scale_sd: Relative standard deviation of each joint's torque constant per rollout.
+        friction_sd: Relative standard deviation of each joint's Coulomb friction per rollout.
+        friction_share: Coulomb friction of the joints, relative to the URDF.
+        torque_constants: Torque constant of each joint, relative to nominal; seven.
+        payload: Mass at the tool that is in no model of the arm [kg].
+        unknown: Replaces some settings by random ones, see `unknown_world.draw`: never (""), once
+            for all rollouts ("session"), or anew for each rollout ("rollout").
+        driver_compensates_gravity: True if the driver adds g(q) to the commanded torque.
+        watchdog: True if the driver compensates gravity, with damping, after 10 ms without a
+            command; otherwise it holds the last command.
+        watchdog_damping: Damping in that state [1/s].
         scene: Settings of the scene.
         mocap: Settings of the motion capture.
         arm: Settings of the arm.
 
     Raises:
-        ValueError: A value out of range.
+        ValueError: A value is out of range.
     """
 
     bus_voltage: float = 48.0
@@ -124,10 +124,12 @@ class WorldSettings:
 
     def __post_init__(self) -> None:
         check_range(self, 0, 50, "command_delay_ticks")
-        shares = ("wind_sd", "torque_scale_sd", "friction_sd", "friction_share")
-        check_range(self, 0.0, 10.0, *shares)
+        spreads = ("wind_sd", "torque_scale_sd", "friction_sd", "friction_share")
+        check_range(self, 0.0, 10.0, *spreads)
         check_range(self, 0.0, 100.0, "watchdog_damping")
         check_range(self, 0.0, 5.0, "payload")
         constants = self.torque_constants
         if len(constants) != N or not all(0.0 < share < 10.0 for share in constants):
-            raise ValueError(f"torque_constants {constants} must be {N} shares above 0, below 10")
+            raise ValueError(
+                f"torque_constants {constants} must be {N} numbers above 0 and below 10"
+            )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A world that neither the learner nor the controller's model knows."""
+"""Random deviations of the world from the models of controller and learner."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import N
 
 
-def drawn(settings: WorldSettings, seed: int, rollout_id: str = "") -> WorldSettings:
-    """Draw what a laboratory does not know: a world for a whole session, or one for a rollout.
+def draw(settings: WorldSettings, seed: int, rollout_id: str = "") -> WorldSettings:
+    """Draw the properties that are unknown in a laboratory, for a session or for one rollout.
 
-    Mass 70 to 130 % and radius 80 to 120 % of the body's, friction 0.1 to 0.5, delay 2 to 8 ms,
-    torque constants 95 to 105 % each, payload at the tool up to 0.12 kg (a fifth of the pan), all
-    uniform.
+    Uniform: body mass 70 to 130 % and radius 80 to 120 % of nominal, friction 0.1 to 0.5, command
+    delay 2 to 8 ms, each torque constant 95 to 105 %, payload at the tool up to 0.12 kg (a fifth of
+    the pan).
 
     Args:
-        settings: Settings of the world; all others stay.
+        settings: Settings of the world; the others are kept.
         seed: Seed of the world.
-        rollout_id: Rollout whose world it is; "" for that of the session.
+        rollout_id: Id of the rollout; "" for the whole session.
     """
     rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
     scene = replace(

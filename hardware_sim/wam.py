@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the Barrett WAM 7-DOF that its URDF does not hold."""
+"""Data of the Barrett WAM 7-DOF that are not in its URDF."""
 
 import numpy as np
 
-N = 7  # joints
+N = 7  # number of joints
 JOINTS = tuple(f"wam_j{number}" for number in range(1, N + 1))
 
 # Control period and watchdog of the driver
@@ -11,7 +11,7 @@ PERIOD_NS = 2_000_000  # [ns]
 PERIOD = PERIOD_NS / 1e9  # [s]
 WATCHDOG_TICKS = 5  # periods without a command
 
-# Transmission: motor over joint positions, libbarrett's j2mp; 2-3 and 5-6 are differentials
+# Transmission: motor turns per joint turn, libbarrett's j2mp; 2-3 and 5-6 are differentials
 J1, J2, J3, J4, J56, J7 = -42.0, 28.25, 28.25 / 1.68, -18.0, 9.7, -14.93
 MOTOR_OF_JOINT = np.array(  # motor speeds = MOTOR_OF_JOINT @ joint speeds
     [
@@ -45,7 +45,7 @@ FOLDED = np.array([0.0, -1.95, 0.0, 3.05, 0.0, 0.0, 0.0])  # [rad] home; just in
 
 
 def check_range(settings: object, low: float, high: float, *names: str) -> None:
-    """Raise ValueError, naming it, when one of these settings is not within low and high."""
+    """Raise ValueError with name and value if a named setting is not within low and high."""
     for name in names:
         value = getattr(settings, name)
         if not low <= value <= high:

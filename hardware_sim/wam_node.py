@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """WAM stand-in: torques in, joint states out, as the driver of the arm.
 
-In lockstep the world steps when the torque for the published state has come; in real time it steps
-500 times a second with the newest torque (see `main`, which keeps the pace).
+In lockstep the world steps when the torque for the published state arrives; in real time it steps
+500 times a second with the newest torque. `main` keeps the pace.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -32,10 +31,10 @@ from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
-Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: of no use beyond the reach")]
-Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: no joint here turns so far")]
-Delay = Annotated[float, Field(ge=0.0, le=1.0, description="in s: no link, but a broken one")]
-Spread = Annotated[float, Field(ge=0.0, le=10.0, description="ten times the thing itself")]
+Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: beyond the reach of the arm")]
+Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: beyond any joint limit")]
+Delay = Annotated[float, Field(ge=0.0, le=1.0, description="in s: more is a broken link")]
+Spread = Annotated[float, Field(ge=0.0, le=10.0, description="up to ten times the nominal value")]
 
 
 class WamSimParams(Params):
@@ -44,7 +43,7 @@ class WamSimParams(Params):
     file = "wam_sim.yaml"
 
     pace: Literal["lockstep", "real_time"]
-    seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
+    seed: int = Field(ge=0, le=2**63 - 1, description="a ROS integer")
     realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
     joint_names: tuple[str, ...] = Field(min_length=N, max_length=N)
     other_joints: Names
@@ -70,28 +69,26 @@ class WamSimParams(Params):
     guarded_points: tuple[Length, ...] = Field(max_length=24)
     home: tuple[Angle, ...] = Field(max_length=N)
     drives: Literal["wam", "direct"]
-    bus_voltage: float = Field(ge=1.0, le=100.0, description="in V: the WAM's motors have 48")
-    command_delay_ticks: int = Field(ge=0, le=50, description="0.1 s, which nothing withstands")
+    bus_voltage: float = Field(ge=1.0, le=100.0, description="in V: 48 for the WAM")
+    command_delay_ticks: int = Field(ge=0, le=50, description="up to 0.1 s: unstable long before")
     driver_compensates_gravity: bool
     wind_sd: Spread
     torque_scale_sd: Spread
     friction_sd: Spread
     scene: str
-    pitch_rate: float = Field(ge=0.1, le=10.0, description="faster than any wrist")
+    pitch_rate: float = Field(ge=0.1, le=10.0, description="in rad/s: up to faster than any wrist")
     unknown: Literal["", "session", "rollout"]
     friction: Spread
     body_offset_sd: Spread
     obstacle: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]]
 
     def world(self, mocap: MocapSettings) -> WorldSettings:
-        """Settings of the world; where no point is guarded, the tool is logged instead."""
+        """Settings of the world; without guarded points, the speed of the tool is logged."""
         tool = self.tool_frame
         guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
         guarded = guarded or (GuardedPoint("tool", tool, (0.0, 0.0, 0.0)),)
-        own = {field.name for field in dataclasses.fields(WorldSettings)} & set(
-            type(self).model_fields
-        )
-        settings = {name: getattr(self, name) for name in own} | {
+        shared = WorldSettings.__dataclass_fields__.keys() & type(self).model_fields.keys()
+        settings = {name: getattr(self, name) for name in shared} | {
             "scene": SceneSettings(
                 self.friction, self.body_offset_sd, self.obstacle, pitch_rate=self.pitch_rate
             ),
@@ -104,12 +101,15 @@ class WamSimParams(Params):
 
 
 class WamSim(Node):
-    """The arm as its driver presents it.
+    """Driver of the simulated arm.
 
     Attributes:
         params: Parameters of the node.
         on_torque: Callback for every valid torque command.
         counters: Events since the start, by name.
+        lockstep: True in lockstep, False in real time.
+        world: World to step, see `attach`.
+        stamp_offset_ns: Offset of the stamps from the time of the world [ns].
     """
 
     def __init__(self) -> None:
@@ -120,16 +120,16 @@ class WamSim(Node):
         self.lockstep = params.pace == "lockstep"
 
     def attach(self, world: World, on_frame: Callable[[MocapFrame, int, int], None]) -> None:
-        """Take charge of a world, and become a driver: until then there are no topics.
+        """Attach a world and create the topics and services of the driver.
 
         Args:
             world: World to step.
-            on_frame: Callback for its frames, with the stamp offset and the time [ns].
+            on_frame: Callback for motion-capture frames: frame, stamp offset [ns], time [ns].
         """
         self.world, self._on_frame = world, on_frame
         params, lockstep = self.params, self.lockstep
         self._connect()
-        # in real time the stamps are those of the system clock, as a driver's are
+        # in real time the stamps are of the system clock, like those of a real driver
         self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
         arm = Arm(world.urdf, params.model_joint_names, params.tool_frame, guarded=())
         self._control = PositionControl(arm, params.driver_compensates_gravity, PERIOD)
@@ -143,7 +143,7 @@ class WamSim(Node):
         self._description.publish(String(data=world.urdf))
 
     def _connect(self) -> None:
-        """Make the topics of the driver."""
+        """Create the topics of the driver."""
         params = self.params
         qos = interface.STATE_OUT_DEEP
         self._states = self.create_publisher(JointState, params.state_topic, qos)
@@ -170,19 +170,22 @@ class WamSim(Node):
 
     @property
     def stamp_ns(self) -> int:
-        """Stamp of the present state [ns]."""
+        """Stamp of the current state [ns]."""
         return self.world.time_ns + self.stamp_offset_ns
 
     def tick(self, reading: joint_messages.TorqueReading | None) -> JointState:
-        """Step the world with the newest torque, None if nothing new has come.
+        """Step the world.
+
+        Args:
+            reading: Newest torque; None if none has come since the last tick.
 
         Returns:
-            The state after it: the same message object every time.
+            The state after the step: the same message object every time.
         """
         world = self.world
         if reading is not None and reading.label != self._scene.label:
             if (self._scene.label, reading.label) == ("fault", "hold"):
-                world.idle = False  # who resets the controller has activated the arm
+                world.idle = False  # the controller was reset: the arm is active again
             self._scene.change(reading.label)
         tau = None if reading is None else reading.tau
         if self._barrett.deactivated:
@@ -198,13 +201,13 @@ class WamSim(Node):
         return self.state()
 
     def state(self) -> JointState:
-        """The present state as a message: the same object every time."""
-        sample, how = self.world.joint_state(), self.params.velocity
-        qd = sample.qd if how == "filled" else np.full(N, np.nan) if how == "nan" else ()
+        """Current state as a message: the same object every time."""
+        sample, velocity = self.world.joint_state(), self.params.velocity
+        qd = sample.qd if velocity == "filled" else np.full(N, np.nan) if velocity == "nan" else ()
         return self._write(self.stamp_ns, sample.q, qd, sample.tau)
 
     def publish(self, message: JointState) -> None:
-        """Publish a state and what comes beside it, and in lockstep the clock."""
+        """Publish a state, those of other devices, and in lockstep the clock."""
         if self._others is not None:
             still = np.zeros(len(self._others.joint_names))
             self._states.publish(self._others(self.stamp_ns, still, still, still))
@@ -221,22 +224,22 @@ class WamSim(Node):
             reading = joint_messages.torque(message, self.params.joint_names)
         except ValueError as error:
             self.counters["torques refused"] += 1
-            self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
-            sized = len(getattr(message, "data", self.params.joint_names))
-            if self.params.deactivates and sized != N:
+            self.get_logger().warning(f"torque refused: {error}", throttle_duration_sec=1.0)
+            size = len(getattr(message, "data", self.params.joint_names))
+            if self.params.deactivates and size != N:
                 self._barrett.deactivated = True
-                self.get_logger().error("deactivated: only zeros reach the arm now")
+                self.get_logger().error("deactivated: the arm receives zero torques from now on")
             return
         self.on_torque(reading)
 
     def report(self, values: dict[str, object]) -> None:
-        """Publish diagnostics, once a second; `values` are those of the loop."""
+        """Publish diagnostics with the `values` of the loop; called once a second."""
         world = self.world
-        doing = "idle" if world.idle else "own motion" if self._control.engaged else "commanded"
-        doing = "deactivated" if self._barrett.deactivated else doing
+        state = "idle" if world.idle else "own motion" if self._control.engaged else "commanded"
+        state = "deactivated" if self._barrett.deactivated else state
         values |= {"frozen": world.frozen, "label": self._scene.label, **self.counters}
         values["stamp of the last [ns]"] = self.stamp_ns
         now = self.get_clock().now().to_msg()
         self._diagnostics.publish(
-            diagnostics_message(now, component(self, "loop"), "stand-in", "ok", doing, values)
+            diagnostics_message(now, component(self, "loop"), "stand-in", "ok", state, values)
         )

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated world: an arm with a pan in a scene, its motors, sensors and driver; no ROS.
+"""Simulated world: an arm with a pan in a scene, its motors, sensors and driver; no ROS.
 
-After `reset(rollout_id, ...)` all that follows is a function of the seed, the id and the torques
-from the release on, so a rollout comes out the same on any machine, however it got there.
+After `reset(rollout_id, ...)` the world is a function of the seed, the id and the torques since the
+release, so a rollout is the same on any machine, whatever happened before.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from hardware_sim.ground_truth import LOG_TICKS, RolloutLog, Snapshot, Truth, ro
 from hardware_sim.motors import DirectDrives, Motors
 from hardware_sim.scenes import Scene
 from hardware_sim.scenes.flip import Flip
-from hardware_sim.sensors import Encoders, Mocap, MocapFrame, joint_counts
+from hardware_sim.sensors import Encoders, Mocap, MocapFrame, quantize_geared
 from hardware_sim.settings import SceneSettings, WorldSettings
 from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS, N
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.params.resources import share
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
-QUIET = "-quiet"  # a rollout whose id ends so is run without any noise
+QUIET = "-quiet"  # suffix of the id of a rollout without wind, offset and variation of the arm
 DROP_HEIGHT = 0.7  # [m]
-_SETTLE_STEPS = 900  # physics steps, at most, in which bodies come to rest
-_SETTLE_CHECK = 50  # steps from one check for rest to the next
-_SETTLE_SLICE = 10  # steps that may be done within a tick
-_SETTLED = 0.003  # [m/s] and [rad/s]: at rest
-_TRACE_TICKS = 5  # 100 Hz
+_SETTLE_STEPS = 900  # physics steps, at most, until bodies are at rest
+_SETTLE_CHECK = 50  # physics steps between checks for rest
+_SETTLE_SLICE = 10  # physics steps done within one tick
+_REST_SPEED = 0.003  # [m/s] and [rad/s] below which a body is at rest
+_TRACE_TICKS = 5  # ticks between poses of the trace: 100 Hz
 
 
 class JointSample(NamedTuple):
-    """Joint state as the arm's driver reports it, once a tick."""
+    """Joint state as the driver of the arm reports it every tick."""
 
     stamp_ns: int
     q: np.ndarray  # (7,) [rad]
     qd: np.ndarray  # (7,) [rad/s]
-    tau: np.ndarray  # (7,) commanded, the driver's own gravity torque included [N m]
+    tau: np.ndarray  # (7,) commanded, with the driver's own gravity torque [N m]
 
 
 class World:
@@ -54,17 +54,18 @@ class World:
         settings: Settings of the world.
         scene: Scene around the arm.
         time_ns: Time of the simulation [ns].
-        frozen: Clock and cameras go on; physics, encoders and commands wait for `release`.
-        idle: The motors are shorted and commands have no effect.
-        urdf: Text of the arm's description.
-        motors: The torque-speed envelope.
-        trace: Joint positions of arm and bodies since the release, 100 a second, once it is set to
-            []; None keeps none.
+        frozen: True while only clock and cameras go on; physics, encoders and commands wait for
+            `release`.
+        idle: True while the motors are shorted and commands have no effect.
+        urdf: Text of the arm's URDF.
+        motors: Torque limits of the motors.
+        trace: Set to [] to record joint positions of arm and bodies since the release, 100 a
+            second; None records nothing.
 
     Args:
         settings: Settings of the world; None for the defaults.
         seed: Seed of all noise.
-        make_scene: Makes the scene.
+        make_scene: Creates the scene.
     """
 
     def __init__(
@@ -73,52 +74,40 @@ class World:
         seed: int = 0,
         make_scene: Callable[[SceneSettings], Scene] = Flip,
     ) -> None:
-        self._given = settings = settings or WorldSettings()
+        self._nominal_settings = settings = settings or WorldSettings()
         self._make_scene = make_scene
         self.seed = seed
         arm = settings.arm
         self.urdf = share(arm.urdf).read_text()
-        # the driver's own model of the arm
-        self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)
+        self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)  # driver's model
         self._substeps = round(PERIOD / scene.TIMESTEP)
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
         self._encoders = Encoders()
         if arm.drives == "direct":
             self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
-            self._encoders = Encoders(joint_counts)
+            self._encoders = Encoders(quantize_geared)
         self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
         self._velocity = np.zeros(6)
-        self._build(unknown_world.drawn(settings, seed) if settings.unknown else settings)
+        self._build(unknown_world.draw(settings, seed) if settings.unknown else settings)
 
         self.time_ns = PERIOD_NS
-        self.frozen = False
-        self.idle = False
         self.trace: list[np.ndarray] | None = None
-        self._delayed: deque[list[float] | None] = deque()
         self.reset("start", self.scene.home if arm.home is None else np.array(arm.home))
         self.release()
 
     def _build(self, settings: WorldSettings) -> None:
-        """Take these settings, and the physics that have them."""
+        """Compile scene and physics for these settings."""
         self.settings = settings
         self.scene = self._make_scene(settings.scene)
         arm = settings.arm
-        self.model = model = scene.build(
-            self.urdf,
-            self.scene,
-            settings.scene.friction,
-            arm.tool,
-            arm.guarded,
-            arm.joints,
-            settings.payload,
-        )
+        self.model = model = scene.build(self.urdf, self.scene, settings)
         self.data = data = mujoco.MjData(model)
         self._pan = model.body(arm.tool).id
         self._friction = settings.friction_share * model.dof_frictionloss[:N]
         self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:N]).tolist()
-        # views into MuJoCo's own arrays
+        # views into MuJoCo's arrays
         self._q, self._qd, self._applied = data.qpos[:N], data.qvel[:N], data.qfrc_applied[:N]
-        self._others_qd = data.qvel[N:]
+        self._scene_qd = data.qvel[N:]
         columns = _free_joint(model, self.scene.body)
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
         self._pan_position = data.xpos[self._pan]
@@ -126,12 +115,12 @@ class World:
         self._log = RolloutLog(model, data, [point.name for point in arm.guarded], columns)
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
-        """Put the arm to rest and the bodies of the scene to rest in their places, and freeze them.
+        """Put the arm and the bodies of the scene to rest at the start of a rollout; freeze them.
 
-        What follows the release depends on the seed and `rollout_id` alone.
+        After the release the world depends on the seed and `rollout_id` alone.
 
         Args:
-            rollout_id: Name of the rollout; one that ends in `QUIET` has no noise but the cameras'.
+            rollout_id: Id of the rollout; with suffix `QUIET` only the cameras are noisy.
             q_start: Start posture [rad]. Shape (7,).
 
         Raises:
@@ -140,32 +129,32 @@ class World:
         deque(self.resetting(rollout_id, q_start), maxlen=0)
 
     def resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
-        """`reset` in slices, for a clock that may not wait; the world is frozen from the call on.
+        """Do `reset` in slices, between which ticks go on; the world is frozen from the call on.
 
         Raises:
-            ValueError: As `reset`, at once.
+            ValueError: As `reset`, before the first slice.
         """
         q_start = np.array(q_start, dtype=float)
         low, high = self.model.jnt_range[:N].T
         if q_start.shape != (N,) or not np.all((low <= q_start) & (q_start <= high)):
-            raise ValueError(f"q_start {q_start.tolist()} must be {N} joints within their limits")
+            raise ValueError(f"q_start {q_start.tolist()} must be {N} angles within their limits")
         self.frozen = True
         return self._resetting(rollout_id, q_start)
 
     def _resetting(self, rollout_id: str, q_start: np.ndarray) -> Iterator[None]:
-        if self._given.unknown == "rollout":
-            self._build(unknown_world.drawn(self._given, self.seed, rollout_id))
+        if self._nominal_settings.unknown == "rollout":
+            self._build(unknown_world.draw(self._nominal_settings, self.seed, rollout_id))
         key = [self.seed, zlib.crc32(rollout_id.encode())]
         rng = np.random.default_rng(key)
         self._mocap_rng = np.random.default_rng([*key, 1])
         self.rollout_id = rollout_id
         settings, model, data = self.settings, self.model, self.data
-        loud = 0.0 if rollout_id.endswith(QUIET) else 1.0
-        offset = loud * settings.scene.body_offset_sd * rng.standard_normal(2)
-        wind = loud * settings.wind_sd * rng.standard_normal(3)
-        scale = 1.0 + loud * settings.torque_scale_sd * rng.standard_normal(N)
+        noise = 0.0 if rollout_id.endswith(QUIET) else 1.0
+        offset = noise * settings.scene.body_offset_sd * rng.standard_normal(2)
+        wind = noise * settings.wind_sd * rng.standard_normal(3)
+        scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(N)
         scale *= settings.torque_constants
-        friction = 1.0 + loud * settings.friction_sd * rng.standard_normal(N)
+        friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(N)
         self._torque_scale: list[float] = scale.tolist()
         model.dof_frictionloss[:N] = self._friction * np.maximum(friction, 0.0)
         model.opt.wind[:] = 0.0
@@ -176,7 +165,7 @@ class World:
         self.scene.place(data, self._pan_position, self._pan_rotation, offset)
         gravity = self._arm.gravity(q_start)
         self._applied[:] = gravity
-        if self._others_qd.size:
+        if self._scene_qd.size:
             yield from self._settle(q_start)
         data.qvel[:] = 0.0
         model.opt.wind[:] = wind
@@ -186,52 +175,53 @@ class World:
         self._mocap.forget()
         self._command = [0.0] * N if settings.driver_compensates_gravity else gravity.tolist()
         self._effort: list[float] = gravity.tolist()
+        self._delayed: deque[list[float] | None]
         self._delayed = deque([self._command] * settings.command_delay_ticks)
-        self._since_command = 0
-        self._puller: Demonstrator | None = None
-        self._puller_start_ns = 0
+        self._ticks_since_command = 0
+        self._demonstrator: Demonstrator | None = None
+        self._grip_ns = 0
         self.idle = False
         self.frozen = True
         self._restart_log()
 
     def _settle(self, q_start: np.ndarray) -> Iterator[None]:
-        """Let the bodies come to rest around an arm that is held still."""
+        """Let the bodies come to rest while the arm is held still."""
         for step in range(1, _SETTLE_STEPS + 1):
             mujoco.mj_step(self.model, self.data)
             self._q[:] = q_start
             self._qd[:] = 0.0
-            if step % _SETTLE_CHECK == 0 and np.abs(self._others_qd).max() < _SETTLED:
+            if step % _SETTLE_CHECK == 0 and np.abs(self._scene_qd).max() < _REST_SPEED:
                 return
             if step % _SETTLE_SLICE == 0:
                 yield
 
     def release(self) -> None:
-        """Let the physics go on from the frozen state."""
+        """Continue the physics from the frozen state."""
         self.frozen = False
         self._mocap.restart(self.time_ns, self._mocap_rng)
         self._restart_log()
 
-    def attach(self, puller: Demonstrator | None) -> None:
-        """Let somebody lead the pan from now on, or nobody any more."""
-        self._puller, self._puller_start_ns = puller, self.time_ns
+    def attach(self, demonstrator: Demonstrator | None) -> None:
+        """Let a demonstrator guide the pan from now on; None lets go of it."""
+        self._demonstrator, self._grip_ns = demonstrator, self.time_ns
         self.data.xfrc_applied[self._pan] = 0.0
 
     def drop(self) -> None:
-        """Let the tracked body fall from `DROP_HEIGHT` over the pan, z level: least drag on a disc.
+        """Drop the tracked body from `DROP_HEIGHT` above the pan, z level: least drag on a disc.
 
         Raises:
             ValueError: The scene has no tracked body.
         """
         if not self._body.size:
-            raise ValueError("the scene has no body that could be dropped")
+            raise ValueError("the scene has no tracked body to drop")
         self._body[:] = [*self._pan_position, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]
         self._body[2] += DROP_HEIGHT
         self._body_twist[:] = 0.0
 
     @property
     def pulled(self) -> bool:
-        """Whether an external force still acts on the pan."""
-        return self._puller is not None
+        """Whether a demonstrator guides the pan."""
+        return self._demonstrator is not None
 
     @property
     def pan_pose(self) -> tuple[np.ndarray, np.ndarray]:
@@ -239,22 +229,22 @@ class World:
         return self._pan_position.copy(), self._pan_rotation.copy()
 
     def joint_state(self) -> JointSample:
-        """Joint state as sensed now."""
+        """Current joint state as measured."""
         encoders = self._encoders
         return JointSample(
             self.time_ns, np.array(encoders.q), np.array(encoders.qd), np.array(self._effort)
         )
 
     def mocap_frames(self) -> list[MocapFrame]:
-        """Frames of the tracked body delivered since the last call; none without one."""
+        """Frames delivered since the last call; none if the scene has no tracked body."""
         return self._mocap.delivered(self.time_ns)
 
     def step(self, tau_cmd: np.ndarray | None) -> None:
-        """One tick of 2 ms.
+        """Advance by one tick of 2 ms.
 
         Args:
-            tau_cmd: Commanded torques (7,) [N m], or None without a new command: the last one
-                holds, with a watchdog for 10 ms; then the driver compensates gravity, damped.
+            tau_cmd: Commanded torques [N m], shape (7,). None without a new command: the last one
+                stays, with a watchdog for 10 ms; then the driver compensates gravity, damped.
 
         Raises:
             ValueError: The torques are not seven finite numbers.
@@ -267,9 +257,9 @@ class World:
             self._delayed.append(command)
             command = self._delayed.popleft()
             if command is None:
-                self._since_command += 1
+                self._ticks_since_command += 1
             else:
-                self._command, self._since_command = command, 0
+                self._command, self._ticks_since_command = command, 0
             saturated = self._advance()
             self._encoders.read(self._q.tolist())
             self._record(saturated)
@@ -277,27 +267,26 @@ class World:
             self._mocap.expose(self.time_ns, self._body[:3].copy(), rotation_of(self._body))
 
     def _advance(self) -> bool:
-        """Motors and physics of one tick; returns whether a motor gave less than commanded."""
+        """Step motors and physics by one tick; returns whether a motor was at its limit."""
         qd, saturated = self._qd.tolist(), False
         if self.idle:
             self._effort = [0.0] * N
             self._applied[:] = self.motors.braking(qd)
         else:
-            wanted = self._wanted()
-            self._effort = wanted
-            given = self.motors.limit(wanted, qd)
-            saturated = given is not wanted
+            self._effort = self._commanded_torque()
+            given = self.motors.limit(self._effort, qd)
+            saturated = given is not self._effort
             self._applied[:] = [a * b for a, b in zip(given, self._torque_scale, strict=True)]
-        if self._puller is None:
+        if self._demonstrator is None:
             mujoco.mj_step(self.model, self.data, self._substeps)
         else:
             for substep in range(self._substeps):
-                self._pull(substep)
+                self._guided_step(substep)
         return saturated
 
-    def _wanted(self) -> list[float]:
-        """Joint torques (7,) the driver asks of the motors [N m]."""
-        if self.settings.watchdog and self._since_command > WATCHDOG_TICKS:
+    def _commanded_torque(self) -> list[float]:
+        """Joint torques (7,) that the driver commands to the motors [N m]."""
+        if self.settings.watchdog and self._ticks_since_command > WATCHDOG_TICKS:
             damped = zip(self._gravity(), self._watchdog_damping, self._encoders.qd, strict=True)
             return [g - d * qd for g, d, qd in damped]
         if self.settings.driver_compensates_gravity:
@@ -307,16 +296,16 @@ class World:
     def _gravity(self) -> list[float]:
         return self._arm.gravity(np.array(self._encoders.q)).tolist()
 
-    def _pull(self, substep: int) -> None:
-        """One physics step under the external force."""
+    def _guided_step(self, substep: int) -> None:
+        """Do one physics step with the force of the demonstrator."""
         model, data = self.model, self.data
         mujoco.mj_step1(model, data)
-        if self._puller is not None:
+        if self._demonstrator is not None:
             mujoco.mj_objectVelocity(
                 model, data, mujoco.mjtObj.mjOBJ_XBODY, self._pan, self._velocity, 0
             )
-            elapsed = (self.time_ns - PERIOD_NS - self._puller_start_ns) * 1e-9
-            wrench = self._puller.wrench(
+            elapsed = (self.time_ns - PERIOD_NS - self._grip_ns) * 1e-9
+            wrench = self._demonstrator.wrench(
                 elapsed + substep * scene.TIMESTEP,
                 self._pan_position,
                 self._pan_rotation,
@@ -324,15 +313,15 @@ class World:
             )
             applied = data.xfrc_applied[self._pan]
             if wrench is None:
-                self._puller = None
+                self._demonstrator = None
                 applied[:] = 0.0
-            else:  # MuJoCo wants it at the centre of mass
+            else:  # MuJoCo applies it at the centre of mass
                 applied[:3] = wrench[:3]
                 lever = self._pan_position - data.xipos[self._pan]
                 applied[3:] = wrench[3:] + np.cross(lever, wrench[:3])
         mujoco.mj_step2(model, data)
 
-    # The ground truth
+    # Ground truth
 
     def _restart_log(self) -> None:
         if self.trace is not None:
@@ -347,14 +336,14 @@ class World:
         self._log.record(saturated)
 
     def truth(self) -> Truth:
-        """Id of the rollout, the scene's truth since the release, and `RolloutLog.arm_truth`."""
+        """Ground truth since the release: id, outcome by the scene, `RolloutLog.arm_truth`."""
         now = Snapshot(self._body, *self._arm.tool_pose(self._q))
         truth, peaks = self.scene.truth(self._log, now), self._log.arm_truth(self.motors)
         return {"id": self.rollout_id, **truth, **peaks}
 
 
 def _free_joint(model: mujoco.MjModel, body: str) -> tuple[slice, slice]:
-    """Columns of a body's free joint in qpos and qvel; empty for "".
+    """Columns of a body's free joint in qpos and qvel; empty if the name is "".
 
     Raises:
         ValueError: The body is not on a free joint.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robot object, by the example of its page, which runs here (`py`, not `python`: only once)."""
+"""The robot object: the example of its page is run here (`py`, not `python`: only here)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from wam_power_ros.view.live import View
 
 @pytest.fixture(scope="module")
 def example() -> dict[str, Any]:
-    """Names of the example, once it has run over DDS."""
+    """Variables of the example after its run over DDS."""
     before, names = dict(os.environ), {}
     (block,) = blocks("docs/robot.md", "py")
     exec(compile(block, "docs/robot.md", "exec"), names)
@@ -30,7 +30,7 @@ def example() -> dict[str, Any]:
     return names
 
 
-def test_the_arm_is_where_it_was_told_to_go_and_holds(example: dict[str, Any]) -> None:
+def test_the_arm_holds_at_the_requested_posture(example: dict[str, Any]) -> None:
     start, moved = example["start"], example["moved"]
     np.testing.assert_allclose(moved.q, example["home"], atol=0.02)
     assert np.abs(moved.qd).max() < 0.05
@@ -39,7 +39,7 @@ def test_the_arm_is_where_it_was_told_to_go_and_holds(example: dict[str, Any]) -
     assert np.linalg.norm(moved.position - start.position) > 0.02
 
 
-def test_what_was_taught_is_a_demonstration_that_was_replayed(example: dict[str, Any]) -> None:
+def test_the_taught_demonstration_was_replayed(example: dict[str, Any]) -> None:
     assert np.ptp(example["demonstration"].position[:, 2]) > 0.1
     assert "rms" in example["tracking"]
 
@@ -52,7 +52,7 @@ def test_a_rollout_follows_its_policy_and_is_recorded(example: dict[str, Any]) -
     assert len(executed.rollout.body.t) > 10 and executed.bag.startswith("rollout")
 
 
-def test_a_place_beyond_the_limits_is_refused_before_anything_is_sent() -> None:
+def test_a_posture_beyond_the_limits_is_refused_before_anything_is_sent() -> None:
     never = robot.Robot.__new__(robot.Robot)
     never.arm = robot.Arm(
         robot.share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)]
@@ -80,11 +80,11 @@ def test_a_controller_that_is_busy_is_asked_again_and_one_that_refuses_is_not() 
         answers = [Answer(code, "then"), Answer(Code.BUSY, "not read within 5 s")]
         asking = robot.Robot.__new__(robot.Robot)
         asking._calls = SimpleNamespace(call=lambda *_, timeout: answers.pop())  # noqa: B023
-        assert asking._replayed() == Answer(code, "then")
+        assert asking._request_replay() == Answer(code, "then")
 
 
 def names(node: Node) -> set[str]:
-    """Topics and services of a node, without those that every node has."""
+    """Topics and services of a node, without those of every node."""
     of = (node.get_name(), node.get_namespace())
     found = [
         *node.get_publisher_names_and_types_by_node(*of),

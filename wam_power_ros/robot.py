@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """An arm as a Python object, for scripts and notebooks.
 
-It uses the services that the command line uses, of nodes that run already (`connect`) or of
-stand-ins that it starts (`simulated`). A call returns when the arm has done it; Ctrl-C, or the
-interrupt of a notebook, stops the arm. It is no safety function.
+It uses the same services as the command line, of running nodes (`connect`) or of stand-ins that it
+starts (`simulated`). A call returns when the motion has ended; Ctrl-C, or the interrupt of a
+notebook, stops the arm. It is no safety function.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
 CONTROLLER, RECORDER = "torque_controller", "demonstration_recorder"  # nodes
-STATE_TIMEOUT = 60.0  # [s of wall time] for a joint state of nodes that may start now, or a receipt
+STATE_TIMEOUT = 60.0  # [s of wall time] for a joint state or a receipt; nodes may be starting
 MOVE_TIMEOUT = 3600.0  # [s of wall time]
-BUSY_PERIOD = 0.1  # [s of wall time] until a controller that was busy is asked again
-REPORTS = 8  # callbacks at most for reports that have come meanwhile
-REST = np.linspace(0.0, 0.1, 6)  # times of the movement that rests at a place [s]
+BUSY_RETRY_PERIOD = 0.1  # [s of wall time] between requests to a busy controller
+CALLBACKS_MAX = 8  # per call of `state`
+REST_TIMES = np.linspace(0.0, 0.1, 6)  # [s] of a movement that rests at one posture
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +57,11 @@ class RobotState:
 
     Attributes:
         q: Joint angles [rad]. Shape (n,).
-        qd: Joint speeds [rad/s], None when the driver sends none. Shape (n,).
+        qd: Joint speeds [rad/s], None if the driver sends none. Shape (n,).
         position: Position of the tool in the base frame [m]. Shape (3,).
         rotation: Axes of the tool as columns. Shape (3, 3).
-        mode: Mode of the controller, as it reported last (once a second); "" before it did.
-        report: Text of that report, such as that of a fault; "" before it came.
+        mode: Mode of the controller in its last report, sent once a second; "" before the first.
+        report: Text of that report, such as a fault; "" before the first.
     """
 
     q: np.ndarray
@@ -73,15 +73,18 @@ class RobotState:
 
 
 class Robot:
-    """One arm whose nodes run; made by `connect` or `simulated`.
+    """An arm whose nodes are running; created by `connect` or `simulated`.
 
     Attributes:
         arm: Model of the arm.
-        joint_names: Joints of the driver, base to tip.
+        joint_names: Joint names of the driver, base to tip.
+
+    Args:
+        node: Node that nothing else spins.
+        setup: Parameters of the arm's nodes.
     """
 
     def __init__(self, node: Node, setup: overlay.Setup) -> None:
-        """Use a node that nobody else spins, under a set-up of `overlay.setup`."""
         controller, body = setup[CONTROLLER], setup["pancake_tracker"]["body"]
         self.arm = Arm(
             share(controller["urdf"]).read_text(),
@@ -104,33 +107,33 @@ class Robot:
         self._movements = node.create_publisher(
             JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED
         )
-        # Spun by `state` alone: a callback for each of 500 states a second would cost a core.
+        # Spun by `state` alone: callbacks for 500 states a second would use a whole core.
         newest = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
         listener = rclpy.create_node(
             "robot_states", namespace=node.get_namespace(), context=node.context
         )
         listener.create_subscription(JointState, self._state_topic, self._on_state, newest)
-        self._listening = SingleThreadedExecutor(context=node.context)
-        self._listening.add_node(listener)
+        self._listener_executor = SingleThreadedExecutor(context=node.context)
+        self._listener_executor.add_node(listener)
         node.create_subscription(
             DiagnosticArray, interface.DIAGNOSTICS, self._on_report, interface.DIAGNOSTICS_QOS
         )
 
     def state(self) -> RobotState:
-        """The next state that the driver publishes.
+        """Wait for the next state of the driver.
 
         Raises:
-            ServiceError: None comes.
-            ValueError: It is not acceptable.
+            ServiceError: No state is received in time.
+            ValueError: The state is not valid.
         """
-        self._listening.spin_once(timeout_sec=0.0)  # takes what may be old
+        self._listener_executor.spin_once(timeout_sec=0.0)  # discards an old state
         self._states.clear()
-        end = time.monotonic() + STATE_TIMEOUT
+        deadline = time.monotonic() + STATE_TIMEOUT
         while not self._states:
-            self._listening.spin_once(timeout_sec=0.1)
-            if time.monotonic() > end:
+            self._listener_executor.spin_once(timeout_sec=0.1)
+            if time.monotonic() > deadline:
                 raise ServiceError(f"no state on {self._state_topic} in {STATE_TIMEOUT:.0f} s")
-        for _ in range(REPORTS):
+        for _ in range(CALLBACKS_MAX):
             self._executor.spin_once(timeout_sec=0.0)
         reading = self._read(self._states[-1])
         if reading is None:
@@ -139,10 +142,10 @@ class Robot:
         return RobotState(reading.q, reading.qd, position, rotation, self._mode, self._report)
 
     def move_to(self, q: Sequence[float]) -> None:
-        """Move to joint angles [rad], shape (n,), at the controller's own pace, and hold.
+        """Move to joint angles [rad], shape (n,), at the controller's move speed, and hold.
 
         Raises:
-            ValueError: They are not of this arm, or beyond its limits.
+            ValueError: The number of angles is wrong, or an angle is beyond its limits.
             ServiceError: The controller refuses, or the arm did not arrive.
         """
         q = np.asarray(q, dtype=float)
@@ -150,22 +153,22 @@ class Robot:
         if q.shape != low.shape or not np.all((q >= low) & (q <= high)):
             limits = f"{low.tolist()} to {high.tolist()}"
             raise ValueError(f"q {q.tolist()} must be {len(low)} angles within {limits}")
-        self._follow(REST, np.tile(q, (len(REST), 1)))
+        self._follow(REST_TIMES, np.tile(q, (len(REST_TIMES), 1)))
 
     def teach(self, lead: Callable[[], object] | None = None) -> Path:
         """Record a demonstration under gravity compensation; the arm holds afterwards.
 
         Args:
-            lead: Returns when the person has led the arm, such as `lambda: input("Enter")`; None
-                for the simulated demonstrator.
+            lead: Returns when the person has finished guiding the arm by hand, such as
+                `lambda: input("Enter")`; None for the simulated demonstrator.
 
         Returns:
-            Bag of the demonstration.
+            Path of the bag.
 
         Raises:
             ServiceError: A service refuses or does not answer.
         """
-        self._calls.until(self._recorder_listens, f"{RECORDER} listens")
+        self._calls.until(self._recorder_subscribed, f"the subscription of {RECORDER}")
         insist = self._calls.insist
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
         try:
@@ -184,18 +187,18 @@ class Robot:
         return Path(bag)
 
     def replay(self, bag: Path | str, speed: float = 1.0) -> str:
-        """Repeat a recorded movement and hold.
+        """Replay a recorded movement and hold.
 
         Args:
-            bag: A demonstration, or any bag with joint states of this arm.
-            speed: 1 for as recorded.
+            bag: Path of a bag with joint states of this arm.
+            speed: Speed relative to the recording.
 
         Returns:
-            Tracking error, as the controller reports it.
+            Tracking error as text, reported by the controller.
 
         Raises:
             ValueError: The bag or the speed is not acceptable.
-            ServiceError: The controller refuses, or the movement was not finished.
+            ServiceError: The controller refuses, or the movement did not finish.
         """
         recorded = reader.read_demonstration(bag, self.joint_names, arm=self.arm.identity())
         return self._follow(*replay_trajectory.movement(*recorded, speed)).text
@@ -205,21 +208,21 @@ class Robot:
 
         Args:
             policy: Policy to execute.
-            ready: Says what is missing before it may begin, by the state of the tracked body;
-                `Task.ready` of a task does.
+            ready: Returns what is missing before it may begin, given the state of the tracked body,
+                as `Task.ready` does; "" for nothing.
 
         Returns:
             Paths of tool and body, fault if any, bag, and ground truth of a simulation.
 
         Raises:
-            RolloutError: It could not be begun, or its end did not come in time.
+            RolloutError: The rollout could not begin, or did not end in time.
         """
-        whole = policy.basis.duration + self._settle_time
+        duration = policy.basis.duration + self._settle_time
         with self._stopping():
-            return self._rollouts.execute(policy, whole, ready)
+            return self._rollouts.execute(policy, duration, ready)
 
     def stop(self) -> None:
-        """End any movement and hold. No safety function.
+        """End any movement and hold; no safety function.
 
         Raises:
             ServiceError: The controller refuses or does not answer.
@@ -227,40 +230,45 @@ class Robot:
         self._calls.insist(Trigger, interface.STOP)
 
     def _follow(self, t: np.ndarray, q: np.ndarray) -> Answer:
-        """Go to the start of a movement (N,), (N, n), follow it and hold."""
+        """Move to the start of a movement, follow it and hold.
+
+        Args:
+            t: Times [s]. Shape (N,).
+            q: Joint angles [rad]. Shape (N, n).
+        """
         self.stop()  # succeeds once the controller is active
-        heard = self._movements.get_subscription_count
-        if not self._calls.until(heard, f"reader of {interface.REPLAY_TRAJECTORY}", STATE_TIMEOUT):
-            raise ServiceError(f"nobody reads {interface.REPLAY_TRAJECTORY}")
+        topic, subscribed = interface.REPLAY_TRAJECTORY, self._movements.get_subscription_count
+        if not self._calls.until(subscribed, f"a subscriber of {topic}", STATE_TIMEOUT):
+            raise ServiceError(f"{topic} has no subscriber: is the controller running?")
         self._movements.publish(movement_message(self.joint_names, JointMovement(t, q)))
-        # Topics and services are not ordered: asked earlier, it would repeat the movement before.
+        # Topics and services are not ordered: without this the last movement might be repeated.
         if not self._movements.wait_for_all_acked(Duration(seconds=STATE_TIMEOUT)):
-            raise ServiceError(f"a movement on {interface.REPLAY_TRAJECTORY} was not received")
-        answer = self._replayed()
+            raise ServiceError(f"the movement on {topic} was not received")
+        answer = self._request_replay()
         if answer is None or answer.code is not Code.DONE:
             raise ServiceError(f"{interface.REPLAY}: {answer or 'no answer'}")
         return answer
 
-    def _replayed(self) -> Answer | None:
-        """Answer to a replay, asked for again while the controller has not read the movement."""
-        end = time.monotonic() + STATE_TIMEOUT
+    def _request_replay(self) -> Answer | None:
+        """Answer to a replay, requested again while the controller has not read the movement."""
+        deadline = time.monotonic() + STATE_TIMEOUT
         with self._stopping():
             while True:
                 answer = self._calls.call(Trigger, interface.REPLAY, timeout=MOVE_TIMEOUT)
-                if answer is None or answer.code is not Code.BUSY or time.monotonic() > end:
+                if answer is None or answer.code is not Code.BUSY or time.monotonic() > deadline:
                     return answer
-                time.sleep(BUSY_PERIOD)
+                time.sleep(BUSY_RETRY_PERIOD)
 
     @contextmanager
     def _stopping(self) -> Iterator[None]:
-        """Stop the arm when what is done here is interrupted."""
+        """Stop the arm on an interrupt."""
         try:
             yield
         except KeyboardInterrupt:
             self.stop()
             raise
 
-    def _recorder_listens(self) -> bool:
+    def _recorder_subscribed(self) -> bool:
         infos = self._node.get_subscriptions_info_by_topic(self._state_topic)
         return RECORDER in {info.node_name for info in infos}
 
@@ -276,18 +284,18 @@ class Robot:
 
 @contextmanager
 def connect(*config: str, namespace: str = "") -> Iterator[Robot]:
-    """Arm whose nodes run in this DDS domain.
+    """Connect to an arm whose nodes run in this DDS domain.
 
     Args:
-        config: Set-ups that they were started with.
-        namespace: Namespace that they are in, such as `left`.
+        config: Set-ups with which the nodes were started.
+        namespace: Namespace of the nodes, such as `left`.
 
     Raises:
-        ValueError: A set-up is not known, or names no URDF.
+        ValueError: A set-up is unknown, or none names a URDF.
     """
     setup = overlay.setup(config)
     if not setup[CONTROLLER]["urdf"]:
-        raise ValueError(f"set-ups {list(config)} must name a urdf")
+        raise ValueError(f"none of the set-ups {list(config)} names a urdf")
     make = lambda: rclpy.create_node("robot", namespace=namespace)  # noqa: E731
     with participant(make, SignalHandlerOptions.NO) as node:
         yield Robot(node, setup)
@@ -295,15 +303,15 @@ def connect(*config: str, namespace: str = "") -> Iterator[Robot]:
 
 @contextmanager
 def simulated(folder: Path | str, task: str = "flip", seed: int = 0) -> Iterator[Robot]:
-    """Arm whose nodes and stand-ins are started here, in a DDS domain of their own.
+    """Start an arm's nodes and stand-ins, in a DDS domain of their own.
 
     Args:
-        folder: For bags and logs.
-        task: Task whose scene is simulated.
+        folder: Folder for bags and logs.
+        task: Name of the task whose scene is simulated.
         seed: Seed of the simulation.
 
     Raises:
-        UsageError: Another launcher is at work in the folder, or its disk is nearly full.
+        UsageError: Another launcher uses the folder, or its disk is nearly full.
         ValueError: There is no such task.
     """
     options = argparse.Namespace(config=[], simulate=False)

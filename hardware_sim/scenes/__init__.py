@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes: what surrounds the arm in one task, one module a task.
+"""Scenes: the surroundings of the arm in a task, one module per task.
 
-A scene is found by its entry point in the group `wam_power_ros.scenes`, so that another package can
-bring one.
+A scene is found by its entry point in the group `wam_power_ros.scenes`, so that other packages can
+provide scenes.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ GROUP = "wam_power_ros.scenes"  # of entry points
 
 
 class Scene(Protocol):
-    """Bodies around the arm, the demonstration of the task, and the ground truth of a rollout.
+    """Bodies around the arm, demonstrations of the task, and ground truth of a rollout.
 
     Attributes:
-        body: Name of the MuJoCo body that is tracked, on a free joint; "" for none. Topics and
-            services follow it. An attribute of the class.
+        body: Name of the tracked MuJoCo body, on a free joint; "" for none. Topics and services are
+            named after it. A class attribute.
         home: Posture in which demonstrations begin [rad]. Shape (7,).
         home_sd: Standard deviation of that posture, per joint [rad].
     """
@@ -37,36 +37,32 @@ class Scene(Protocol):
     def __init__(self, settings: SceneSettings) -> None: ...
 
     def build(self, spec: mujoco.MjSpec) -> None:
-        """Add the bodies to a model of the arm, its pan and the ground."""
-        ...
+        """Add the bodies to a model of arm, pan and ground."""
 
     def place(
         self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
     ) -> None:
-        """Put the bodies to where a rollout begins; they come to rest before it does.
+        """Put the bodies to their initial positions; they settle before a rollout begins.
 
         Args:
-            data: State, just reset, the arm in its start posture.
+            data: State to change, just reset, the arm in its start posture.
             position: Position of the tool [m]. Shape (3,).
             rotation: Rotation of the tool. Shape (3, 3).
             offset: Random offset in the plane of the pan [m]. Shape (2,).
         """
-        ...
 
     def script(self, rng: np.random.Generator) -> Script:
-        """Draw a demonstration."""
-        ...
+        """Draw a random demonstration."""
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
-        """Outcome of a rollout as plain data."""
-        ...
+        """Outcome of a rollout, from its log and the current state."""
 
 
 def scene_type(name: str) -> type[Scene]:
-    """Class of a scene.
+    """Class of the scene with this name.
 
     Raises:
-        ValueError: No installed package has a scene of this name, or it cannot be imported.
+        ValueError: No installed package has such a scene, or it cannot be imported.
     """
     points = {point.name: point for point in entry_points(group=GROUP)}
     if not points:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pancake flipping: the pancake in the pan, the toss that is demonstrated, and what came of it."""
+"""Scene of pancake flipping: pancake, demonstrated toss, and outcome of a toss."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from wam_power_ros.tasks.flip.frames import PAN_RADIUS, PANCAKE_RADIUS
 
 BODY = "pancake"
 HALF_HEIGHT = 0.0025  # [m] of the pancake
-MASS = 0.026  # [kg] of the pancake, the paper's
-TILT = math.radians(25.0)  # of the pan at HOME, front down [rad]
-DIP = 0.3  # [s] from a level pan to that tilt
-HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] the pan tilted by TILT
-LEVEL = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -52.0, 0.0])  # [rad] the same, the pan level
+MASS = 0.026  # [kg] of the pancake, as in the paper
+TILT = math.radians(25.0)  # [rad] of the pan at HOME, front edge down
+DIP_TIME = 0.3  # [s] from a level pan to that tilt
+HOME = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -27.0, 0.0])  # [rad] pan tilted by TILT
+LEVEL = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -52.0, 0.0])  # [rad] pan level
 HOME.setflags(write=False)
 LEVEL.setflags(write=False)
 WRIST_TO_PAN = 0.34  # [m] from the wrist to the pan's centre
@@ -43,7 +43,7 @@ class Flip:
         self.home = LEVEL if settings.level else HOME
 
     def build(self, spec: mujoco.MjSpec) -> None:
-        """Add the pancake, white above and yellow below as the paper's."""
+        """Add the pancake, white above and yellow below as in the paper."""
         radius = PANCAKE_RADIUS * self._settings.body_size
         body = spec.worldbody.add_body(name=BODY, pos=[0.0, 0.0, 2.0])
         body.add_freejoint(name=BODY)
@@ -57,7 +57,7 @@ class Flip:
             **scene.body_contact(self._settings.friction),
         )
         for sign, colour in ((1.0, [0.97, 0.97, 0.95, 1.0]), (-1.0, [0.96, 0.70, 0.10, 1.0])):
-            body.add_geom(  # drawn, not felt
+            body.add_geom(  # visual only
                 type=mujoco.mjtGeom.mjGEOM_CYLINDER,
                 size=[0.97 * radius, 0.0004, 0.0],
                 pos=[0.0, 0.0, sign * (HALF_HEIGHT + 0.0002)],
@@ -70,42 +70,41 @@ class Flip:
     def place(
         self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
     ) -> None:
-        """Lay the pancake into the pan."""
+        """Place the pancake in the pan."""
         pancake = data.joint(BODY).qpos
         pancake[:3] = position + rotation @ [*offset, 0.003]
         mujoco.mju_mat2Quat(pancake[3:], rotation.ravel())
 
     def script(self, rng: np.random.Generator) -> TossScript:
-        """Draw a toss."""
+        """Draw a random toss."""
         settings = self._settings
         return wrist_flick(rng, pitch_rate=settings.pitch_rate, level=settings.level)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a toss.
 
-        * caught: The pancake lies flat on the pan's floor now (centre under 12 mm, |cos| over .98).
+        * caught: The pancake now lies flat on the pan's floor (centre under 12 mm, |cos| over .98).
         * flipped: It lies on its other side.
-        * tossed: It rose over `DELTA_H` and fell through it again.
-        * t_f: Time at which it fell through [s since the release]; None when not tossed.
-        * angle_deg: Rotation from rest until then about the axis of the throw, beyond half a turn
-          as well [degrees].
+        * tossed: It rose above `DELTA_H` and fell below it again.
+        * t_f: Time at which it fell below [s since the release]; None if not tossed.
+        * angle_deg: Unwrapped rotation from rest until then about the axis of the throw [degrees].
         * true_flip: Caught, flipped, and turned by 150 to 240 degrees in the air.
-        * apex: Highest point over the pan's height at the start [m].
-        * landing_error: Pancake less pan at t_f, along x and y [m]; two.
+        * apex: Highest point above the pan's initial height [m].
+        * landing_error: Position of pancake minus pan at t_f, along x and y [m]; two.
         """
         height = log.body[:, 2]
         error, angle, t_f = [0.0, 0.0], 0.0, None
-        at = _fallen(height - log.tool[:, 2])
-        if at is not None:
-            t_f = (at + 1) * PERIOD
-            error = (log.body[at, :2] - log.tool[at, :2]).tolist()
-            angle = math.degrees(_turned(log, at))
-        caught, flipped = _lies(now)
+        landing = _landing(height - log.tool[:, 2])
+        if landing is not None:
+            t_f = (landing + 1) * PERIOD
+            error = (log.body[landing, :2] - log.tool[landing, :2]).tolist()
+            angle = math.degrees(_turned(log, landing))
+        caught, flipped = _caught_flipped(now)
         start = log.start.position[2]
         return {
             "caught": caught,
             "flipped": flipped,
-            "tossed": at is not None,
+            "tossed": landing is not None,
             "t_f": t_f,
             "angle_deg": angle,
             "true_flip": caught and flipped and 150.0 <= angle <= 240.0,
@@ -114,8 +113,8 @@ class Flip:
         }
 
 
-def _lies(now: Snapshot) -> tuple[bool, bool]:
-    """Whether the pancake lies flat in the pan, and on its other side."""
+def _caught_flipped(now: Snapshot) -> tuple[bool, bool]:
+    """Whether the pancake lies flat in the pan, and whether on its other side."""
     pan = now.rotation
     x, y, z = (pan.T @ (now.body[:3] - now.position)).tolist()
     cosine = float(rotation_of(now.body)[:, 2] @ pan[:, 2])
@@ -124,7 +123,7 @@ def _lies(now: Snapshot) -> tuple[bool, bool]:
 
 
 def _turned(log: RolloutLog, end: int) -> float:
-    """Angle of the pancake's normal from the release to a row of the log, unwrapped [rad]."""
+    """Unwrapped rotation angle of the pancake's normal from the release to row `end` [rad]."""
     normal_start = rotation_of(log.start.body)[:, 2]
     quat_xyzw = log.body[: end + 1, [4, 5, 6, 3]]
     x, y, z, w = quat_xyzw.T
@@ -134,7 +133,7 @@ def _turned(log: RolloutLog, end: int) -> float:
     begin = max(0, end - round(0.1 / PERIOD))  # the last 0.1 s of the flight
     omega = rotations.matrix(quat_xyzw[begin:]) @ log.body_twist[begin : end + 1, 3:, None]
     axis = omega.mean(axis=0)[:, 0]
-    axis -= (axis @ normal_start) * normal_start  # a disc may spin about its normal
+    axis -= (axis @ normal_start) * normal_start  # without spin about the normal
     length = float(np.linalg.norm(axis))
     if length < 1e-6:
         return 0.0
@@ -143,8 +142,8 @@ def _turned(log: RolloutLog, end: int) -> float:
     return float(np.unwrap(np.arctan2(normals @ across, normals @ normal_start))[-1])
 
 
-def _fallen(height: np.ndarray) -> int | None:
-    """First index after the highest point at which a height is under `DELTA_H`, if it ever rose."""
+def _landing(height: np.ndarray) -> int | None:
+    """First index after the apex with a height below `DELTA_H`; None without a toss."""
     risen = np.flatnonzero(height > DELTA_H)
     if len(risen) == 0:
         return None
@@ -158,14 +157,14 @@ def _fallen(height: np.ndarray) -> int | None:
 
 @dataclass(frozen=True)
 class TossScript:
-    """A planar toss: keys of the wrist and of the pan's pitch, relative to where it begins.
+    """Planar toss: keyframes of wrist position and pan pitch, relative to the initial pose.
 
     Attributes:
-        t: Times of the keys, the first at 0 [s]. Shape (n,).
+        t: Times of the keyframes, the first at 0 [s]. Shape (n,).
         wrist: Position of the wrist, x outward and z up [m]. Shape (n, 2).
         wrist_speed: Velocity of the wrist [m/s]. Shape (n, 2).
         pitch: Pitch of the pan, front edge up [rad]. Shape (n,).
-        pitch_rate: Rate of the pitch [rad/s]. Shape (n,).
+        pitch_rate: Pitch rate [rad/s]. Shape (n,).
     """
 
     t: np.ndarray
@@ -209,29 +208,29 @@ def wrist_flick(
     pitch_rate: float = PITCH_RATE,
     level: bool = False,
 ) -> TossScript:
-    """A toss from the wrist: flick the front edge up, follow under the pancake, cushion its fall.
+    """Draw a toss from the wrist: flick the front edge up, follow the pancake, cushion its fall.
 
-    It begins at `HOME`, the pan tilted forward and the pancake slid against the front of the rim,
-    as a cook does: from there a flick throws it the same way every time. From a level pan the front
-    edge is dipped first, and the pancake slides there.
+    It begins at `HOME` with the pan tilted forward, so that the pancake rests against the front of
+    the rim and a flick throws it the same way every time. From a level pan the front edge is dipped
+    first, and the pancake slides there.
 
     Args:
-        rng: Generator of the differences between demonstrations.
-        spread: Scale of these differences: 0 for the intended toss, 1 for a person's.
+        rng: Random generator.
+        spread: Scale of the differences between tosses: 0 for the intended toss, 1 for a person's.
         pitch_rate: Intended pitch rate at the release [rad/s].
-        level: Whether it begins at `LEVEL`, the pan level and the pancake in its middle.
+        level: True to begin at `LEVEL`, the pan level and the pancake in its middle.
     """
 
     def scatter(sd: float, *shape: int) -> np.ndarray:
         return spread * sd * rng.standard_normal(shape)
 
-    durations = np.array([0.22, 0.30, 0.35]) * (1.0 + scatter(0.06, 3))  # rise, under, cushion [s]
+    durations = np.array([0.22, 0.30, 0.35]) * (1.0 + scatter(0.06, 3))  # rise, follow, cushion [s]
     wrist = np.array([[0.03, 0.02], [0.03, 0.08], [0.0, 0.02]]) + scatter(0.012, 3, 2)
     wrist_speed = np.array([0.75, 0.3]) + scatter(0.15, 2)
     pitch = np.deg2rad([35.0, 30.0, 22.0]) + scatter(np.deg2rad(4.0), 3)  # from the tilted pan
     rate = pitch_rate * (1.0 + float(scatter(0.08)))
-    dips, tilt = ([DIP], TILT) if level else ([], 0.0)
-    begin = 1 + len(dips)  # keys before the toss, less one: all at rest
+    dips, tilt = ([DIP_TIME], TILT) if level else ([], 0.0)
+    begin = 1 + len(dips)  # keyframes at rest before the toss, minus one
     still = np.zeros((begin + 1, 2))
     return TossScript(
         np.concatenate([[0.0], PAUSE + np.concatenate([[0.0], np.cumsum([*dips, *durations])])]),

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reaching past an obstacle: a sphere in the way, the reach that is demonstrated, its clearance.
+"""Scene of reaching past an obstacle: sphere, demonstrated reach, and clearance of a reach.
 
-The obstacle is drawn and not felt: contact is the centre of the tool within 1 mm of the sphere.
+The sphere is visual only: a touch is the centre of the tool within 1 mm of it.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.settings import SceneSettings
 
-HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] the pan level, right
+HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] pan level, right
 HOME.setflags(write=False)
-GOAL = np.array([0.78, 0.25, 0.6])  # [m] half a metre to the left of where the pan is at `HOME`
+GOAL = np.array([0.78, 0.25, 0.6])  # [m] half a metre to the left of the pan at `HOME`
 GOAL.setflags(write=False)
-TOUCH_TOLERANCE = 0.001  # [m] the controller, which stops at the obstacle, has encoders only
+TOUCH_TOLERANCE = 0.001  # [m]; the controller stops at the obstacle by its encoders
 
 
 class Reach:
@@ -49,19 +49,19 @@ class Reach:
     def place(
         self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
     ) -> None:
-        """Nothing has to be placed."""
+        """There is nothing to place."""
 
     def script(self, rng: np.random.Generator) -> ReachScript:
-        """Draw a reach."""
+        """Draw a random reach."""
         return reach(rng)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a reach.
 
         * touched: The tool's centre was within `TOUCH_TOLERANCE` of the obstacle, or inside.
-        * clearance: Least distance of the tool's centre from the obstacle's surface [m], negative
-          inside; None without an obstacle.
-        * goal_distance: Least distance of the tool's centre from `GOAL` [m].
+        * clearance: Smallest distance of the tool's centre from the obstacle's surface [m],
+          negative inside; None without an obstacle.
+        * goal_distance: Smallest distance of the tool's centre from `GOAL` [m].
         """
         path = np.vstack([log.start.position, log.tool])
         clearance = None
@@ -76,13 +76,13 @@ class Reach:
 
 @dataclass(frozen=True)
 class ReachScript:
-    """A reach to a place in an arc, the pan kept as it was taken: minimum jerk, a little warped.
+    """Reach to a goal in an arc with constant orientation: minimum jerk with warped time.
 
     Attributes:
-        goal: Last position [m]. Shape (3,).
-        arc: Offset of its middle from the straight line [m]. Shape (3,).
+        goal: Final position [m]. Shape (3,).
+        arc: Offset of the middle of the path from the straight line [m]. Shape (3,).
         duration: Duration of the movement [s].
-        warp: In (-1, 1); positive when the first half of the way is the faster one.
+        warp: In (-1, 1); positive if the first half of the path is faster.
     """
 
     goal: np.ndarray
@@ -111,11 +111,11 @@ class ReachScript:
 
 
 def reach(rng: np.random.Generator, spread: float = 1.0) -> ReachScript:
-    """A reach of half a metre in 2 s, from `HOME` to `GOAL` with an arc of 6 cm.
+    """Draw a reach of half a metre in 2 s, from `HOME` to `GOAL` with an arc of 6 cm.
 
     Args:
-        rng: Generator of the differences between demonstrations.
-        spread: Scale of these differences: 0 for the intended reach, 1 for a person's.
+        rng: Random generator.
+        spread: Scale of the differences between reaches: 0 for the intended one, 1 for a person's.
     """
     goal = GOAL + spread * 0.01 * rng.standard_normal(3)
     arc = np.array([0.0, 0.0, 0.06]) + spread * 0.01 * rng.standard_normal(3)

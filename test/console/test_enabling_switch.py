@@ -24,7 +24,7 @@ def test_a_key_is_held_while_it_repeats_and_released_soon_after() -> None:
     key = HeldKey()
     assert not key.held(0.0)
     key.press(10.0)
-    assert key.held(10.0 + 0.99 * FIRST_REPEAT)  # before a terminal repeats it for the first time
+    assert key.held(10.0 + 0.99 * FIRST_REPEAT)  # before the first repetition
     assert not key.held(10.0 + FIRST_REPEAT)
     now = 20.0
     key.press(now)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person's feedback: a request for every kind the command line offers, an answer for each."""
+"""Feedback of a person: one request and one answer for every kind."""
 
 from __future__ import annotations
 

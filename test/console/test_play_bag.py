@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag played as topics: what was recorded is heard again, and nothing that moves an arm."""
+"""A bag played as topics, without those that move an arm."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def messages(path: Path, *topics: str) -> dict[str, list[bytes]]:
 
 
 def span(path: Path) -> int:
-    """Time of reception of the first to the last joint state [ns]."""
+    """Time from the receipt of the first to that of the last joint state [ns]."""
     stamps = [stamp_ns for _, stamp_ns, _ in reader.messages(path, [layout.STATES])]
     return stamps[-1] - stamps[0]
 
@@ -52,7 +52,7 @@ def offered(path: Path) -> dict[str, set[tuple[str, str]]]:
     }
 
 
-def test_a_shipped_demonstration_is_heard_and_recorded_again_message_by_message(
+def test_a_played_demonstration_is_recorded_again_message_by_message(
     probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
     topics = [layout.STATES, "/pancake/pose", "/pancake/state", "/robot_description"]
@@ -75,10 +75,10 @@ def test_a_shipped_demonstration_is_heard_and_recorded_again_message_by_message(
     assert messages(again, *topics) == wanted
     before = offered(DEMONSTRATION)
     assert offered(again) == {name: before[name] for name in (*topics, layout.EVENT)}
-    assert span(again) > 1.3 * span(DEMONSTRATION)  # 2, but for what a busy machine delays
+    assert span(again) > 1.3 * span(DEMONSTRATION)  # 2 without delays of a busy machine
 
 
-def test_what_commands_or_releases_an_arm_is_never_played(tmp_path: Path) -> None:
+def test_topics_that_command_or_enable_an_arm_are_never_played(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "bag")
     states = {"/a/joint_states": "heard", "/b/torques": "not", "/c/joint_commands": "not"}
     for topic in states:
@@ -102,7 +102,7 @@ def test_what_commands_or_releases_an_arm_is_never_played(tmp_path: Path) -> Non
         select_topics(path, ["/a/joint_states", "/b/torques"])
 
 
-def test_no_torque_is_played_and_nothing_beside_a_driver(
+def test_no_torque_is_played_and_no_topic_with_another_publisher(
     probe: Probe, processes: Processes
 ) -> None:
     probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT, readers=0)
@@ -113,7 +113,7 @@ def test_no_torque_is_played_and_nothing_beside_a_driver(
     assert "/joint_states is published by probe too" in said
 
 
-def test_ctrl_c_ends_a_bag_that_is_played(probe: Probe, processes: Processes) -> None:
+def test_ctrl_c_ends_playback(probe: Probe, processes: Processes) -> None:
     heard = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_IN)
     player = playing(processes, REACH, "--rate", 0.01, "--topics", layout.STATES)
     probe.until(lambda: heard, "a state")
@@ -129,7 +129,7 @@ def test_ctrl_c_ends_a_bag_that_is_played(probe: Probe, processes: Processes) ->
         ([REACH, "--rate", "0"], "rate 0.0 must be positive"),
     ],
 )
-def test_what_cannot_be_played_is_refused_with_the_reason(
+def test_an_invalid_request_is_refused_with_the_reason(
     capsys: pytest.CaptureFixture[str], arguments: list[object], why: str
 ) -> None:
     assert main.main(["play", *map(str, arguments)]) == 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text to and from the person at the terminal."""
+"""Terminal output and input."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_a_question_is_answered_by_enter_and_not_by_a_closed_input(
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     assert ask("Press Enter: ") is answered
-    assert capsys.readouterr() == ("", "Press Enter: ")  # what is piped holds results alone
+    assert capsys.readouterr() == ("", "Press Enter: ")  # a pipe gets results only
 
 
 def test_a_line_is_written_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

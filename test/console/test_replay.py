@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `replay` on the stand-in: done, refused, and stopped by Ctrl-C."""
+"""The command `replay` on the stand-in: finished, refused, stopped by Ctrl-C."""
 
 from __future__ import annotations
 
@@ -37,7 +37,9 @@ def replaying(*arguments: object) -> subprocess.Popen[str]:
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0])
-def test_a_shipped_bag_is_replayed_and_its_error_told(tmp_path: Path, speed: float) -> None:
+def test_a_shipped_bag_is_replayed_and_its_tracking_error_reported(
+    tmp_path: Path, speed: float
+) -> None:
     process = replaying(REACH, "--speed", speed, "--folder", tmp_path)
     said = process.communicate(timeout=900.0)[0]
     assert process.returncode == 0, said
@@ -51,11 +53,11 @@ def test_a_shipped_bag_is_replayed_and_its_error_told(tmp_path: Path, speed: flo
     _, wanted = reader.read_demonstration(REACH, NAMES)
     _, done = reader.read_demonstration(made, NAMES)
     np.testing.assert_allclose(done[-1], wanted[-1], atol=0.03)
-    assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # it was at the start
+    assert np.abs(done - wanted[0]).max(axis=1).min() < 0.03  # at the start
 
 
 @pytest.mark.parametrize("speed", [0.5, 2.0])
-def test_the_possible_speed_is_given_as_the_option_to_ask_for(speed: float) -> None:
+def test_the_possible_speed_is_given_as_a_value_of_the_option(speed: float) -> None:
     too_fast = Answer(Code.TOO_FAST, "refused", {"speed": "0.400"})
     assert with_possible_speed(too_fast, speed) == (
         f"refused; possible at --speed {0.4 * speed:.2f}"
@@ -63,7 +65,7 @@ def test_the_possible_speed_is_given_as_the_option_to_ask_for(speed: float) -> N
     assert with_possible_speed(Answer(Code.STOPPED, "stopped"), speed) == "stopped"
 
 
-def test_what_is_no_bag_is_refused_before_anything_starts(
+def test_an_invalid_bag_or_speed_is_refused_before_any_node_starts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["replay", str(tmp_path / "none"), "--folder", str(tmp_path / "r")]) == 2
@@ -119,4 +121,4 @@ def test_a_replay_that_is_stopped_leaves_the_arm_holding_and_its_bag_closed(
     (made,) = (tmp_path / "bags").iterdir()
     assert not made.name.endswith(layout.UNFINISHED)
     _, q = reader.read_demonstration(made, NAMES)
-    assert np.abs(q[-1] - q[-10]).max() < 1e-3  # it holds
+    assert np.abs(q[-1] - q[-10]).max() < 1e-3  # at rest

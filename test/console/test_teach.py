@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A series of takes on a terminal: kept, done again, thrown away, ended, interrupted."""
+"""A series of takes in a terminal: kept, repeated, discarded, ended, interrupted."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class Terminal:
         return self.text
 
     def press(self, key: str, takes: int) -> None:
-        """Press a key and Enter at the prompt after a take, the `takes`th recorded."""
+        """Press a key and Enter at the prompt after take number `takes`."""
         self._probe.until(lambda: self.read().count("Enter: keep") == takes, "a prompt")
         os.write(self._master, f"{key}\n".encode())
 
@@ -91,12 +91,12 @@ def _done(_: object, response: Trigger.Response) -> Trigger.Response:
 def terminal(
     probe: Probe, processes: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Terminal]:
-    """Teaching that has begun."""
+    """Teaching in progress."""
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
 
     series.write(tmp_path / series.FILE, [demonstration(tmp_path / "bags/old", random_q(5))])
-    recorder = subprocess.Popen(  # the node that is waited for before the first take
+    recorder = subprocess.Popen(  # teaching waits for it before the first take
         [sys.executable, "-c", RECORDER], env=processes.environment
     )
     probe.publisher(JointState, "/states", QoSProfile(depth=1))
@@ -117,12 +117,12 @@ rclpy.spin(node)
 """
 
 
-def test_takes_are_added_done_again_thrown_away_and_ended(terminal: Terminal) -> None:
-    terminal.press("a", 1)  # once more
+def test_takes_are_kept_repeated_and_discarded_and_the_series_is_ended(terminal: Terminal) -> None:
+    terminal.press("a", 1)  # repeat
     terminal.press("", 2)
     terminal.press("what?", 3)  # asked again
-    terminal.press("d", 4)  # and none in its place
-    terminal.press("q", 5)  # this one was the last that was asked for anyway
+    terminal.press("d", 4)  # not repeated
+    terminal.press("q", 5)  # also the last one requested
     assert terminal.ended() == 0, terminal.text
     assert terminal.kept() == ["old", "demo_1", "demo_3"]
     trash = terminal.file.parent / "bags" / series.TRASH
@@ -130,7 +130,7 @@ def test_takes_are_added_done_again_thrown_away_and_ended(terminal: Terminal) ->
     assert terminal.text.count("\a") == 8  # start and end of each take
 
 
-def test_what_was_taken_before_ctrl_c_is_in_the_series(terminal: Terminal) -> None:
+def test_takes_before_ctrl_c_are_in_the_series(terminal: Terminal) -> None:
     terminal.press("", 1)
     terminal.press("", 2)
     terminal._probe.until(lambda: terminal.read().count("Enter: keep") == 3, "a prompt")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds of the tests in this folder, and what is done with them."""
+"""Settings and helpers for the worlds of the tests in this folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.params.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()
-LEVEL = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])  # [rad] the pan is level
+LEVEL = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])  # [rad] pan level
 CALM = WorldSettings(  # no wind, no offset, the same arm in every rollout
     wind_sd=0.0, torque_scale_sd=0.0, friction_sd=0.0, scene=SceneSettings(body_offset_sd=0.0)
 )
@@ -24,7 +24,7 @@ def holding_torque(world: World, q: np.ndarray = LEVEL) -> np.ndarray:
 
 
 def begin(world: World, rollout_id: str = "trial-0001", q: np.ndarray = LEVEL) -> np.ndarray:
-    """Reset and release; returns the gravity torque of the start."""
+    """Reset and release; returns the gravity torque of the start posture."""
     world.reset(rollout_id, q)
     world.release()
     return holding_torque(world, q)

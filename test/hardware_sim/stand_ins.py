@@ -30,7 +30,7 @@ def arm_model() -> Arm:
 
 
 class Hardware:
-    """The stand-ins in a process, and a controller in another when asked for.
+    """The stand-ins in a process, and on request a controller in another.
 
     Args:
         probe: Node of the test.
@@ -64,7 +64,7 @@ class Hardware:
         probe.until(lambda: self.messages, "the first state")
 
     def state(self, index: int = -1) -> joint_messages.JointReading:
-        """One of the states that have come."""
+        """One of the received states."""
         return self._read(self.messages[index])
 
     def control(self) -> None:
@@ -94,7 +94,7 @@ class Hardware:
         return label == "hold"
 
     def label(self) -> str:
-        """What the controller does, as the stand-in reports once a second."""
+        """Activity of the controller, as the stand-in reports it once a second."""
         return diagnosis(self.diagnostics, "wam_sim").get("label", "")
 
     def ask(self, name: str) -> Answer:
@@ -103,7 +103,7 @@ class Hardware:
         return read(response.success, response.message)
 
     def free(self) -> None:
-        """Let the arm be led, in gravity compensation."""
+        """Begin gravity compensation."""
         request = SetBool.Request(data=True)
         assert self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success
 
@@ -113,11 +113,10 @@ class Hardware:
         assert self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success
 
     def insist(self, name: str) -> str:
-        """Call a service until it agrees; returns the id of the policy it was done for.
+        """Call a service until it succeeds; returns the id of the policy in its answer.
 
-        Latched messages may still be on their way.
-
-        In real time a starved machine makes a fault; an operator would reset it and ask again.
+        Latched messages may still be on their way. In real time a busy machine may cause a fault,
+        which is reset as by an operator.
         """
         answers = []
 

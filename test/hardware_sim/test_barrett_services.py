@@ -13,7 +13,7 @@ from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface
 
 
-def test_barretts_services_hold_idle_and_give_the_arm_back(
+def test_barretts_services_hold_idle_and_release_the_arm(
     probe: Probe, processes: Processes
 ) -> None:
     hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
@@ -27,7 +27,7 @@ def test_barretts_services_hold_idle_and_give_the_arm_back(
     assert not home.done()
     assert probe.call(Trigger, interface.WAM_IDLE).success
     probe.until(home.done, "the move home is answered")
-    assert not home.result().success  # idle came between
+    assert not home.result().success  # interrupted by idle
     assert probe.call(SetBool, interface.WAM_GRAVITY_COMPENSATE, SetBool.Request(data=True)).success
 
 

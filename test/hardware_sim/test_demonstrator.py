@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demonstrator: its targets, its forces, and how it lets go."""
+"""The demonstrator: its targets, forces and release."""
 
 from __future__ import annotations
 
@@ -23,40 +23,42 @@ def demonstrator() -> Demonstrator:
 
 
 @pytest.mark.parametrize("draw", [wrist_flick, reach])
-def test_the_wanted_velocities_are_those_of_the_wanted_poses(
+def test_target_velocities_are_the_derivatives_of_target_poses(
     draw: Callable[[np.random.Generator], Script],
 ) -> None:
-    puller = Demonstrator(draw(np.random.default_rng(3)), POSITION, ROTATION)
-    small = 1e-6
-    for t in np.linspace(0.01, puller.script.end - 0.01, 50):
-        before, after = puller.target(t - small), puller.target(t + small)
-        _, _, velocity, omega = puller.target(t)
-        np.testing.assert_allclose(velocity, (after[0] - before[0]) / (2 * small), atol=1e-5)
+    script = draw(np.random.default_rng(3))
+    step = 1e-6
+    for t in np.linspace(0.01, script.end - 0.01, 50):
+        before, now, after = (
+            script.target(t + dt, POSITION, ROTATION) for dt in (-step, 0.0, step)
+        )
+        _, _, velocity, omega = now
+        np.testing.assert_allclose(velocity, (after[0] - before[0]) / (2 * step), atol=1e-5)
         turned = rotations.log(after[1] @ before[1].T)
-        np.testing.assert_allclose(omega, turned / (2 * small), atol=1e-5)
+        np.testing.assert_allclose(omega, turned / (2 * step), atol=1e-5)
 
 
 def test_the_demonstrator_pulls_towards_its_target_and_no_harder_than_a_person() -> None:
-    puller = demonstrator()
-    assert not puller.wrench(0.0, POSITION, ROTATION, STILL).any()
-    aside = puller.wrench(0.0, POSITION + ASIDE, ROTATION, STILL)
+    hand = demonstrator()
+    assert not hand.wrench(0.0, POSITION, ROTATION, STILL).any()
+    aside = hand.wrench(0.0, POSITION + ASIDE, ROTATION, STILL)
     np.testing.assert_allclose(aside, [-30.0, 0.0, 0.0, 0.0, 0.0, 0.0], atol=1e-9)
     turned = rotations.exp(np.array([0.0, 0.1, 0.0])) @ ROTATION
-    twisted = puller.wrench(0.0, POSITION, turned, STILL)
+    twisted = hand.wrench(0.0, POSITION, turned, STILL)
     np.testing.assert_allclose(twisted, [0.0, 0.0, 0.0, 0.0, -6.0, 0.0], atol=1e-9)
-    moving = puller.wrench(0.0, POSITION, ROTATION, np.array([0.1, 0, 0, 0, 0, 1.0]))
+    moving = hand.wrench(0.0, POSITION, ROTATION, np.array([0.1, 0, 0, 0, 0, 1.0]))
     np.testing.assert_allclose(moving, [-12.0, 0.0, 0.0, 0.0, 0.0, -3.0], atol=1e-9)
-    torn = puller.wrench(0.0, POSITION + 1.0, rotations.exp(np.ones(3)) @ ROTATION, STILL)
+    torn = hand.wrench(0.0, POSITION + 1.0, rotations.exp(np.ones(3)) @ ROTATION, STILL)
     assert np.linalg.norm(torn[:3]) == pytest.approx(FORCE_MAX)
     assert np.linalg.norm(torn[3:]) == pytest.approx(MOMENT_MAX)
 
 
-def test_the_demonstrator_lets_go_after_its_script_and_not_with_a_jerk() -> None:
-    puller = demonstrator()
-    end = puller.script.end
-    position, rotation = puller.target(end)[:2]
+def test_the_demonstrator_releases_smoothly_after_its_script() -> None:
+    hand = demonstrator()
+    end = hand.script.end
+    position, rotation = hand.script.target(end, POSITION, ROTATION)[:2]
     forces = [
-        puller.wrench(end + late, position + ASIDE, rotation, STILL)
+        hand.wrench(end + late, position + ASIDE, rotation, STILL)
         for late in (0.0, 0.1, 0.2, 0.299, 0.31)
     ]
     assert [None if f is None else round(-f[0], 1) for f in forces] == [30.0, 20.0, 10.0, 0.1, None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A simulation and a robot never share a domain: who comes second gives way."""
+"""A simulation and a robot never share a domain: the later one does not start."""
 
 from __future__ import annotations
 
@@ -41,15 +41,17 @@ rclpy.spin(node)
 
 
 def driver(processes: Processes, *kinds: str) -> None:
-    """A process like that of ros2_control; without states it only listens."""
+    """Start a process like that of ros2_control; without states it only subscribes."""
     process = processes.start([sys.executable, "-c", DRIVER, *kinds])
     while "driver" not in processes.output(process):
         time.sleep(0.02)
 
 
 def named(node: str, output: str) -> bool:
-    """Whether a refusal names a node, whose name may become known later than its topics."""
-    return any(f"{who} " in output for who in (f"node '{node}'", "a program without a name"))
+    """Whether a refusal names a node, whose name may be discovered later than its topics."""
+    return any(
+        f"{who} " in output for who in (f"node '{node}'", "a participant without a node name")
+    )
 
 
 @pytest.mark.requirement("S-55")
@@ -70,7 +72,7 @@ def test_beside_a_driver_a_simulation_refuses_to_run_and_publishes_nothing(
         probe.until(lambda process=process: process.poll() is not None, "a refusal")
         assert process.returncode == 2
         assert named("effort_controller", processes.output(process))
-        assert "a simulation must not meet a robot" in processes.output(process)
+        assert "a simulation must not share a domain with a robot" in processes.output(process)
         assert "Traceback" not in processes.output(process)
     assert states == models == []
 
@@ -143,11 +145,16 @@ def test_a_plot_may_listen_when_it_is_named(probe: Probe, processes: Processes) 
     probe.until(lambda: torques, "a torque at the plot")
 
 
-PARAMETERS = {"pace": "realtime", "state_topic": "arm/states"}
+PARAMETERS = {
+    "pace": "real_time",
+    "state_topic": "arm/states",
+    "command_topic": "commands",
+    "listeners": [],
+}
 
 
 def graph(topic: str) -> SimpleNamespace:
-    """A node that sees one publisher of joint states, whose name is not known."""
+    """A node that sees one publisher of joint states without a node name."""
     unnamed = driver_watch.UNNAMED
     seen = SimpleNamespace(endpoint_gid=b"", node_name=unnamed, node_namespace=unnamed)
     return SimpleNamespace(
@@ -155,7 +162,7 @@ def graph(topic: str) -> SimpleNamespace:
         get_name=lambda: "wam_sim",
         get_parameter=lambda name: SimpleNamespace(value=PARAMETERS[name]),
         resolve_topic_name=lambda name: f"/left/{name}",
-        get_topic_names_and_types=lambda: [(topic, [driver_watch.STATES])],
+        get_topic_names_and_types=lambda: [(topic, [driver_watch.STATE_TYPE])],
         get_subscriptions_info_by_topic=lambda _: [],
         get_publishers_info_by_topic=lambda asked: [seen] if asked == topic else [],
     )
@@ -166,14 +173,14 @@ def test_a_publisher_of_another_namespace_is_given_time_to_be_named_and_one_of_o
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 0.0
-    monkeypatch.setattr(driver_watch.DriverWatch, "_own_process", lambda _: b"")
+    monkeypatch.setattr(driver_watch.DriverWatch, "_find_own_gid_prefix", lambda _: b"")
     monkeypatch.setattr(driver_watch.time, "monotonic", lambda: now)
-    elsewhere = driver_watch.DriverWatch(graph("/right/joint_states"), "commands", [])
-    ours = driver_watch.DriverWatch(graph("/left/arm/states"), "commands", [])
+    elsewhere = driver_watch.DriverWatch(graph("/right/joint_states"))
+    ours = driver_watch.DriverWatch(graph("/left/arm/states"))
     now = 1.0
     assert elsewhere.look() == ""
-    assert ours.look() == "a program without a name publishes /left/arm/states"
-    now = 0.9 + driver_watch.DISCOVERY
+    assert ours.look() == "a participant without a node name publishes /left/arm/states"
+    now = 0.9 + driver_watch.DISCOVERY_TIME
     assert elsewhere.look() == ""
-    now = 1.5 + driver_watch.DISCOVERY
-    assert elsewhere.look() == "a program without a name publishes /right/joint_states"
+    now = 1.5 + driver_watch.DISCOVERY_TIME
+    assert elsewhere.look() == "a participant without a node name publishes /right/joint_states"

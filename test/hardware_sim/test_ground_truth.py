@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Peaks of the arm in the log of a rollout."""
+"""Peak values of the arm in the log of a rollout."""
 
 from __future__ import annotations
 

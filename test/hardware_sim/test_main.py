@@ -20,7 +20,7 @@ from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.stamps import nanoseconds
 
 
-def test_in_lockstep_one_torque_is_one_step_and_none_is_none(
+def test_in_lockstep_each_torque_advances_the_world_by_one_step(
     probe: Probe, processes: Processes
 ) -> None:
     hardware = Hardware(probe, processes, "lockstep")
@@ -37,7 +37,7 @@ def test_in_lockstep_one_torque_is_one_step_and_none_is_none(
         probe.until(
             lambda step=step: hardware.state().stamp_ns == before.stamp_ns + step * TICK, "one step"
         )
-    torques.publish(write(before.stamp_ns, "hold", tau))  # an old answer
+    torques.publish(write(before.stamp_ns, "hold", tau))  # outdated
     probe.spin(0.2)
     assert hardware.state().stamp_ns == before.stamp_ns + 19 * TICK
     assert nanoseconds(clock[-1].clock) == hardware.state().stamp_ns
@@ -67,13 +67,13 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
         probe.until(lambda: hardware.label() == "hold", "hold again")
     assert results[0] == results[1]
     assert results[0] == results[2]
-    for other in frames[1:]:  # a busy test may miss some of 30 a second of simulated time
+    for other in frames[1:]:  # a busy test may miss some frames
         both = frames[0].keys() & other.keys()
         assert len(both) >= 5
         assert {at: frames[0][at] for at in both} == {at: other[at] for at in both}
     assert truth["id"] == policy.id
     assert truth["caught"]
-    other = hardware.rollout(lift("trial-0002"), (0.0, 0.0))[0]  # another id, another draw of noise
+    other = hardware.rollout(lift("trial-0002"), (0.0, 0.0))[0]  # other noise
     assert pose_messages.path(other).position.tolist() != results[0][1]
 
 
@@ -87,17 +87,15 @@ def test_in_real_time_states_come_500_times_a_second_with_the_wall_clock(
     probe.until(lambda: len(hardware.messages) >= 1000, "a thousand states")
     stamps = [hardware.state(i).stamp_ns for i in range(1000)]
     assert set(np.diff(stamps)) == {TICK}  # none lost, none between
-    assert abs(stamps[0] - begun) < 500_000_000  # as the system clock says
-    assert time.time_ns() >= stamps[-1]  # not faster than that
+    assert abs(stamps[0] - begun) < 500_000_000  # stamps of the system clock
+    assert time.time_ns() >= stamps[-1]  # not ahead of it
     probe.until(lambda: len(clouds) >= 50, "camera frames")
     spacing = np.diff([pose_messages.markers(cloud)[0] for cloud in clouds])
     assert np.median(spacing) == pytest.approx(1e9 / 30.0, abs=TICK)
     assert pose_messages.markers(clouds[-1])[2].shape == (4, 3)
 
 
-def test_in_lockstep_which_takes_all_the_time_there_is_no_priority_is_asked_for(
-    probe: Probe, processes: Processes
-) -> None:
+def test_in_lockstep_no_real_time_priority_is_requested(probe: Probe, processes: Processes) -> None:
     hardware = Hardware(probe, processes, "lockstep", realtime_priority=70)
     hardware.control()
     for process in (hardware.process, hardware.controller):
@@ -119,7 +117,7 @@ def test_links_that_lose_and_jitter_are_survived(probe: Probe, processes: Proces
         command_loss=0.02,
     )
     hardware.control()
-    for _ in range(3):  # a machine that stands still for 20 ms makes a fault of its own
+    for _ in range(3):  # a machine that pauses for 20 ms causes a fault
         hardware.holds()
         held = hardware.state().q
         probe.spin(2.0)
@@ -137,7 +135,7 @@ def test_links_that_lose_and_jitter_are_survived(probe: Probe, processes: Proces
         ({"wam_sim:obstacle": [0.5, 0.0, 0.5]}, "obstacle.3 is missing"),
     ],
 )
-def test_a_scene_that_does_not_fit_is_refused_at_the_start(
+def test_a_wrong_scene_configuration_is_refused_at_start(
     processes: Processes, wrong: dict[str, object], reason: str
 ) -> None:
     process = processes.node("hardware_sim.main", *CONFIGS, **wrong)

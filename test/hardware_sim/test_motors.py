@@ -16,7 +16,7 @@ from hardware_sim.wam import CABLE_LIMIT, MOTOR_OF_JOINT
 
 
 @given(arrays(float, 7, elements=st.floats(-20.0, 20.0)))
-def test_joint_and_motor_motion_are_each_others_inverse(q: np.ndarray) -> None:
+def test_joint_motion_is_the_inverse_of_motor_motion(q: np.ndarray) -> None:
     np.testing.assert_allclose(motor_motion(q.tolist()), MOTOR_OF_JOINT @ q, atol=1e-9)
     np.testing.assert_allclose(joint_motion(motor_motion(q.tolist())), q, atol=1e-12)
 
@@ -29,7 +29,7 @@ speeds = arrays(float, 7, elements=st.floats(-30.0, 30.0))
 
 @settings(max_examples=300)
 @given(torques, speeds, st.sampled_from([36.0, 48.0, 80.0]))
-def test_no_motor_gives_more_than_its_envelope_and_none_less_than_asked_within(
+def test_motor_torques_are_cut_at_the_envelope_and_unchanged_within(
     tau: np.ndarray, qd: np.ndarray, voltage: float
 ) -> None:
     motors = Motors(voltage)
@@ -39,7 +39,7 @@ def test_no_motor_gives_more_than_its_envelope_and_none_less_than_asked_within(
     assert (np.abs(got) <= CABLE_LIMIT * (1.0 + 1e-9)).all()
     driven = got * speed > 0.0
     over = np.abs(speed) >= motors.motor_no_load_speed
-    assert (np.abs(got[driven & over]) < 1e-9).all()  # beyond the no-load speed nothing drives
+    assert (np.abs(got[driven & over]) < 1e-9).all()  # no driving torque beyond the no-load speed
     braking = wanted * speed <= 0.0
     full = np.abs(wanted) <= CABLE_LIMIT
     np.testing.assert_allclose(
@@ -58,7 +58,7 @@ def test_torque_is_full_up_to_a_speed_and_zero_at_no_load(joint: int) -> None:
         return float(motors.limit(list(1e3 * one), list(speed * one))[joint])
 
     full, no_load = motors.full_torque_speed[joint], motors.no_load_speed[joint]
-    # Barrett's figures: J4 has its 28.8 N m to 4.36 rad/s and turns at most at 5.57
+    # Barrett's data: J4 has 28.8 N m up to 4.36 rad/s and a no-load speed of 5.57 rad/s
     assert given_at(0.0) == pytest.approx(motors.tau_max[joint])
     assert given_at(full) == pytest.approx(motors.tau_max[joint])
     assert given_at(0.5 * (full + no_load)) == pytest.approx(0.5 * motors.tau_max[joint])
@@ -84,7 +84,7 @@ def test_joints_that_share_motors_share_their_torque() -> None:
 
 
 @pytest.mark.parametrize("voltage", [20.0, 100.0, math.nan])
-def test_a_bus_voltage_the_arm_cannot_have_is_refused(voltage: float) -> None:
+def test_a_bus_voltage_out_of_range_is_refused(voltage: float) -> None:
     with pytest.raises(ValueError, match="36 to 90 V"):
         Motors(voltage)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A link that delays, jitters and loses."""
+"""Latency, jitter and loss of a link."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from hardware_sim.network_link import Link
 
 
 @given(st.integers(0, 2**32), st.lists(st.integers(0, 5_000_000), min_size=1, max_size=50))
-def test_nothing_overtakes_on_a_link_and_the_seed_decides(seed: int, gaps: list[int]) -> None:
+def test_items_on_a_link_keep_their_order_and_depend_on_the_seed_alone(
+    seed: int, gaps: list[int]
+) -> None:
     def arrivals() -> list[tuple[int, int]]:
         link = Link(0.004, 0.003, 0.2, np.random.default_rng(seed))
         now, arrived = 0, []

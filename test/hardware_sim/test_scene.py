@@ -58,7 +58,7 @@ def test_a_gripper_is_locked_and_meshes_are_left_out() -> None:
     assert model.body("finger").mass == pytest.approx(0.1)
 
 
-def test_the_arm_keeps_its_figures_in_the_scene(arm: Arm, world: World) -> None:
+def test_the_arm_keeps_its_properties_in_the_scene(arm: Arm, world: World) -> None:
     model = world.model
     assert model.body_mass[1 : model.body("pancake").id].sum() == pytest.approx(
         19.459 + 9.971 + 0.6, abs=1e-3
@@ -67,7 +67,7 @@ def test_the_arm_keeps_its_figures_in_the_scene(arm: Arm, world: World) -> None:
     np.testing.assert_array_equal(model.jnt_range[:7].T, [arm.q_min, arm.q_max])
     np.testing.assert_allclose(world.motors.no_load_speed, arm.qd_max, rtol=2e-3)
     np.testing.assert_allclose(world.motors.tau_max, arm.tau_max, rtol=4e-3)
-    assert sum(model.geom_group == 1) > 10  # there is an arm to be seen
+    assert sum(model.geom_group == 1) > 10  # the shapes of the arm
 
 
 def test_the_guarded_points_are_those_of_the_arm_model(arm: Arm, world: World) -> None:
@@ -86,7 +86,7 @@ def test_the_guarded_points_are_those_of_the_arm_model(arm: Arm, world: World) -
 
 
 @pytest.mark.parametrize(
-    ("q", "tool_plate"),  # from Barrett's DH table, computed apart from this model
+    ("q", "tool_plate"),  # from Barrett's DH table, independent of this model
     [
         ((0.0,) * 7, (0.0, 0.0, 1.2569)),
         ((0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0), (0.43670872, 0.0, 1.14538996)),

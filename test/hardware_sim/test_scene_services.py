@@ -32,7 +32,7 @@ def test_a_reset_is_refused_without_a_policy_and_away_from_its_start(
     assert away.values == {"policy": far.id}
 
 
-def test_the_demonstrator_leads_the_arm_while_the_arm_is_free_and_only_then(
+def test_the_demonstrator_guides_the_arm_under_gravity_compensation_only(
     probe: Probe, processes: Processes
 ) -> None:
     hardware = Hardware(probe, processes, "lockstep")
@@ -47,7 +47,7 @@ def test_the_demonstrator_leads_the_arm_while_the_arm_is_free_and_only_then(
         speed = max(np.abs(hardware.state(i).qd).max() for i in range(len(hardware.messages)))
         assert speed > 2.0  # a toss
         starts.append(speed)
-    assert starts[0] != starts[1]  # no two are alike
+    assert starts[0] != starts[1]  # different tosses
 
 
 def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
@@ -58,13 +58,13 @@ def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
     policy = lift("put-back")
     hardware.policies.publish(String(data=to_json(policy)))
     probe.until(lambda: hardware.insist(interface.MOVE_TO_START) == policy.id, "at the start")
-    # The reset waits for 50 states at least: all of them would be missing if it held the others up.
+    # A reset takes at least 50 states; all of them would be missing if it blocked the process.
     # A busy machine may hold the stand-in's clock in one reset, but not in all.
-    longest: list[int] = []  # between two states in each reset [ns]
+    longest: list[int] = []  # [ns] longest gap between states in each reset
     while min(longest, default=50 * TICK) >= 25 * TICK and len(longest) < 3:
         hardware.messages.clear()
         probe.until(lambda: hardware.insist(hardware.reset_service) == policy.id, "the reset")
-        # on a busy machine they come after its answer
+        # on a busy machine they arrive after the answer
         probe.until(lambda: len(hardware.messages) > 50, "the states meanwhile")
         stamps = [hardware.state(i).stamp_ns for i in range(len(hardware.messages))]
         apart = np.diff(stamps)
@@ -72,14 +72,14 @@ def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
         longest.append(apart.max())
     assert min(longest) < 25 * TICK
     hardware.diagnostics.clear()
-    assert probe.until(hardware.label, "its mode") == "hold"  # it has not lost sight of the arm
+    assert probe.until(hardware.label, "its mode") == "hold"  # no fault by missing states
 
 
-def test_a_scene_without_a_body_is_reset_taught_and_practised_in(
+def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
     probe: Probe, processes: Processes
 ) -> None:
     arm, policy = arm_model(), lift("reach-0001")
-    start = arm.tool_pose(policy.q_start)[0].tolist()  # the obstacle is where rollouts begin
+    start = arm.tool_pose(policy.q_start)[0].tolist()  # obstacle at the start of rollouts
     hardware = Hardware(
         probe, processes, "lockstep", body="", scene="reach", obstacle=[*start, 0.02]
     )
@@ -105,7 +105,9 @@ def test_a_scene_without_a_body_is_reset_taught_and_practised_in(
     assert truth["goal_distance"] > 0.1
 
 
-def test_an_arm_that_is_no_wam_is_led_from_its_own_home(probe: Probe, processes: Processes) -> None:
+def test_demonstrations_on_another_arm_begin_at_its_own_home(
+    probe: Probe, processes: Processes
+) -> None:
     home = np.add(HOME, [0.3, -0.1, 0.0, 0.1, 0.0, 0.0, 0.0])
     own = {"drives": "direct", "home": home.tolist()}
     hardware = Hardware(probe, processes, "lockstep", body="", scene="reach", **own)

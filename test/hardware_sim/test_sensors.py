@@ -43,7 +43,7 @@ def test_encoders_count_and_the_velocity_follows_through_its_filter() -> None:
 
 
 def filmed(world: World, seconds: float) -> list[tuple[int, MocapFrame]]:
-    """Frames with the time each came in, from a pancake at rest."""
+    """Frames of a pancake at rest, each with its time of delivery."""
     gravity = begin(world)
     frames = []
     for _ in range(round(seconds / PERIOD)):
@@ -52,7 +52,7 @@ def filmed(world: World, seconds: float) -> list[tuple[int, MocapFrame]]:
     return frames
 
 
-def test_frames_come_at_their_rate_and_late() -> None:
+def test_frames_arrive_at_the_frame_rate_after_the_latency() -> None:
     world = World(replace(CALM, mocap=MocapSettings(rate=30.0, latency=0.04, dropout=0.0)))
     frames = filmed(world, 2.0)
     stamps = np.array([frame.stamp_ns for _, frame in frames])
@@ -64,7 +64,7 @@ def test_frames_come_at_their_rate_and_late() -> None:
 
 def test_frames_are_as_noisy_as_their_markers() -> None:
     world = World(replace(CALM, mocap=MocapSettings(rate=250.0, noise=0.0005, dropout=0.0)))
-    world.reset("trial-0001", LEVEL)  # and nothing moves
+    world.reset("trial-0001", LEVEL)  # frozen
     run(world, None, 1000)
     frames = world.mocap_frames()
     truth = world.data.qpos[7:10]
@@ -72,13 +72,13 @@ def test_frames_are_as_noisy_as_their_markers() -> None:
     markers = np.array([frame.markers for frame in frames])
     assert np.abs(errors.mean(axis=0)).max() < 1e-4
     np.testing.assert_allclose(markers.std(axis=0), 0.0005, rtol=0.25)
-    assert 0.0002 < errors.std() < 0.0005  # four markers, and a centre away from theirs
+    assert 0.0002 < errors.std() < 0.0005  # mean of four markers, plus the lever to the centre
     np.testing.assert_allclose(np.linalg.norm([f.quat_xyzw for f in frames], axis=1), 1.0)
     spacing = np.linalg.norm(markers[:, 0] - markers[:, 1], axis=1).mean()
     assert spacing == pytest.approx(np.linalg.norm(LAYOUT[0] - LAYOUT[1]), abs=2e-4)
 
 
-def test_frames_and_markers_are_lost_as_often_as_asked() -> None:
+def test_frames_and_markers_are_lost_at_the_configured_rates() -> None:
     mocap = MocapSettings(rate=250.0, dropout=0.2, occlusion=0.3)
     frames = [frame for _, frame in filmed(World(replace(CALM, mocap=mocap)), 2.0)]
     assert len(frames) == pytest.approx(0.8 * 490, rel=0.12)

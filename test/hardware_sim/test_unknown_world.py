@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Unknown worlds: drawn from the seed, felt by the arm and told to nobody."""
+"""Unknown worlds: drawn from the seed, effective in the physics, absent from the URDF."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from simulated import CALM, LEVEL, begin, holding_torque, run
 
 from hardware_sim.scenes.flip import MASS
 from hardware_sim.settings import SceneSettings, WorldSettings
-from hardware_sim.unknown_world import drawn
+from hardware_sim.unknown_world import draw
 from hardware_sim.world import World
 
 SEEDS = range(200)
 
 
-def test_a_seed_is_one_world_and_another_seed_another() -> None:
-    assert drawn(WorldSettings(), 3) == drawn(WorldSettings(), 3) != drawn(WorldSettings(), 4)
+def test_the_seed_determines_the_unknown_world() -> None:
+    assert draw(WorldSettings(), 3) == draw(WorldSettings(), 3) != draw(WorldSettings(), 4)
 
 
-def test_what_is_drawn_fills_its_range_and_the_rest_stays() -> None:
+def test_unknown_settings_fill_their_ranges_and_the_others_stay() -> None:
     plain = WorldSettings(wind_sd=0.2, scene=SceneSettings(body_offset_sd=0.001))
-    worlds = [drawn(plain, seed) for seed in SEEDS]
+    worlds = [draw(plain, seed) for seed in SEEDS]
     for values, low, high in (
         ([w.scene.body_mass for w in worlds], 0.7, 1.3),
         ([w.scene.body_size for w in worlds], 0.8, 1.2),
@@ -38,9 +38,9 @@ def test_what_is_drawn_fills_its_range_and_the_rest_stays() -> None:
     assert {(w.wind_sd, w.scene.body_offset_sd) for w in worlds} == {(0.2, 0.001)}
 
 
-def test_an_unknown_world_has_what_was_drawn_and_the_description_has_not() -> None:
+def test_an_unknown_world_has_the_drawn_properties_but_its_urdf_has_not() -> None:
     world, known = World(WorldSettings(unknown="session"), 5), World(seed=5)
-    hidden = drawn(WorldSettings(), 5)
+    hidden = draw(WorldSettings(), 5)
     pan, pancake = (world.model.body(name) for name in ("pan", "pancake"))
     assert pan.mass - known.model.body("pan").mass == pytest.approx(hidden.payload)
     share = pancake.mass / known.model.body("pancake").mass
@@ -52,7 +52,7 @@ def test_an_unknown_world_has_what_was_drawn_and_the_description_has_not() -> No
     assert world.urdf == known.urdf
 
 
-def test_what_is_hidden_in_the_arm_changes_nothing_about_the_air() -> None:
+def test_a_payload_does_not_change_the_drag_model() -> None:
     known, hidden = World(seed=5).model, World(WorldSettings(payload=0.1), 5).model
     assert (known.geom_fluid == hidden.geom_fluid).all()
     drag = known.geom_fluid[known.geom("pancake").id]

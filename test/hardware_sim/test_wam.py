@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of the WAM against its URDF and against each other."""
+"""Consistency of the WAM's data with each other and with its URDF."""
 
 from __future__ import annotations
 

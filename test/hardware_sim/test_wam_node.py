@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver that the stand-in presents: its states, its watchdog and the torques it refuses."""
+"""Driver of the stand-in: states, watchdog and refused torques."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 
 
-def test_a_torque_that_is_not_valid_moves_nothing(probe: Probe, processes: Processes) -> None:
+def test_an_invalid_torque_is_refused_and_moves_nothing(probe: Probe, processes: Processes) -> None:
     hardware = Hardware(probe, processes, "lockstep")
     torques = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
     before = hardware.state().stamp_ns
@@ -44,14 +44,14 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
         hardware.insist(interface.EXECUTE)
         probe.spin(0.15)
     processes.end(hardware.controller, signal.SIGKILL)
-    killed_ns = time.time_ns()  # states of before may still be on their way to a busy test
+    killed_ns = time.time_ns()  # older states may still arrive
     probe.until(lambda: hardware.state().stamp_ns > killed_ns, "a state of after the kill")
     arm, killed = arm_model(), hardware.state()
     count = len(hardware.messages)
-    end_ns = killed.stamp_ns + 2_500_000_000  # by the arm's clock, whatever ours says
+    end_ns = killed.stamp_ns + 2_500_000_000  # on the clock of the arm
     probe.until(lambda: hardware.state().stamp_ns > end_ns, "2.5 s of the arm")
     after = [hardware.state(i) for i in range(count, len(hardware.messages))]
-    assert len(after) > 10  # the states go on, however few of them a busy machine lets us hear
+    assert len(after) > 10  # states go on; a busy machine may miss many
     height = [arm.tool_pose(reading.q)[0][2] for reading in after]
     speeds = [arm.speeds(r.q, r.qd).tool_speed for r in after]
     assert arm.tool_pose(killed.q)[0][2] - min(height) < 0.05

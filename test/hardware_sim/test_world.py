@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated world against physics and against itself."""
+"""The simulated world: physics, driver and repeatability."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_compensa
     delay = calm.settings.command_delay_ticks
     assert all((effort == pushed).all() for effort in efforts[: 5 + delay])
     assert not (efforts[5 + delay] == pushed).any()
-    assert np.abs(calm.data.qvel[:7]).max() < 0.02  # braked, and not fallen
+    assert np.abs(calm.data.qvel[:7]).max() < 0.02  # braked, not falling
     now = calm.joint_state()
     np.testing.assert_allclose(now.tau, Arm(calm.urdf, JOINTS).gravity(now.q), atol=0.5)
     run(calm, pushed, 5)  # commands take effect again
@@ -78,8 +78,8 @@ def test_the_gravity_compensation_of_the_watchdog_is_damped() -> None:
     assert speeds[1] < 0.75 * speeds[0]
 
 
-def test_what_pulls_at_the_pan_pulls_at_its_centre(calm: World, arm: Arm) -> None:
-    """A torque of minus J^T times the wrench balances it."""
+def test_an_external_force_acts_at_the_centre_of_the_pan(calm: World, arm: Arm) -> None:
+    """A torque of -J^T times the wrench balances it."""
     pull = np.array([20.0, 5.0, 40.0, 0.0, 2.0, 1.0])
 
     class Weight:
@@ -98,7 +98,7 @@ def test_what_pulls_at_the_pan_pulls_at_its_centre(calm: World, arm: Arm) -> Non
     assert not calm.data.xfrc_applied.any()
 
 
-def test_who_is_sent_away_pulls_no_more(calm: World) -> None:
+def test_a_removed_demonstrator_applies_no_force(calm: World) -> None:
     class Weight:
         def wrench(self, t: float, *_: np.ndarray) -> np.ndarray:
             return np.array([20.0, 5.0, 40.0, 0.0, 2.0, 1.0])
@@ -115,13 +115,13 @@ def test_an_idle_arm_sinks_slowly_whatever_is_commanded(calm: World) -> None:
     gravity = begin(calm)
     calm.idle = True
     run(calm, 3.0 * gravity, 500)
-    assert 0.05 < calm.truth()["peak_pan_speed"] < 1.0  # falling freely: 4 m/s after this second
+    assert 0.05 < calm.truth()["peak_pan_speed"] < 1.0  # 4 m/s in free fall
     sunk = Arm(calm.urdf, JOINTS).tool_pose(LEVEL)[0][2] - calm.pan_pose[0][2]
     assert 0.05 < sunk < 0.6
     assert (calm.joint_state().tau == 0.0).all()
 
 
-def test_a_driver_that_compensates_gravity_carries_the_arm_on_zero_torque() -> None:
+def test_a_driver_that_compensates_gravity_holds_the_arm_at_zero_command() -> None:
     world = World(replace(CALM, driver_compensates_gravity=True))
     gravity = begin(world)
     run(world, np.zeros(7), 500)
@@ -138,7 +138,7 @@ def test_a_driver_without_a_watchdog_holds_the_last_torque_for_ever() -> None:
 
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
-def test_a_command_takes_its_delay_to_the_motors(delay: int) -> None:
+def test_a_command_reaches_the_motors_after_its_delay(delay: int) -> None:
     world = World(replace(CALM, command_delay_ticks=delay))
     gravity = begin(world)
     ticks = 0
@@ -166,21 +166,23 @@ def test_a_start_outside_the_limits_is_refused(calm: World) -> None:
             calm.reset("trial-0001", q)
 
 
-def test_the_arm_reports_rounded_positions_and_late_speeds(calm: World) -> None:
+def test_the_arm_reports_quantized_positions_and_filtered_speeds(calm: World) -> None:
     gravity = begin(calm)
     run(calm, gravity + 10.0 * np.eye(7)[3], 30)
     sample = calm.joint_state()
     assert sample.stamp_ns == calm.time_ns
     error = np.abs(sample.q - calm.data.qpos[:7])
     assert 0.0 < error.max() < 1.1e-4
-    assert 0.5 * calm.data.qvel[3] < sample.qd[3] < calm.data.qvel[3]  # speeding up: behind
+    assert (
+        0.5 * calm.data.qvel[3] < sample.qd[3] < calm.data.qvel[3]
+    )  # filtered, while accelerating
 
 
-# The same again
+# Repeatability
 
 
 def outcome(world: World, rollout_id: str, frozen_ticks: int = 0) -> tuple[object, ...]:
-    """Everything a rollout of a swinging arm shows, stamps since the release."""
+    """All measurements of a rollout of a swinging arm, with stamps since the release."""
     world.reset(rollout_id, LEVEL)
     gravity = holding_torque(world)
     for _ in range(frozen_ticks):
@@ -224,10 +226,10 @@ def test_a_frozen_world_repeats_its_state_while_clock_and_cameras_go_on(world: W
         frames += world.mocap_frames()
     assert world.data.qpos.tolist() == before
     assert len(frames) > 8
-    assert (frames[-1].position != frames[-2].position).all()  # a still pancake, not a dead camera
+    assert (frames[-1].position != frames[-2].position).all()  # noise of a live camera
 
 
-def test_every_rollout_draws_wind_offset_and_arm_anew_and_a_quiet_one_none(
+def test_every_rollout_has_random_wind_offset_and_friction_and_a_quiet_one_none(
     world: World,
 ) -> None:
     def drawn(rollout_id: str) -> np.ndarray:

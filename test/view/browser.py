@@ -20,17 +20,17 @@ FLAGS = (  # WebGL without a graphics card; root has no sandbox
     "--ignore-gpu-blocklist",
     "--no-sandbox",
 )
-PATIENCE = 60_000.0  # [ms] on a slow, busy machine
+PAGE_TIMEOUT = 60_000.0  # [ms] on a slow, busy machine
 
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """A running Chromium; the test is skipped where there is none."""
+    """A running Chromium; the test is skipped if there is none."""
     if not CHROMIUM:
         pytest.skip(f"no browser: none of {', '.join(NAMES)}")
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS, timeout=PATIENCE)
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS, timeout=PAGE_TIMEOUT)
         try:
             yield browser
         finally:
@@ -38,9 +38,9 @@ def chromium() -> Iterator[Any]:
 
 
 def opened(browser: Any, url: str) -> Any:  # noqa: ANN401
-    """A page of its own, small: every pixel is drawn by the processor."""
+    """A new page, small because every pixel is drawn by the processor."""
     page = browser.new_page(viewport={"width": 640, "height": 400})
-    page.set_default_timeout(PATIENCE)
+    page.set_default_timeout(PAGE_TIMEOUT)
     page.goto(url)
     page.wait_for_selector("canvas")
     return page

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may use the page."""
+"""Requests that the server accepts and refuses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from wam_power_ros.view.guarded_server import open_server, refusal
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1:8080", "localhost:8080", "[::1]:8080", "10.0.0.7:80"])
-def test_the_page_itself_is_served_by_every_address_and_name_of_this_machine(host: str) -> None:
+def test_the_page_is_served_under_every_address_and_name_of_this_machine(host: str) -> None:
     assert refusal(host, None) == refusal(host, f"http://{host}") == ""
     assert refusal(f"{socket.gethostname()}:8080", None) == ""
 
@@ -31,7 +31,7 @@ def test_a_foreign_name_for_this_machine_is_refused(host: str | None) -> None:
     assert "is not this machine" in refusal(host, None)
 
 
-def test_only_this_machine_reaches_the_server_and_nothing_is_shared_by_a_relay() -> None:
+def test_only_this_machine_reaches_the_server_and_the_public_relay_is_off() -> None:
     from viser import _messages
 
     server = open_server("127.0.0.1", 0)
@@ -46,11 +46,11 @@ def test_only_this_machine_reaches_the_server_and_nothing_is_shared_by_a_relay()
 
 
 def test_an_address_of_another_machine_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"'192\.0\.2\.1' is none of this machine"):
+    with pytest.raises(ValueError, match=r"'192\.0\.2\.1' is not an address of this machine"):
         open_server("192.0.2.1", 0)
 
 
-def test_a_port_that_is_taken_gives_way_to_the_next_and_none_is_waited_for_in_vain() -> None:
+def test_the_next_free_port_is_used_and_without_one_the_server_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         server = open_server("127.0.0.1", port)
@@ -58,5 +58,5 @@ def test_a_port_that_is_taken_gives_way_to_the_next_and_none_is_waited_for_in_va
             assert server.get_port() > port
         finally:
             server.stop()
-    with pytest.raises(ValueError, match="port 70000"):
+    with pytest.raises(ValueError, match="port from 70000"):
         open_server("127.0.0.1", 70000)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages to browsers come from threads that are not the server's."""
+"""Messages to browsers from threads other than the server's."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wam_power_ros.view.message_buffer import MessageBuffer
 
 
 def message(name: str) -> _messages.Message:
-    """One that replaces no other: a message of the same name would take its place."""
+    """A message that replaces no other: the buffer keeps one message per name."""
     return _messages.SetSceneNodeVisibilityMessage(name, True)
 
 
@@ -45,7 +45,7 @@ def test_a_message_of_another_thread_wakes_senders_in_their_own_thread_alone(
     buffer = asyncio.run_coroutine_threadsafe(make(), loop).result()
     waiting = asyncio.run_coroutine_threadsafe(buffer.message_event.wait(), loop)
     let_it_run()
-    buffer.atomic_start()  # the loop is not asked to wake anybody before its end
+    buffer.atomic_start()  # the loop is not woken before its end
     buffer.push(message("/arm"))
     let_it_run()
     assert not waiting.done()

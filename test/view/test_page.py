@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page in a real browser: bags and sessions drawn, buttons that reach services, strangers."""
+"""The page in a real browser: bags, sessions, buttons, and pages of another origin."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Viewing:
         self.url = self.process.stdout.readline().split()[0]
 
     def end(self) -> None:
-        """End it as Ctrl-C does."""
+        """End it with Ctrl-C."""
         self.process.send_signal(signal.SIGINT)
         assert self.process.wait(60) == 0
 
@@ -65,7 +65,7 @@ def bag_url() -> Iterator[str]:
 
 
 class Running:
-    """A session whose learner and arm are this test: its folder is held, its services are ours."""
+    """A running session whose learner and arm are this test: locked folder, services, topics."""
 
     def __init__(self, folder: Path, domain: int) -> None:
         settings = preset("flip", budget=ROLLOUTS, confirm=0)
@@ -105,7 +105,7 @@ class Running:
         self.probe.node.create_service(kind, name, answer)
 
     def live(self) -> None:
-        """Publish a state and the diagnostics, and answer what is asked."""
+        """Publish a state and diagnostics, and answer service calls."""
         now = self.probe.node.get_clock().now().to_msg()
         names = [f"wam_j{i}" for i in range(1, 8)]
         state = JointState(name=names, position=self.q.tolist())
@@ -117,7 +117,7 @@ class Running:
         self.probe.spin(0.05)
 
     def until(self, condition: Callable[[], Any], what: str) -> None:
-        """Live until a condition holds."""
+        """Publish until a condition holds."""
 
         def living() -> Any:  # noqa: ANN401
             self.live()
@@ -126,7 +126,7 @@ class Running:
         self.probe.until(living, what)
 
     def end(self) -> None:
-        """End as a learner that is killed does."""
+        """Release the lock, as a killed learner does."""
         self._lock.close()
 
 
@@ -147,7 +147,7 @@ def session_url(running: Running) -> Iterator[str]:
 
 
 def differs(page: Any, before: np.ndarray) -> bool:  # noqa: ANN401
-    """Whether the picture has changed by more than shades."""
+    """Whether the picture has changed visibly."""
     return bool(np.abs(scene(page) - before).max() > 60)
 
 
@@ -170,22 +170,22 @@ def test_a_bag_is_drawn_and_played(browser: Any, bag_url: str) -> None:  # noqa:
     until_drawn_otherwise(page, WHITE)
     play.click()
     page.wait_for_function("Number(document.querySelector('[role=slider]').ariaValueNow) > 0.3")
-    until_drawn_otherwise(page, scene(page))  # nothing but the arm moves in this bag
+    until_drawn_otherwise(page, scene(page))  # only the arm moves in this bag
     page.close()
 
 
-def test_a_session_is_watched_and_led_by_buttons_until_it_ends(
+def test_a_session_is_displayed_and_controlled_by_buttons_until_it_ends(
     browser: Any,  # noqa: ANN401
     running: Running,
     session_url: str,
 ) -> None:
     page, second = opened(browser, session_url), opened(browser, session_url)
-    running.until(lambda: says(page, "flips (running)"), "the page knows that it runs")
+    running.until(lambda: says(page, "flips (running)"), "the page shows that it runs")
     assert says(page, f"{ROLLOUTS}, best return") and says(page, "no safety function")
     running.until(lambda: says(page, "error: joint 4 is beyond its limit"), "diagnostics")
-    assert says(page, "<img src=x") and page.title() != "theirs"  # text, and no HTML
+    assert says(page, "<img src=x") and page.title() != "theirs"  # text, not HTML
     until_drawn_otherwise(page, WHITE)
-    page.wait_for_timeout(500)  # until all of it is drawn
+    page.wait_for_timeout(500)  # until drawing is complete
     before = scene(page)
     running.q = running.q - [0.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0]
     running.until(lambda: differs(page, before), "the arm is drawn where it is")
@@ -201,14 +201,14 @@ def test_a_session_is_watched_and_led_by_buttons_until_it_ends(
         running.until(lambda expected=expected: running.asked[-1:] == [expected], label)
     running.until(lambda: says(page, f"answer to {interface.STOP}"), "the answer is shown")
 
-    page.close()  # a browser that is closed does not disturb another
+    page.close()  # closing a browser does not affect another
     asked = len(running.asked)
     reward = second.get_by_role("button", name="Reward", exact=True)
     reward.click()
-    running.until(lambda: len(running.asked) == asked + 1, "the second browser is heard")
+    running.until(lambda: len(running.asked) == asked + 1, "a call from the second browser")
 
     running.end()
-    running.until(lambda: says(second, "not running"), "the page knows that it has ended")
+    running.until(lambda: says(second, "not running"), "the page shows that it has ended")
     assert reward.is_disabled() and len(running.asked) == asked + 1
     second.close()
 
@@ -229,6 +229,6 @@ def test_a_page_of_another_origin_cannot_connect(
     stranger.set_content("<p>a page from elsewhere</p>")
     assert stranger.evaluate(connect, arguments) == "refused"
     page = opened(browser, bag_url)
-    assert page.evaluate(connect, arguments) == "open"  # so it was the origin
+    assert page.evaluate(connect, arguments) == "open"  # the origin made the difference
     stranger.close()
     page.close()

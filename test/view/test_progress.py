@@ -15,12 +15,12 @@ pytest.importorskip("viser", reason="no viser")
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.view import session_page
-from wam_power_ros.view.progress import KINDS, SHOWN, curve, label, newest
+from wam_power_ros.view.progress import KINDS, NEWEST_COUNT, curve, label, newest
 
 RECORDS = some_records(8)
 
 
-def test_each_return_stands_in_the_column_of_its_kind_and_the_best_never_falls() -> None:
+def test_each_return_is_in_the_column_of_its_kind_and_the_best_never_falls() -> None:
     lost = RECORDS[3].model_copy(update={"ret": None, "learnt": False, "learnt_as": None})
     records = [*RECORDS[:3], lost, *RECORDS[4:]]
     numbers, *columns, best = curve(records)
@@ -31,7 +31,7 @@ def test_each_return_stands_in_the_column_of_its_kind_and_the_best_never_falls()
     assert np.all(np.diff(best) >= 0.0) and best[-1] == max(r.rated_return or 0.0 for r in records)
 
 
-def test_a_rating_moves_the_point() -> None:
+def test_a_rating_changes_the_shown_return() -> None:
     rated = RECORDS[0].model_copy(update={"adjustment": 0.3})
     assert curve([rated])[-1][0] == RECORDS[0].ret + 0.3
     assert label(rated).endswith("+0.3")
@@ -40,7 +40,7 @@ def test_a_rating_moves_the_point() -> None:
 def test_the_newest_rollouts_come_first_with_the_terms_of_their_returns() -> None:
     task = preset("flip").make_task({})
     text = newest(RECORDS, task)
-    shown = RECORDS[: -SHOWN - 1 : -1]
+    shown = RECORDS[: -NEWEST_COUNT - 1 : -1]
     assert [line[2:].split()[0] for line in text.splitlines() if line.startswith("**")] == [
         str(record.number) for record in shown
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags made ready to draw."""
+"""Movements of bags for drawing."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 
 from wam_power_ros.bags import reader
 from wam_power_ros.view import recorded
+from wam_power_ros.view.recorded import Movement
 from wam_power_ros.view.skeleton import Skeleton
 
 BAGS = Path(__file__).resolve().parents[2] / "bags"
@@ -38,11 +39,11 @@ def test_a_bag_without_a_description_is_of_the_arm_whose_joints_it_has(
 ) -> None:
     topics = {n: t for n, t in reader.topics(REACH).items() if n != recorded.DESCRIPTION}
     monkeypatch.setattr(reader, "topics", lambda bag: topics)
-    # `read_demonstration` looks at the topics, too: its own remain
+    # the topics that `read_demonstration` needs remain
     assert Skeleton(recorded.read(REACH).urdf).tool == "pan"
 
 
-def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_bag_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is not a bag"):
         recorded.read(tmp_path)
     shutil.copytree(REACH, tmp_path / "cut")
@@ -50,3 +51,23 @@ def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
     mcap.write_bytes(mcap.read_bytes()[:1000])
     with pytest.raises(ValueError, match="cut"):
         recorded.read(tmp_path / "cut")
+
+
+def movement() -> Movement:
+    t = np.array([0.0, 1.0, 2.0])
+    seen = np.array([[0.5, 0.0, 0.0], [0.6, 0.0, 0.0]])
+    quats = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
+    q = np.array([[0.0, 4.0], [1.0, 4.0], [3.0, 4.0]])
+    return Movement("m", "", ("a", "b"), t, q, "ball", np.array([0.5, 1.5]), seen, quats, None)
+
+
+def test_joints_are_interpolated_and_stay_at_the_ends() -> None:
+    for t, expected in ((-1.0, [0.0, 4.0]), (1.5, [2.0, 4.0]), (9.0, [3.0, 4.0])):
+        np.testing.assert_allclose(movement().joints_at(t), expected)
+    assert movement().duration == 2.0
+
+
+def test_a_body_is_where_it_was_last_seen_and_nowhere_before() -> None:
+    assert movement().body_at(0.4) is None
+    position, quat = movement().body_at(1.7)
+    assert position.tolist() == [0.6, 0.0, 0.0] and quat.tolist() == [0.0, 1.0, 0.0, 0.0]

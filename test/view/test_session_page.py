@@ -16,19 +16,19 @@ from wam_power_ros.practice.settings import preset
 
 pytest.importorskip("viser")
 from wam_power_ros.view.guarded_server import open_server
-from wam_power_ros.view.live import Seen
+from wam_power_ros.view.live import LiveState
 from wam_power_ros.view.session_page import SessionPage
 from wam_power_ros.view.skeleton import Skeleton
 
 
-def test_the_way_of_the_tool_is_drawn_while_the_arm_moves(tmp_path: Path) -> None:
+def test_the_path_of_the_tool_is_drawn_while_the_arm_moves(tmp_path: Path) -> None:
     folder, urdf = tmp_path / "s", share("urdf/wam7.urdf").read_text()
     with Session.begin(folder, preset("flip"), 0, [demonstrated_policy()]):
         pass
     arm = Skeleton(urdf)
-    seen = Seen(q=np.zeros(len(arm.joint_names)), heard=np.inf, diagnoses={})
+    state = LiveState(q=np.zeros(len(arm.joint_names)), receipt_time=np.inf)
     node = SimpleNamespace(
-        seen=seen, look=lambda: seen, urdf=urdf, model_joint_names=arm.joint_names
+        state=state, update=lambda: state, urdf=urdf, model_joint_names=arm.joint_names
     )
     server = open_server("127.0.0.1", 8080)
     try:
@@ -36,10 +36,10 @@ def test_the_way_of_the_tool_is_drawn_while_the_arm_moves(tmp_path: Path) -> Non
         page.connect(node)
         postures = np.linspace(0.0, 0.5, 3)[:, None] * np.ones(len(arm.joint_names))
         for q in postures:
-            seen.q = q
+            state.q = q
             page.tick(0.1)
         drawn = server.scene.get_handle_by_name("/trail").points
     finally:
         server.stop()
-    way = arm.tool_path(postures)
-    np.testing.assert_allclose(drawn, np.stack([way[:-1], way[1:]], axis=1), atol=1e-6)
+    path = arm.tool_path(postures)
+    np.testing.assert_allclose(drawn, np.stack([path[:-1], path[1:]], axis=1), atol=1e-6)

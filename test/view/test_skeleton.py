@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms as shapes to draw."""
+"""Arms as shapes for drawing."""
 
 from __future__ import annotations
 
@@ -60,6 +60,6 @@ def test_joints_that_are_not_named_stay_at_zero() -> None:
     ("urdf", "names", "said"),
     [("no xml", None, "no URDF"), (WAM, ("elbow",), r"\['elbow'\] are not in .*wam_j1")],
 )
-def test_what_is_no_arm_is_refused(urdf: str, names: tuple[str, ...] | None, said: str) -> None:
+def test_an_invalid_urdf_is_refused(urdf: str, names: tuple[str, ...] | None, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         Skeleton(urdf, names)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Another demonstration from the page, with services that do as they are told."""
+"""Demonstration from the page, with services whose answers are given."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEGUN = [(PAUSE, True), (FREE, True), (RECORD, True)]
 
 
 class Services:
-    """Answers that it is done, except where `answers` has others, which come first."""
+    """Services that succeed once the given answers are used up."""
 
     reset = "/pancake/reset"
 
@@ -27,17 +27,17 @@ class Services:
         self.asked: list[tuple[str, bool | None]] = []
         self.bag: Path | None = None
 
-    def offered(self, name: str) -> bool:
-        """Only the stand-in's demonstrator is asked for."""
+    def is_offered(self, name: str) -> bool:
+        """Whether the demonstrator of the stand-in is available."""
         return self.simulated
 
-    def ask(self, name: str, on: bool | None = None) -> Answer:
-        """Note what is asked, and answer."""
+    def call(self, name: str, on: bool | None = None) -> Answer:
+        """Note the call, and answer."""
         self.asked.append((name, on))
         waiting = self.answers.get(name.rpartition("/")[2], [])
         return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1", {"trial": "over"})
 
-    def name_bag(self, bag: Path) -> None:
+    def publish_bag(self, bag: Path) -> None:
         """Note the bag."""
         self.bag = bag
 
@@ -47,7 +47,12 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(teach_again, "RETRY_PERIOD", 0.001)
 
 
-def test_the_arm_is_let_go_only_after_the_trial_under_way_is_over() -> None:
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(teach_again, "SERVICE_TIMEOUT", 0.01)
+
+
+def test_gravity_compensation_begins_only_after_the_trial_has_ended() -> None:
     under_way = Answer(Code.DONE, "waits after the trial under way", {"trial": "under_way"})
     services = Services(pause=[under_way] * 3)
     begin(services, lambda text: None)
@@ -60,58 +65,61 @@ def test_a_learner_that_is_paused_already_is_not_waited_for() -> None:
     assert services.asked == BEGUN
 
 
-@pytest.mark.parametrize("said", [{"trial": "under_way"}, {}])  # nothing: another version of it
-def test_without_an_end_of_the_trial_the_arm_is_never_let_go(said: dict[str, str]) -> None:
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("said", [{"trial": "under_way"}, {}])  # {}: another version
+def test_gravity_compensation_never_begins_if_the_trial_does_not_end(said: dict[str, str]) -> None:
     services = Services(pause=[Answer(Code.DONE, "waits", said)] * 1000)
     with pytest.raises(NotTaughtError, match="no trial ended in 0 s; the learner is paused"):
-        begin(services, lambda text: None, patience=0.01)
+        begin(services, lambda text: None)
     assert set(services.asked) == {(PAUSE, True)}
 
 
-def test_the_stand_in_leads_the_arm_from_its_start() -> None:
+def test_the_stand_in_demonstrates_from_the_start() -> None:
     services = Services(simulated=True)
     begin(services, lambda text: None)
     reset, lead = (Services.reset, None), (interface.DEMONSTRATE, None)
     assert services.asked == [*BEGUN[:2], reset, BEGUN[2], lead]
 
 
-def test_a_person_is_told_what_is_waited_for() -> None:
+def test_a_person_is_notified_of_each_step() -> None:
     said: list[str] = []
     begin(Services(), said.append)
-    assert said == ["/bags/demo_1", "lead the arm, then press End of movement"]
+    assert said == ["/bags/demo_1", "guide the arm by hand, then press End of movement"]
 
 
-def test_the_bag_is_learnt_from_while_the_arm_holds_and_the_learner_goes_on() -> None:
+def test_the_learner_learns_from_the_bag_while_the_arm_holds_and_then_continues() -> None:
     services = Services()
     assert finish(services) == "/bags/demo_1"
     assert services.asked == [(RECORD, False), (FREE, False), (LEARN, None), (PAUSE, False)]
     assert services.bag == Path("/bags/demo_1")
 
 
-def test_a_learner_that_has_not_heard_of_the_bag_yet_is_asked_again() -> None:
+def test_a_learner_that_has_not_received_the_bag_yet_is_called_again() -> None:
     services = Services(demonstration=[Answer(Code.NOTHING), Answer(Code.DONE, "learnt")])
     assert finish(services) == "learnt"
 
 
-def test_a_demonstration_that_is_refused_is_said_and_the_learner_goes_on() -> None:
+def test_a_refused_demonstration_is_reported_and_the_learner_continues() -> None:
     services = Services(demonstration=[Answer(Code.REFUSED, "it never moves")])
     with pytest.raises(NotTaughtError, match="it never moves"):
         finish(services)
     assert services.asked[-1] == (PAUSE, False)
 
 
-def test_a_service_that_goes_on_refusing_is_named() -> None:
+@pytest.mark.usefixtures("impatient")
+def test_a_service_that_keeps_refusing_is_named() -> None:
     busy = [Answer(Code.BUSY, "a rollout is under way")] * 1000
     with pytest.raises(NotTaughtError, match=f"{FREE}: a rollout is under way"):
-        begin(Services(gravity_compensation=busy), lambda text: None, patience=0.01)
+        begin(Services(gravity_compensation=busy), lambda text: None)
 
 
+@pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("step", ["begin", "finish"])
 def test_an_arm_that_cannot_be_recorded_holds_again(step: str) -> None:
     services = Services(record=[Answer(Code.BUSY, "the disk is full")] * 10_000)
     with pytest.raises(NotTaughtError, match="the disk is full"):
         if step == "begin":
-            begin(services, lambda text: None, patience=0.01)
+            begin(services, lambda text: None)
         else:
-            finish(services, patience=0.01)
+            finish(services)
     assert services.asked[-1] == (FREE, False)

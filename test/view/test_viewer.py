@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the page of a session looks for its nodes."""
+"""Environment in which the page of a session finds its nodes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ pytest.importorskip("viser")
 from wam_power_ros.view.viewer import enter
 
 
-def test_a_session_that_goes_on_at_a_real_arm_is_looked_for_in_the_exported_domain(
+def test_a_session_on_a_real_arm_is_expected_in_the_exported_domain(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keyboard as enabling switch: /controller/enable is true while a key is held down.
 
-A stop-gap until a real switch publishes there. A terminal does not report that a key is released,
-only that it repeats, so the release is noticed up to `FIRST_REPEAT` after the key was pressed and
-up to `NEXT_REPEAT` later on. It is no safety function.
+A substitute until a real switch publishes there. A terminal reports repetitions of a key but not
+its release, so the release is detected up to `FIRST_REPEAT` after the key was pressed, later up to
+`NEXT_REPEAT` after the last repetition. It is no safety function.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ from wam_power_ros.console.prompt import show
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import participant
 
-FIRST_REPEAT = 0.75  # [s] within which a held key repeats for the first time
-NEXT_REPEAT = 0.15  # [s] within which it repeats again
-PERIOD = 0.02  # [s] between two publications of the switch
+FIRST_REPEAT = 0.75  # [s] at most until a held key repeats for the first time
+NEXT_REPEAT = 0.15  # [s] at most until it repeats again
+PUBLISH_PERIOD = 0.02  # [s]
 
 
 class HeldKey:
-    """Whether a key is held down, deduced from its repetitions; times are passed in [s]."""
+    """State of a key, derived from its repetitions."""
 
     def __init__(self) -> None:
-        self._until = -1.0
+        self._release_time = -1.0
 
     def press(self, now: float) -> None:
-        """The terminal has sent the key at time `now` [s]."""
-        self._until = now + (NEXT_REPEAT if self.held(now) else FIRST_REPEAT)
+        """Register that the terminal sent the key at time `now` [s]."""
+        self._release_time = now + (NEXT_REPEAT if self.held(now) else FIRST_REPEAT)
 
     def held(self, now: float) -> bool:
         """Whether the key counts as held at time `now` [s]."""
-        return now < self._until
+        return now < self._release_time
 
 
 def main() -> int:
-    """Body of `wam-power enable`: publish until Ctrl-C or until the terminal is closed."""
+    """Run `wam-power enable`: publish until Ctrl-C or until the terminal is closed."""
     if not sys.stdin.isatty():
-        raise ValueError("enable needs a terminal: its keys are the switch")
+        raise ValueError("enable reads keys from a terminal, but standard input is none")
     with participant(lambda: rclpy.create_node("enabling_switch")) as node:
         switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
         key, terminal = HeldKey(), sys.stdin.fileno()
@@ -54,7 +54,7 @@ def main() -> int:
         try:
             tty.setcbreak(terminal)
             while rclpy.ok():
-                if select.select([terminal], [], [], PERIOD)[0]:
+                if select.select([terminal], [], [], PUBLISH_PERIOD)[0]:
                     if not os.read(terminal, 1024):
                         break
                     key.press(time.monotonic())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person's feedback to a running learner: calls its services, without a ros2 command line."""
+"""Send a person's feedback to a running learner through its services."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from wam_power_ros.ros.answers import Code
 from wam_power_ros.ros.node_runner import participant, run_script
 from wam_power_ros.ros.service_client import LOG_AFTER, TIMEOUT, ServiceClient, ServiceError
 
-APPEAR_TIMEOUT = 10.0  # of a service of the learner [s of wall time]
+APPEAR_TIMEOUT = 10.0  # [s of wall time] until a service of the learner is available
 REQUESTS = {
     "reward": (interface.LEARNER_REWARD, Trigger, Trigger.Request()),
     "punish": (interface.LEARNER_PUNISH, Trigger, Trigger.Request()),
@@ -35,7 +35,7 @@ REQUESTS = {
 
 
 def give(kind: str, bag: Path | None = None, namespace: str = "") -> tuple[bool, str]:
-    """Give feedback to the learner of this DDS domain.
+    """Send feedback to the learner in this DDS domain.
 
     Args:
         kind: One of `REQUESTS`.
@@ -43,7 +43,7 @@ def give(kind: str, bag: Path | None = None, namespace: str = "") -> tuple[bool,
         namespace: Namespace of the learner.
 
     Returns:
-        Whether the learner accepted it, and its answer.
+        Whether the learner accepted the feedback, and its answer.
     """
     try:
         make = lambda: rclpy.create_node("feedback", namespace=namespace)  # noqa: E731
@@ -51,11 +51,11 @@ def give(kind: str, bag: Path | None = None, namespace: str = "") -> tuple[bool,
             calls = ServiceClient(node, None, APPEAR_TIMEOUT, LOG_AFTER)
             return _call(calls, node, kind, bag)
     except ServiceError as error:
-        return False, f"{error}; is there a learner with the same ROS_DOMAIN_ID?"
+        return False, f"{error}; does a learner run with the same ROS_DOMAIN_ID?"
 
 
 def _answer_lines(node: Node) -> None:
-    """Give the feedback that is named on each line of the input; print a line per answer."""
+    """Send the kind of feedback named on each input line; print one line per answer."""
     calls = ServiceClient(node, appear_timeout=APPEAR_TIMEOUT)
     for kind in map(str.strip, sys.stdin):
         try:
@@ -70,18 +70,18 @@ def _call(calls: ServiceClient, node: Node, kind: str, bag: Path | None) -> tupl
     if bag is not None:
         publisher = node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
         publisher.publish(String(data=str(bag.resolve())))
-    end = time.monotonic() + TIMEOUT
+    deadline = time.monotonic() + TIMEOUT
     while True:
         answer = calls.call(service, name, request)
-        # topics and services are not ordered: the learner may not have received the bag yet
         if answer is None:
             raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
+        # topics and services are not ordered: the learner may not have received the bag yet
         early = bag is not None and answer.code is Code.NOTHING
-        if not early or time.monotonic() > end:
+        if not early or time.monotonic() > deadline:
             return answer.success, answer.text
         calls.until(lambda: False, timeout=0.05)
 
 
 def main() -> int:
-    """Entry point of `python -m wam_power_ros.console.feedback`, which reads its input."""
+    """Run `python -m wam_power_ros.console.feedback`, which reads from standard input."""
     return run_script(lambda: rclpy.create_node("feedback"), _answer_lines)

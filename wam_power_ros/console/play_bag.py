@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish the topics of a bag, as `ros2 bag play` does, except those that command or enable an arm.
 
-Recorded torques answer the recorded states, not the present ones. A topic is not published beside
-another publisher of it either, such as the driver of a real arm: playing does not begin, or ends as
-soon as the other publisher is discovered.
+Recorded torques belong to the recorded states, not to the current ones. A topic that has another
+publisher, such as the driver of a real arm, is not played either: playback does not start, or ends
+as soon as the other publisher is discovered.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from wam_power_ros.console.prompt import show
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import participant
 
-DISCOVERY_TIME = 4.0  # [s] to discover present publishers; 2 are usually enough
+DISCOVERY_TIME = 4.0  # [s] to discover other publishers; 2 s are usually enough
 CHECK_PERIOD = 1.0  # [s] between checks for publishers that start later
-DEPTH = 4000  # [messages] kept for a late subscriber
+QUEUE_DEPTH = 4000  # messages kept for a late subscriber
 COMMAND_NAMES = re.compile(r"command|cmd", re.IGNORECASE)
 COMMAND_TYPES = {"std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"}
 
@@ -41,30 +41,31 @@ def select_topics(
 
     Args:
         path: Folder of the bag.
-        wanted: Only these topics; all if empty.
+        wanted: Topics to play; all if empty.
 
     Returns:
-        Selected topics, and the reason for each topic that is left out.
+        Selected topics, and the reason for each excluded topic.
 
     Raises:
-        ValueError: When it is no bag, a wanted topic is not in it or is a command, or none is left.
+        ValueError: The folder is no bag, a wanted topic is not in it or is a command, or no topic
+            remains.
     """
     found = reader.topics(path)
     if unknown := [name for name in wanted if name not in found]:
         raise ValueError(f"{path}: no topic {', '.join(unknown)}; it has {', '.join(found)}")
     reasons = {name: _danger(path, name, topic.msgtype) for name, topic in found.items()}
-    left_out = {name: why for name, why in reasons.items() if why}
-    if refused := [f"{name}: {left_out[name]}" for name in wanted if name in left_out]:
+    excluded = {name: reason for name, reason in reasons.items() if reason}
+    if refused := [f"{name}: {excluded[name]}" for name in wanted if name in excluded]:
         raise ValueError(f"{'; '.join(refused)}, which is never played")
-    topics = {name: topic for name, topic in found.items() if name in (wanted or found)}
-    topics = {name: topic for name, topic in topics.items() if name not in left_out}
+    names = [name for name in wanted or found if name not in excluded]
+    topics = {name: topic for name, topic in found.items() if name in names}
     if not topics:
-        raise ValueError(f"{path}: nothing to play; left out: {left_out or 'nothing'}")
-    return topics, left_out
+        raise ValueError(f"{path}: no topic to play; excluded: {excluded or 'none'}")
+    return topics, excluded
 
 
 def _danger(path: Path, name: str, msgtype: str) -> str:
-    """Why a topic must not be published; empty if it may be."""
+    """Reason why a topic must not be published; "" if there is none."""
     if f"/{name}".endswith(f"/{interface.ENABLE}"):
         return "it enables an arm"
     if msgtype in COMMAND_TYPES or COMMAND_NAMES.search(name):
@@ -78,28 +79,30 @@ def _danger(path: Path, name: str, msgtype: str) -> str:
 
 
 def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float = 0.0) -> None:
-    """Publish the messages of a bag with the time between them with which they were received.
+    """Publish the messages of a bag at the intervals at which they were received.
 
     Args:
         path: Folder of the bag.
-        rate: Speed; 1 is as recorded, 2 twice as fast.
-        wanted: Only these topics; all if empty.
+        rate: Speed relative to the recording.
+        wanted: Topics to play; all if empty.
         wait: Longest wait for a subscriber of every topic, after discovery [s].
 
     Raises:
-        ValueError: As `select_topics`; when the rate is not positive, a type is not installed or
-            one of the topics has another publisher.
+        ValueError: As for `select_topics`; or the rate is not positive, a message type is not
+            installed, or a topic has another publisher.
     """
     if not 0.0 < rate < math.inf:
         raise ValueError(f"rate {rate} must be positive")
-    topics, left_out = select_topics(path, wanted)
-    for name, why in left_out.items():
-        show(f"not played: {name}, because {why}")
+    topics, excluded = select_topics(path, wanted)
+    for name, reason in excluded.items():
+        show(f"not played: {name}, because {reason}")
     with participant(lambda: Node("player"), SignalHandlerOptions.NO) as node:
         _Player(node, topics).play(path, rate, wait)
 
 
 class _Player:
+    """Publishers of the topics of a bag."""
+
     def __init__(self, node: Node, topics: Mapping[str, reader.Topic]) -> None:
         self._node = node
         self._publishers = {name: self._publisher(name, topic) for name, topic in topics.items()}
@@ -117,17 +120,17 @@ class _Player:
     def play(self, path: Path, rate: float, wait: float) -> None:
         time.sleep(DISCOVERY_TIME)
         self._check_alone()
-        end = time.monotonic() + wait
-        while time.monotonic() < end and not all(map(_subscribers, self._publishers.values())):
+        deadline = time.monotonic() + wait
+        while (unsubscribed := self._unsubscribed()) and time.monotonic() < deadline:
             time.sleep(0.05)
-        unread = [name for name, each in self._publishers.items() if not _subscribers(each)]
         show(f"Playing {', '.join(self._publishers)}; Ctrl-C ends it")
-        if unread:
-            show(f"no subscriber of {', '.join(unread)}")
-        begun, checked, first_ns, count = time.monotonic(), time.monotonic(), None, 0
+        if unsubscribed:
+            show(f"no subscriber of {', '.join(unsubscribed)}")
+        start = checked = time.monotonic()
+        first_ns, count = None, 0
         for name, stamp_ns, cdr in reader.messages(path, self._publishers):
             first_ns = stamp_ns if first_ns is None else first_ns
-            due = begun + (stamp_ns - first_ns) * 1e-9 / rate
+            due = start + (stamp_ns - first_ns) * 1e-9 / rate
             while (left := due - time.monotonic()) > 0.0:
                 time.sleep(min(left, CHECK_PERIOD))
             if time.monotonic() - checked > CHECK_PERIOD:
@@ -137,7 +140,11 @@ class _Player:
             count += 1
         for publisher in self._publishers.values():
             publisher.wait_for_all_acked(Duration(seconds=DISCOVERY_TIME))
-        show(f"played {count} messages in {time.monotonic() - begun:.1f} s")
+        show(f"played {count} messages in {time.monotonic() - start:.1f} s")
+
+    def _unsubscribed(self) -> list[str]:
+        publishers = self._publishers.items()
+        return [name for name, each in publishers if not each.get_subscription_count()]
 
     def _check_alone(self) -> None:
         for name in self._publishers:
@@ -148,23 +155,19 @@ class _Player:
                     if info.node_name != self._node.get_name()
                 ]
                 raise ValueError(
-                    f"{name} is published by {', '.join(others) or 'another player'} too: "
-                    "recorded and live messages would mix (a killed node counts for 20 s)"
+                    f"{name} is published by {', '.join(others) or 'another player'} too: recorded "
+                    "and live messages would mix; end it (a killed node stays announced for 20 s)"
                 )
 
 
 def qos(topic: reader.Topic) -> QoSProfile:
-    """QoS to publish a topic with: as recorded, but deep, as discovery does not report a depth."""
+    """QoS to publish a topic: as recorded, with a large depth because discovery reports none."""
     reliable = all(item.reliability == QosReliability.RELIABLE for item in topic.offered)
     latched = bool(topic.offered) and all(
         item.durability == QosDurability.TRANSIENT_LOCAL for item in topic.offered
     )
     return QoSProfile(
-        depth=max(item.depth for item in topic.offered) if latched else DEPTH,
+        depth=max(item.depth for item in topic.offered) if latched else QUEUE_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
-
-
-def _subscribers(publisher: Publisher) -> int:
-    return publisher.get_subscription_count()

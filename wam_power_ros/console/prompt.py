@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text to and from the person at the terminal, without ROS."""
+"""Terminal output and input, without ROS."""
 
 from __future__ import annotations
 
@@ -10,41 +10,41 @@ from collections.abc import Mapping
 
 
 def show(text: str) -> None:
-    """Print a line without delay, also where the output is a file."""
+    """Print a line and flush it, also if the output is a file."""
     sys.stdout.write(f"{text}\n")
     sys.stdout.flush()
 
 
 def ask(text: str) -> bool:
-    """Print a question and wait for Enter; False where standard input is closed."""
+    """Print a question and wait for Enter; returns False if standard input is closed."""
     sys.stderr.write(text)
     sys.stderr.flush()
     return bool(sys.stdin.readline())
 
 
-def choose(otherwise: str, keys: Mapping[str, str]) -> str:
-    """Ask for a key and Enter, or Enter alone.
+def choose(default: str, keys: Mapping[str, str]) -> str:
+    """Ask for a choice until a valid one is entered.
 
     Args:
-        otherwise: Answer returned for Enter alone, and where standard input is closed.
-        keys: Key -> what it stands for.
+        default: Choice for Enter alone, or if standard input is closed.
+        keys: Key -> choice.
     """
     listed = ", ".join(f"{key}: {word}" for key, word in keys.items())
     while True:
-        sys.stderr.write(f"Enter: {otherwise}, {listed} > ")
+        sys.stderr.write(f"Enter: {default}, {listed} > ")
         sys.stderr.flush()
-        said = sys.stdin.readline().strip().lower()
-        if not said:
-            return otherwise
-        if said in keys.values():
-            return said
-        if said in keys:
-            return keys[said]
+        entered = sys.stdin.readline().strip().lower()
+        if not entered:
+            return default
+        if entered in keys.values():
+            return entered
+        if entered in keys:
+            return keys[entered]
 
 
-def cue(wanted: bool, word: str) -> None:
-    """Ring the bell of the terminal, and say a word where a speech program is installed."""
-    if not wanted:
+def cue(enabled: bool, word: str) -> None:
+    """Ring the terminal bell, and speak a word if a speech program is installed."""
+    if not enabled:
         return
     sys.stderr.write("\a")
     sys.stderr.flush()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay a recorded movement with the arm and record it again; Ctrl-C stops the arm.
+"""Replay a recorded movement on the arm and record it; Ctrl-C stops the arm.
 
-The controller moves to its start, follows it at the given speed and holds. It checks the limits and
-computes the tracking error.
+The controller moves to the start, follows the movement at the given speed and holds. It checks the
+limits and computes the tracking error.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.node_runner import run_script
 from wam_power_ros.ros.service_client import LOG_AFTER, ServiceClient, ServiceError
 
-STOPPED = 130  # exit status
-NOT_BEGUN = (Code.REFUSED, Code.TOO_FAST, Code.NOT_ACTIVE, Code.BUSY)  # answers before any movement
+STOPPED_STATUS = 130  # exit status
+NO_MOTION_CODES = (Code.REFUSED, Code.TOO_FAST, Code.NOT_ACTIVE, Code.BUSY)
 REPLAY_TIMEOUT = 3600.0  # [s of wall time]
-SETTLE_TIME = 1.0  # [s of wall time] in which a stopped arm comes to rest, still recorded
+SETTLE_TIME = 1.0  # [s of wall time] recorded after a stop, while the arm comes to rest
 
 
 class ReplayParams(Params):
@@ -44,17 +44,17 @@ class ReplayParams(Params):
 
     Attributes:
         bag: Path of the bag.
-        speed: Speed relative to the recording; 1 is as recorded.
+        speed: Speed relative to the recording.
         joint_names: Joint names of the driver.
-        arm: Identity of the arm as JSON text; empty if unknown.
-        person: Whether a person beside a real arm is asked before it moves.
+        arm: Identity of the arm as JSON text; "" if unknown.
+        person: True to ask the person beside a real arm before it moves.
     """
 
     bag: str
     speed: float = Field(
         ge=replay_trajectory.SPEED_MIN,
         le=replay_trajectory.SPEED_MAX,
-        description="below, a replay lasts for ever; the joints allow no more",
+        description="slower takes too long; faster exceeds the speed limits of the joints",
     )
     joint_names: tuple[str, ...] = Field(min_length=1, max_length=16)
     arm: str
@@ -62,7 +62,7 @@ class ReplayParams(Params):
 
 
 class Replay(Node):
-    """Passes a movement to the controller and waits until it is over."""
+    """Sends a movement to the controller and waits until it has ended."""
 
     def __init__(self) -> None:
         super().__init__("replaying", automatically_declare_parameters_from_overrides=True)
@@ -90,18 +90,18 @@ class Replay(Node):
         calls, name = self._calls, Path(self._params.bag).name
         calls.insist(Trigger, interface.STOP)  # succeeds once the controller is active
         self._movements.publish(self._message)
-        how = f"{name} at {self._params.speed:g} of its speed: {self._duration:.1f} s"
-        self._ask(f"The arm will move to the start of {how}. Press Enter: ")
+        movement = f"{name} at {self._params.speed:g} times its speed, {self._duration:.1f} s"
+        self._ask(f"The arm will move to the start of {movement}. Press Enter: ")
         if self._signals:
-            return STOPPED
-        show(f"Replaying {how}; Ctrl-C stops the arm")
+            return STOPPED_STATUS
+        show(f"Replaying {movement}; Ctrl-C stops the arm")
         calls.insist(SetBool, interface.RECORD, SetBool.Request(data=True))
         try:
             answer = self._follow()
         finally:
             path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text
         show(with_possible_speed(answer, self._params.speed))
-        if answer.code in NOT_BEGUN:
+        if answer.code in NO_MOTION_CODES:
             shutil.rmtree(path)
             show("The arm has not moved; nothing was recorded.")
         else:
@@ -112,19 +112,19 @@ class Replay(Node):
         self._ask("The arm holds. Support it, then press Enter to let it go: ")
         if answer.success:
             return 0
-        return STOPPED if answer.code is Code.STOPPED else 1
+        return STOPPED_STATUS if answer.code is Code.STOPPED else 1
 
     def _follow(self) -> Answer:
-        """Answer of the controller when the movement is over or was stopped."""
+        """Answer of the controller once the movement has ended or was stopped."""
         calls = self._calls
         while True:
             future = calls.begin(Trigger, interface.REPLAY)
-            over = lambda f=future: f.done() or self._signals  # noqa: E731
-            calls.until(over, "the end of the replay", REPLAY_TIMEOUT)
+            ended = lambda f=future: f.done() or self._signals  # noqa: E731
+            calls.until(ended, "the end of the replay", REPLAY_TIMEOUT)
             if not future.done():
                 self._stop(future)
             answer = calls.answer(future)
-            if self._signals or answer.code is not Code.NOTHING:  # not received yet
+            if self._signals or answer.code is not Code.NOTHING:  # movement not received yet
                 return answer
 
     def _stop(self, future: Future) -> None:
@@ -139,11 +139,11 @@ class Replay(Node):
 
 
 def with_possible_speed(answer: Answer, speed: float) -> str:
-    """Text of the controller's answer, with the --speed at which the replay would be possible.
+    """Text of the controller's answer, with the highest possible --speed if it was too fast.
 
     Args:
         answer: Answer of the controller.
-        speed: --speed of the movement that it was given.
+        speed: Value of --speed for the refused movement.
     """
     if answer.code is not Code.TOO_FAST:
         return answer.text
@@ -151,5 +151,5 @@ def with_possible_speed(answer: Answer, speed: float) -> str:
 
 
 def main() -> int:
-    """Entry point of `python -m wam_power_ros.console.replay`."""
+    """Run `python -m wam_power_ros.console.replay`."""
     return run_script(Replay, Replay.run, signals=SignalHandlerOptions.NO)

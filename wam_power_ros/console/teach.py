@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Record a series of kinesthetic demonstrations under gravity compensation.
 
-The teacher is a person, who presses Enter, or the demonstrator of the stand-in. The list of bags is
-written again after every take, and a take is added to what is there. Where takes are reviewed, a
-person may have each of them done again or discarded, or end the series with it.
+The teacher is a person, who presses Enter, or the demonstrator of the stand-in. Every take is added
+to the list of bags in a file at once. In a review after each take, a person may repeat or discard
+it, or end the series.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
     raise SystemExit(start("wam_power_ros.console.teach", INTERRUPTED))
 
-import time
 from pathlib import Path
 
 from pydantic import Field
@@ -37,11 +36,11 @@ class TeachParams(Params):
 
     Attributes:
         demonstrations: Number of demonstrations to record.
-        series: File with the list of bags, to which they are added.
-        person: Whether a person leads the arm; otherwise the demonstrator of the stand-in does.
+        series: File with the list of bags, to which new ones are added.
+        person: True if a person guides the arm by hand, False for the demonstrator of the stand-in.
         review: True to ask a person after each take to keep, repeat or discard it.
-        bell: True for a cue, see `prompt.cue`, as a recording begins and ends.
-        body: Name of the tracked body; empty for none.
+        bell: True for a cue at begin and end of a recording, see `prompt.cue`.
+        body: Name of the tracked body; "" for none.
         state_topic: Topic of the joint states, to which the recorder subscribes.
     """
 
@@ -70,28 +69,28 @@ class Teach(Node):
         """
         params, insist = self._params, self._calls.insist
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
-        if not params.person:  # a person takes longer than any node does
+        if not params.person:  # a person is slower than the start of any node
             self._wait_for_recorder()
         file = Path(params.series)
         bags, number, wanted = series.read(file), 1, params.demonstrations
         while number <= wanted:
             bag = self._take(number)
             bags.append(bag)
-            series.write(file, bags)  # from now on an interruption leaves it in the series
+            series.write(file, bags)  # at once: kept even if interrupted
             show(f"  {number} of {wanted}: {bag}")
             choice = choose(KEEP, KEYS) if params.review else KEEP
             if choice in (AGAIN, DISCARD):
                 bags.pop()
-                show(f"  discarded, kept in {series.discard(bag)}")
+                show(f"  discarded; moved to {series.discard(bag)}")
             wanted = {DONE: number, DISCARD: wanted - 1}.get(choice, wanted)
             number += choice in (KEEP, DONE)
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
 
     def _take(self, number: int) -> Path:
-        """Record one demonstration; returns its bag."""
+        """Record one demonstration; returns the path of its bag."""
         params, insist = self._params, self._calls.insist
         if params.person:
-            self._ask(f"demonstration {number}: press Enter, then lead the arm ")
+            self._ask(f"demonstration {number}: press Enter, then guide the arm by hand ")
         else:  # arm and body back to the start
             insist(Trigger, interface.body_topic(params.body, "reset"))
         insist(SetBool, interface.RECORD, SetBool.Request(data=True))
@@ -105,15 +104,13 @@ class Teach(Node):
         return bag
 
     def _wait_for_recorder(self) -> None:
-        """Wait until the recorder is subscribed: it offers its service earlier than that."""
-        end = time.monotonic() + TIMEOUT
-        while not any(
-            info.node_name == RECORDER
-            for info in self.get_subscriptions_info_by_topic(self._params.state_topic)
-        ):
-            if time.monotonic() > end:
-                raise ServiceError(f"{RECORDER} did not subscribe within {TIMEOUT:.0f} s")
-            time.sleep(0.05)
+        """Wait until the recorder has subscribed, which may be later than its service appears."""
+        if not self._calls.until(self._recorder_subscribed, f"the subscription of {RECORDER}"):
+            raise ServiceError(f"{RECORDER} did not subscribe within {TIMEOUT:.0f} s")
+
+    def _recorder_subscribed(self) -> bool:
+        infos = self.get_subscriptions_info_by_topic(self._params.state_topic)
+        return RECORDER in {info.node_name for info in infos}
 
     def _ask(self, text: str) -> None:
         if not ask(text):
@@ -121,5 +118,5 @@ class Teach(Node):
 
 
 def main() -> int:
-    """Entry point of `python -m wam_power_ros.console.teach`."""
+    """Run `python -m wam_power_ros.console.teach`."""
     return run_script(Teach, Teach.run)

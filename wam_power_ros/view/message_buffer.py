@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Viser's buffer of messages to browsers, which threads other than the server's may fill.
+"""Viser's buffer of messages to browsers, made safe for messages from other threads.
 
-Its own wakes the senders twice, by way of their event loop and at once from the thread that brings
-a message. The latter goes through the list of those who wait while they enter and leave it, and
-now and then ends in "deque mutated during iteration".
+Viser wakes the senders twice: through their event loop, and at once from the thread that adds a
+message. The second iterates over the list of waiting senders while the loop changes it, and
+sometimes raises "deque mutated during iteration".
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 
 
 class LoopEvent(asyncio.Event):
-    """An event that a thread without an event loop does not set: it asks the loop to."""
+    """An event that only the thread of the event loop can set."""
 
     def set(self) -> None:
-        """Wake who waits, in the thread of the loop; without effect in another."""
+        """Wake the waiting senders in the thread of the loop; do nothing in another thread."""
         with suppress(RuntimeError):  # no loop runs in this thread
             asyncio.get_running_loop()
             super().set()
@@ -27,6 +27,6 @@ class LoopEvent(asyncio.Event):
 
 @dataclass
 class MessageBuffer(AsyncMessageBuffer):
-    """As viser's, woken by its event loop alone."""
+    """Viser's buffer, whose senders are woken by their event loop alone."""
 
     message_event: asyncio.Event = field(default_factory=LoopEvent)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the browser shows, drawn with viser: the arm, paths and attractors, and the panels."""
+"""Scene and panels in the browser, drawn with viser: arm, paths, attractors, state, curve."""
 
 from __future__ import annotations
 
@@ -14,35 +14,34 @@ from viser import uplot
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.policy_shapes import ellipsoids
-from wam_power_ros.view.drawables import segments
 from wam_power_ros.view.skeleton import Shape, Skeleton
 
 PLANNED, EXECUTED, ATTRACTOR = (37, 99, 235), (234, 88, 12), (13, 148, 136)
 TRAIL = (250, 176, 120)
 BODY_TOP, BODY_UNDER = (250, 204, 110), (146, 84, 32)
-BODY_RADIUS, BODY_HEIGHT = 0.09, 0.006  # of each half of the disc that stands for a body [m]
+BODY_RADIUS, BODY_HEIGHT = 0.09, 0.006  # [m] of each half of the disc that represents a body
 PATH_THICKNESS = 0.006  # [m]
-KINDS = {  # as in the report
+KIND_COLOURS = {  # as in the report
     "reproduction": "#5b6570",
     "explore": "#3b6ea5",
     "mean": "#d98324",
     "retest": "#2f855a",
 }
-BEST = "#9b3fe0"
+BEST_COLOUR = "#9b3fe0"
 NO_SAFETY = "Stop is a request over the network, **no safety function**: use the pendant."
 
 
 def plain(text: str) -> str:
-    """Text of a file or of another node, for Markdown that the browser renders, with its HTML."""
+    """Escape untrusted text for Markdown, in which the browser renders HTML."""
     return re.sub(r"([\\`*_\[\]|~])", r"\\\1", escape(" ".join(text.split()), quote=False))
 
 
 class Page:
-    """One page; every browser that has it open sees the same.
+    """One page, the same in every browser that opens it.
 
     Attributes:
-        server: Its server.
-        skeleton: Arm that is drawn, None before the first.
+        server: Server of the page.
+        skeleton: Drawn arm, None before the first.
         terms: Text below the learning curve.
 
     Args:
@@ -62,14 +61,14 @@ class Page:
         self._links: list[viser.FrameHandle] = []
         self._body: viser.FrameHandle | None = None
         self._attractors: list[viser.SceneNodeHandle] = []
-        self._shown: dict[str, bool] = {}
+        self._is_shown: dict[str, bool] = {}
         with gui.add_folder("State"):
             self._state = gui.add_markdown("")
 
     # Scene
 
     def show_arm(self, skeleton: Skeleton) -> None:
-        """Draw an arm in place of the last one."""
+        """Draw an arm; it replaces the last one."""
         for handle in self._links:
             handle.remove()
         self.skeleton = skeleton
@@ -82,7 +81,7 @@ class Page:
         )
 
     def pose(self, q: np.ndarray) -> np.ndarray:
-        """Put the arm at joint angles (n,) [rad]; returns the position of the tool (3,) [m]."""
+        """Draw the arm at joint angles (n,) [rad]; returns the position of the tool (3,) [m]."""
         positions, quats = self.skeleton.placements(q)
         with self.server.atomic():
             for handle, position, quat in zip(self._links, positions, quats, strict=True):
@@ -90,7 +89,7 @@ class Page:
         return positions[-1]
 
     def place_body(self, state: tuple[np.ndarray, np.ndarray] | None) -> None:
-        """Put the tracked body at a position [m] and quaternion wxyz; None hides it."""
+        """Draw the tracked body at a position [m] and quaternion wxyz; None hides it."""
         if state is None:
             if self._body is not None:
                 self._body.visible = False
@@ -99,24 +98,24 @@ class Page:
             self._body = _add_body(self.server.scene)
         with self.server.atomic():
             self._body.position, self._body.wxyz = state
-            self._body.visible = self._shown.get("body", True)
+            self._body.visible = self._is_shown.get("body", True)
 
     def show_path(self, name: str, points: np.ndarray, rgb: tuple[int, int, int]) -> None:
-        """Draw a path (T, 3) [m] in place of the last one of that name; fewer than 2 points none.
+        """Draw a path; it replaces the last one with that name.
 
         Args:
             name: "planned", "executed" or "trail".
-            points: Points of the path.
+            points: Points of the path [m]; fewer than two draw nothing. Shape (T, 3).
             rgb: Colour.
         """
         if len(points) < 2:
             points = np.zeros((2, 3))
         self.server.scene.add_line_segments(
             f"/{name}",
-            segments(points).astype(np.float32),
+            np.stack([points[:-1], points[1:]], axis=1).astype(np.float32),
             rgb,
             thickness=PATH_THICKNESS,
-            visible=self._shown.get("executed" if name == "trail" else name, True),
+            visible=self._is_shown.get("executed" if name == "trail" else name, True),
         )
 
     def show_attractors(self, policy: Policy | None) -> None:
@@ -135,7 +134,7 @@ class Page:
                 position=centre,
                 wxyz=quat,
                 cast_shadow=False,
-                visible=self._shown.get("attractors", True),
+                visible=self._is_shown.get("attractors", True),
             )
             self._attractors.append(handle)
 
@@ -148,11 +147,11 @@ class Page:
             self._state.content = text
 
     def add_legend(self, body: str, policies: bool = True) -> None:
-        """Add a panel that shows or hides what is drawn, and says in which colour.
+        """Add a panel with a checkbox for each kind of drawing, and its colour.
 
         Args:
-            body: Name of the tracked body, empty for none.
-            policies: True when there are policies to draw.
+            body: Name of the tracked body, "" for none.
+            policies: True if there are policies to draw.
         """
         executed = lambda: [self._node("/executed"), self._node("/trail")]  # noqa: E731
         kinds = {"executed": ("executed path (orange)", executed)}
@@ -164,12 +163,12 @@ class Page:
         with self.server.gui.add_folder("Show"):
             for name, (label, handles) in kinds.items():
                 box = self.server.gui.add_checkbox(label, True)
-                self._shown[name] = True
+                self._is_shown[name] = True
                 box.on_update(self._toggle(name, box, handles))
 
     def _toggle(self, name: str, box: Any, handles: Callable[[], list]) -> Callable:  # noqa: ANN401
         def toggle(_: object) -> None:
-            self._shown[name] = box.value
+            self._is_shown[name] = box.value
             for handle in handles():
                 if handle is not None:
                     handle.visible = box.value
@@ -189,48 +188,51 @@ class Page:
 
         Args:
             folder: Title of the panel.
-            buttons: Label -> colour, hint and what a click does.
-            note: Line below them.
+            buttons: Label -> colour, hint and function to call on a click.
+            note: Text below the buttons.
 
         Returns:
             The buttons by label.
         """
-        made = {}
+        handles = {}
         with self.server.gui.add_folder(folder):
             for label, (colour, hint, act) in buttons.items():
                 button = self.server.gui.add_button(label, color=colour, hint=hint)
                 button.on_click(lambda _, act=act: act())
-                made[label] = button
+                handles[label] = button
             if note:
                 self.server.gui.add_markdown(note)
-        return made
+        return handles
 
-    def tell(self, title: str, text: str, good: bool = True) -> None:
+    def notify(self, title: str, text: str, good: bool = True) -> None:
         """Show a notification in every browser."""
         for client in self.server.get_clients().values():
             client.add_notification(
                 title, text, auto_close_seconds=6.0, color="green" if good else "red"
             )
 
-    def add_curve(self, names: Sequence[str]) -> Callable[[tuple[np.ndarray, ...]], None]:
-        """Add a panel with the learning curve; returns what replaces its columns.
+    def add_curve(self, names: Sequence[str]) -> viser.GuiUplotHandle:
+        """Add a panel with the learning curve.
 
         Args:
-            names: Kinds of rollout, one series each; the best so far comes last.
+            names: Kinds of rollouts, one series each; the series of the best return is added last.
+
+        Returns:
+            Chart, whose `data` are the columns: rollout numbers, returns of each kind, best return.
         """
         points = [
             uplot.Series(
                 label=name,
-                stroke=KINDS[name],
+                stroke=KIND_COLOURS[name],
                 width=0,
-                points={"show": True, "size": 7, "fill": KINDS[name]},
+                points={"show": True, "size": 7, "fill": KIND_COLOURS[name]},
             )
             for name in names
         ]
         series = (
             uplot.Series(label="rollout"),
             *points,
-            uplot.Series(label="best", stroke=BEST, width=2, points={"show": False}),
+            uplot.Series(label="best", stroke=BEST_COLOUR, width=2, points={"show": False}),
         )
         empty = tuple(np.zeros(0) for _ in series)
         with self.server.gui.add_folder("Learning"):
@@ -242,28 +244,24 @@ class Page:
                 height=220,
             )
             self.terms = self.server.gui.add_markdown("")
-
-        def replace(columns: tuple[np.ndarray, ...]) -> None:
-            chart.data = columns
-
-        return replace
+        return chart
 
 
 def _add_shape(scene: viser.SceneApi, name: str, shape: Shape) -> None:
-    placed = {"color": shape.rgb, "position": shape.position, "wxyz": shape.quat_wxyz}
+    common = {"color": shape.rgb, "position": shape.position, "wxyz": shape.quat_wxyz}
     if shape.kind == "cylinder":
         radius, length = shape.size
-        scene.add_cylinder(name, radius, length, **placed)
+        scene.add_cylinder(name, radius, length, **common)
     elif shape.kind == "sphere":
-        scene.add_icosphere(name, shape.size[0], **placed)
+        scene.add_icosphere(name, shape.size[0], **common)
     else:
-        scene.add_box(name, dimensions=shape.size, **placed)
+        scene.add_box(name, dimensions=shape.size, **common)
 
 
 def _add_body(scene: viser.SceneApi) -> viser.FrameHandle:
-    """A disc, of another colour above than below, that shows how a body has turned."""
+    """Add a disc with different colours above and below, which shows the body's rotation."""
     frame = scene.add_frame("/body", show_axes=False)
     for name, side, rgb in (("top", 0.5, BODY_TOP), ("under", -0.5, BODY_UNDER)):
-        place = (0.0, 0.0, side * BODY_HEIGHT)
-        scene.add_cylinder(f"/body/{name}", BODY_RADIUS, BODY_HEIGHT, rgb, position=place)
+        position = (0.0, 0.0, side * BODY_HEIGHT)
+        scene.add_cylinder(f"/body/{name}", BODY_RADIUS, BODY_HEIGHT, rgb, position=position)
     return frame

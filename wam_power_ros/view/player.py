@@ -7,52 +7,52 @@ import threading
 from collections.abc import Callable, Sequence
 
 from wam_power_ros.learning.policy_shapes import plan
-from wam_power_ros.view.drawables import Movement
 from wam_power_ros.view.page import EXECUTED, PLANNED, Page
+from wam_power_ros.view.recorded import Movement
 from wam_power_ros.view.skeleton import Skeleton
 
-SPEEDS = ("1/8", "1/4", "1/2", "1")
-NONE = "none"  # of the movements, where there is no
-STEP = 0.01  # of the slider [s]
-PATH_STEP = 5  # states between two points of a path that is drawn
+SPEEDS = {"1/8": 0.125, "1/4": 0.25, "1/2": 0.5, "1": 1.0}
+NO_MOVEMENT = "none"  # entry of an empty list of movements
+TIME_STEP = 0.01  # [s] of the slider
+PATH_STEP = 5  # states between two points of a drawn path
 
 
 class Player:
-    """Shows one of several movements at the time of a slider.
+    """Shows one of several movements at the time given by a slider.
 
     Attributes:
-        movement: Movement that is shown, None before the first.
+        movement: Shown movement, None before the first.
         playing: True while it plays.
-        stale: True once something else has been drawn over its movement.
+        stale: True if something else has been drawn since.
         on_choice: Called when a person chooses or plays a movement.
 
     Args:
-        page: Page that it is drawn on.
-        names: Movements to choose from, oldest first.
-        read: Reads one by its name; a `ValueError` is shown.
+        page: Page to draw on.
+        names: Names of the movements to choose from.
+        read: Reads a movement by its name; the page shows its `ValueError` or `OSError`.
     """
 
     def __init__(self, page: Page, names: Sequence[str], read: Callable[[str], Movement]) -> None:
         self._page, self._read = page, read
         self.movement: Movement | None = None
         self.stale = True
-        self._lock = threading.Lock()  # callbacks of viser come in threads of their own
+        self._lock = threading.Lock()  # viser runs callbacks in other threads
         gui = page.server.gui
         with gui.add_folder("Playback"):
-            self._choice = gui.add_dropdown("movement", [*names] or [NONE])
-            self._time = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
-            self._speed = gui.add_dropdown("speed", SPEEDS, initial_value="1")
+            self._choice = gui.add_dropdown("movement", [*names] or [NO_MOVEMENT])
+            self._time = gui.add_slider("time [s]", 0.0, 1.0, TIME_STEP, 0.0)
+            self._speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
             self._button = gui.add_button("Play")
         self.playing = False
         self.on_choice: Callable[[], object] = lambda: None
         self._button.on_click(lambda _: self._toggle())
-        self._choice.on_update(lambda event: self._chosen(event.client is not None))
-        self._time.on_update(lambda event: self._moved(event.client is not None))
+        self._choice.on_update(lambda event: self._on_movement(event.client is not None))
+        self._time.on_update(lambda event: self._on_time(event.client is not None))
 
     def offer(self, names: Sequence[str]) -> None:
-        """Replace the names to choose from."""
+        """Replace the names of the movements to choose from."""
         if tuple(names) != tuple(self._choice.options):
-            self._choice.options = tuple(names) or (NONE,)
+            self._choice.options = tuple(names) or (NO_MOVEMENT,)
 
     def show(self, name: str) -> None:
         """Show a movement from its beginning."""
@@ -61,7 +61,7 @@ class Player:
             skeleton = Skeleton(movement.urdf, movement.joint_names)
         except (ValueError, OSError) as error:
             self.movement, self.stale = None, False
-            self._page.tell(name, str(error), good=False)
+            self._page.notify(name, str(error), good=False)
             return
         with self._lock:
             self.movement, self.stale, page = movement, False, self._page
@@ -74,28 +74,27 @@ class Player:
             planned = path[:0] if movement.policy is None else plan(movement.policy, path[0])
             page.show_path("planned", planned, PLANNED)
             page.show_attractors(movement.policy)
-            self._time.max = max(round(movement.duration, 2), STEP)
+            self._time.max = max(round(movement.duration, 2), TIME_STEP)
             self._time.value = 0.0
         self._draw()
 
     def redraw(self) -> None:
-        """Show the movement that is chosen, if something else has been drawn since."""
-        if self.stale and self._choice.value != NONE:
+        """Show the chosen movement again if something else has been drawn since."""
+        if self.stale and self._choice.value != NO_MOVEMENT:
             self.show(self._choice.value)
 
     def advance(self, elapsed: float) -> None:
-        """Go on by a time [s] where it plays; the end is followed by the beginning."""
+        """Advance playback by an elapsed time [s]; it starts again at the end."""
         if self.playing and self.movement is not None:
-            numerator, _, denominator = self._speed.value.partition("/")
-            t = self._time.value + elapsed * int(numerator) / int(denominator or 1)
+            t = self._time.value + elapsed * SPEEDS[self._speed.value]
             self._time.value = t if t < self.movement.duration else 0.0
 
-    def _chosen(self, by_person: bool) -> None:
+    def _on_movement(self, by_person: bool) -> None:
         if by_person:
             self.on_choice()
             self.show(self._choice.value)
 
-    def _moved(self, by_person: bool) -> None:
+    def _on_time(self, by_person: bool) -> None:
         if by_person:
             self.on_choice()
         self._draw()

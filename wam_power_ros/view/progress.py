@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a session: its learning curve and the terms of its returns, as its records grow."""
+"""Progress of a session: learning curve and return terms, updated as the log grows."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from wam_power_ros.tasks.task import Task
 from wam_power_ros.view.page import Page, plain
 
 KINDS: tuple[str, ...] = get_args(Kind)
-SHOWN = 4  # newest rollouts in the text
+NEWEST_COUNT = 4  # rollouts in the text
 
 
 def curve(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
-    """Numbers of the rollouts, returns of each of KINDS (NaN for the others), best so far."""
+    """Rollout numbers, returns of each kind (NaN for other rollouts), best return so far."""
     numbers = np.array([float(record.number) for record in records])
     returns = np.array([np.nan if (r := rec.rated_return) is None else r for rec in records])
     kinds = np.array([record.kind for record in records])
@@ -29,8 +29,8 @@ def curve(records: Sequence[Record]) -> tuple[np.ndarray, ...]:
 
 
 def newest(records: Sequence[Record], task: Task) -> str:
-    """The newest rollouts in Markdown, newest first: outcomes, then the terms of their returns."""
-    shown = records[: -SHOWN - 1 : -1]
+    """The newest rollouts as Markdown, newest first: outcomes, then the terms of their returns."""
+    shown = records[: -NEWEST_COUNT - 1 : -1]
     lines = [f"**{plain(label(record))}** {plain(task.outcome(record))}  " for record in shown]
     rows = [["", *(str(record.number) for record in shown)], ["---"] * (len(shown) + 1)]
     for term in term_names(records):
@@ -39,19 +39,19 @@ def newest(records: Sequence[Record], task: Task) -> str:
 
 
 def label(record: Record) -> str:
-    """A rollout in a list: number, kind and return."""
+    """Label of a rollout: number, kind and return."""
     return f"{record.number} {record.kind} {returned(record)}"
 
 
 class Progress:
-    """Reads a session again whenever its log has grown, and shows it.
+    """Shows a session and reads its log again whenever it has grown.
 
     Attributes:
-        bags: Bag of each rollout that has one, by its label, newest first.
-        records: Its rollouts.
+        bags: Label of a rollout with a bag -> path of the bag, newest first.
+        records: Rollouts of the session.
 
     Args:
-        page: Page that it is shown on.
+        page: Page to show it on.
         folder: Folder of the session.
         task: Task of the session.
     """
@@ -59,12 +59,12 @@ class Progress:
     def __init__(self, page: Page, folder: Path, task: Task) -> None:
         self._page, self._folder, self._task = page, folder, task
         self._size = -1
-        self._replace = page.add_curve(KINDS)
+        self._chart = page.add_curve(KINDS)
         self.bags: dict[str, Path] = {}
         self.records: tuple[Record, ...] = ()
 
     def refresh(self) -> bool:
-        """Show what has been added; returns whether anything has.
+        """Show new rollouts; returns True if the log has grown.
 
         Raises:
             SessionError: The log cannot be read.
@@ -80,6 +80,6 @@ class Progress:
             for record in reversed(self.records)
             if record.bag
         }
-        self._replace(curve(self.records))
+        self._chart.data = curve(self.records)
         self._page.terms.content = newest(self.records, self._task)
         return True

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Movements as bags hold them, made ready to draw."""
+"""Read movements from bags for drawing."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +14,62 @@ from wam_power_ros.bags import reader
 from wam_power_ros.bags.layout import STRING, TYPES
 from wam_power_ros.learning.policy import Policy, from_json
 from wam_power_ros.params.resources import share
-from wam_power_ros.view.drawables import Movement
 from wam_power_ros.view.skeleton import Skeleton
 
-DESCRIPTION, POLICY = "/robot_description", "/policy"  # below the namespace of the arm
-STATE, ODOMETRY = "/state", "nav_msgs/msg/Odometry"
-URDFS = ("urdf/wam7.urdf", "urdf/cobot7.urdf")  # for a bag without a robot description
-BODY_GAP = 0.05  # of a body's state before the first of the arm that still counts [s]
+DESCRIPTION, POLICY = "/robot_description", "/policy"  # topics below the arm's namespace
+STATE, ODOMETRY = "/state", "nav_msgs/msg/Odometry"  # topic of a body below its name; its type
+URDFS = ("urdf/wam7.urdf", "urdf/cobot7.urdf")  # tried for a bag without a robot description
+BODY_LEAD_MAX = 0.05  # [s] of body states before the first joint state, else dropped
+
+
+@dataclass(frozen=True, eq=False)
+class Movement:
+    """A recorded movement.
+
+    Attributes:
+        name: Name of the movement.
+        urdf: Text of the arm's URDF.
+        joint_names: Names of the joints in the URDF.
+        t: Time since the first state [s], strictly increasing. Shape (T,).
+        q: Joint angles [rad]. Shape (T, n).
+        body: Name of the tracked body, "" for none.
+        body_t: Times of the body states [s]. Shape (M,).
+        body_position: Positions of the body [m]. Shape (M, 3).
+        body_quat_wxyz: Orientations of the body. Shape (M, 4).
+        policy: Executed policy, None for a demonstration.
+    """
+
+    name: str
+    urdf: str
+    joint_names: tuple[str, ...]
+    t: np.ndarray
+    q: np.ndarray
+    body: str
+    body_t: np.ndarray
+    body_position: np.ndarray
+    body_quat_wxyz: np.ndarray
+    policy: Policy | None
+
+    @property
+    def duration(self) -> float:
+        """Time from the first state to the last [s]."""
+        return float(self.t[-1])
+
+    def joints_at(self, t: float) -> np.ndarray:
+        """Interpolated joint angles at time t [s] in rad. Shape (n,)."""
+        return np.array([np.interp(t, self.t, column) for column in self.q.T])
+
+    def body_at(self, t: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Position (3,) [m] and quaternion wxyz (4,) in the last body state before time t [s]."""
+        index = int(np.searchsorted(self.body_t, t, side="right")) - 1
+        return None if index < 0 else (self.body_position[index], self.body_quat_wxyz[index])
 
 
 def read(bag: Path) -> Movement:
-    """Movement of a bag.
+    """Read the movement of a bag.
 
     Raises:
-        ValueError: It is no bag, has no joint states, or none of an arm that is known.
+        ValueError: It is no bag, has no joint states, or only those of an unknown arm.
     """
     found = reader.topics(bag)
     urdf, skeleton = _description(bag, found)
@@ -53,7 +96,7 @@ def read(bag: Path) -> Movement:
 
 
 def _description(bag: Path, found: dict[str, reader.Topic]) -> tuple[str, Skeleton]:
-    """URDF of the arm, and the arm: as the bag describes it, else the first of ours that fits."""
+    """URDF and skeleton of the arm: from the bag, else the first of `URDFS` with its joints."""
     for message in _texts(bag, found, DESCRIPTION):
         return message.data, Skeleton(message.data)
     texts = [share(urdf).read_text() for urdf in URDFS]
@@ -68,7 +111,7 @@ def _description(bag: Path, found: dict[str, reader.Topic]) -> tuple[str, Skelet
 
 
 def _texts(bag: Path, found: dict[str, reader.Topic], name: str) -> Iterator[Any]:
-    """Messages of the first topic of texts with this name, in whatever namespace."""
+    """Messages of the first String topic with this name, in any namespace."""
     topics = [n for n, topic in found.items() if n.endswith(name) and topic.msgtype == STRING]
     yield from _decoded(bag, topics[0], STRING) if topics else ()
 
@@ -79,13 +122,13 @@ def _policy(bag: Path, found: dict[str, reader.Topic]) -> Policy | None:
 
 
 def _body_states(bag: Path, topic: str, start_ns: int) -> Iterator[tuple[float, ...]]:
-    """Time since the start [s], position and quaternion wxyz of each state."""
+    """Time since the start [s], position [m] and quaternion wxyz of each state."""
     for message in _decoded(bag, topic, ODOMETRY) if topic else ():
         stamp, pose = message.header.stamp, message.pose.pose
         t = (stamp.sec * 1_000_000_000 + stamp.nanosec - start_ns) / 1e9
         p, o = pose.position, pose.orientation
         state = (t, p.x, p.y, p.z, o.w, o.x, o.y, o.z)
-        if t >= -BODY_GAP and np.isfinite(state).all():
+        if t >= -BODY_LEAD_MAX and np.isfinite(state).all():
             yield state
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arm as shapes that a page can draw: those of its URDF, placed by forward kinematics."""
+"""Arm as shapes for drawing: the shapes of its URDF, placed by forward kinematics."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ import pinocchio as pin
 
 from wam_power_ros import rotations
 
-LIGHT = (190, 190, 185)  # of a shape without a material
-STICK_RADIUS = 0.03  # of a link that has no shape we can draw [m]
-_NUMBERS = {"cylinder": ("radius", "length"), "sphere": ("radius",), "box": ("size",)}
+DEFAULT_RGB = (190, 190, 185)  # of a shape without a material
+STICK_RADIUS = 0.03  # [m] of the sticks for an arm without shapes
+_SIZE_ATTRIBUTES = {"cylinder": ("radius", "length"), "sphere": ("radius",), "box": ("size",)}
 
 
 class Shape(NamedTuple):
     """Shape of a link.
 
     Attributes:
-        link: Link that carries it.
+        link: Name of the link it is fixed to.
         kind: "cylinder" along z, "sphere" or "box".
         size: Radius and length, radius, or three edges [m].
         position: Centre in the frame of the link [m]. Shape (3,).
@@ -38,17 +38,17 @@ class Shape(NamedTuple):
 
 
 class Skeleton:
-    """Links of an arm, their shapes and their places.
+    """Links of an arm, with their shapes and forward kinematics.
 
     Attributes:
-        joint_names: Joints that move, base to tip; others stay at zero.
+        joint_names: Moving joints, base to tip; others stay at zero.
         links: Links, base to tip.
-        shapes: Shapes of the links.
+        shapes: Shapes of the links; sticks if the URDF has none. Meshes are not drawn.
         tool: Link at the tip.
 
     Args:
-        urdf: Text of the URDF. Meshes are not read: their links are drawn as sticks.
-        joint_names: Joints that move; all that are no fixed ones if omitted.
+        urdf: Text of the URDF.
+        joint_names: Moving joints; all joints that are not fixed if omitted.
 
     Raises:
         ValueError: The text is no URDF, or has no such joint.
@@ -69,9 +69,9 @@ class Skeleton:
         self._columns = [model.joints[model.getJointId(name)].idx_q for name in self.joint_names]
         self._data = model.createData()
         self._neutral = pin.neutral(model)
-        bodies = [i for i, f in enumerate(model.frames) if f.type == pin.FrameType.BODY]
-        self._frames = bodies
-        self.links = tuple(model.frames[i].name for i in bodies)
+        body = pin.FrameType.BODY
+        self._frames = [i for i, frame in enumerate(model.frames) if frame.type == body]
+        self.links = tuple(model.frames[i].name for i in self._frames)
         self.tool = self.links[-1]
         self.shapes = _shapes(tree) or self._sticks()
 
@@ -81,24 +81,25 @@ class Skeleton:
         full[self._columns] = q
         pin.framesForwardKinematics(self._model, self._data, full)
         placed = [self._data.oMf[i] for i in self._frames]
-        turned = rotations.quat_xyzw(np.array([place.rotation for place in placed]))
-        return np.array([place.translation for place in placed]), np.roll(turned, 1, axis=-1)
+        quat_xyzw = rotations.quat_xyzw(np.array([place.rotation for place in placed]))
+        return np.array([place.translation for place in placed]), np.roll(quat_xyzw, 1, axis=-1)
 
     def tool_path(self, q: np.ndarray) -> np.ndarray:
         """Positions of the tool [m], shape (T, 3), at joint angles [rad], shape (T, n)."""
         return np.array([self.placements(row)[0][-1] for row in q]).reshape(-1, 3)
 
     def _sticks(self) -> tuple[Shape, ...]:
-        """A cylinder from each link to the next, for a URDF without shapes we can draw."""
+        """A cylinder from each link to the next, for a URDF without shapes."""
         places, quats = self.placements(np.zeros(len(self.joint_names)))
         sticks = []
         for i, link in enumerate(self.links[:-1]):
             along = rotations.matrix(np.roll(quats[i], -1)).T @ (places[i + 1] - places[i])
             length = float(np.linalg.norm(along))
             if length > STICK_RADIUS:
-                turned = np.roll(rotations.quat_xyzw(_turn_z_to(along / length)), 1)
+                quat_wxyz = np.roll(rotations.quat_xyzw(_turn_z_to(along / length)), 1)
                 size = (STICK_RADIUS, length)
-                sticks.append(Shape(link, "cylinder", size, along / 2.0, turned, LIGHT))
+                shape = Shape(link, "cylinder", size, along / 2.0, quat_wxyz, DEFAULT_RGB)
+                sticks.append(shape)
         return tuple(sticks)
 
 
@@ -116,28 +117,28 @@ def _shapes(tree: ElementTree.Element) -> tuple[Shape, ...]:
         for material in tree.iter("material")
         if material.find("color") is not None
     }
-    found = []
+    shapes = []
     for link in tree.iter("link"):
         for visual in link.iter("visual"):
-            drawn = visual.find("geometry/*")
-            if drawn is None or drawn.tag not in _NUMBERS:
+            geometry = visual.find("geometry/*")
+            if geometry is None or geometry.tag not in _SIZE_ATTRIBUTES:
                 continue
-            numbers = " ".join(drawn.get(name, "") for name in _NUMBERS[drawn.tag])
+            numbers = " ".join(geometry.get(name, "") for name in _SIZE_ATTRIBUTES[geometry.tag])
             material = visual.find("material")
             name = "" if material is None else material.get("name", "")
             own = material is not None and material.find("color") is not None
-            rgb = _rgb(material) if own else colours.get(name, LIGHT)
-            place = visual.find("origin")
+            rgb = _rgb(material) if own else colours.get(name, DEFAULT_RGB)
+            origin = _origin(visual.find("origin"))
             size = tuple(_floats(numbers, len(numbers.split())))
-            found.append(Shape(link.get("name", ""), drawn.tag, size, *_origin(place), rgb))
-    return tuple(found)
+            shapes.append(Shape(link.get("name", ""), geometry.tag, size, *origin, rgb))
+    return tuple(shapes)
 
 
 def _origin(origin: ElementTree.Element | None) -> tuple[np.ndarray, np.ndarray]:
-    given = {} if origin is None else origin.attrib
-    roll, pitch, yaw = _floats(given.get("rpy", "0 0 0"), 3)
-    turned = rotations.quat_xyzw(pin.rpy.rpyToMatrix(roll, pitch, yaw))
-    return np.array(_floats(given.get("xyz", "0 0 0"), 3)), np.roll(turned, 1)
+    attributes = {} if origin is None else origin.attrib
+    roll, pitch, yaw = _floats(attributes.get("rpy", "0 0 0"), 3)
+    quat_xyzw = rotations.quat_xyzw(pin.rpy.rpyToMatrix(roll, pitch, yaw))
+    return np.array(_floats(attributes.get("xyz", "0 0 0"), 3)), np.roll(quat_xyzw, 1)
 
 
 def _rgb(material: ElementTree.Element) -> tuple[int, int, int]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Another demonstration in the middle of a session, from the page: pause, lead, learn, go on.
+"""Demonstration during a session, from the page: pause, record, learn, continue.
 
-The arm is let go only after the learner has said that it is paused and no trial is under way: from
-then on it sends nothing until it is told to go on.
+The arm is set to gravity compensation only after the learner has reported that it is paused and no
+trial is under way; from then on it sends nothing until it continues.
 """
 
 from __future__ import annotations
@@ -10,105 +10,88 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.view.live import View
 
-PATIENCE = 60.0  # for a service to agree [s of wall time]
+SERVICE_TIMEOUT = 60.0  # [s of wall time] until a refused service succeeds
 RETRY_PERIOD = 0.2  # [s of wall time]
 
 
-class Services(Protocol):
-    """The part of `live.View` that is needed."""
-
-    reset: str
-
-    def offered(self, name: str) -> bool:
-        """See `live.View`."""
-
-    def ask(self, name: str, on: bool | None = None) -> Answer:
-        """See `live.View`."""
-
-    def name_bag(self, bag: Path) -> None:
-        """See `live.View`."""
-
-
 class NotTaughtError(RuntimeError):
-    """The demonstration could not be given; the message says why. The learner may be paused."""
+    """The demonstration failed; the message says why. The learner may be paused."""
 
 
-def begin(
-    services: Services,
-    tell: Callable[[str], object],
-    patience: float = PATIENCE,
-) -> None:
-    """Pause the learner, let go of the arm and begin to record.
+def begin(node: View, notify: Callable[[str], object]) -> None:
+    """Pause the learner, start gravity compensation and begin to record.
 
     Args:
-        services: Services of the session.
-        tell: Takes a line about what is waited for.
-        patience: Longest wait for a service to agree [s of wall time].
+        node: Node with the services of the session.
+        notify: Called with each progress message.
 
     Raises:
         NotTaughtError: A service refused, or the trial did not end.
     """
-    end = time.monotonic() + patience
-    answer = _insist(services, interface.LEARNER_PAUSE, True, patience)
-    tell(answer.text)
+    deadline = time.monotonic() + SERVICE_TIMEOUT
+    answer = _insist(node, interface.LEARNER_PAUSE, True)
+    notify(answer.text)
     while answer.values.get("trial") != "over":
-        if time.monotonic() > end:
-            raise NotTaughtError(f"no trial ended in {patience:.0f} s; the learner is paused")
+        if time.monotonic() > deadline:
+            raise NotTaughtError(
+                f"no trial ended in {SERVICE_TIMEOUT:.0f} s; the learner is paused"
+            )
         time.sleep(RETRY_PERIOD)
-        answer = _insist(services, interface.LEARNER_PAUSE, True, patience)
-    _insist(services, interface.GRAVITY_COMPENSATION, True, patience)
+        answer = _insist(node, interface.LEARNER_PAUSE, True)
+    _insist(node, interface.GRAVITY_COMPENSATION, True)
     try:
-        if services.offered(interface.DEMONSTRATE):  # the stand-in: arm and body back to the start
-            _insist(services, services.reset, None, patience)
-        _insist(services, interface.RECORD, True, patience)
-        if services.offered(interface.DEMONSTRATE):
-            tell("the simulated demonstrator leads the arm")
-            _insist(services, interface.DEMONSTRATE, None, patience)
+        if node.is_offered(interface.DEMONSTRATE):  # stand-in: arm and body back to the start
+            _insist(node, node.reset, None)
+        _insist(node, interface.RECORD, True)
+        if node.is_offered(interface.DEMONSTRATE):
+            notify("the simulated demonstrator guides the arm")
+            _insist(node, interface.DEMONSTRATE, None)
         else:
-            tell("lead the arm, then press End of movement")
+            notify("guide the arm by hand, then press End of movement")
     except NotTaughtError:
-        services.ask(interface.RECORD, False)
-        services.ask(interface.GRAVITY_COMPENSATION, False)  # an arm that nobody leads holds
+        node.call(interface.RECORD, False)
+        node.call(interface.GRAVITY_COMPENSATION, False)  # the arm holds
         raise
 
 
-def finish(services: Services, patience: float = PATIENCE) -> str:
-    """End the recording, hold the arm, give the bag to the learner and let it go on.
+def finish(node: View) -> str:
+    """End the recording, hold the arm, hand the bag to the learner and let it continue.
 
     Returns:
-        The learner's answer.
+        Answer of the learner.
 
     Raises:
-        NotTaughtError: A service refused; the learner's reason, if it was its.
+        NotTaughtError: A service refused, such as the learner; the message says why.
     """
     try:
-        bag = Path(_insist(services, interface.RECORD, False, patience).text)
+        bag = Path(_insist(node, interface.RECORD, False).text)
     finally:
-        _insist(services, interface.GRAVITY_COMPENSATION, False, patience)
-    services.name_bag(bag.resolve())
-    end = time.monotonic() + patience
-    while True:  # topics and services are not ordered: the name of the bag may still come
-        answer = services.ask(interface.LEARNER_DEMONSTRATION)
-        if answer.code is not Code.NOTHING or time.monotonic() > end:
+        _insist(node, interface.GRAVITY_COMPENSATION, False)
+    node.publish_bag(bag.resolve())
+    deadline = time.monotonic() + SERVICE_TIMEOUT
+    while True:  # topics and services are not ordered: the path may arrive after the request
+        answer = node.call(interface.LEARNER_DEMONSTRATION)
+        if answer.code is not Code.NOTHING or time.monotonic() > deadline:
             break
         time.sleep(RETRY_PERIOD)
-    _insist(services, interface.LEARNER_PAUSE, False, patience)
+    _insist(node, interface.LEARNER_PAUSE, False)
     if not answer.success:
         raise NotTaughtError(answer.text)
     return answer.text
 
 
-def _insist(services: Services, name: str, on: bool | None, patience: float) -> Answer:
-    end = time.monotonic() + patience
+def _insist(node: View, name: str, on: bool | None) -> Answer:
+    """Call a service until it succeeds."""
+    deadline = time.monotonic() + SERVICE_TIMEOUT
     while True:
-        answer = services.ask(name, on)
+        answer = node.call(name, on)
         if answer.success:
             return answer
-        if time.monotonic() > end:
+        if time.monotonic() > deadline:
             raise NotTaughtError(f"{name}: {answer.text}")
         time.sleep(RETRY_PERIOD)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loops of `wam-power view`: of a bag, and of a session."""
+"""Main loops of `wam-power view`, for a bag and for a session."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from wam_power_ros.view.page import Page
 from wam_power_ros.view.player import Player
 from wam_power_ros.view.session_page import SessionPage, parameters, running
 
-LOOK_PERIOD = 0.05  # of playback [s]
-LIVE_PERIOD = 0.1  # between two looks at a running session [s]
-CHECK_PERIOD = 1.0  # between two checks that it runs [s]
+PLAYBACK_PERIOD = 0.05  # [s] between updates while nothing runs
+LIVE_PERIOD = 0.1  # [s] between updates of a running session
+CHECK_PERIOD = 1.0  # [s] between checks whether the session runs
 
 
 def of_bag(server: viser.ViserServer, bag: Path, ready: Callable[[], object]) -> None:
-    """Show a bag until it is interrupted.
+    """Show a bag until interrupted.
 
     Args:
         server: An open server.
@@ -34,7 +34,7 @@ def of_bag(server: viser.ViserServer, bag: Path, ready: Callable[[], object]) ->
         ready: Called when the page can be opened.
 
     Raises:
-        ValueError: It cannot be read.
+        ValueError: The bag cannot be read.
     """
     movement = recorded.read(bag)
     page = Page(server, bag.name)
@@ -46,7 +46,7 @@ def of_bag(server: viser.ViserServer, bag: Path, ready: Callable[[], object]) ->
     last = time.monotonic()
     ready()
     while True:
-        time.sleep(LOOK_PERIOD)
+        time.sleep(PLAYBACK_PERIOD)
         now = time.monotonic()
         player.advance(now - last)
         last = now
@@ -58,16 +58,16 @@ def of_session(
     ready: Callable[[], object],
     environment: Callable[[Path], dict[str, str]],
 ) -> None:
-    """Show a session, its rollouts and its learning curve until it is interrupted.
+    """Show a session, its rollouts and its learning curve until interrupted.
 
     Args:
         server: An open server.
         folder: Folder of the session.
         ready: Called when the page can be opened.
-        environment: Variables that lead to the DDS domain of a running session.
+        environment: Returns the environment variables of a session's DDS domain, by its folder.
 
     Raises:
-        SessionError: It cannot be read.
+        SessionError: The session cannot be read.
     """
     exported = dict(os.environ)
     page = SessionPage(server, folder)
@@ -75,39 +75,39 @@ def of_session(
     ready()
     while True:
         if not running(folder):
-            _tick(page, LOOK_PERIOD, lambda: running(folder))
+            _tick_until(page, PLAYBACK_PERIOD, lambda: running(folder))
         enter(environment(folder), exported)
         setup = parameters(folder)
+        body = setup["pancake_tracker"]["body"]
         namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
-        whose = setup["pancake_tracker"]["body"], namespace
-        make = partial(View, setup["torque_controller"], *whose)
+        make = partial(View, setup["torque_controller"], body, namespace)
         with participant(make, SignalHandlerOptions.NO) as node:
             page.connect(node)
-            _tick(page, LIVE_PERIOD, lambda: not running(folder))
+            _tick_until(page, LIVE_PERIOD, lambda: not running(folder))
             page.connect(None)
 
 
 def enter(wanted: Mapping[str, str], exported: Mapping[str, str]) -> None:
-    """Set variables of this process, and give those of the session before their exported values.
+    """Set the environment of this process: exported variables, overridden by those of the session.
 
     Args:
-        wanted: Variables of the session; one on a real arm has none.
-        exported: Variables that this process was started with.
+        wanted: Variables of the session; none for a session on a real arm.
+        exported: Variables with which this process was started.
     """
     for name in os.environ.keys() - exported.keys():
         del os.environ[name]
     os.environ.update({**exported, **wanted})
 
 
-def _tick(page: SessionPage, period: float, ended: Callable[[], bool]) -> None:
-    """Keep the page up to date every `period` [s] until `ended()`, which is asked once a second."""
-    last = asked = time.monotonic()
+def _tick_until(page: SessionPage, period: float, ended: Callable[[], bool]) -> None:
+    """Update the page every `period` [s] until `ended()`, which is called once a second."""
+    last = checked = time.monotonic()
     while True:
         time.sleep(period)
         now = time.monotonic()
         page.tick(now - last)
         last = now
-        if now - asked > CHECK_PERIOD:
+        if now - checked > CHECK_PERIOD:
             if ended():
                 return
-            asked = now
+            checked = now

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pancake in the pan and in the air, the truth about a toss, and the toss demonstrated."""
+"""Pancake in the pan and in the air, ground truth of a toss, and demonstrated toss."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from simulated import CALM, begin, holding_torque, run
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import Truth
 from hardware_sim.scenes.flip import (
-    DIP,
+    DIP_TIME,
     HALF_HEIGHT,
     HOME,
     TILT,
@@ -66,10 +66,10 @@ def test_in_a_tilted_pan_it_has_slid_to_the_rim_before_a_rollout_begins(calm: Wo
 
 
 def throw(world: World, spin: float, up: float, outward: float = 0.0) -> float:
-    """Let go of the pancake 15 cm above a still pan, with a spin [rad/s] and speeds [m/s].
+    """Release the pancake 15 cm above a still pan, with a spin [rad/s] and speeds [m/s].
 
     Returns:
-        The angle it has turned by the time it has fallen [rad], the integral of its spin.
+        Integral of its spin until the landing [rad].
     """
     gravity = begin(world)
     data = world.data
@@ -85,7 +85,7 @@ def throw(world: World, spin: float, up: float, outward: float = 0.0) -> float:
 
 
 @pytest.mark.parametrize("spin", [-25.0, -14.0, 5.0, 18.0])
-def test_the_true_angle_counts_on_beyond_half_a_turn(calm: World, spin: float) -> None:
+def test_the_true_angle_is_unwrapped_beyond_half_a_turn(calm: World, spin: float) -> None:
     turned = throw(calm, spin, up=1.5)
     truth = calm.truth()
     assert truth["tossed"]
@@ -93,7 +93,7 @@ def test_the_true_angle_counts_on_beyond_half_a_turn(calm: World, spin: float) -
     assert truth["apex"] == pytest.approx(0.15 + 1.5**2 / 19.62, abs=0.02)
 
 
-def test_the_fall_is_judged_where_it_passes_the_height_above_the_pan(calm: World) -> None:
+def test_the_landing_is_where_the_fall_passes_delta_h(calm: World) -> None:
     throw(calm, 3.0, up=1.0, outward=0.2)
     truth = calm.truth()
     expected = (1.0 + math.sqrt(1.0 + 2 * 9.81 * (0.15 - DELTA_H))) / 9.81
@@ -115,7 +115,7 @@ def test_a_pancake_thrown_over_is_caught_on_its_other_side(calm: World) -> None:
         ((0.0, 0.0, 0.0), 0.0, True),
         ((0.04, 0.02, 0.0), math.pi, True),
         ((0.0, 0.0, 0.015), 0.0, False),  # still in the air
-        ((0.15, 0.0, 0.0), 0.0, False),  # beside
+        ((0.15, 0.0, 0.0), 0.0, False),  # beside the pan
         ((0.0, 0.0, 0.0), 0.25, False),  # leaning on the rim
     ],
 )
@@ -144,7 +144,7 @@ def script(seed: int, spread: float = 1.0, level: bool = False) -> TossScript:
     return wrist_flick(np.random.default_rng(seed), spread, level=level)
 
 
-def test_no_two_demonstrations_are_alike_and_the_seed_decides() -> None:
+def test_demonstrations_differ_and_depend_on_the_seed_alone() -> None:
     for one, same, other in zip(
         astuple(script(1)), astuple(script(1)), astuple(script(2)), strict=True
     ):
@@ -155,7 +155,7 @@ def test_no_two_demonstrations_are_alike_and_the_seed_decides() -> None:
 
 
 @given(st.integers(0, 10_000), st.booleans())
-def test_every_script_begins_at_rest_where_it_takes_the_pan_and_ends_at_rest(
+def test_every_toss_begins_at_rest_where_the_pan_is_gripped_and_ends_at_rest(
     seed: int, level: bool
 ) -> None:
     drawn = script(seed, level=level)
@@ -175,10 +175,10 @@ def test_every_script_begins_at_rest_where_it_takes_the_pan_and_ends_at_rest(
 
 
 @given(st.integers(0, 10_000))
-def test_from_a_level_pan_the_same_toss_follows_a_dip_to_the_tilt_it_begins_at(seed: int) -> None:
+def test_from_a_level_pan_the_same_toss_follows_a_dip(seed: int) -> None:
     tilted, level = script(seed), script(seed, level=True)
     angles = np.cumsum([0.1, 0.2, 0.3])
-    begin, lower = tilted.t[1], level.t[1] + DIP
+    begin, lower = tilted.t[1], level.t[1] + DIP_TIME
     for t in (*angles, tilted.end - begin):
         dipped = level.target(lower + t, POSITION, ROTATION)
         from_tilt = tilted.target(begin + t, POSITION, ROTATION)
@@ -187,7 +187,7 @@ def test_from_a_level_pan_the_same_toss_follows_a_dip_to_the_tilt_it_begins_at(s
         np.testing.assert_allclose(dipped.omega, from_tilt.omega, atol=1e-9)
 
 
-def test_the_target_passes_through_the_keys_of_its_script() -> None:
+def test_the_target_passes_through_the_keyframes_of_its_script() -> None:
     keys = script(0)
     start = POSITION - WRIST_TO_PAN * ROTATION[:, 0]  # the wrist
     for k, t in enumerate(keys.t):
@@ -200,7 +200,7 @@ def test_the_target_passes_through_the_keys_of_its_script() -> None:
 
 
 def demonstrate(world: World, arm: Arm, seed: int) -> tuple[Truth, np.ndarray]:
-    """One demonstration on an arm that carries its own weight; its joint positions with it."""
+    """Ground truth and joint positions of a demonstration under gravity compensation."""
     world.reset(f"demonstration-{seed}", HOME)
     world.release()
     world.attach(Demonstrator(script(seed), *world.pan_pose))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reaching: the script, and when the obstacle counts as touched."""
+"""Reaching: the script, and when the obstacle is touched."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4
 
 
 @given(st.integers(0, 10_000))
-def test_every_reach_goes_from_rest_to_rest_in_an_arc_and_keeps_the_pan_as_it_was(
+def test_every_reach_goes_from_rest_to_rest_in_an_arc_with_constant_orientation(
     seed: int,
 ) -> None:
     script = reach(np.random.default_rng(seed))
@@ -43,11 +43,11 @@ def world_with(*obstacle: float) -> World:
     return World(settings, seed=1, make_scene=Reach)
 
 
-def lead(world: World, rollout_id: str = "demonstration-0") -> tuple[np.ndarray, np.ndarray]:
-    """Lead the gravity-compensated arm from `HOME` to `GOAL` as intended, without scatter.
+def guide(world: World, rollout_id: str = "demonstration-0") -> tuple[np.ndarray, np.ndarray]:
+    """Guide the gravity-compensated arm from `HOME` to `GOAL` without random differences.
 
     Returns:
-        Joint positions as sensed (M, 7) [rad] and true positions of the tool (M, 3) [m].
+        Measured joint positions (M, 7) [rad] and true positions of the tool (M, 3) [m].
     """
     arm = Arm(world.urdf, JOINTS)
     world.reset(rollout_id, HOME)
@@ -63,17 +63,17 @@ def lead(world: World, rollout_id: str = "demonstration-0") -> tuple[np.ndarray,
     return np.array(joints), np.array(path)
 
 
-def test_a_led_arm_comes_to_the_goal_level_and_within_its_limits() -> None:
+def test_a_guided_arm_reaches_the_goal_with_a_level_pan_within_its_limits() -> None:
     world = world_with()
     arm = Arm(world.urdf, JOINTS)
     start, _ = arm.tool_pose(HOME)
     assert np.linalg.norm(GOAL - start) == pytest.approx(0.5, abs=0.01)
-    q, path = lead(world)
+    q, path = guide(world)
     truth = world.truth()
     assert np.linalg.norm(path[-1] - GOAL) < 0.03
     assert truth["goal_distance"] == pytest.approx(np.linalg.norm(path - GOAL, axis=1).min())
     assert min(arm.tool_pose(posture)[1][2, 2] for posture in q) > np.cos(np.deg2rad(8.0))
-    assert truth["peak_forearm_speed"] < 1.0  # what the safety board allows by default [m/s]
+    assert truth["peak_forearm_speed"] < 1.0  # [m/s] default limit of the safety board
     assert ((arm.q_min + 0.3 < q) & (q < arm.q_max - 0.3)).all()
     assert (truth["touched"], truth["clearance"]) == (False, None)  # there is no obstacle
 
@@ -83,12 +83,12 @@ def test_a_led_arm_comes_to_the_goal_level_and_within_its_limits() -> None:
 def test_the_obstacle_is_touched_exactly_when_the_centre_of_the_tool_comes_within_a_millimetre(
     aside: tuple[float, float, float], margin: float
 ) -> None:
-    _, path = lead(world_with())
+    _, path = guide(world_with())
     centre = path[len(path) // 2] + aside
     nearest = float(np.linalg.norm(path - centre, axis=1).min())
     world = world_with(*centre.tolist(), nearest + margin)
-    _, again = lead(world)
-    np.testing.assert_array_equal(again, path)  # drawn, not felt
+    _, again = guide(world)
+    np.testing.assert_array_equal(again, path)  # no contact
     truth = world.truth()
     assert truth["touched"] is (margin > -0.001)
     assert truth["clearance"] == pytest.approx(-margin, abs=1e-12)
@@ -104,14 +104,14 @@ def test_only_an_obstacle_with_a_radius_is_drawn() -> None:
 
 def test_a_rollout_is_a_function_of_seed_and_id() -> None:
     world = world_with(0.7, 0.0, 0.5, 0.08)
-    first, _ = lead(world, "trial-0001")
-    other, _ = lead(world, "trial-0002")
+    first, _ = guide(world, "trial-0001")
+    other, _ = guide(world, "trial-0002")
     assert not np.array_equal(other[: len(first)], first[: len(other)])
-    np.testing.assert_array_equal(lead(world, "trial-0001")[0], first)
-    np.testing.assert_array_equal(lead(world_with(0.7, 0.0, 0.5, 0.08), "trial-0001")[0], first)
+    np.testing.assert_array_equal(guide(world, "trial-0001")[0], first)
+    np.testing.assert_array_equal(guide(world_with(0.7, 0.0, 0.5, 0.08), "trial-0001")[0], first)
 
 
-def test_the_arm_draws_the_same_noise_in_every_scene() -> None:
+def test_the_arm_has_the_same_random_variation_in_every_scene() -> None:
     worlds = World(seed=1), world_with()
     for world in worlds:
         world.reset("trial-0001", HOME)
@@ -121,6 +121,6 @@ def test_the_arm_draws_the_same_noise_in_every_scene() -> None:
     assert winds[0] == winds[1]
 
 
-def test_nothing_can_be_dropped_where_nothing_is_tracked() -> None:
-    with pytest.raises(ValueError, match="no body"):
+def test_a_scene_without_a_tracked_body_has_nothing_to_drop() -> None:
+    with pytest.raises(ValueError, match="no tracked body"):
         world_with().drop()

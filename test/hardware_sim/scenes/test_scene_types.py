@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes by name, and a scene of somebody's own: a ball in the pan."""
+"""Scenes by name, and a scene of another package: a ball in the pan."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Ball:
         self._friction = settings.friction
 
     def build(self, spec: mujoco.MjSpec) -> None:
-        """Add the ball, and beside it a flag on a hinge that nothing tracks."""
+        """Add the ball, and an untracked flag on a hinge."""
         still = spec.worldbody.add_body(name="stand", pos=[1.5, 0.0, 0.0])
         still.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         hinged = still.add_body(name="flag", pos=[0.0, 0.0, 0.5])
@@ -59,7 +59,7 @@ class Ball:
         return wrist_flick(rng)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
-        """Whether the ball is in the pan, and how high it was."""
+        """Whether the ball is in the pan, and its greatest height."""
         offset = now.rotation.T @ (now.body[:3] - now.position)
         return {"held": bool(abs(offset[2] - RADIUS) < 0.01), "highest": log.body[:, 2].max()}
 
@@ -74,7 +74,7 @@ def test_the_scenes_of_this_package_are_found_by_name() -> None:
     assert scene_type("reach") is Reach
 
 
-def test_an_unknown_scene_is_refused_with_the_names_there_are() -> None:
+def test_an_unknown_scene_is_refused_with_the_available_names() -> None:
     with pytest.raises(ValueError, match=r"'pour' is not one of .*flip, .*reach"):
         scene_type("pour")
 
