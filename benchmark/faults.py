@@ -30,9 +30,9 @@ from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from benchmark.false_states import FALSE_STATES, PHASES, Driver, acceptable, inject
 from benchmark.fuzz import bombard, spoilt, states
 from benchmark.lab import ARM, HOME, WATCHER, Lab, core
-from benchmark.lies import LIES, PHASES, Driver, acceptable, tell
 from benchmark.nodes import JOINTS, ROOT, environment
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import Basis, Policy
@@ -390,23 +390,23 @@ def disk(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     )
 
 
-PEAKS: dict[str, float] = {}  # tool speed of every phase without a lie [m/s]
+PEAKS: dict[str, float] = {}  # tool speed of every phase with true states [m/s]
 
 
-def lied(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
-    """One lie, in every phase, to an arm that keeps the last torque."""
+def false_states(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
+    """One kind of false state in every phase, with an arm that keeps the last torque."""
 
     def row(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         driver = Driver(lab)
         lab.controller()
-        peaks = PEAKS  # the same for every lie
+        peaks = PEAKS  # the same for all kinds
         for phase in PHASES:
             if phase not in peaks:
-                peaks[phase] = tell(driver, lab, phase, lambda state: state).peak
+                peaks[phase] = inject(driver, lab, phase, lambda state: state).peak
         seen, passed = [], True
         for _ in range(repeats):
             for phase in PHASES:
-                found = tell(driver, lab, phase, LIES[name]())
+                found = inject(driver, lab, phase, FALSE_STATES[name]())
                 passed &= acceptable(found, peaks[phase])
                 when = "none" if found.faulted is None else f"{2 * found.faulted} ms"
                 speeds = f"{found.peak:.2f} ({peaks[phase]:.2f}), then {found.rest:.2f} m/s"
@@ -487,7 +487,7 @@ def simulation(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     )
 
 
-LIED = {name: lied(name) for name in LIES}
+FALSE_STATE_ROWS = {name: false_states(name) for name in FALSE_STATES}
 ROWS = {  # name -> function and number of repeats
     "stale": (stale, 200),
     "kill": (kill, 50),
@@ -501,7 +501,7 @@ ROWS = {  # name -> function and number of repeats
     "starved_plain": (starved(False), 30),
     "network": (network, 5),
     "ended": (ended, 50),
-    **{name: (function, 1) for name, function in LIED.items()},
+    **{name: (function, 1) for name, function in FALSE_STATE_ROWS.items()},
     "simulation": (simulation, 3),
     "learner": (learner, 50),
     "recorder": (recorder, 50),
@@ -510,7 +510,7 @@ ROWS = {  # name -> function and number of repeats
 
 
 # This process plays the arm.
-PLAYED = (stale, intruder, clock, fuzz_over_dds, simulation, ended, *LIED.values())
+PLAYED = (stale, intruder, clock, fuzz_over_dds, simulation, ended, *FALSE_STATE_ROWS.values())
 WATCHED = (kill, stopped, restart, network)  # the stand-in is the arm
 
 
