@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One seed, three sessions: over DDS, over DDS on a busy machine, and in one process.
+"""Compare three sessions of one seed: over DDS, over DDS on a busy machine, and in one process.
 
     python -m benchmark.determinism [--seed 41] [--trials 8] [--demonstrations 4]
 
-Each teaches its own demonstrations, fits, practises and re-tests. Compared are the fitted policies
-and every field of `rollouts.jsonl` except `clock`, which holds the wall-clock times. (A rollout's
-bag is named after its trial; the session in one process records none, so `bag` is left out there.)
+Each session teaches its own demonstrations, fits, learns and re-tests. Compared are the fitted
+policies and every field of `rollouts.jsonl` except `clock`, which holds the wall-clock times. The
+session in one process records no bags, so `bag` is not compared with it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from benchmark.sessions import candidates, differences, learn, records, verdict
 
 @contextmanager
 def busy(processes: int) -> Iterator[None]:
-    """Run this number of busy processes meanwhile."""
+    """Run busy processes within a `with` block."""
     command = [sys.executable, "-c", "while True: pass"]
     started = [subprocess.Popen(command) for _ in range(processes)]
     try:
@@ -69,7 +69,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=41)
     parser.add_argument("--trials", type=int, default=8)
     parser.add_argument("--demonstrations", type=int, default=4)
-    parser.add_argument("--folder", type=Path, help="for the sessions, which are then kept")
+    parser.add_argument("--folder", type=Path, help="keep the sessions in this folder")
     options = parser.parse_args()
     arguments = []
     for name in ("seed", "trials", "demonstrations"):

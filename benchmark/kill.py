@@ -3,11 +3,11 @@
 
     python -m benchmark.kill [--seed 42] [--kills 10] [--trials 8] [--demonstrations 4]
 
-An undisturbed session comes first. Then another learns from the same bags, on nodes that keep
-running: its learner is killed at random moments (of the seed), up to five seconds after its start
-or after its first rollout, and started again with the same folder. No line of `rollouts.jsonl`
-that was there before a kill may change, and in the end all fields must be equal except `clock` and
-`bag`: a recording that a kill cut short keeps its name, so the repeated rollout is in
+First an undisturbed session is run. Then another session learns from the same bags, on nodes that
+keep running. Its learner is killed at random moments (drawn from the seed), up to five seconds
+after its start or after its first rollout, and restarted with the same folder. No line that
+`rollouts.jsonl` had before a kill may change. In the end all fields must be equal except `clock`
+and `bag`: a recording that a kill cut short keeps its name, so the repeated rollout is in
 rollout_<id>_2.
 """
 
@@ -37,7 +37,7 @@ def learn_killed(
     """Run a session whose learner is killed `kills` times, or until the session is over.
 
     Returns:
-        Lines that were lost, and one line about every kill.
+        Descriptions of lost lines, and a report line for every kill.
     """
     rng = np.random.default_rng(seed)
     lost, report, kept = [], [], []
@@ -101,7 +101,7 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=10)
     parser.add_argument("--trials", type=int, default=8)
     parser.add_argument("--demonstrations", type=int, default=4)
-    parser.add_argument("--folder", type=Path, help="for the sessions, which are then kept")
+    parser.add_argument("--folder", type=Path, help="keep the sessions in this folder")
     options = parser.parse_args()
     seed = options.seed
     with tempfile.TemporaryDirectory() as scratch:

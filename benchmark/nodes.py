@@ -13,7 +13,7 @@ JOINTS = [f"wam_j{number}" for number in range(1, 8)]
 
 
 def environment(domain: int | None = None) -> dict[str, str]:
-    """Environment of a node: this checkout, this machine only, and a DDS domain if it is given."""
+    """Environment of a node: this checkout, this machine only, and a DDS domain if one is given."""
     given = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
@@ -22,7 +22,7 @@ def environment(domain: int | None = None) -> dict[str, str]:
 
 
 def ros_arguments(name: str, *configs: str, **parameters: object) -> list[str]:
-    """Arguments that give a node its own parameter file, those of others, and single values."""
+    """ROS arguments with the parameter files of a node and of others, and single values."""
     words = ["--ros-args"]
     for config in (name, *configs):
         words += ["--params-file", f"{ROOT}/config/{config}.yaml"]

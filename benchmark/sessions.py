@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole sessions over DDS for `determinism` and `kill`, and the differences between two of them."""
+"""Complete sessions over DDS for `determinism` and `kill`, and their comparison."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from benchmark.nodes import environment
 
 
 def learn(folder: Path, *arguments: str) -> float:
-    """Run `wam-power learn` in a folder; returns its wall time [s]."""
+    """Run `wam-power learn` in a folder; return its wall time [s]."""
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
     begun = time.monotonic()
@@ -50,7 +50,7 @@ def candidates(folder: Path) -> list[object]:
 
 
 def differences(one: object, other: object, where: str = "") -> Iterator[str]:
-    """Leaves in which two JSON values differ, bit for bit."""
+    """Yield a line for every leaf in which two JSON values differ, bit for bit."""
     if isinstance(one, dict) and isinstance(other, dict):
         for key in sorted(one.keys() | other.keys()):
             yield from differences(one.get(key), other.get(key), f"{where}.{key}")
@@ -63,7 +63,7 @@ def differences(one: object, other: object, where: str = "") -> Iterator[str]:
 
 
 def verdict(what: str, found: list[str]) -> str:
-    """One line if nothing differs, else also the first differences."""
+    """Summarize differences: one line, followed by the first 20 differences if there are any."""
     if not found:
         return f"{what}: identical, bit for bit"
     shown = "\n".join(f"  {line}" for line in found[:20])
