@@ -36,7 +36,7 @@ extras = requirements()
 setup(
     name=NAME,
     version="0.1.0",
-    description="Teach a torque-controlled robot arm a movement by hand; it improves it by trial and error",
+    description="Teach a robot arm a movement by hand; it improves the movement by trial and error",
     long_description=(HERE / "README.md").read_text(),
     long_description_content_type="text/markdown",
     license="Apache-2.0",
