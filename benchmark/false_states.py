@@ -18,8 +18,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from benchmark.lab import PERIOD_NS, TIMEOUT, Lab
-from benchmark.nodes import JOINTS
+from benchmark.lab import TIMEOUT, Lab
+from benchmark.nodes import JOINTS, PERIOD_NS
 from benchmark.soak import taught
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.scenes.flip import wrist_flick

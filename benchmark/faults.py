@@ -32,11 +32,10 @@ from std_srvs.srv import Trigger
 
 from benchmark.false_states import FALSE_STATES, PHASES, Driver, acceptable, inject
 from benchmark.fuzz import bombard, spoilt, states
-from benchmark.lab import ARM, HOME, WATCHER, Lab, core
-from benchmark.nodes import JOINTS, ROOT, environment
+from benchmark.lab import ARM, WATCHER, Lab, new_controller
+from benchmark.nodes import HOME, JOINTS, ROOT, environment
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import Basis, Policy
-from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, scheduling
 from wam_power_ros.rotations import quat_xyzw
 
@@ -89,7 +88,7 @@ def settled(lab: Lab, begun: int, seconds: float) -> tuple[float, float]:
 
 def falling(lab: Lab) -> None:
     """Start the stand-in as an arm that can fall."""
-    lab.arm = core().controller(share("urdf/wam7.urdf").read_text()).arm
+    lab.arm = new_controller().arm
     lab.stand_in()
     lab.wait(lambda: bool(lab.readings), "state of the stand-in")
 
@@ -225,7 +224,7 @@ def restart(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 def fuzz_policy() -> Policy:
     """Valid policy that keeps the pan in place, for corruption."""
-    arm = core().controller(share("urdf/wam7.urdf").read_text()).arm
+    arm = new_controller().arm
     position, rotation = arm.tool_pose(HOME)
     return Policy(
         id="fuzz",
@@ -243,7 +242,7 @@ def fuzz_policy() -> Policy:
 
 def fuzz(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     """Fuzzed messages are passed to conversion and controller, in this process."""
-    controller = core().controller(share("urdf/wam7.urdf").read_text())
+    controller = new_controller()
     found = bombard(controller, fuzz_policy(), repeats, int(rng.integers(2**32)))
     wrong = sum(found[kind] for kind in ("not finite", "over", "jumps"))
     return Row(
@@ -263,7 +262,7 @@ def fuzz_over_dds(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     running = lab.controller()
     lab.played()
     policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
-    limit = core().controller(share("urdf/wam7.urdf").read_text()).limits.torque
+    limit = new_controller().limits.torque
     policy, source, count, wrong = fuzz_policy(), states(JOINTS, HOME, rng), 0, 0
     reset = lab.node.create_client(Trigger, interface.RESET)
     for number in range(repeats):

@@ -16,6 +16,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from benchmark.nodes import PERIOD_NS
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.learning import policy as policies
@@ -24,7 +25,6 @@ from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.ros import cdr, joint_messages
 from wam_power_ros.ros.stamps import time_message
 
-PERIOD_NS = 2_000_000
 CALM_STATES = 150  # valid states in a row
 ODD_VALUES = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e9, -25.0, 25.0, 0.0)
 STAMP_STEPS = (0, -PERIOD_NS, -(10**9), 3, 4 * PERIOD_NS, 10 * PERIOD_NS, 3_600 * 10**9)

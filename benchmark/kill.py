@@ -13,7 +13,6 @@ rollout_<id>_2.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -23,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.nodes import environment, node_command
-from benchmark.sessions import differences, learn, lines, records, verdict
+from benchmark.sessions import differences, learn, lines, records, session_parser, verdict
 from wam_power_ros.bags.layout import UNFINISHED
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.ros.domain import private_domain
@@ -96,21 +95,14 @@ def learn_killed(
 
 def main() -> int:
     """Run both sessions and print the differences; status 1 if there are any."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=42)
+    parser = session_parser(__doc__, seed=42)
     parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--trials", type=int, default=8)
-    parser.add_argument("--demonstrations", type=int, default=4)
-    parser.add_argument("--folder", type=Path, help="keep the sessions in this folder")
     options = parser.parse_args()
     seed = options.seed
     with tempfile.TemporaryDirectory() as scratch:
         folder = (options.folder or Path(scratch)).resolve()
         undisturbed, killed = folder / "undisturbed", folder / "killed"
-        arguments = []
-        for name in ("seed", "trials", "demonstrations"):
-            arguments += [f"--{name}", str(getattr(options, name))]
-        took = learn(undisturbed, *arguments)
+        took = learn(undisturbed, options)
         bags = json.loads((undisturbed / "demonstrations.json").read_text())
         begun = time.monotonic()
         lost, report = learn_killed(killed, bags, seed, options.trials, options.kills)

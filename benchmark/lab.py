@@ -22,25 +22,25 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from benchmark.nodes import JOINTS, environment, node_command
+from benchmark.nodes import HOME, JOINTS, PERIOD_NS, environment, node_command
 from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.control.controller import Controller
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.service_client import DISCOVERY
 
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
-PERIOD_NS = 2_000_000
 TIMEOUT = 90.0  # [s] for a node to start, to hold, to fault
 ARM, CONTROLLER, WATCHER = 70, 60, 50  # real-time priorities
 
 
-def core() -> TorqueControllerParams:
-    """Parameters of the controller, from config/."""
-    return TorqueControllerParams.of_file(
+def new_controller() -> Controller:
+    """A controller with the parameters of config/ and the shipped URDF."""
+    params = TorqueControllerParams.of_file(
         share("config/torque_controller.yaml"), "torque_controller"
     )
+    return params.controller(share("urdf/wam7.urdf").read_text())
 
 
 class Lab:

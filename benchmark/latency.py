@@ -30,7 +30,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Float64MultiArray
 
 from benchmark import messages, viewing
-from benchmark.nodes import JOINTS, environment, ros_arguments
+from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments
 from benchmark.stages import table as table_of_stages
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
@@ -38,7 +38,6 @@ from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.stamps import nanoseconds
 
 ECHO = "/echo/commands"
-PERIOD_NS = 2_000_000
 PRIORITY = {"stand-in": 70, "controller": 60, "echo": 60}
 
 
@@ -185,7 +184,7 @@ def measure(
                 lock.close()
         rows = np.load(report)
         if hardest:
-            print(messages.table(rows, json.loads(published.read_text()), PERIOD_NS))
+            print(messages.table(rows, json.loads(published.read_text())))
         if stages:
             times = np.load(Path(folder) / "stages.npy")
             within = (times[:, 0] >= begun_ns) & (times[:, 0] < ended_ns)

@@ -20,12 +20,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 from trajectory_msgs.msg import JointTrajectory
 
-from benchmark.nodes import JOINTS
+from benchmark.nodes import HOME, JOINTS, PERIOD_NS
 from wam_power_ros.learning.policy import COUNT_MAX, DURATION_MAX, Basis, Policy, to_json
 from wam_power_ros.ros import interface, joint_messages, node_runner
 from wam_power_ros.ros.stamps import time_message
 
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 POINTS = 200_000
 BAD_STATE = "/benchmark/bad_state"  # requests one from the stand-in, the only source of states
 WINDOW = 6.0  # [s] after each message in which missed periods are counted
@@ -107,14 +106,13 @@ def publish(report: Path) -> int:
     return node_runner.run_script(lambda: Messages(report), Messages.run)
 
 
-def table(rows: np.ndarray, times: list[tuple[str, int]], period_ns: int) -> str:
+def table(rows: np.ndarray, times: list[tuple[str, int]]) -> str:
     """Format the periods missed by controller and echo after each message.
 
     Args:
         rows: Times at which each state was sent and answered by either (0 if never) [ns].
             Shape (states, 3).
         times: Name and time of publication of each message [ns].
-        period_ns: Sampling period of the states [ns].
     """
     lines = [
         f"periods missed within {WINDOW:.0f} s (longest time to a torque [ms])",
@@ -122,12 +120,12 @@ def table(rows: np.ndarray, times: list[tuple[str, int]], period_ns: int) -> str
     ]
     for name, at in times:
         # From one period earlier: a state sent just before may be answered just after.
-        within = rows[(rows[:, 0] >= at - period_ns) & (rows[:, 0] < at + WINDOW * 1e9 - period_ns)]
+        within = rows[(rows[:, 0] >= at - PERIOD_NS) & (rows[:, 0] < at + WINDOW * 1e9 - PERIOD_NS)]
         cells = ""
         for column in (1, 2):
             answered = within[within[:, column] > 0]
             took = answered[:, column] - answered[:, 0]
-            missed = np.count_nonzero(took > period_ns) + len(within) - len(answered)
+            missed = np.count_nonzero(took > PERIOD_NS) + len(within) - len(answered)
             longest = took.max(initial=0) * 1e-6
             cells += f"{missed:8d} ({longest:7.1f})"
         lines.append(f"  {name:40s}{cells}")

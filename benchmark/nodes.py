@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command lines and environment of the nodes that a benchmark starts."""
+"""The arm of the benchmarks; command lines and environment of the nodes that they start."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import os
 import sys
 from pathlib import Path
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 JOINTS = [f"wam_j{number}" for number in range(1, 8)]
+HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+PERIOD_NS = 2_000_000
 
 
 def environment(domain: int | None = None) -> dict[str, str]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import subprocess
@@ -14,15 +15,27 @@ from pathlib import Path
 from benchmark.nodes import environment
 
 
-def learn(folder: Path, *arguments: str) -> float:
+def session_parser(doc: str, seed: int) -> argparse.ArgumentParser:
+    """Parser of the options that define a session; the first line of `doc` describes it."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=seed)
+    parser.add_argument("--trials", type=int, default=8)
+    parser.add_argument("--demonstrations", type=int, default=4)
+    parser.add_argument("--folder", type=Path, help="keep the sessions in this folder")
+    return parser
+
+
+def learn(folder: Path, options: argparse.Namespace) -> float:
     """Run `wam-power learn` in a folder; return its wall time [s]."""
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
+    for name in ("seed", "trials", "demonstrations"):
+        command += [f"--{name}", str(getattr(options, name))]
     begun = time.monotonic()
     with (folder / "learn.log").open("ab") as log:
         no_film = {"MUJOCO_GL": "disable"}
         subprocess.run(
-            [*command, *arguments],
+            command,
             env=os.environ | environment() | no_film,
             stdout=log,
             stderr=log,
@@ -43,10 +56,10 @@ def records(folder: Path, *without: str) -> list[dict[str, object]]:
     return [{key: row[key] for key in row if key not in without} for row in found]
 
 
-def candidates(folder: Path) -> list[object]:
-    """Fitted policies of a session, without their ids."""
+def candidates(folder: Path, *without: str) -> list[object]:
+    """Fitted policies of a session, without some fields."""
     found = [json.loads(path.read_text()) for path in sorted(folder.glob("candidates/*.json"))]
-    return [{key: row[key] for key in row if key != "id"} for row in found]
+    return [{key: row[key] for key in row if key not in without} for row in found]
 
 
 def differences(one: object, other: object, where: str = "") -> Iterator[str]:
