@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# `make learn` and `make test` do all their own set-up, once, in .venv. They need Python 3.10-3.13.
+# `make learn` and `make test` set up .venv on first use. They need Python 3.10-3.13.
 
 PYTHON ?= python3
 ARGS ?=
@@ -9,10 +9,10 @@ READY := $(VENV)/ready
 
 # ROS stays on this machine unless the environment says otherwise.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-# The rclpy wheels record here that their libraries are on the path, which holds for this .venv only.
+# The rclpy wheels record in this variable that their libraries are on the path, which is true for this .venv only.
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-# A sourced ROS 2 Jazzy brings its own rclpy, NumPy 1 and Pinocchio; a plain machine gets everything from PyPI.
+# A sourced ROS 2 Jazzy provides rclpy, NumPy 1 and Pinocchio; otherwise everything comes from PyPI.
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_FLAGS := --system-site-packages
 EXTRAS := sim,view,cluster,completion,test,browser,dev
@@ -26,13 +26,15 @@ endif
 .PHONY: help learn reproduce test lint format build api venv clean
 
 help:
-	@echo 'make learn [ARGS="--seed 3"]   learn to flip a pancake, in simulation'
-	@echo 'make reproduce                 the experiments of the paper, with a report (about an hour on 2 cores: 1 h 40 min of processor time)'
-	@echo 'make test  [ARGS="-k power"]   the tests'
-	@echo 'make lint                      ruff: rules and format; mypy: types'
-	@echo 'make build                     colcon build, with colcon from PyPI'
-	@echo 'make api                       pages of every module from its docstrings, in site/'
-	@echo 'make venv                      only the set-up'
+	@echo 'make learn [ARGS="--seed 3"]   learn to flip a pancake in simulation'
+	@echo 'make reproduce                 run the experiments of the paper and write a report (about an hour on 2 cores: 1 h 40 min of processor time)'
+	@echo 'make test  [ARGS="-k power"]   run the tests'
+	@echo 'make lint                      check rules and format (ruff) and types (mypy)'
+	@echo 'make format                    apply the automatic fixes and the format of ruff'
+	@echo 'make build                     run colcon build; installs colcon from PyPI if it is missing'
+	@echo 'make api                       write pages of every module from its docstrings to site/'
+	@echo 'make venv                      only set up .venv'
+	@echo 'make clean                     delete .venv and everything that was built'
 
 venv: $(READY)
 
@@ -42,14 +44,14 @@ $(READY): requirements.txt setup.py setup.cfg
 	rm -rf $(VENV)
 	$(PYTHON) -m venv $(VENV_FLAGS) $(VENV)
 	@$(CONSTRAIN)
-	@echo 'Installing into $(VENV); once, in a minute or two.'
+	@echo 'Installing into $(VENV), only once; this takes a minute or two.'
 	@$(BIN)/python -m pip install --quiet --upgrade pip  # an old pip takes minutes to resolve the versions
 	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --use-pep517 -c $(VENV)/constraints.txt -e '.[$(EXTRAS)]'
 	@$(BIN)/python -c 'import mujoco, pinocchio, rclpy' || { \
-	    echo 'A system library is missing, see above. libgomp.so.1: apt install libgomp1'; exit 1; }
+	    echo 'A system library is missing, see above. For libgomp.so.1: apt install libgomp1'; exit 1; }
 	@touch $@
 
-# Ctrl-C is an end that was asked for: the shell waits for the command, and make reports no error.
+# Ctrl-C is a regular end: the shell waits for the command, and make reports no error.
 STOPPABLE = trap : INT; $(1) || [ $$? -eq 130 ]
 
 learn: $(READY)
@@ -58,8 +60,8 @@ learn: $(READY)
 reproduce: $(READY)
 	@$(call STOPPABLE,$(BIN)/wam-power reproduce $(ARGS))
 
-# In the order of test/conftest.py: the slow folders first. Three workers on two cores: many tests wait for a clock.
-# Linear algebra has one thread, as in every node (entry.py).
+# In the order of test/conftest.py: slow folders first. Three workers on two cores, because many tests wait for a clock.
+# Linear algebra uses one thread, as in every node (entry.py).
 test: export OPENBLAS_NUM_THREADS := 1
 test: $(READY)
 	$(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
@@ -73,13 +75,13 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-# By the Python of .venv, whoever installed colcon: the executables start with it.
+# colcon runs with the Python of .venv, because the installed executables start with the Python that built them.
 build: $(READY)
 	@$(BIN)/python -c 'import colcon, colcon_ros' 2>/dev/null || $(BIN)/python -m pip install --quiet --use-pep517 \
 	    -c $(VENV)/constraints.txt -e '.[build]'
 	$(BIN)/python -m colcon build --packages-select wam_power_ros
 
-# Modules are imported for it; of what an import starts, GLFW looks for its library in a process of its own.
+# pdoc imports every module. On import GLFW starts a process to look for its library, hence PDOC_ALLOW_EXEC.
 api: $(READY)
 	@$(BIN)/python -c 'import pdoc' 2>/dev/null || $(BIN)/python -m pip install --quiet --use-pep517 \
 	    -c $(VENV)/constraints.txt -e '.[api]'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Package for `colcon build` (ament_python) and for `pip install -e .` alike."""
+"""Package definition for both `colcon build` (ament_python) and `pip install -e .`."""
 
 from pathlib import Path
 
@@ -36,7 +36,7 @@ extras = requirements()
 setup(
     name=NAME,
     version="0.1.0",
-    description="Teach a torque-controlled arm a skill by hand; it learns by trial and error",
+    description="Teach a robot arm a movement by hand; it improves the movement by trial and error",
     long_description=(HERE / "README.md").read_text(),
     long_description_content_type="text/markdown",
     license="Apache-2.0",

@@ -3,7 +3,7 @@
 
     python -m benchmark.cluster --only reaching
 
-Scheduler and workers are processes of their own, as they would be on other machines.
+Scheduler and workers are separate processes, as they would be on other machines.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ WORKERS = 2
 
 @contextmanager
 def local_cluster(folder: Path, path: str = str(ROOT)) -> Iterator[str]:
-    """Start a Dask scheduler with `WORKERS` workers, each a process; yields its address.
+    """Start a Dask scheduler and `WORKERS` workers as processes; yield the scheduler's address.
 
     Args:
-        folder: Working directory and place of the log.
+        folder: Working directory, also of the log.
         path: PYTHONPATH of the processes.
 
     Raises:
-        TimeoutError: When no scheduler is there within `START_TIMEOUT`; holds its output.
+        TimeoutError: If no scheduler starts within `START_TIMEOUT`; contains its output.
     """
     environment = os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1"}
     output = folder / "dask.log"
@@ -64,7 +64,7 @@ def local_cluster(folder: Path, path: str = str(ROOT)) -> Iterator[str]:
 
 
 def main() -> int:
-    """Run both, compare them and print the result."""
+    """Run both, compare them and print the result; return 1 if they differ."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", metavar="STUDY", help="only these studies")
     only = parser.parse_args().only

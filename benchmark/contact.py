@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""False alarms and contacts: what must not stop the arm, and what must.
+"""False alarms and contacts: conditions that must not stop the arm, and contacts that must.
 
     python -m benchmark.contact [--rollouts 72] [--replays 100]
 
 World, controller and tracker are connected by calls, in one process. Rollouts of exploration are
-executed under conditions that the controller does not know of, and demonstrations are replayed: no
-fault may come of it. Then the tool is pushed in a replay, and runs into a wall: the replay must
-stop, and the force stay small.
+executed under conditions unknown to the controller, and demonstrations are replayed: this must
+cause no fault. Then the tool is pushed during a replay, and hits a wall: the replay must stop, and
+the force stay small.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "30 Hz motion capture": {"mocap": MocapSettings(rate=30.0)},
     "120 Hz motion capture": {"mocap": MocapSettings(rate=120.0)},
 }
-SEED = 3000  # seeds from here on; those from 1000 on served to set the bounds
-A_SESSION = 24  # rollouts, of one demonstration each
+SEED = 3000  # first seed; seeds from 1000 on were used to choose the bounds
+SESSION_ROLLOUTS = 24  # rollouts of a session with one demonstration
 PUSH, STOP_WITHIN = 30.0, 0.06  # [N], [s]
 WALLS = (1e3, 2e3, 5e3, 10e3, 75e3)  # stiffness [N/m]; the last is that of a hand in ISO/TS 15066
-SPEED = 0.5  # of the replays that are disturbed
+REPLAY_SPEED = 0.5  # of the replays with contacts, as a share of the recorded speed
 
 
 def rollouts(condition: dict[str, Any], count: int) -> tuple[int, list[str]]:
-    """Practise in sessions under a condition; returns the number of rollouts and all faults."""
+    """Run learning sessions under a condition; return the number of rollouts and all faults."""
     done, faults, seed = 0, [], SEED
 
     def seen(record: Record) -> None:
@@ -57,7 +57,7 @@ def rollouts(condition: dict[str, Any], count: int) -> tuple[int, list[str]]:
 
     while done < count:
         environment = stand_in(seed, **condition)
-        budget = max(6, min(A_SESSION, count - done))  # a session needs some
+        budget = max(6, min(SESSION_ROLLOUTS, count - done))  # a session needs a few rollouts
         settings = preset("flip", "paper", budget=budget, retests=0)
         practise(environment, teach(environment, seed, 1), settings, seed, seen)
         seed += 1
@@ -69,7 +69,7 @@ class Replay:
 
     Attributes:
         environment: The environment.
-        periods: Duration of the movement under way [periods].
+        periods: Duration of the present movement [periods].
     """
 
     def __init__(self, seed: int, condition: dict[str, Any]) -> None:
@@ -80,7 +80,7 @@ class Replay:
         self._count = self.periods = 0
 
     def begin(self, speed: float) -> None:
-        """Hold at the start of the movement, and begin."""
+        """Hold at the start of the movement, then start the replay."""
         environment = self.environment
         movement = JointMovement(*replay_trajectory.movement(self._stamps_ns, self._q, speed))
         self.periods = round(movement.t[-1] * 1e9 / PERIOD_NS)
@@ -97,7 +97,7 @@ class Replay:
             environment.tick()
 
     def ticks(self) -> Iterator[int]:
-        """Go on to the end, or to rest after a fault; yields the number of periods so far."""
+        """Run to the end, or to rest after a fault; yield the number of periods so far."""
         controller, k = self.environment.controller, 0
         while controller.mode is Mode.REPLAY or (controller.mode is Mode.FAULT and k < 5000):
             if controller.mode is Mode.FAULT and controller.at_rest:
@@ -108,7 +108,7 @@ class Replay:
 
 
 def replays(count: int) -> tuple[int, list[str]]:
-    """Replay demonstrations under all conditions; returns the number and all faults."""
+    """Replay demonstrations under all conditions; return the number and all faults."""
     faults: list[str] = []
     arms = [Replay(SEED + k, each) for k, each in enumerate(CONDITIONS.values())]
     speeds = cycle((0.5, 1.0))
@@ -125,7 +125,7 @@ def replays(count: int) -> tuple[int, list[str]]:
 
 
 class Push:
-    """A force that sets in within 10 ms and stays."""
+    """A force that rises within 10 ms and stays constant."""
 
     def __init__(self, force: np.ndarray) -> None:
         self.force = force
@@ -138,7 +138,7 @@ class Push:
 
 
 class Wall:
-    """An elastic half space that begins where the tool is, across its way.
+    """An elastic half space at the tool's position, perpendicular to its motion.
 
     Attributes:
         peak: Largest force so far [N].
@@ -162,12 +162,12 @@ class Wall:
 
 
 class Stop(NamedTuple):
-    """What became of one contact.
+    """Reaction to one contact.
 
     Attributes:
-        faulted: Time from the first force to the fault, None without [s].
+        faulted: Time from the first force to the fault [s]; None without a fault.
         peak: Largest force [N].
-        speed: Speed of the tool when it began [m/s].
+        speed: Speed of the tool when the contact began [m/s].
     """
 
     faulted: float | None
@@ -176,14 +176,14 @@ class Stop(NamedTuple):
 
 
 def touched(replay: Replay, moment: float, contact: Push | Wall) -> Stop:
-    """Touch the tool in a replay.
+    """Run a replay with a contact at the tool.
 
     Args:
-        replay: Replay, begun by this.
-        moment: Share of the movement after which it is touched.
+        replay: Replay to start.
+        moment: Start of the contact, as a share of the movement.
         contact: Force or wall at the pan's centre from that moment on.
     """
-    replay.begin(SPEED)
+    replay.begin(REPLAY_SPEED)
     controller, world = replay.environment.controller, replay.environment.world
     at, faulted, speed = round(moment * replay.periods), None, 0.0
     for k in replay.ticks():
@@ -208,7 +208,7 @@ def pushes(count: int, rng: np.random.Generator) -> list[Stop]:
 
 
 def walls(stiffness: float, count: int, rng: np.random.Generator) -> list[Stop]:
-    """Let the tool run into a wall at random moments at which it moves."""
+    """Place a wall in front of the moving tool at random moments."""
     replay, stops = Replay(SEED, {}), []
     while len(stops) < count:
         stop = touched(replay, rng.uniform(0.1, 0.9), Wall(stiffness))
@@ -218,7 +218,7 @@ def walls(stiffness: float, count: int, rng: np.random.Generator) -> list[Stop]:
 
 
 def summary(stops: Sequence[Stop]) -> str:
-    """One line about contacts."""
+    """Summarize contacts in one line."""
     times = [stop.faulted for stop in stops if stop.faulted is not None]
     latest = f"{max(times) * 1e3:.0f} ms" if times else "-"
     late = sum(time > STOP_WITHIN for time in times)
@@ -232,11 +232,13 @@ def summary(stops: Sequence[Stop]) -> str:
 
 
 def main() -> int:
-    """Print every part; returns 1 when there was a false alarm."""
+    """Print every part; return 1 after a false alarm."""
     parser = argparse.ArgumentParser(prog="python -m benchmark.contact", description=__doc__)
-    parser.add_argument("--rollouts", type=int, default=72, help="under each condition")
+    parser.add_argument(
+        "--rollouts", type=int, default=72, help="number of rollouts under each condition"
+    )
     parser.add_argument("--replays", type=int, default=100)
-    parser.add_argument("--contacts", type=int, default=50, help="of each kind")
+    parser.add_argument("--contacts", type=int, default=50, help="number of contacts of each kind")
     options = parser.parse_args()
     alarms, done = 0, 0
     for name, condition in CONDITIONS.items() if options.rollouts else ():

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One seed, three sessions: over DDS, over DDS on a busy machine, and in one process.
+"""Compare three sessions of one seed: over DDS, over DDS on a busy machine, and in one process.
 
     python -m benchmark.determinism [--seed 41] [--trials 8] [--demonstrations 4]
 
-Each teaches its own demonstrations, fits, practises and re-tests. Compared are the fitted policies
-and every field of `rollouts.jsonl` except `clock`, which holds the wall-clock times. (A rollout's
-bag is named after its trial; the session in one process records none, so `bag` is left out there.)
+Each session teaches its own demonstrations, fits, learns and re-tests. Compared are the fitted
+policies and every field of `rollouts.jsonl` except `clock`, which holds the wall-clock times. The
+session in one process records no bags and no identity of the arm, so `bag` and `arm` are not
+compared with it.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -21,12 +21,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmark.sessions import candidates, differences, learn, records, verdict
+from benchmark.sessions import candidates, differences, learn, records, session_parser, verdict
 
 
 @contextmanager
 def busy(processes: int) -> Iterator[None]:
-    """Run this number of busy processes meanwhile."""
+    """Run busy processes within a `with` block."""
     command = [sys.executable, "-c", "while True: pass"]
     started = [subprocess.Popen(command) for _ in range(processes)]
     try:
@@ -44,12 +44,12 @@ def in_one_process(
     from hardware_sim.settings import WorldSettings
     from hardware_sim.world import World
     from wam_power_ros.experiments.environment import Environment
-    from wam_power_ros.experiments.studies.flip_sessions import practise, teach
+    from wam_power_ros.experiments.studies.flip_sessions import NOVICE, practise, teach
     from wam_power_ros.learning.policy import to_json
     from wam_power_ros.practice.settings import preset
 
     environment = Environment(World(WorldSettings(), seed))
-    policies = teach(environment, seed, demonstrations)
+    policies = teach(environment, seed, demonstrations, NOVICE)
     kept: list[object] = []
     practise(
         environment,
@@ -60,27 +60,19 @@ def in_one_process(
     )
     fitted = [json.loads(to_json(policy)) for policy in policies]
     without = [{key: row[key] for key in row if key not in ("clock", "bag")} for row in kept]
-    return [{key: row[key] for key in row if key != "id"} for row in fitted], without
+    return [{key: row[key] for key in row if key not in ("id", "arm")} for row in fitted], without
 
 
 def main() -> int:
     """Run the three sessions and print the differences; status 1 if there are any."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=41)
-    parser.add_argument("--trials", type=int, default=8)
-    parser.add_argument("--demonstrations", type=int, default=4)
-    parser.add_argument("--folder", type=Path, help="for the sessions, which are then kept")
-    options = parser.parse_args()
-    arguments = []
-    for name in ("seed", "trials", "demonstrations"):
-        arguments += [f"--{name}", str(getattr(options, name))]
+    options = session_parser(__doc__, seed=41).parse_args()
     cores = os.cpu_count() or 1
     with tempfile.TemporaryDirectory() as scratch:
         folder = options.folder or Path(scratch)
         quiet, loaded = folder / "quiet", folder / "busy"
-        took = learn(quiet, *arguments)
+        took = learn(quiet, options)
         with busy(cores):
-            longer = learn(loaded, *arguments)
+            longer = learn(loaded, options)
         begun = time.monotonic()
         fitted, practised = in_one_process(options.seed, options.trials, options.demonstrations)
         alone = time.monotonic() - begun
@@ -91,9 +83,12 @@ def main() -> int:
         )
         found = []
         for what, pair in {
-            "policies fitted, quiet and busy": (candidates(quiet), candidates(loaded)),
+            "policies fitted, quiet and busy": (candidates(quiet, "id"), candidates(loaded, "id")),
             "rollouts, quiet and busy": (records(quiet, "clock"), records(loaded, "clock")),
-            "policies fitted, over DDS and in one process": (candidates(quiet), fitted),
+            "policies fitted, over DDS and in one process": (
+                candidates(quiet, "id", "arm"),
+                fitted,
+            ),
             "rollouts, over DDS and in one process": (records(quiet, "clock", "bag"), practised),
         }.items():
             found.append(list(differences(*pair)))

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fault injection: the requirements of docs/safety.md beside the worst that was seen.
+"""Fault injection: the requirements of docs/safety.md beside the worst result.
 
     python -m benchmark.faults [--rows stale kill ...] [--repeats 5] [--json FILE]
 
-Every row runs real nodes in a private domain, with SCHED_FIFO where the machine permits (`lab`).
-`--repeats` replaces each row's own number of repeats. Rows `learner`, `recorder` and `disk`
-run `benchmark.kill`, `benchmark.recover` and the test of a full disk.
+Every row runs real nodes in a private domain, with SCHED_FIFO if the machine permits it (`lab`).
+`--repeats` replaces the default number of repeats of each row. The rows `learner`, `recorder` and
+`disk` run `benchmark.kill`, `benchmark.recover` and the test of a full disk.
 """
 
 from __future__ import annotations
@@ -30,20 +30,19 @@ from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from benchmark.false_states import FALSE_STATES, PHASES, Driver, acceptable, inject
 from benchmark.fuzz import bombard, spoilt, states
-from benchmark.lab import ARM, HOME, WATCHER, Lab, core
-from benchmark.lies import LIES, PHASES, Driver, acceptable, tell
-from benchmark.nodes import JOINTS, ROOT, environment
+from benchmark.lab import ARM, WATCHER, Lab, new_controller
+from benchmark.nodes import HOME, JOINTS, ROOT, environment
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import Basis, Policy
-from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, scheduling
 from wam_power_ros.rotations import quat_xyzw
 
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table, see docs/safety.md."""
+    """One row of the table in docs/safety.md."""
 
     requirement: str
     text: str
@@ -77,9 +76,9 @@ def stale(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def settled(lab: Lab, begun: int, seconds: float) -> tuple[float, float]:
-    """Largest tip speed [m/s] and drop [m] of the stand-in's arm, from a state on."""
+    """Largest tip speed [m/s] and drop [m] of the stand-in's arm, from one of its states on."""
     end_ns = lab.readings[begun].stamp_ns + round(seconds * 1e9)
-    lab.wait(lambda: lab.readings[-1].stamp_ns > end_ns, "the arm's time to pass")
+    lab.wait(lambda: lab.readings[-1].stamp_ns > end_ns, "state at the end of the observation")
     after = lab.readings[begun:]
     arm = lab.arm
     heights = [arm.tool_pose(reading.q)[0][2] for reading in after[::5]]
@@ -88,10 +87,10 @@ def settled(lab: Lab, begun: int, seconds: float) -> tuple[float, float]:
 
 
 def falling(lab: Lab) -> None:
-    """Start the stand-in as the arm."""
-    lab.arm = core().controller(share("urdf/wam7.urdf").read_text()).arm
+    """Start the stand-in as an arm that can fall."""
+    lab.arm = new_controller().arm
     lab.stand_in()
-    lab.wait(lambda: bool(lab.readings), "the stand-in")
+    lab.wait(lambda: bool(lab.readings), "state of the stand-in")
 
 
 def kill(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
@@ -105,7 +104,7 @@ def kill(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         ready.append(time.monotonic() - begun)
         lab.spin(1.0 + rng.uniform(0.0, 0.5))
         lab.readings.clear()
-        lab.wait(lambda: bool(lab.readings), "a state")
+        lab.wait(lambda: bool(lab.readings), "state")
         lab.end(controller)
         speed, drop = settled(lab, 0, 2.0)
         speeds.append(speed)
@@ -121,7 +120,7 @@ def kill(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def stopped(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """The controller is stopped for half a second (SIGSTOP) and goes on."""
+    """The controller is stopped for half a second (SIGSTOP) and continues."""
     falling(lab)
     controller = lab.controller()
     speeds, drops, faults = [], [], 0
@@ -129,7 +128,7 @@ def stopped(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         lab.held()
         lab.spin(rng.uniform(0.5, 1.0))
         lab.readings.clear()
-        lab.wait(lambda: bool(lab.readings), "a state")
+        lab.wait(lambda: bool(lab.readings), "state")
         controller.process.send_signal(signal.SIGSTOP)
         lab.spin(0.5)
         controller.process.send_signal(signal.SIGCONT)
@@ -153,12 +152,12 @@ def intruder(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     taken = []
     for _ in range(repeats):
         lab.played()
-        lab.play(rng.uniform(1.0, 1.2))  # until the previous one is forgotten
+        lab.play(rng.uniform(1.0, 1.2))  # until the previous publisher is forgotten
         begun = time.monotonic()
         other = lab.node.create_publisher(
             Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
         )
-        lab.wait(lambda: lab.label == "fault", "the fault", play=True)
+        lab.wait(lambda: lab.label == "fault", "fault", play=True)
         taken.append(time.monotonic() - begun)
         lab.node.destroy_publisher(other)
     return Row(
@@ -190,7 +189,7 @@ def clock(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         lab.played()
     return Row(
         "S-51",
-        "stamps jump by up to an hour: fault, torques go on and change by at most 0.1 N m, reset",
+        "stamps jump by up to an hour: fault, torques continue, change by at most 0.1 N m, reset",
         f"{worst:.3f} N m, {faults} faults, {silences} silences",
         repeats,
         worst <= 0.1 and faults == repeats and not silences,
@@ -198,7 +197,7 @@ def clock(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def restart(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """The driver is killed and starts again."""
+    """The driver is killed and restarted."""
     falling(lab)
     lab.controller()
     driver = next(item for item in lab.processes._running if item.name == "wam_sim")
@@ -210,13 +209,13 @@ def restart(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         lab.spin(1.0)
         lab.readings.clear()
         driver = lab.stand_in()
-        lab.wait(lambda: len(lab.readings) > 500, "states again")
+        lab.wait(lambda: len(lab.readings) > 500, "states after the restart")
         faults += lab.label == "fault"
         speed, _ = settled(lab, 0, 1.0)
         moved = max(moved, speed)
     return Row(
         "S-44",
-        "driver killed and started again: fault, tip at most 0.3 m/s, reset goes on",
+        "driver killed and restarted: fault, tip at most 0.3 m/s, reset possible",
         f"{moved:.3f} m/s, {faults} faults",
         repeats,
         moved <= 0.3 and faults == repeats,
@@ -224,8 +223,8 @@ def restart(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def fuzz_policy() -> Policy:
-    """Policy that keeps the pan in place, to be corrupted."""
-    arm = core().controller(share("urdf/wam7.urdf").read_text()).arm
+    """Valid policy that keeps the pan in place, for corruption."""
+    arm = new_controller().arm
     position, rotation = arm.tool_pose(HOME)
     return Policy(
         id="fuzz",
@@ -242,13 +241,13 @@ def fuzz_policy() -> Policy:
 
 
 def fuzz(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """Fuzzed messages to conversion and controller, in this process."""
-    controller = core().controller(share("urdf/wam7.urdf").read_text())
+    """Fuzzed messages are passed to conversion and controller, in this process."""
+    controller = new_controller()
     found = bombard(controller, fuzz_policy(), repeats, int(rng.integers(2**32)))
     wrong = sum(found[kind] for kind in ("not finite", "over", "jumps"))
     return Row(
         "S-01",
-        "fuzzed messages: no torque that is not finite, over its limit or its limit of change",
+        "fuzzed messages: every torque is finite and within its limits of magnitude and rate",
         f"{wrong} of {found['torques']} torques; {found['refused']} refusals; "
         f"largest {100 * found['largest']:.0f} % of its limit",
         repeats,
@@ -257,13 +256,13 @@ def fuzz(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def fuzz_over_dds(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """The same messages to the node over DDS."""
+    """The same messages are sent to the node over DDS."""
     from std_msgs.msg import String
 
     running = lab.controller()
     lab.played()
     policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
-    limit = core().controller(share("urdf/wam7.urdf").read_text()).limits.torque
+    limit = new_controller().limits.torque
     policy, source, count, wrong = fuzz_policy(), states(JOINTS, HOME, rng), 0, 0
     reset = lab.node.create_client(Trigger, interface.RESET)
     for number in range(repeats):
@@ -278,7 +277,7 @@ def fuzz_over_dds(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     alive = running.process.poll() is None
     return Row(
         "S-11",
-        "fuzzed messages over DDS: no torque that is not finite or over its limit; the node lives",
+        "fuzzed messages over DDS: every torque is finite and within its limit; the node survives",
         f"{wrong} of {count} torques, {'alive' if alive else 'dead'}",
         repeats,
         wrong == 0 and alive,
@@ -286,7 +285,7 @@ def fuzz_over_dds(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def starved(fifo: bool) -> Callable[[Lab, int, np.random.Generator], Row]:
-    """Four busy processes beside the control loop, for some seconds."""
+    """Four busy processes run beside the control loop, for some seconds."""
 
     def row(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         from benchmark.latency import measure
@@ -319,14 +318,14 @@ def network(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
         subprocess.run(["ip", "route", "add", "224.0.0.0/4", "dev", "lo"], check=True)
         lab.readings.clear()
-        lab.wait(lambda: len(lab.readings) > 10, "states again")
+        lab.wait(lambda: len(lab.readings) > 10, "states after the reconnection")
         speed, _ = settled(lab, 0, 1.0)
         faults += lab.label == "fault"
         speeds.append(speed)
         drops.append(before - lab.arm.tool_pose(lab.readings[-1].q)[0][2])
     return Row(
         "S-53",
-        "network cut for 1 s: fault, until a reset; tip at most 0.3 m/s, drop at most 5 cm",
+        "network cut for 1 s: fault until reset, tip at most 0.3 m/s, drop at most 5 cm",
         f"{max(speeds):.3f} m/s, {100 * max(drops):.1f} cm; {faults} faults",
         repeats,
         bool(max(speeds) <= 0.3 and max(drops) <= 0.05 and faults == repeats),
@@ -349,15 +348,15 @@ def learner(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
             differing.append(f"seed {seed}: {last}")
     return Row(
         "S-61",
-        "learner killed (-9): no acknowledged rollout lost, the same records at the end",
-        "; ".join(differing) or f"none lost, all the same in {kills} kills",
+        "learner killed (-9): no acknowledged rollout lost, identical records at the end",
+        "; ".join(differing) or f"none lost, all identical in {kills} kills",
         kills,
         not differing and kills >= repeats,
     )
 
 
 def recorder(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """The recorder is killed while it records, and what is left is recovered."""
+    """The recorder is killed while recording, and its bag is recovered."""
     command = [sys.executable, "-m", "benchmark.recover", "--cuts", "0", "--kills", str(repeats)]
     command += ["--seed", str(rng.integers(21, 100))]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
@@ -366,7 +365,7 @@ def recorder(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     ]
     return Row(
         "S-65",
-        "recorder killed (-9), or its disk full: one second lost at most, the rest recovered",
+        "recorder killed (-9), or its disk full: at most one second lost, the rest recovered",
         "; ".join(reported) or "nothing was printed",
         repeats,
         done.returncode == 0,
@@ -383,37 +382,37 @@ def disk(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         passed += done.returncode == 0 and "passed" in done.stdout
     return Row(
         "S-66",
-        "full disk: the recording ends, the arm goes on",
+        "full disk: the recording ends, the arm continues",
         f"{passed} of {repeats} as required",
         repeats,
         passed == repeats,
     )
 
 
-PEAKS: dict[str, float] = {}  # tool speed of every phase without a lie [m/s]
+PEAKS: dict[str, float] = {}  # tool speed of every phase with true states [m/s]
 
 
-def lied(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
-    """One lie, in every phase, to an arm that keeps the last torque."""
+def false_states(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
+    """One kind of false state in every phase, with an arm that keeps the last torque."""
 
     def row(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         driver = Driver(lab)
         lab.controller()
-        peaks = PEAKS  # the same for every lie
+        peaks = PEAKS  # the same for all kinds
         for phase in PHASES:
             if phase not in peaks:
-                peaks[phase] = tell(driver, lab, phase, lambda state: state).peak
+                peaks[phase] = inject(driver, lab, phase, lambda state: state).peak
         seen, passed = [], True
         for _ in range(repeats):
             for phase in PHASES:
-                found = tell(driver, lab, phase, LIES[name]())
+                found = inject(driver, lab, phase, FALSE_STATES[name]())
                 passed &= acceptable(found, peaks[phase])
                 when = "none" if found.faulted is None else f"{2 * found.faulted} ms"
                 speeds = f"{found.peak:.2f} ({peaks[phase]:.2f}), then {found.rest:.2f} m/s"
                 seen.append(f"{phase} {when} {speeds}")
         return Row(
             "S-91",
-            f"{name}: tool at most 0.5 m/s faster than without, at rest 0.5 s after the fault",
+            f"{name}: tool at most 0.5 m/s faster than with true states, at rest 0.5 s after fault",
             "; ".join(seen),
             repeats * len(PHASES),
             passed,
@@ -454,7 +453,7 @@ def ended(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
 
 def simulation(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
-    """A simulation is started in the robot's terminal while its driver listens."""
+    """A simulation is started in the robot's terminal while its driver subscribes to torques."""
     answers = []
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as folder:
@@ -473,21 +472,21 @@ def simulation(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
             def teaching(learning=learning, bags=bags) -> bool:  # noqa: ANN001
                 return any(bags.glob("*/*.mcap")) or learning.poll() is not None
 
-            lab.wait(teaching, "the simulation's arm to be led", play=True)
+            lab.wait(teaching, "demonstration in the simulation", play=True)
             lab.play(rng.uniform(1.0, 2.0))
             learning.send_signal(signal.SIGINT)
             answers.append(learning.communicate()[0])
-    told = sum(f"not in the exported {lab.domain}" in answer for answer in answers)
+    warned = sum(f"not in the exported {lab.domain}" in answer for answer in answers)
     return Row(
         "S-55",
-        "simulation started in a robot's domain, its driver listening: no torque reaches it",
-        f"{len(lab.torques)} torques; told {told} times",
+        "simulation started in a robot's domain: no torque reaches its driver",
+        f"{len(lab.torques)} torques; {warned} warnings",
         repeats,
-        not lab.torques and told == repeats,
+        not lab.torques and warned == repeats,
     )
 
 
-LIED = {name: lied(name) for name in LIES}
+FALSE_STATE_ROWS = {name: false_states(name) for name in FALSE_STATES}
 ROWS = {  # name -> function and number of repeats
     "stale": (stale, 200),
     "kill": (kill, 50),
@@ -501,7 +500,7 @@ ROWS = {  # name -> function and number of repeats
     "starved_plain": (starved(False), 30),
     "network": (network, 5),
     "ended": (ended, 50),
-    **{name: (function, 1) for name, function in LIED.items()},
+    **{name: (function, 1) for name, function in FALSE_STATE_ROWS.items()},
     "simulation": (simulation, 3),
     "learner": (learner, 50),
     "recorder": (recorder, 50),
@@ -509,18 +508,20 @@ ROWS = {  # name -> function and number of repeats
 }
 
 
-# This process plays the arm.
-PLAYED = (stale, intruder, clock, fuzz_over_dds, simulation, ended, *LIED.values())
-WATCHED = (kill, stopped, restart, network)  # the stand-in is the arm
+# Rows in which this process publishes the states of the arm.
+PLAYED = (stale, intruder, clock, fuzz_over_dds, simulation, ended, *FALSE_STATE_ROWS.values())
+WATCHED = (kill, stopped, restart, network)  # rows with the stand-in as the arm
 
 
 def alone(function: Callable, scratch: Path, repeats: int, rng: np.random.Generator) -> Row | None:
-    """Run a row in its own process, as priorities are not revocable; None when it fails."""
+    """Run a row in its own process, because priorities are not revocable; None on failure."""
     kept = scratch / "row.json"
     child = os.fork()
     if child == 0:
         try:
-            if function in PLAYED or function in WATCHED:  # busy processes must not inherit it
+            if (
+                function in PLAYED or function in WATCHED
+            ):  # busy processes must not inherit the priority
                 scheduling._schedule(ARM if function in PLAYED else WATCHER)
             lab = Lab(scratch)
             with lab.open():
@@ -539,7 +540,7 @@ def alone(function: Callable, scratch: Path, repeats: int, rng: np.random.Genera
 
 
 def isolated(name: str, repeats: int, scratch: Path) -> Row | None:
-    """Run a row in a network namespace, where the network can be cut; None when it fails."""
+    """Run a row in a network namespace, where the network can be cut; None on failure."""
     report = scratch / "isolated.json"
     inside = [sys.executable, "-m", "benchmark.faults", "--inside", "--rows", name]
     inside += ["--repeats", str(repeats), "--json", str(report)]
@@ -547,7 +548,7 @@ def isolated(name: str, repeats: int, scratch: Path) -> Row | None:
         "ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && "
         f"exec {' '.join(inside)}"
     )
-    environment = os.environ | {  # no shared memory: cutting the network would not stop it
+    environment = os.environ | {  # without shared memory, which a cut network would not stop
         "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
     }
@@ -558,7 +559,7 @@ def isolated(name: str, repeats: int, scratch: Path) -> Row | None:
 
 
 def table(rows: list[Row]) -> str:
-    """Rows as a table in Markdown."""
+    """Format rows as a Markdown table."""
     lines = ["| id | requirement | worst seen | repeats | |", "|---|---|---|---|---|"]
     for row in rows:
         verdict = "pass" if row.passed else "**FAIL**"
@@ -569,10 +570,12 @@ def table(rows: list[Row]) -> str:
 
 
 def main() -> int:
-    """Run the rows; returns 1 when one fails."""
+    """Run the rows; return 1 if one fails."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rows", nargs="+", choices=ROWS, default=list(ROWS))
-    parser.add_argument("--repeats", type=int, help="number for every row instead of its own")
+    parser.add_argument(
+        "--repeats", type=int, help="number of repeats of every row (default: each its own)"
+    )
     parser.add_argument("--seed", type=int, default=21)
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--inside", action="store_true", help=argparse.SUPPRESS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random messages as a broken driver, a broken learner or an attacker might send them.
+"""Random messages that a broken driver, a broken learner or an attacker might send.
 
 Most joint states are those of a slowly drifting arm, so that the controller is active. Mixed into
 them are wrong stamps, values, lengths and names, corrupted or truncated bytes, corrupted policies,
@@ -16,6 +16,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from benchmark.nodes import PERIOD_NS
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.learning import policy as policies
@@ -24,10 +25,9 @@ from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.ros import cdr, joint_messages
 from wam_power_ros.ros.stamps import time_message
 
-PERIOD_NS = 2_000_000
-CALM = 150  # valid states in a row
-ODD = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e9, -25.0, 25.0, 0.0)
-STEPS = (0, -PERIOD_NS, -(10**9), 3, 4 * PERIOD_NS, 10 * PERIOD_NS, 3_600 * 10**9)
+CALM_STATES = 150  # valid states in a row
+ODD_VALUES = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 1e9, -25.0, 25.0, 0.0)
+STAMP_STEPS = (0, -PERIOD_NS, -(10**9), 3, 4 * PERIOD_NS, 10 * PERIOD_NS, 3_600 * 10**9)
 CALLS = (
     Controller.hold,
     Controller.stop,
@@ -41,16 +41,17 @@ CALLS = (
 
 
 def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iterator[JointState]:
-    """Endless joint states, about one in eight of them invalid, in storms between calms.
+    """Yield joint states endlessly; calm periods alternate with storms.
 
-    A reset needs rest in states that fit each other: without calms all would stay in one fault.
+    In a storm about one state in eight is invalid. A reset needs rest in consistent states: without
+    calm periods the controller would stay in one fault.
     """
     n, stamp_ns = len(names), 10**12
     q, qd = home.copy(), np.zeros(n)
-    calm, storm = CALM, 0  # states that are left of each
+    calm, storm = CALM_STATES, 0  # remaining states of each
     while True:
         if not calm and not storm:
-            calm, storm = CALM, int(rng.integers(1, 2 * CALM))
+            calm, storm = CALM_STATES, int(rng.integers(1, 2 * CALM_STATES))
         qd = 0.98 * qd + 0.002 * rng.standard_normal(n)  # mostly at rest, so that a reset succeeds
         q = home + 0.999 * (q - home) + 0.002 * qd
         stamp_ns += PERIOD_NS
@@ -63,9 +64,9 @@ def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iter
             storm -= 1
         if wrong < 3:
             field = values[int(rng.integers(2))]
-            field[int(rng.integers(n))] = ODD[int(rng.integers(len(ODD)))]
+            field[int(rng.integers(n))] = ODD_VALUES[int(rng.integers(len(ODD_VALUES)))]
         elif wrong == 3:
-            stamp += STEPS[int(rng.integers(len(STEPS)))]
+            stamp += STAMP_STEPS[int(rng.integers(len(STAMP_STEPS)))]
             stamp_ns = max(stamp, stamp_ns) if rng.random() < 0.1 else stamp_ns
         elif wrong == 4:
             field = values[int(rng.integers(2))]
@@ -85,7 +86,7 @@ def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iter
 
 
 def garbled(data: bytes, rng: np.random.Generator) -> bytes:
-    """Bytes of a message; in one of 256 some are corrupted or missing."""
+    """Corrupt or truncate the bytes of one message in 256."""
     if rng.random() > 1.0 / 256.0:
         return data
     spoilt, at = bytearray(data), int(rng.integers(len(data)))
@@ -96,7 +97,7 @@ def garbled(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def spoilt(policy: Policy, rng: np.random.Generator) -> str:
-    """Text of a policy, usually corrupted."""
+    """Text of a policy, corrupted in four of five cases."""
     text = policies.to_json(policy)
     kind, at = int(rng.integers(5)), int(rng.integers(len(text)))
     if kind == 0:
@@ -114,8 +115,9 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
     """Pass messages through reader, controller and writer, as the node does, in one process.
 
     Returns:
-        Number of torques, and of those not finite, over a limit, or changing by more than the
-        limit of two periods; largest share of a limit that was reached.
+        "torques": number of torques; of these "not finite", "over" a limit, and "jumps", which
+        change by more than the rate limit allows in two periods; "refused": number of refusals;
+        "largest": largest torque as a share of its limit.
     """
     rng, arm = np.random.default_rng(seed), controller.arm
     names = list(arm.joint_names)
@@ -131,10 +133,10 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
         if chance < 0.01:
             try:
                 torque = CALLS[int(rng.integers(len(CALLS)))](controller)
-                before = before if torque is None else torque  # sent although no state had arrived
+                before = before if torque is None else torque  # sent without a state
             except ControllerError:
                 found["refused"] += 1
-        elif chance < 0.06:  # a person resets faults
+        elif chance < 0.06:  # as a person resets faults
             try:
                 controller.reset()
             except ControllerError:
@@ -149,7 +151,7 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
         except ValueError:
             found["refused"] += 1
             continue
-        if reading is None:  # none of the joint names is left
+        if reading is None:  # no known joint name is left
             continue
         active = controller.mode.value != "inactive"
         sent = write(reading[0], controller.label, controller.step(*reading))

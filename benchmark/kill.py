@@ -3,17 +3,16 @@
 
     python -m benchmark.kill [--seed 42] [--kills 10] [--trials 8] [--demonstrations 4]
 
-An undisturbed session comes first. Then another learns from the same bags, on nodes that keep
-running: its learner is killed at random moments (of the seed), up to five seconds after its start
-or after its first rollout, and started again with the same folder. No line of `rollouts.jsonl`
-that was there before a kill may change, and in the end all fields must be equal except `clock` and
-`bag`: a recording that a kill cut short keeps its name, so the repeated rollout is in
+First an undisturbed session is run. Then another session learns from the same bags, on nodes that
+keep running. Its learner is killed at random moments (drawn from the seed), up to five seconds
+after its start or after its first rollout, and restarted with the same folder. No line that
+`rollouts.jsonl` had before a kill may change. In the end all fields must be equal except `clock`
+and `bag`: a recording that a kill cut short keeps its name, so the repeated rollout is in
 rollout_<id>_2.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 import tempfile
@@ -23,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.nodes import environment, node_command
-from benchmark.sessions import differences, learn, lines, records, verdict
+from benchmark.sessions import differences, learn, lines, records, session_parser, verdict
 from wam_power_ros.bags.layout import UNFINISHED
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.ros.domain import private_domain
@@ -37,7 +36,7 @@ def learn_killed(
     """Run a session whose learner is killed `kills` times, or until the session is over.
 
     Returns:
-        Lines that were lost, and one line about every kill.
+        Descriptions of lost lines, and a report line for every kill.
     """
     rng = np.random.default_rng(seed)
     lost, report, kept = [], [], []
@@ -96,21 +95,14 @@ def learn_killed(
 
 def main() -> int:
     """Run both sessions and print the differences; status 1 if there are any."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seed", type=int, default=42)
+    parser = session_parser(__doc__, seed=42)
     parser.add_argument("--kills", type=int, default=10)
-    parser.add_argument("--trials", type=int, default=8)
-    parser.add_argument("--demonstrations", type=int, default=4)
-    parser.add_argument("--folder", type=Path, help="for the sessions, which are then kept")
     options = parser.parse_args()
     seed = options.seed
     with tempfile.TemporaryDirectory() as scratch:
         folder = (options.folder or Path(scratch)).resolve()
         undisturbed, killed = folder / "undisturbed", folder / "killed"
-        arguments = []
-        for name in ("seed", "trials", "demonstrations"):
-            arguments += [f"--{name}", str(getattr(options, name))]
-        took = learn(undisturbed, *arguments)
+        took = learn(undisturbed, options)
         bags = json.loads((undisturbed / "demonstrations.json").read_text())
         begun = time.monotonic()
         lost, report = learn_killed(killed, bags, seed, options.trials, options.kills)

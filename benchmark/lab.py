@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Set-up for fault injection: a DDS domain of its own, the nodes as processes, and an arm.
+"""Set-up for fault injection: a private DDS domain, the nodes as processes, and an arm.
 
-Where the arm only needs to stand still, this process publishes its states, 500 a second on the wall
-clock; where it must be able to fall, the stand-in does.
+If the arm only stands still, this process publishes its states, 500 a second on the wall clock. If
+it must be able to fall, the stand-in does.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from benchmark.nodes import JOINTS, environment, node_command
+from benchmark.nodes import HOME, JOINTS, PERIOD_NS, environment, node_command
 from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.control.controller import Controller
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.service_client import DISCOVERY
 
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
-PERIOD_NS = 2_000_000
 TIMEOUT = 90.0  # [s] for a node to start, to hold, to fault
 ARM, CONTROLLER, WATCHER = 70, 60, 50  # real-time priorities
 
 
-def core() -> TorqueControllerParams:
-    """Parameters of the controller as config/ sets them."""
-    return TorqueControllerParams.of_file(
+def new_controller() -> Controller:
+    """A controller with the parameters of config/ and the shipped URDF."""
+    params = TorqueControllerParams.of_file(
         share("config/torque_controller.yaml"), "torque_controller"
     )
+    return params.controller(share("urdf/wam7.urdf").read_text())
 
 
 class Lab:
-    """A DDS domain of its own with a node that watches; the arm is played here or is the stand-in.
+    """A private DDS domain with an observing node; this process or the stand-in plays the arm.
 
     Attributes:
-        domain: The domain, once it is open.
-        torques: Time of reception [ns, steady clock] and reading of the last torques.
-        readings: States of the stand-in, where it is the arm.
+        domain: Number of the domain; set by `open`.
+        torques: Reception times [ns, steady clock] and readings of the last torques.
+        readings: States of the stand-in, if it plays the arm.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -61,7 +61,7 @@ class Lab:
 
     @contextmanager
     def open(self) -> Iterator[Lab]:
-        """Enter the domain; leaving it ends all processes."""
+        """Enter the domain; on leaving, end all processes."""
         with private_domain() as domain:
             self.domain = domain
             reach = os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -90,7 +90,7 @@ class Lab:
 
     @property
     def label(self) -> str:
-        """Mode in which the last torque was computed."""
+        """Mode of the controller at the last torque."""
         return self.torques[-1][1].label if self.torques else ""
 
     def controller(self, priority: int = CONTROLLER) -> Running:
@@ -99,7 +99,7 @@ class Lab:
         return self.processes.start(name, node_command(name, realtime_priority=priority))
 
     def stand_in(self, priority: int = ARM) -> Running:
-        """Start the stand-ins, in real time, and watch their states."""
+        """Start the stand-ins in real time and subscribe to their states."""
         if not hasattr(self, "_reader"):
             self._reader = joint_messages.JointStateReader(JOINTS)
             self.node.create_subscription(
@@ -118,16 +118,20 @@ class Lab:
         self.processes._running.remove(running)
 
     def spin(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Dispatch callbacks for a time [s] or until a condition holds; returns whether it does."""
+        """Dispatch callbacks for a time [s] or until a condition holds; return whether it holds."""
         end = time.monotonic() + seconds
         while not (done := until()) and (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=min(left, 0.005))
         return done
 
     def wait(self, until: Callable[[], bool], what: str, play: bool = False) -> None:
-        """Dispatch callbacks, or play the arm, until a condition holds."""
+        """Dispatch callbacks, or play the arm, until a condition holds.
+
+        Raises:
+            TimeoutError: If it does not hold within `TIMEOUT`.
+        """
         if not (self.play if play else self.spin)(TIMEOUT, until):
-            raise TimeoutError(f"not within {TIMEOUT:.0f} s: {what} (last torque: {self.label!r})")
+            raise TimeoutError(f"no {what} within {TIMEOUT:.0f} s (last torque: {self.label!r})")
 
     def held(self) -> None:
         """Wait until the controller holds, resetting a fault."""
@@ -138,18 +142,18 @@ class Lab:
             self.processes.check()
 
     def call(self, name: str, play: bool = False) -> bool:
-        """Call a Trigger service and wait for its answer."""
+        """Call a Trigger service and wait for its response; return True on success."""
         client = self._services.get(name)
         if client is None:
             client = self._services[name] = self.node.create_client(Trigger, name)
         if not client.service_is_ready():
-            self.wait(client.service_is_ready, name, play)
+            self.wait(client.service_is_ready, f"service {name}", play)
             (self.play if play else self.spin)(DISCOVERY)
         future = client.call_async(Trigger.Request())
-        self.wait(future.done, f"answer of {name}", play)
+        self.wait(future.done, f"response of {name}", play)
         return future.result().success
 
-    # The played arm: it never moves.
+    # The arm played by this process; it never moves.
 
     def publish(self) -> None:
         """Publish one state with the present stamp."""
@@ -162,14 +166,14 @@ class Lab:
         self._states.publish(message)
 
     def play(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Publish 500 states a second, at most until a condition holds; returns whether it does."""
+        """Publish 500 states a second until a condition holds; return whether it holds in time."""
         end = deadline = time.monotonic_ns()
         end += round(seconds * 1e9)
         while not (done := until()) and deadline < end:
             self.stamp_ns += PERIOD_NS
             self.publish()
             deadline += PERIOD_NS
-            if time.monotonic_ns() - deadline > 5 * PERIOD_NS:  # this process was held up
+            if time.monotonic_ns() - deadline > 5 * PERIOD_NS:  # this process was delayed
                 self.stamp_ns += time.monotonic_ns() - deadline
                 deadline = time.monotonic_ns()
             while (left := deadline - time.monotonic_ns()) > 0:

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Latency from state to torque in real time: the controller beside a bare echo node.
+"""Latency from state to torque in real time: the controller compared with a bare echo node.
 
     python -m benchmark.latency [--seconds 60] [--load 0] [--stages] [--messages]
                                  [--view]
 
 The stand-in publishes 500 states a second on the wall clock. The controller answers each with a
-torque, the echo, a bare rclpy node in a process of its own, with the same message holding zeros.
-Both are timed by the stand-in's process, in the same run and with the same scheduling, so machine
-and middleware cancel in the ratio. Each topic has one reader. With --messages, periods are counted
-that are missed when the hardest messages come that the controller may be sent (`messages`). With
---view, the page of `wam-power view` follows the arm meanwhile.
+torque. The echo, a bare rclpy node in a separate process, answers with the same message holding
+zeros. The stand-in's process times both, in the same run and with the same scheduling, so machine
+and middleware cancel in the ratio. Each topic has one reader. --messages counts the periods missed
+while the most difficult messages arrive (`messages`). With --view, the page of `wam-power view`
+follows the arm during the measurement.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, Float64MultiArray
 
 from benchmark import messages, viewing
-from benchmark.nodes import JOINTS, environment, ros_arguments
+from benchmark.nodes import JOINTS, PERIOD_NS, environment, ros_arguments
 from benchmark.stages import table as table_of_stages
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.ros import interface, joint_messages, node_runner, scheduling
@@ -38,12 +38,11 @@ from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.stamps import nanoseconds
 
 ECHO = "/echo/commands"
-PERIOD_NS = 2_000_000
 PRIORITY = {"stand-in": 70, "controller": 60, "echo": 60}
 
 
 class Echo(Node):
-    """The least a node can do at 500 Hz: receive a message, send a message."""
+    """The minimal node at 500 Hz: receives a message, sends a message."""
 
     def __init__(self, priority: int) -> None:
         super().__init__("echo")
@@ -61,11 +60,11 @@ class Echo(Node):
 
 
 def stand_in(report: Path) -> int:
-    """Run the stand-ins and time the answers to each state; writes the times to `report`."""
+    """Run the stand-ins, time the answers to each state and write the times to `report`."""
     from hardware_sim.main import Simulation
     from hardware_sim.wam_node import WamSim
 
-    sent: dict[int, int] = {}  # stamp -> when it was published [ns, steady clock]
+    sent: dict[int, int] = {}  # stamp -> time of publication [ns, steady clock]
     answered: dict[str, dict[int, int]] = {interface.EFFORT_COMMANDS: {}, ECHO: {}}
 
     def on_answer(topic: str, message: Float64MultiArray) -> None:
@@ -116,11 +115,19 @@ def measure(
     hardest: bool = False,
     view: bool = False,
 ) -> dict[str, dict[str, float]]:
-    """Latency figures of controller and echo in one run, and CPU of each process [%].
+    """Measure latencies of controller and echo in one run, and the CPU time of each process.
 
-    With `stages`, the controller also times its stages, at a small cost, and they are printed.
-    With `hardest`, the messages of `benchmark.messages` are published, and the table is printed.
-    With `view`, the page of `wam-power view` follows the arm.
+    Args:
+        seconds: Duration of the measurement [s].
+        fifo: Use SCHED_FIFO.
+        load: Number of busy processes beside it.
+        stages: Also time the stages of the controller, at a small cost, and print them.
+        hardest: Publish the messages of `benchmark.messages` instead, and print the table.
+        view: Let the page of `wam-power view` follow the arm.
+
+    Returns:
+        Per process: periods met [%], quantiles of the latency [us] or rate of the states [Hz],
+        and CPU time [%].
     """
     module = [sys.executable, "-m"]
     with tempfile.TemporaryDirectory() as folder, private_domain() as domain:
@@ -154,30 +161,30 @@ def measure(
             echo = processes.start(
                 "echo", [*module, "benchmark.latency", "--role", f"echo {priority['echo']}"]
             )
-            told = Path(folder) / "messages.json"
+            published = Path(folder) / "messages.json"
             if hardest:
                 processes.start(
                     "messages",
-                    [*module, "benchmark.latency", "--role", f"messages {told}"],
+                    [*module, "benchmark.latency", "--role", f"messages {published}"],
                 )
-            held = viewing.start(processes, Path(folder), domain, list(JOINTS)) if view else None
+            lock = viewing.start(processes, Path(folder), domain, list(JOINTS)) if view else None
             for i in range(load):
                 processes.start(f"load {i}", [sys.executable, "-c", "while True: pass"])
             time.sleep(10.0)  # for imports and discovery
             begun_ns, before = time.monotonic_ns(), _cpu([arm, controller, echo])
             if hardest:
-                while not told.exists():
+                while not published.exists():
                     processes.check()
                     time.sleep(0.5)
             else:
                 time.sleep(seconds)
             ended_ns, after = time.monotonic_ns(), _cpu([arm, controller, echo])
             processes.check()
-            if held is not None:
-                held.close()
+            if lock is not None:
+                lock.close()
         rows = np.load(report)
         if hardest:
-            print(messages.table(rows, json.loads(told.read_text()), PERIOD_NS))
+            print(messages.table(rows, json.loads(published.read_text())))
         if stages:
             times = np.load(Path(folder) / "stages.npy")
             within = (times[:, 0] >= begun_ns) & (times[:, 0] < ended_ns)
@@ -202,7 +209,7 @@ def _figures(rows: np.ndarray, column: int) -> dict[str, float]:
 
 
 def _cpu(running: list[Running]) -> dict[str, float]:
-    """CPU time of each process so far [s]."""
+    """CPU time used by each process so far [s]."""
     tick = os.sysconf("SC_CLK_TCK")
     times = {}
     for item in running:
@@ -212,13 +219,13 @@ def _cpu(running: list[Running]) -> dict[str, float]:
 
 
 def may_schedule() -> bool:
-    """Whether SCHED_FIFO is permitted here."""
+    """Return True if SCHED_FIFO is permitted on this machine."""
     ask = "import os; os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(70))"
     return subprocess.run([sys.executable, "-c", ask], capture_output=True).returncode == 0
 
 
 def table(title: str, figures: dict[str, dict[str, float]]) -> str:
-    """Figures of one run as text."""
+    """Format the figures of one run as text."""
     controller, echo, arm = figures["controller"], figures["echo"], figures["stand-in"]
     lines = [
         f"{title} (stand-in: {arm['rate']:.1f} states/s, {arm['cpu']:.0f} % CPU)",
@@ -245,9 +252,13 @@ def main() -> int:
         "--stages", action="store_true", help="also time the stages of the controller"
     )
     parser.add_argument(
-        "--messages", action="store_true", help="also count periods missed at hard messages"
+        "--messages",
+        action="store_true",
+        help="also count periods missed during difficult messages",
     )
-    parser.add_argument("--view", action="store_true", help="beside the page of `wam-power view`")
+    parser.add_argument(
+        "--view", action="store_true", help="with the page of `wam-power view` following the arm"
+    )
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--role", help=argparse.SUPPRESS)
     options, _ = parser.parse_known_args()

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that hold a careless loop up: the hardest legal one of each kind, and what is refused.
+"""Messages that could delay the loop: the largest valid one of each kind, and invalid ones.
 
-Run by `benchmark.latency` in a process of its own; publishes each and writes down when.
+`benchmark.latency` runs this in a separate process, which publishes each message and saves the
+times of publication.
 """
 
 from __future__ import annotations
@@ -19,19 +20,18 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Empty, String
 from trajectory_msgs.msg import JointTrajectory
 
-from benchmark.nodes import JOINTS
+from benchmark.nodes import HOME, JOINTS, PERIOD_NS
 from wam_power_ros.learning.policy import COUNT_MAX, DURATION_MAX, Basis, Policy, to_json
 from wam_power_ros.ros import interface, joint_messages, node_runner
 from wam_power_ros.ros.stamps import time_message
 
-HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 POINTS = 200_000
-BAD_STATE = "/benchmark/bad_state"  # asks the stand-in for one: it meets no other source of states
-WINDOW = 6.0  # after each message, in which periods are counted [s]
+BAD_STATE = "/benchmark/bad_state"  # requests one from the stand-in, the only source of states
+WINDOW = 6.0  # [s] after each message in which missed periods are counted
 
 
 def largest_policy() -> str:
-    """Text of a policy of 200 spring-dampers over 60 s, every number with all its digits."""
+    """Text of a policy of 200 spring-dampers over 60 s, every number with all digits."""
     rng = np.random.default_rng(1)
     spread = rng.uniform(-1.0, 1.0, (COUNT_MAX, 3, 3))
     policy = Policy(
@@ -57,14 +57,14 @@ def longest_movement() -> JointTrajectory:
 
 
 def bad_state() -> JointState:
-    """Joint state that is not a number."""
+    """Joint state with NaN positions."""
     message = JointState(name=JOINTS, position=[float("nan")] * len(JOINTS))
     message.header.stamp = time_message(time.time_ns())
     return message
 
 
 class Messages(Node):
-    """Publishes each message and notes when."""
+    """Publishes each message and records the times."""
 
     def __init__(self, report: Path) -> None:
         super().__init__("messages")
@@ -76,16 +76,16 @@ class Messages(Node):
         policy, movement = String(data=largest_policy()), longest_movement()
         self._messages: list[tuple[str, Publisher | None, Callable[[], object]]] = [
             ("nothing", None, lambda: None),
-            ("first refusal: a state that is NaN", states, Empty),
+            ("first refusal: a NaN state", states, Empty),
             ("second refusal: `{` as a policy", policies, lambda: String(data="{")),
-            ("1 MB of junk as a policy", policies, lambda: String(data="{" * 1_000_000)),
+            ("1 MB of invalid data as a policy", policies, lambda: String(data="{" * 1_000_000)),
             (f"policy of {COUNT_MAX} primitives, 60 s", policies, lambda: policy),
             (f"movement of {POINTS} points", movements, lambda: movement),
-            ("17 MB of junk as a policy", policies, lambda: String(data="{" * 17_000_000)),
+            ("17 MB of invalid data as a policy", policies, lambda: String(data="{" * 17_000_000)),
         ]
 
     def run(self) -> int:
-        """Publish all, WINDOW seconds apart, and wait for the signal that ends it."""
+        """Publish all messages, WINDOW seconds apart, then wait for a signal."""
         time.sleep(8.0)  # for discovery, and the start of the controller
         times = []
         for name, publisher, make in self._messages:
@@ -102,30 +102,30 @@ class Messages(Node):
 
 
 def publish(report: Path) -> int:
-    """Body of the process."""
+    """Run the node; the times are written to `report`."""
     return node_runner.run_script(lambda: Messages(report), Messages.run)
 
 
-def table(rows: np.ndarray, times: list[tuple[str, int]], period_ns: int) -> str:
-    """Periods missed after each message, by the controller and by the echo.
+def table(rows: np.ndarray, times: list[tuple[str, int]]) -> str:
+    """Format the periods missed by controller and echo after each message.
 
     Args:
-        rows: When each state was sent, and answered by either (0 if never) [ns]. Shape (M, 3).
-        times: Each message, and when it was published [ns].
-        period_ns: Sampling period of the states [ns].
+        rows: Times at which each state was sent and answered by either (0 if never) [ns].
+            Shape (states, 3).
+        times: Name and time of publication of each message [ns].
     """
     lines = [
         f"periods missed within {WINDOW:.0f} s (longest time to a torque [ms])",
         f"  {'message':40s}{'controller':>18s}{'echo':>18s}",
     ]
     for name, at in times:
-        # What was sent just before may be answered after: one period earlier.
-        within = rows[(rows[:, 0] >= at - period_ns) & (rows[:, 0] < at + WINDOW * 1e9 - period_ns)]
+        # From one period earlier: a state sent just before may be answered just after.
+        within = rows[(rows[:, 0] >= at - PERIOD_NS) & (rows[:, 0] < at + WINDOW * 1e9 - PERIOD_NS)]
         cells = ""
         for column in (1, 2):
             answered = within[within[:, column] > 0]
             took = answered[:, column] - answered[:, 0]
-            missed = np.count_nonzero(took > period_ns) + len(within) - len(answered)
+            missed = np.count_nonzero(took > PERIOD_NS) + len(within) - len(answered)
             longest = took.max(initial=0) * 1e-6
             cells += f"{missed:8d} ({longest:7.1f})"
         lines.append(f"  {name:40s}{cells}")

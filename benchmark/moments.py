@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lies that begin at any moment, and end: false joint states in one process.
+"""False joint states that begin at random moments, and end: controller and arm in one process.
 
     python -m benchmark.moments [--repeats 12] [--lies frozen ...] [--delay 2]
 
-The lies of `benchmark.lies`, to a controller that is connected by calls to the simulated arm, which
-keeps the last torque. Each begins at a random moment of a rollout, a move or a demonstration, is
-watched until 0.5 s after the fault and for 2 s more, and then gives way to the truth, which must
-move nothing and let the fault be reset.
+The false states of `benchmark.false_states` are passed to a controller that is connected by calls
+to the simulated arm, which keeps the last torque. They begin at a random moment of a rollout, a
+move or a demonstration. The arm is observed until 0.5 s after the fault and for 2 s more. Then true
+states return: they must not move the arm, and the fault must be resettable.
 """
 
 from __future__ import annotations
@@ -18,7 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmark.lies import FASTER, LIES, REST_TICKS, WATCHED, Lie, Reading, frozen, stamps
+from benchmark.false_states import (
+    FALSE_STATES,
+    REST_TICKS,
+    SPEED_MARGIN,
+    WATCH_TICKS,
+    Falsifier,
+    Reading,
+    frozen,
+    stamps,
+)
 from benchmark.nodes import JOINTS
 from benchmark.soak import taught
 from hardware_sim.demonstrator import Demonstrator
@@ -32,8 +41,9 @@ from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
 PERIOD = PERIOD_NS * 1e-9
-UNNOTICED, LOST = 3, 10  # periods of silence until the model is gone by, and until it is a fault
-MOST = LIES | {
+STALE_PERIODS = 3  # [periods] of silence until the controller uses its model
+LOST_PERIODS = 10  # [periods] of silence until it is a fault
+ALL_FALSE_STATES = FALSE_STATES | {
     "joint 6 frozen": lambda: frozen(5),
     "stamps at three times the speed": lambda: stamps(3.0),
     "stamps at half the speed": lambda: stamps(0.5),
@@ -45,7 +55,7 @@ class Loop:
     """The arm and its controller, connected by calls.
 
     Attributes:
-        lie: Function that falsifies a state; without its result there is silence.
+        falsify: Changes a state before the controller receives it; None for silence.
         speeds: Speed of the tool in every period [m/s].
     """
 
@@ -59,19 +69,19 @@ class Loop:
         self._world.release()
         self._tau: np.ndarray | None = None
         self._stamp_ns, self._last_ns, self._silent = 10**15, 0, 0
-        self.lie: Lie = lambda state: state
+        self.falsify: Falsifier = lambda state: state
         self.speeds: list[float] = []
         self.play(0.05)
         self.controller.hold()
         self.play(0.3)
 
-    def hand(self, seed: int | None) -> None:
-        """Let a hand take the pan, or none."""
+    def guide(self, seed: int | None) -> None:
+        """Attach a demonstrator with this seed to the pan; None: detach it."""
         flick = None if seed is None else wrist_flick(np.random.default_rng(seed))
         self._world.attach(None if flick is None else Demonstrator(flick, *self._world.pan_pose))
 
     def play(self, seconds: float, watch: Callable[[], None] = lambda: None) -> list[float]:
-        """Let the arm move for a time [s]; returns the speeds of the tool [m/s]."""
+        """Run the arm for a time [s]; return the speeds of the tool [m/s]."""
         self.speeds = []
         for _ in range(round(seconds / PERIOD)):
             watch()
@@ -79,7 +89,7 @@ class Loop:
             sample = self._world.joint_state()
             self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
             self._stamp_ns += PERIOD_NS
-            self._answer(self.lie(Reading(self._stamp_ns, sample.q, sample.qd)))
+            self._answer(self.falsify(Reading(self._stamp_ns, sample.q, sample.qd)))
         return self.speeds
 
     def _answer(self, state: Reading | None) -> None:
@@ -89,11 +99,11 @@ class Loop:
             self._tau = core.step(*state, PERIOD)
             return
         self._silent += 1
-        if self._silent > LOST:
+        if self._silent > LOST_PERIODS:
             core.fault(Fault(FaultKind.STATES_LOST, "silence"))
-        if self._silent >= UNNOTICED:
-            first = self._silent == UNNOTICED
-            self._tau = core.stale_torque(PERIOD * (UNNOTICED if first else 1))
+        if self._silent >= STALE_PERIODS:
+            first = self._silent == STALE_PERIODS
+            self._tau = core.stale_torque(PERIOD * (STALE_PERIODS if first else 1))
 
     def begin(self, phase: str, rng: np.random.Generator) -> None:
         """Bring the arm to a random moment of a phase."""
@@ -103,10 +113,10 @@ class Loop:
             self.play(rng.uniform(0.02, 0.95 * self.policy.basis.duration))
             return
         core.set_gravity_compensation(True)
-        self.hand(int(rng.integers(100)))
+        self.guide(int(rng.integers(100)))
         self.play(rng.uniform(0.2, 1.2))
         if phase == "move":
-            self.hand(None)
+            self.guide(None)
             core.set_gravity_compensation(False)
             self.play(1.0)
             core.move_to_start()
@@ -114,42 +124,42 @@ class Loop:
 
 
 class Outcome(NamedTuple):
-    """What became of one lie.
+    """Reaction to false states.
 
     Attributes:
-        noticed: Periods until the fault, None without one.
-        peak: Largest speed of the tool in 1.2 s [m/s].
+        noticed: Periods until the fault; None without a fault.
+        peak: Largest speed of the tool in the first 1.2 s [m/s].
         rest: Largest speed of the tool from 0.5 s after the fault on, in those and 2 s more [m/s].
-        truth: Largest speed of the tool when the lie has ended [m/s].
-        reset: True when the fault could be reset then.
+        after: Largest speed of the tool after true states have returned [m/s].
+        reset: True if the fault could be reset then.
     """
 
     noticed: int | None
     peak: float
     rest: float
-    truth: float
+    after: float
     reset: bool
 
 
-def tell(name: str, phase: str, rng: np.random.Generator, delay: int) -> Outcome:
-    """Tell one lie at a random moment."""
+def inject(name: str, phase: str, rng: np.random.Generator, delay: int) -> Outcome:
+    """Let false states begin at a random moment of a phase, and end."""
     loop = Loop(delay)
     core = loop.controller
     loop.begin(phase, rng)
-    loop.lie = MOST[name]()
+    loop.falsify = ALL_FALSE_STATES[name]()
     noticed: list[int] = []
 
     def watch() -> None:
         if not noticed and core.mode is Mode.FAULT:
             noticed.append(len(loop.speeds))
-            loop.hand(None)
+            loop.guide(None)
 
-    speeds = loop.play(WATCHED * PERIOD, watch)
+    speeds = loop.play(WATCH_TICKS * PERIOD, watch)
     later = loop.play(2.0) if noticed else []
     calm = [*speeds[noticed[0] + REST_TICKS :], *later] if noticed else []
-    loop.hand(None)
-    loop.lie = lambda state: state
-    truth = loop.play(3.0)
+    loop.guide(None)
+    loop.falsify = lambda state: state
+    after = loop.play(3.0)
     try:
         if core.mode is Mode.FAULT:
             core.reset()
@@ -157,36 +167,43 @@ def tell(name: str, phase: str, rng: np.random.Generator, delay: int) -> Outcome
         pass
     peak, rest = max(speeds), max(calm, default=0.0)
     at = noticed[0] if noticed else None
-    return Outcome(at, peak, rest, max(truth), core.mode is not Mode.FAULT)
+    return Outcome(at, peak, rest, max(after), core.mode is not Mode.FAULT)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Print a row for each lie and phase; the exit status is 1 when one was not stopped."""
+    """Print a row for each kind of false state and phase; return 1 if the arm was not stopped."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--repeats", type=int, default=12)
-    parser.add_argument("--lies", nargs="+", choices=list(MOST), default=list(MOST))
+    parser.add_argument(
+        "--lies",
+        nargs="+",
+        choices=list(ALL_FALSE_STATES),
+        default=list(ALL_FALSE_STATES),
+        help="kinds of false states (default: all)",
+    )
     parser.add_argument("--delay", type=int, default=2, help="periods until a torque acts")
     given = parser.parse_args(arguments)
     loop = Loop(given.delay)
     loop.controller.execute()
-    most = max(loop.play(1.2)) + FASTER
-    print("| lie | in | noticed | after at most [ms] | peak [m/s] | rest | truth | reset | |")
+    most = max(loop.play(1.2)) + SPEED_MARGIN
+    print("| false state | phase | faults | within [ms] | peak [m/s] | rest | after | reset | |")
     print("|---|---|---|---|---|---|---|---|---|")
     failed = 0
     for name in given.lies:
         for phase in PHASES:
             seeds = range(7000, 7000 + given.repeats)
-            found = [tell(name, phase, np.random.default_rng(k), given.delay) for k in seeds]
+            found = [inject(name, phase, np.random.default_rng(k), given.delay) for k in seeds]
             late = [each.noticed for each in found if each.noticed is not None]
-            led = phase == "teaching"  # as fast as the hand that leads the arm
+            guided = phase == "teaching"  # as fast as the demonstrator guides it
             good = [
-                (led or e.peak <= most) and e.rest < REST_SPEED and e.truth < FASTER for e in found
+                (guided or e.peak <= most) and e.rest < REST_SPEED and e.after < SPEED_MARGIN
+                for e in found
             ]
             failed += len(found) - sum(good)
             print(
                 f"| {name} | {phase} | {len(late)} of {len(found)} | {2 * max(late, default=0)} "
                 f"| {max(e.peak for e in found):.2f} | {max(e.rest for e in found):.3f} "
-                f"| {max(e.truth for e in found):.2f} | {sum(e.reset for e in found)} "
+                f"| {max(e.after for e in found):.2f} | {sum(e.reset for e in found)} "
                 f"| {sum(good)} good |",
                 flush=True,
             )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command lines and environment of the nodes that a benchmark starts."""
+"""The arm of the benchmarks; command lines and environment of the nodes that they start."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ import os
 import sys
 from pathlib import Path
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 JOINTS = [f"wam_j{number}" for number in range(1, 8)]
+HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
+PERIOD_NS = 2_000_000
 
 
 def environment(domain: int | None = None) -> dict[str, str]:
-    """Environment of a node: this checkout, this machine only, and a DDS domain if it is given."""
+    """Environment of a node: this checkout, this machine only, and a DDS domain if one is given."""
     given = {
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
@@ -22,7 +26,7 @@ def environment(domain: int | None = None) -> dict[str, str]:
 
 
 def ros_arguments(name: str, *configs: str, **parameters: object) -> list[str]:
-    """Arguments that give a node its own parameter file, those of others, and single values."""
+    """ROS arguments with the parameter files of a node and of others, and single values."""
     words = ["--ros-args"]
     for config in (name, *configs):
         words += ["--params-file", f"{ROOT}/config/{config}.yaml"]

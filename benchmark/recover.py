@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recovery of bags that were cut anywhere, and data lost when a recorder is killed.
+"""Recovery of bags that were cut at random places, and data lost when a recorder is killed.
 
     python -m benchmark.recover [--cuts 200] [--kills 20] [--seed 0]
 
@@ -8,8 +8,8 @@ The recovered messages must be the first ones of the original, include every mes
 chunks (determined by an independent reader, `mcap`) and be readable by that reader.
 
 Kills: a recorder receives 500 states a second and is killed (-9) at a random moment, or its disk is
-full (a limit of the file's size). Lost is the time from the last state in the recovered bag to the
-last one sent before; none may be missing before that.
+full (simulated by a limit of the file size). The loss is the time from the last state in the
+recovered bag to the last one sent; no earlier state may be missing.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ from wam_power_ros.ros import answers, interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
 
 START = 1_700_000_000_000_000_000  # [ns]
-FLUSH = 250  # [states] between two chunks, as the recorder at 500 Hz
-LOSS_MAX = 1.0  # [s] lost by a kill
+FLUSH_STATES = 250  # states in a chunk, as the recorder has at 500 Hz
+LOSS_MAX = 1.0  # [s] allowed loss by a kill
 
 
 def write(path: Path, states: int, close: bool) -> Path:
-    """Write a bag as the recorder does; returns its MCAP file."""
+    """Write a bag as the recorder does; return its MCAP file."""
     make, serialize = layout.TYPES.types, layout.TYPES.serialize_cdr
     rng = np.random.default_rng(0)
     writer = BagWriter(path)
@@ -71,7 +71,7 @@ def write(path: Path, states: int, close: bool) -> Path:
             effort=rng.normal(size=7),
         )
         writer.write(layout.STATES, stamp_ns, bytes(serialize(state, layout.JOINT_STATE)))
-        if index % FLUSH == FLUSH - 1:
+        if index % FLUSH_STATES == FLUSH_STATES - 1:
             writer.flush()
     if close:
         return writer.close({"joint_names": "[]"}) / f"{path.name}.mcap"
@@ -93,8 +93,8 @@ def in_whole_chunks(file: Path) -> int:
 
 
 def cut_everywhere(folder: Path, cuts: int, close: bool, rng: np.random.Generator) -> list[str]:
-    """Cut a bag at `cuts` places and recover each; returns what was wrong."""
-    file = write(folder / "demo", 6 * FLUSH, close)
+    """Cut a bag at `cuts` places and recover each; return a line for every error."""
+    file = write(folder / "demo", 6 * FLUSH_STATES, close)
     whole = file.read_bytes()
     reference = None
     wrong = []
@@ -121,7 +121,7 @@ def cut_everywhere(folder: Path, cuts: int, close: bool, rng: np.random.Generato
 
 
 class Source(Node):
-    """Publishes 500 states a second by the wall clock and calls the recorder."""
+    """Publishes 500 states a second on the wall clock and calls the recorder."""
 
     def __init__(self, context: rclpy.Context) -> None:
         super().__init__("source", context=context)
@@ -142,7 +142,7 @@ class Source(Node):
         self.unfinished |= "left unfinished" in str(message)
 
     def begin(self) -> Path:
-        """Begin a recording; returns its bag."""
+        """Start a recording; return its bag."""
         if not self._record.wait_for_service(60.0):
             raise RuntimeError("the recorder did not appear within 60 s")
         end = time.monotonic() + 60.0
@@ -153,7 +153,7 @@ class Source(Node):
         return Path(answers.read(True, future.result().message).text)
 
     def send(self, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:
-        """Publish for some time [s], or until `enough()`."""
+        """Publish for some time [s], or until `enough()` is true."""
         due = time.monotonic()
         end = due + seconds
         zero = np.zeros(7)
@@ -165,7 +165,7 @@ class Source(Node):
 
 
 def lost(folder: Path, rng: np.random.Generator, full: bool) -> tuple[float, int]:
-    """Time lost [s] by a kill of the recorder or a full disk, and states missing before that."""
+    """Time lost by a killed recorder or a full disk [s], and number of earlier missing states."""
     with private_domain() as domain:
         os.environ.update(environment(domain))
         context = rclpy.Context()
@@ -193,18 +193,18 @@ def lost(folder: Path, rng: np.random.Generator, full: bool) -> tuple[float, int
 
 
 def _refuse_more(recorder: Running, file: Path) -> None:
-    """Limit the size of the recorder's file to a little more than now."""
+    """Limit the recorder's file to slightly more than its present size."""
     hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
     limit = file.stat().st_size + 1000
     resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (limit, hard))
 
 
 def main() -> int:
-    """Cut and kill; print what was recovered and lost."""
+    """Cut and kill; print the results; return 1 after an error."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cuts", type=int, default=200, help="places in each kind of bag")
+    parser.add_argument("--cuts", type=int, default=200, help="number of cuts of each kind of bag")
     parser.add_argument(
-        "--kills", type=int, default=20, help="kills, and a quarter as many full disks"
+        "--kills", type=int, default=20, help="number of kills; a quarter as many full disks"
     )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
@@ -226,7 +226,7 @@ def main() -> int:
                 loss, missing = lost(place, rng, full)
                 losses.append(loss)
                 if missing:
-                    wrong.append(f"{what} ({number}): {missing} states missing before")
+                    wrong.append(f"{what} ({number}): {missing} earlier states missing")
             if losses:
                 worst = f"worst {max(losses):.3f} s, median {np.median(losses):.3f} s"
                 print(f"{what}: {count} times, lost at {worst}")

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time of a rollout in one process beside that of its bare MuJoCo steps.
+"""Time of a rollout in one process compared with that of its bare MuJoCo steps.
 
     python -m benchmark.rollout [--repeats 15]
 
-A demonstrated toss is executed in one process: the simulated world, the controller and the tracker,
-connected by calls. The forces of each physics step are recorded and played back through `mj_step`
-alone, from the same state to, bit for bit, the same end: so the contacts are the same too. Rollout
-and playback take turns. Every repeat does the same work tick for tick, so the best time of each
-tick counts, in both: disturbances of a busy machine only add to it.
+A demonstrated toss is executed in one process: the simulated world, the controller and the tracker
+are connected by calls. The forces of each physics step are recorded and played back through
+`mj_step` alone. The playback starts from the same state and must end in the same state, bit for
+bit, so the contacts are the same too. Rollout and playback alternate. Every repeat does the same
+work in each tick, so the shortest time of each tick counts, for both: disturbances of a busy
+machine only add to it.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class Part(NamedTuple):
-    """A function to time, and the part of the rollout it is reported as."""
+    """A function to time, and the label of its part in the report."""
 
     owner: object
     name: str
@@ -65,13 +66,13 @@ PARTS = (
 
 @dataclass
 class Recording:
-    """The physics steps of one rollout, those in which the pancake settles first."""
+    """The physics steps of one rollout, beginning with those in which the pancake settles."""
 
     settling_steps: int = 0
-    settling: np.ndarray = field(default_factory=lambda: np.empty(0))  # state before them
+    settling: np.ndarray = field(default_factory=lambda: np.empty(0))  # state before settling
     start: np.ndarray = field(default_factory=lambda: np.empty(0))  # state at the release
     end: np.ndarray = field(default_factory=lambda: np.empty(0))
-    forces: list[np.ndarray] = field(default_factory=list)  # of each tick (nv,) [N m]
+    forces: list[np.ndarray] = field(default_factory=list)  # per tick (nv,) [N m]
 
 
 @contextmanager
@@ -86,7 +87,7 @@ def replaced(owner: object, name: str, value: object) -> Iterator[None]:
 
 
 def state(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """State on which the next step depends."""
+    """State of the integrator, on which the next step depends."""
     values = np.empty(mujoco.mj_stateSize(model, _STATE))
     mujoco.mj_getState(model, data, values, _STATE)
     return values
@@ -98,7 +99,7 @@ def record(environment: Environment, policy: Policy) -> Recording:
     step = mujoco.mj_step
 
     def recorded(model: mujoco.MjModel, data: mujoco.MjData, count: int = 1) -> None:
-        if count == 1:  # of `World.reset`; a tick takes several at once
+        if count == 1:  # in `World.reset`; a tick takes several steps in one call
             if not recording.settling_steps:
                 recording.settling = state(model, data)
             recording.settling_steps += 1
@@ -115,7 +116,7 @@ def record(environment: Environment, policy: Policy) -> Recording:
 
 
 class Playback:
-    """The recorded physics alone."""
+    """Plays back the recorded physics alone."""
 
     def __init__(self, world: World, recording: Recording) -> None:
         self._world, self._recording = world, recording
@@ -142,7 +143,7 @@ class Playback:
         """Time the ticks from the release on [s]. Shape (ticks,).
 
         Raises:
-            RuntimeError: When the playback ends in another state than the rollout.
+            RuntimeError: If the playback ends in another state than the rollout.
         """
         model, data, recording = self._world.model, self._data, self._recording
         mujoco.mj_setState(model, data, recording.start, _STATE)
@@ -158,14 +159,14 @@ class Playback:
 
 
 class Clock:
-    """Time spent in each call of functions [s], without that of other timed functions inside."""
+    """Time spent in each call of functions [s], excluding nested timed functions."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = defaultdict(list)
         self._inner = [0.0]
 
     def timed(self, function: Callable[..., object], label: str) -> Callable[..., object]:
-        """The function, timed by this clock."""
+        """Return the function, timed by this clock."""
 
         def run(*args: object) -> object:
             self._inner.append(0.0)
@@ -223,7 +224,7 @@ def control_steps(environment: Environment, policy: Policy) -> list[float]:
 
 
 def best(times: Sequence[Sequence[float]]) -> np.ndarray:
-    """Best time of all repeats (repeats, calls) for each call. Shape (calls,)."""
+    """Shortest time of each call over the repeats (repeats, calls). Shape (calls,)."""
     return np.min(times, axis=0)
 
 
@@ -262,15 +263,15 @@ def main() -> None:
     ticks = len(recording.forces)
     simulated = 0.002 * ticks
     print(f"rollout of {simulated:.2f} s, {ticks} ticks; tossed {truth['tossed']}")
-    print(f"rollouts a second        {1.0 / whole:8.1f}")
+    print(f"rollouts per second      {1.0 / whole:8.1f}")
     print(f"times real time          {simulated / whole:8.1f}")
     print(f"whole rollout            {whole * 1e3:8.1f} ms")
     bare = f"{(settle + flight) * 1e3:8.1f} ms, {settle * 1e3:.1f} of it while the pancake settles"
-    print(f"its bare MuJoCo steps    {bare}")
+    print(f"bare MuJoCo steps        {bare}")
     print(f"whole over bare          {whole / (settle + flight):8.2f}")
     print(f"control step, median     {np.median(best(controls)) * 1e6:8.1f} us")
-    print(f"observing the flight     {observing * 1e3:8.1f} ms, not in the above")
-    print("microseconds a tick by part, timing included")
+    print(f"observing the flight     {observing * 1e3:8.1f} ms, not included above")
+    print("microseconds per tick by part, including the timing")
     for label in sorted(seconds, key=seconds.get, reverse=True):
         print(f"  {label:36s}{seconds[label] / ticks * 1e6:8.1f}")
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole sessions over DDS for `determinism` and `kill`, and the differences between two of them."""
+"""Complete sessions over DDS for `determinism` and `kill`, and their comparison."""
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import subprocess
@@ -14,15 +15,27 @@ from pathlib import Path
 from benchmark.nodes import environment
 
 
-def learn(folder: Path, *arguments: str) -> float:
-    """Run `wam-power learn` in a folder; returns its wall time [s]."""
+def session_parser(doc: str, seed: int) -> argparse.ArgumentParser:
+    """Parser of the options that define a session; the first line of `doc` describes it."""
+    parser = argparse.ArgumentParser(description=doc.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=seed)
+    parser.add_argument("--trials", type=int, default=8)
+    parser.add_argument("--demonstrations", type=int, default=4)
+    parser.add_argument("--folder", type=Path, help="keep the sessions in this folder")
+    return parser
+
+
+def learn(folder: Path, options: argparse.Namespace) -> float:
+    """Run `wam-power learn` in a folder; return its wall time [s]."""
     folder.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
+    for name in ("seed", "trials", "demonstrations"):
+        command += [f"--{name}", str(getattr(options, name))]
     begun = time.monotonic()
     with (folder / "learn.log").open("ab") as log:
         no_film = {"MUJOCO_GL": "disable"}
         subprocess.run(
-            [*command, *arguments],
+            command,
             env=os.environ | environment() | no_film,
             stdout=log,
             stderr=log,
@@ -43,14 +56,14 @@ def records(folder: Path, *without: str) -> list[dict[str, object]]:
     return [{key: row[key] for key in row if key not in without} for row in found]
 
 
-def candidates(folder: Path) -> list[object]:
-    """Fitted policies of a session, without their ids."""
+def candidates(folder: Path, *without: str) -> list[object]:
+    """Fitted policies of a session, without some fields."""
     found = [json.loads(path.read_text()) for path in sorted(folder.glob("candidates/*.json"))]
-    return [{key: row[key] for key in row if key != "id"} for row in found]
+    return [{key: row[key] for key in row if key not in without} for row in found]
 
 
 def differences(one: object, other: object, where: str = "") -> Iterator[str]:
-    """Leaves in which two JSON values differ, bit for bit."""
+    """Yield a line for every leaf in which two JSON values differ, bit for bit."""
     if isinstance(one, dict) and isinstance(other, dict):
         for key in sorted(one.keys() | other.keys()):
             yield from differences(one.get(key), other.get(key), f"{where}.{key}")
@@ -63,7 +76,7 @@ def differences(one: object, other: object, where: str = "") -> Iterator[str]:
 
 
 def verdict(what: str, found: list[str]) -> str:
-    """One line if nothing differs, else also the first differences."""
+    """Summarize differences: one line, followed by the first 20 differences if there are any."""
     if not found:
         return f"{what}: identical, bit for bit"
     shown = "\n".join(f"  {line}" for line in found[:20])

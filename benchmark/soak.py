@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Endurance run of all nodes in real time while recording: no growth, no loss.
+"""Endurance run of all nodes in real time while recording: no memory growth, no lost states.
 
     python -m benchmark.soak [--seconds 600]
 
-Stand-in, controller, tracker and recorder run at 500 Hz on the wall clock while the arm executes a
-taught flip, is led by the demonstrator under gravity compensation, and holds, in turn, all in one
-recording. Resident memory and open files of every process are sampled. At the end the states in the
-bag are compared with the numbers that the stand-in reports as published.
+Stand-in, controller, tracker and recorder run at 500 Hz on the wall clock. In turn, the arm
+executes a taught flip, is guided by the demonstrator under gravity compensation, and holds, all in
+one recording. Resident memory and open files of every process are sampled. At the end the states in
+the bag are compared with the numbers that the stand-in reports as published.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ from wam_power_ros.ros.service_client import DISCOVERY
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
-WARM_UP = 0.2  # share of the time before memory is sampled
-GROWTH_MAX = 0.01  # share of the memory
+WARM_UP = 0.2  # share of the time before samples count
+GROWTH_MAX = 0.01  # allowed growth, as a share of the memory
 COUNT, STAMP = "states published", "stamp of the last [ns]"
 
 
@@ -71,7 +71,8 @@ class Samples:
     def figures(self) -> dict[str, float]:
         """Figures after the warm-up; growth compares its last tenth with its first.
 
-        Of the descriptors the least of either half counts: the middleware opens some for a moment.
+        The numbers of descriptors compared are the minima of both halves, because the middleware
+        opens some for a moment.
         """
         t = np.array(self.t)
         after = t >= WARM_UP * t[-1]
@@ -94,7 +95,7 @@ class Director(Node):
         super().__init__("director", context=context)
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self)
-        self.published: list[tuple[int, int]] = []  # number of states, stamp of the last
+        self.published: list[tuple[int, int]] = []  # number of states, stamp of the last one
         self.counts: dict[str, int] = {}  # activities by name
         self.diagnostics: dict[str, dict[str, str]] = {}
         self._paths: list[RosPath] = []
@@ -121,11 +122,11 @@ class Director(Node):
         return self.diagnostics.get("torque_controller", {}).get("mode", "")
 
     def attend(self, between: Callable[[], None]) -> None:
-        """Set a function to be called between callbacks."""
+        """Set a function that is called between callbacks."""
         self._between = between
 
     def until(self, condition: Callable[[], bool], patience: float) -> bool:
-        """Whether the condition came true within `patience` [s]."""
+        """Dispatch callbacks until a condition holds; return False after `patience` [s]."""
         end = time.monotonic() + patience
         while not condition():
             if time.monotonic() > end:
@@ -139,10 +140,10 @@ class Director(Node):
         self.until(lambda: False, seconds)
 
     def call(self, kind: type, name: str, request: object = None, patience: float = 60.0) -> str:
-        """Call a service until it agrees; returns the id of its policy, or its text.
+        """Call a service until it succeeds; return the id of its policy, or its text.
 
         Raises:
-            TimeoutError: When it does not agree within `patience` [s].
+            TimeoutError: If it does not succeed within `patience` [s].
         """
         why = "did not appear"
         end = time.monotonic() + patience
@@ -152,14 +153,14 @@ class Director(Node):
                 if answer.success:
                     return answer.values.get("policy", answer.text)
                 why = f"refused: {answer.text}"
-                if answer.code is Code.FAULT:  # they occur on a busy machine
+                if answer.code is Code.FAULT:  # faults occur on a busy machine
                     self._ask(Trigger, interface.RESET, Trigger.Request(), 5.0)
                     self._count("resets of a fault")
             self.wait(0.2)
         raise TimeoutError(f"{name} {why}")
 
     def _ask(self, kind: type, name: str, request: object, patience: float) -> Answer | None:
-        """Answer of a service; None if it does not appear in 5 s or answer in `patience` [s]."""
+        """Response of a service; None if it is not found in 5 s or too late (`patience` [s])."""
         client = self._asked.get(name)
         if client is None:
             client = self._asked[name] = self.create_client(kind, name)
@@ -184,14 +185,14 @@ class Director(Node):
         try:
             self.call(Trigger, interface.body_topic("pancake", "reset"), patience=10.0)
             self.call(Trigger, interface.EXECUTE, patience=10.0)
-        except TimeoutError:  # a fault in between: it is not at the start any more
+        except TimeoutError:  # after a fault the arm is no longer at the start
             return False
         done = self.until(lambda: bool(self._paths), 30.0)
         self._count("rollouts")
         return done
 
     def teach(self) -> None:
-        """Let the demonstrator lead the arm under gravity compensation; repeat if it fails."""
+        """Let the demonstrator guide the arm under gravity compensation; repeat if it fails."""
         while not self._teach():
             self._count("demonstrations broken off")
 
@@ -200,7 +201,7 @@ class Director(Node):
         try:
             self.call(Trigger, interface.body_topic("pancake", "reset"), patience=10.0)
             self.call(Trigger, interface.DEMONSTRATE, patience=10.0)
-        except TimeoutError:  # a fault in between: the arm is not free any more
+        except TimeoutError:  # after a fault the arm is no longer free
             return False
         self.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
         self._count("demonstrations")
@@ -227,7 +228,7 @@ def start(processes: Processes, folder: Path) -> dict[str, Running]:
     setup = overlay.setup((), simulated=True)
     setup["demonstration_recorder"]["directory"] = str(folder)
     setup["torque_controller"]["idle_service"] = (
-        ""  # an idled arm would hang until somebody lifts it
+        ""  # an idled arm would hang down until a person lifts it
     )
     file = folder / "parameters.yaml"
     file.write_text(overlay.text(setup))
@@ -237,7 +238,7 @@ def start(processes: Processes, folder: Path) -> dict[str, Running]:
 
 
 def missing(stamps_ns: np.ndarray, published: list[tuple[int, int]]) -> tuple[int, int]:
-    """Number of published states that are missing in the bag, and of those compared."""
+    """Number of published states that are missing in the bag, and number of states compared."""
     inside = [item for item in published if stamps_ns[0] <= item[1] <= stamps_ns[-1]]
     lost = total = 0
     for (count, stamp_ns), (next_count, next_ns) in pairwise(inside):
@@ -248,7 +249,7 @@ def missing(stamps_ns: np.ndarray, published: list[tuple[int, int]]) -> tuple[in
 
 
 def soak(seconds: float, every: float, folder: Path) -> dict[str, object]:
-    """Run for some time [s]; returns the figures."""
+    """Run for some time [s]; return the figures."""
     with private_domain() as domain:
         os.environ.update(environment(domain))
         context = rclpy.Context()
@@ -300,11 +301,11 @@ def soak(seconds: float, every: float, folder: Path) -> dict[str, object]:
 
 
 def text(figures: dict[str, object]) -> str:
-    """Figures as text."""
+    """Format the figures as text."""
     done = ", ".join(f"{count} {what}" for what, count in figures["done"].items())
     lines = [
         f"{figures['seconds']:.0f} s in real time, scheduling {figures['scheduling']}: {done}; "
-        f"{figures['faults']} faults, stand-in held up {figures['held up']} times",
+        f"{figures['faults']} faults, stand-in delayed {figures['held up']} times",
         f"recorder: {figures['lost']} of {figures['states']} states lost",
         "                         memory [MB]   growth  largest   descriptors  change",
     ]
@@ -317,7 +318,7 @@ def text(figures: dict[str, object]) -> str:
 
 
 def broken(figures: dict[str, object]) -> list[str]:
-    """Violations of the bounds."""
+    """Return a line for every violated bound."""
     found = []
     if figures["lost"] or not figures["states"]:
         found.append(f"{figures['lost']} of {figures['states']} states are not in the bag")
@@ -330,7 +331,7 @@ def broken(figures: dict[str, object]) -> list[str]:
 
 
 def main() -> int:
-    """Run and print the figures; returns 1 when something grew or was lost."""
+    """Run and print the figures; return 1 if a bound is violated."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--every", type=float, default=2.0, help="time between two samples [s]")

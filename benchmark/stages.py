@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The torque controller with a stopwatch at every stage; run by `benchmark.latency --stages`."""
+"""The torque controller with timed stages; run by `benchmark.latency --stages`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ now = time.monotonic_ns
 
 
 def timed(marks: list[int], function: Callable) -> Callable:
-    """The function, noting when it begins and ends."""
+    """Wrap a function to append its start and end time to `marks`."""
 
     def run(*arguments: object) -> object:
         marks.append(now())
@@ -30,7 +30,7 @@ def timed(marks: list[int], function: Callable) -> Callable:
 
 
 class TimedController(TorqueController):
-    """The controller, slower by nine readings of the clock."""
+    """The controller with nine clock readings in every period."""
 
     def __init__(self, file: Path) -> None:
         super().__init__()
@@ -39,7 +39,7 @@ class TimedController(TorqueController):
         self._write = timed(self._marks, self._write)
 
     def on_configure(self, state: object) -> object:
-        """Configure and time the core."""
+        """Configure, and time the control step."""
         result = super().on_configure(state)
         if self._controller is not None:
             self._controller.step = timed(self._marks, self._controller.step)
@@ -57,13 +57,13 @@ class TimedController(TorqueController):
             self._rows.append((entered, *self._marks, now()))
 
     def close(self) -> None:
-        """Save the times: (answers, 9) [ns, steady clock]."""
+        """Save the times [ns, steady clock]. Shape (answers, 9)."""
         super().close()
         np.save(self._file, np.array(self._rows, dtype=np.int64))
 
 
 def table(controller: np.ndarray, answers: np.ndarray) -> str:
-    """Latency by stage as text.
+    """Format the latency by stage as text.
 
     Args:
         controller: Times that `TimedController` saved [ns]. Shape (answers, 9).
@@ -78,13 +78,13 @@ def table(controller: np.ndarray, answers: np.ndarray) -> str:
         "middleware, executor: state to callback": rows[:, 0] - sent[:, 0],
         **{name: rows[:, 2 * i + 2] - rows[:, 2 * i + 1] for i, name in enumerate(STAGES[:3])},
         STAGES[3]: rows[:, 7] - rows[:, 6],
-        "the controller's bookkeeping, before and between": (rows[:, 1] - rows[:, 0])
+        "controller's bookkeeping, before and between": (rows[:, 1] - rows[:, 0])
         + (rows[:, 3] - rows[:, 2])
         + (rows[:, 5] - rows[:, 4]),
         "middleware, executor: torque to callback": sent[:, 1] - rows[:, 7],
-        "state to torque, in all": sent[:, 1] - sent[:, 0],
-        "the echo, in all": sent[:, 2] - sent[:, 0],
-        "the controller's bookkeeping, after the torque": rows[:, 8] - rows[:, 7],
+        "state to torque, total": sent[:, 1] - sent[:, 0],
+        "echo, total": sent[:, 2] - sent[:, 0],
+        "controller's bookkeeping, after the torque": rows[:, 8] - rows[:, 7],
     }
     lines = [f"  {'stage':45s}{'p50 [us]':>10s}{'p99 [us]':>10s}"]
     for name, taken in parts.items():

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One session, begun on the default stand-in and resumed on stand-ins of each driver's shape.
+"""One session, started on the default stand-in and resumed on stand-ins of each driver.
 
     python -m benchmark.swap --folder /tmp/swap
 
 Every configuration, chosen by --config alone, resumes a copy of the same session and so executes
 the same next policies. The first row, the default stand-in in lockstep, is the reference; the
-others run in real time. At the end git shows that no file of the checkout was changed.
+others run in real time. At the end git shows whether a file of the checkout was changed.
 """
 
 from __future__ import annotations
@@ -36,12 +36,16 @@ SET_UPS = (
 
 
 def main() -> int:
-    """Entry point."""
+    """Run all configurations and print a table; return 1 if one is incomplete or a file changed."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--folder", type=Path, required=True, help="for the sessions; a new one")
+    parser.add_argument("--folder", type=Path, required=True, help="new folder for the sessions")
     parser.add_argument("--seed", type=int, default=21)
-    parser.add_argument("--rollouts", type=int, default=5, help="number on each (default 5)")
-    parser.add_argument("--patience", type=float, default=900.0, help="longest time for each [s]")
+    parser.add_argument(
+        "--rollouts", type=int, default=5, help="rollouts on each stand-in (default 5)"
+    )
+    parser.add_argument(
+        "--patience", type=float, default=900.0, help="timeout for each stand-in [s]"
+    )
     options = parser.parse_args()
     before = changes()
     begun = options.folder / "begun"
@@ -81,7 +85,7 @@ def main() -> int:
 
 
 def learn(folder: Path, count: int, patience: float, *arguments: str) -> None:
-    """Run `wam-power learn` until the session holds so many rollouts, then stop it."""
+    """Run `wam-power learn` until the session has `count` rollouts, then stop it."""
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
     print("wam-power", *command[3:], *arguments, flush=True)
     process = subprocess.Popen([*command, *arguments], start_new_session=True, cwd=ROOT)
@@ -97,7 +101,7 @@ def learn(folder: Path, count: int, patience: float, *arguments: str) -> None:
 
 
 def row(new: list[Record], policies: list[list[float]]) -> list[str]:
-    """Cells of a table."""
+    """Cells of a table row: rollouts, returns, caught, faults, same policies."""
     returns = [math.nan if record.ret is None else record.ret for record in new]
     caught = sum(bool(record.truth and record.truth["caught"]) for record in new)
     same = sum(list(record.theta) == theta for record, theta in zip(new, policies, strict=False))
@@ -111,7 +115,7 @@ def row(new: list[Record], policies: list[list[float]]) -> list[str]:
 
 
 def changes() -> str:
-    """Changes of tracked files, by git."""
+    """Changes of tracked files, as reported by git."""
     command = ["git", "-C", str(ROOT), "diff", "--stat", "HEAD"]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 

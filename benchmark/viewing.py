@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`wam-power view` of a running session beside a measurement, with a reader in place of a browser.
+"""`wam-power view` of a running session during a measurement, with a reader instead of a browser.
 
-A browser draws by the graphics card; one that draws by the processor would be measured instead.
+A browser without a graphics card would draw on the processor, and be measured instead.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from wam_power_ros.tasks.flip.task import Flip
 
 
 def start(processes: Processes, folder: Path, domain: int, joints: list[str]) -> IO[str]:
-    """Start the page of a session in `folder` and its reader; returns what keeps it running."""
+    """Start the page of a session in `folder` and its reader; return the lock that holds it."""
     arm = Arm(share("urdf/wam7.urdf").read_text(), joints)
     bag = min(share("bags").glob("demo_*"))
     samples = reader.read_demonstration(bag, joints)
@@ -45,7 +45,7 @@ def start(processes: Processes, folder: Path, domain: int, joints: list[str]) ->
 
 
 def read_all(url: str) -> None:
-    """Receive what the page sends, for ever."""
+    """Receive everything the page sends, indefinitely."""
     import viser
     from websockets.sync.client import connect
 

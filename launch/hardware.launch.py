@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real arm: the nodes without stand-ins; start the drivers of arm and cameras first.
+"""Start the nodes on the real arm, without stand-ins. Start the drivers of arm and cameras first.
 
     ros2 launch wam_power_ros hardware.launch.py config:="geodude natnet_ros2"
 
 `config` names set-ups, config/NAME.yaml or paths of your own files; later ones override earlier
-ones. The controller is not activated by itself: `ros2 lifecycle set /torque_controller configure`,
-then `activate`; a learner waits for it. (`wam-power`, for machines without `ros2`, asks for Enter
+ones. A person activates the controller: `ros2 lifecycle set /torque_controller configure`, then
+`activate`; a learner waits for it. (`wam-power`, for machines without `ros2`, asks for Enter
 instead.)
 """
 
@@ -16,6 +16,6 @@ from wam_power_ros.cli import ros_launch
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Arguments and nodes, see the module."""
+    """Return the launch arguments and nodes."""
     arguments = [DeclareLaunchArgument("config", description="set-ups, by name or path")]
     return ros_launch.description(arguments, stand_ins=False)

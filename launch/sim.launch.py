@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulation: stand-ins, torque controller, tracker and recorder; `session` adds the learner.
+"""Start the simulation: stand-ins, controller, tracker and recorder; with `session` the learner.
 
     ros2 launch wam_power_ros sim.launch.py pace:=real_time
     ros2 launch wam_power_ros sim.launch.py session:=/tmp/flip demonstrations:=/tmp/bags/demo_1
@@ -7,9 +7,9 @@
 
 With `config` the stand-ins behave like those devices: hardware.launch.py in simulation.
 
-It runs in the domain of ROS_DOMAIN_ID, on this machine, and refuses to where a driver or another
-session is; simulations of other namespaces may be there. (`wam-power learn` takes a domain of its
-own.)
+It runs in the domain of ROS_DOMAIN_ID, on this machine. It refuses a domain with a driver or with
+another session; simulations in other namespaces are allowed. (`wam-power learn` uses a separate
+domain.)
 """
 
 import subprocess
@@ -24,13 +24,13 @@ from wam_power_ros.entry import INTERRUPTED
 
 
 def check_domain(launched: ros_launch.Launched, parameters: Path) -> bool:
-    """Refuse a domain in which a controller would hold a robot instead of the simulation.
+    """Refuse a domain in which the controller would command a robot instead of the simulation.
 
     Returns:
         False after Ctrl-C.
 
     Raises:
-        RuntimeError: A driver, another stand-in or another session is there.
+        RuntimeError: A driver, another stand-in or another session uses this domain.
     """
     command = [sys.executable, "-m", "hardware_sim.driver_watch", "--ros-args"]
     command += ["--params-file", str(parameters), "-r", f"__ns:={launched.namespace or '/'}"]
@@ -43,7 +43,7 @@ def check_domain(launched: ros_launch.Launched, parameters: Path) -> bool:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Arguments and nodes, see the module."""
+    """Return the launch arguments and nodes."""
     arguments = [
         DeclareLaunchArgument(
             "config", default_value="", description="set-ups to simulate, by name or path"

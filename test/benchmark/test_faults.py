@@ -12,7 +12,7 @@ import pytest
 
 from benchmark import faults
 from benchmark.fuzz import bombard
-from wam_power_ros.params.resources import share
+from benchmark.lab import new_controller
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.mark.requirement("S-01")
 @pytest.mark.parametrize("seed", [0, 1])
 def test_fuzzed_messages_give_no_torque_over_a_limit(seed: int) -> None:
-    controller = faults.core().controller(share("urdf/wam7.urdf").read_text())
+    controller = new_controller()
     found = bombard(controller, faults.fuzz_policy(), 4000, seed)
     assert found["torques"] > 3000 and found["refused"] > 50
     assert found["not finite"] == found["over"] == found["jumps"] == 0

@@ -17,8 +17,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from benchmark.false_states import FALSE_STATES, Driver, inject
 from benchmark.lab import Lab
-from benchmark.lies import LIES, Driver, tell
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.ros import interface
@@ -31,15 +31,15 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
 
 
 @pytest.mark.requirement("S-91")
-@pytest.mark.parametrize("lie", ["velocities negated", "the same state again and again"])
+@pytest.mark.parametrize("kind", ["velocities negated", "the same state again and again"])
 def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false(
-    lab: Lab, lie: str
+    lab: Lab, kind: str
 ) -> None:
     driver = Driver(lab)
     outcomes = []
     for _ in range(3):  # where others take the processor from it, it brakes late or not at all
         controller = lab.controller(priority=0)
-        outcomes.append(tell(driver, lab, "upwards", LIES[lie]()))
+        outcomes.append(inject(driver, lab, "upwards", FALSE_STATES[kind]()))
         assert outcomes[-1].faulted is not None
         if outcomes[-1].rest < REST_SPEED:
             return

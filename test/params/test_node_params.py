@@ -116,7 +116,9 @@ def test_every_parameter_describes_itself_its_range_and_that_it_is_read_at_start
     LearnerParams.of(node)
     described = {name: node.describe_parameter(name) for name in LearnerParams.model_fields}
     assert all(each.read_only for each in described.values())
-    assert described["trials"].description.startswith("budget of rollouts; 0: the preset's. Range:")
+    assert described["trials"].description.startswith(
+        "budget of rollouts; 0: as in the preset. Range:"
+    )
     (limits,) = described["trials"].integer_range
     assert (limits.from_value, limits.to_value) == (0, 100_000)
     (limits,) = described["patience"].floating_point_range

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A driver that lies, or is left alone: well-formed joint states that are false.
+"""A driver that publishes well-formed but false joint states.
 
-The arm is the simulated world in real time, in this process, and keeps the last torque for ever, as
-ros2_control and libbarrett do: nothing but the controller stops it.
+The arm is simulated in this process in real time. It keeps the last torque indefinitely, as
+ros2_control and libbarrett do, so only the controller can stop it.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from benchmark.lab import PERIOD_NS, TIMEOUT, Lab
-from benchmark.nodes import JOINTS
+from benchmark.lab import TIMEOUT, Lab
+from benchmark.nodes import JOINTS, PERIOD_NS
 from benchmark.soak import taught
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.scenes.flip import wrist_flick
@@ -32,9 +32,9 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.joint_messages import JointStateWriter
 from wam_power_ros.ros.service_client import DISCOVERY
 
-FASTER = 0.5  # [m/s] than without a lie the tool may become
+SPEED_MARGIN = 0.5  # [m/s] allowed increase of the tool's peak speed by false states
 REST_TICKS = 250  # [periods] from the fault to rest: 0.5 s
-WATCHED = 600  # [periods] after a lie began
+WATCH_TICKS = 600  # [periods] of observation after false states began
 
 
 class Reading(NamedTuple):
@@ -45,52 +45,57 @@ class Reading(NamedTuple):
     qd: np.ndarray
 
 
-Lie = Callable[[Reading], Reading | None]  # None: nothing is published
+Falsifier = Callable[[Reading], Reading | None]  # None: nothing is published
 
 
-def frozen(*joints: int, still: bool = False) -> Lie:
-    """Positions and velocities (or zero) of these joints stay, of all when none is given."""
+def frozen(*joints: int, still: bool = False) -> Falsifier:
+    """Freeze position and velocity of joints.
+
+    Args:
+        joints: Indices of the joints; all joints if none is given.
+        still: Set the velocity to zero instead of freezing it.
+    """
     at, kept = list(joints) or list(range(7)), []
 
-    def lie(state: Reading) -> Reading:
+    def falsify(state: Reading) -> Reading:
         kept.append(state)
         q, qd = state.q.copy(), state.qd.copy()
         q[at], qd[at] = kept[0].q[at], 0.0 if still else kept[0].qd[at]
         return Reading(state.stamp_ns, q, qd)
 
-    return lie
+    return falsify
 
 
-def velocities(change: Callable[[np.ndarray], np.ndarray]) -> Lie:
-    """Velocities are changed."""
+def velocities(change: Callable[[np.ndarray], np.ndarray]) -> Falsifier:
+    """Change the velocities."""
     return lambda state: state._replace(qd=change(state.qd))
 
 
-def two_drivers() -> Lie:
-    """Every other state is that of an arm 0.02 rad away."""
+def two_drivers() -> Falsifier:
+    """Replace every other state by that of an arm 0.02 rad away."""
     count = [0]
 
-    def lie(state: Reading) -> Reading:
+    def falsify(state: Reading) -> Reading:
         count[0] += 1
         return state._replace(q=state.q + 0.02 * (count[0] % 2))
 
-    return lie
+    return falsify
 
 
-def stamps(rate: float) -> Lie:
-    """Stamps advance at another rate; 0 for the first state again and again."""
+def stamps(rate: float) -> Falsifier:
+    """Let stamps advance at another rate; at rate 0 repeat the first state."""
     kept: list[Reading] = []
 
-    def lie(state: Reading) -> Reading:
+    def falsify(state: Reading) -> Reading:
         kept.append(state)
         first = kept[0]
         late = round(rate * (state.stamp_ns - first.stamp_ns))
         return state._replace(stamp_ns=first.stamp_ns + late) if rate else first
 
-    return lie
+    return falsify
 
 
-LIES: dict[str, Callable[[], Lie]] = {
+FALSE_STATES: dict[str, Callable[[], Falsifier]] = {
     "silence": lambda: lambda state: None,
     "the same state again and again": lambda: stamps(0.0),
     "stamps at a tenth of the speed": lambda: stamps(0.1),
@@ -105,14 +110,14 @@ LIES: dict[str, Callable[[], Lie]] = {
     "two drivers": two_drivers,
 }
 PHASES = ("early", "upwards", "late", "move", "hold", "teaching")
-MOMENTS = {"early": 0.10, "upwards": 0.25, "late": 0.40}  # shares of the rollout's movement
+MOMENTS = {"early": 0.10, "upwards": 0.25, "late": 0.40}  # as shares of the rollout's movement
 
 
 class Driver:
     """The simulated arm as a driver in the lab's domain.
 
     Attributes:
-        lie: Function that falsifies a state before it is published.
+        falsify: Changes a state before it is published.
         speeds: Speed of the tool in every period [m/s].
     """
 
@@ -122,7 +127,7 @@ class Driver:
         self._arm = Arm(self._world.urdf, JOINTS)
         self._write = JointStateWriter(JOINTS)
         self._clients: dict[str, Client] = {}
-        self.lie: Lie = lambda state: state
+        self.falsify: Falsifier = lambda state: state
         self.speeds: list[float] = []
         self._stamp_ns = time.time_ns()
         self.policy = taught()
@@ -134,11 +139,11 @@ class Driver:
         self._world.release()
 
     def gravity(self) -> np.ndarray:
-        """g(q) where the arm is [N m]. Shape (7,)."""
+        """g(q) at the arm's present posture [N m]. Shape (7,)."""
         return self._arm.gravity(self._world.joint_state().q)
 
     def play(self, seconds: float, until: Callable[[], bool] = lambda: False) -> bool:
-        """Let the arm move for a time [s] or until a condition holds; returns whether it does."""
+        """Run the arm for a time [s] or until a condition holds; return whether it holds."""
         lab, deadline = self._lab, time.monotonic_ns()
         end = deadline + round(seconds * 1e9)
         while not (done := until()) and deadline < end:
@@ -147,22 +152,22 @@ class Driver:
             sample = self._world.joint_state()
             self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
             self._stamp_ns += PERIOD_NS
-            state = self.lie(Reading(self._stamp_ns, sample.q, sample.qd))
+            state = self.falsify(Reading(self._stamp_ns, sample.q, sample.qd))
             if state is not None:
                 still = np.zeros(7)
                 self._states.publish(self._write(state.stamp_ns, state.q, state.qd, still))
             deadline += PERIOD_NS
             late = time.monotonic_ns() - deadline
-            if late > 5 * PERIOD_NS:  # this process was held up
+            if late > 5 * PERIOD_NS:  # this process was delayed
                 self._stamp_ns, deadline = self._stamp_ns + late, deadline + late
             while (left := deadline - time.monotonic_ns()) > 0:
                 lab.spin(left * 1e-9)
         return done
 
     def ready(self) -> None:
-        """Hold at the start of the policy, after the reset of a fault."""
-        self.lie, lab = lambda state: state, self._lab
-        self.let_go()
+        """Bring the arm to the start of the policy and hold, resetting a fault."""
+        self.falsify, lab = lambda state: state, self._lab
+        self.release()
         while True:
             self.play(0.5)
             if lab.label == "fault":
@@ -173,7 +178,7 @@ class Driver:
                     return
 
     def ask(self, name: str, request: object = None) -> Future:
-        """Call a service while the arm goes on; returns the future of its answer."""
+        """Call a service while the arm keeps running; return the future of its response."""
         request = request or Trigger.Request()
         kind = SetBool if isinstance(request, SetBool.Request) else Trigger
         client = self._clients.get(name)
@@ -185,12 +190,12 @@ class Driver:
         return client.call_async(request)
 
     def call(self, name: str, request: object = None) -> bool:
-        """Call a service while the arm goes on; returns whether it agreed."""
+        """Call a service while the arm keeps running; return True on success."""
         future = self.ask(name, request)
         return self.play(TIMEOUT, future.done) and future.result().success
 
     def begin(self, phase: str) -> None:
-        """Bring the arm into a phase, to the moment when the lie is to begin."""
+        """Bring the arm into a phase, to the moment at which false states begin."""
         self.ready()
         lab, moment = self._lab, MOMENTS.get(phase)
         if moment is not None:
@@ -199,31 +204,31 @@ class Driver:
             self.play(moment * self.policy.basis.duration)
         elif phase in ("move", "teaching"):
             self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
-            self._world.attach(self._hand())
+            self._world.attach(self._demonstrator())
             self.play(0.4)
         if phase == "move":
-            self.let_go()
+            self.release()
             self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
             self.play(1.0)
             self.ask(interface.MOVE_TO_START)
             self.play(5.0, lambda: lab.label == "move_to_start")
             self.play(0.2)
 
-    def let_go(self) -> None:
-        """Take the hand off the pan."""
+    def release(self) -> None:
+        """Detach the demonstrator from the pan."""
         self._world.attach(None)
 
-    def _hand(self) -> Demonstrator:
+    def _demonstrator(self) -> Demonstrator:
         return Demonstrator(wrist_flick(np.random.default_rng(0)), *self._world.pan_pose)
 
 
 class Outcome(NamedTuple):
-    """What became of one lie.
+    """Reaction to false states.
 
     Attributes:
-        faulted: Periods from its beginning to the first torque of a fault, None without.
-        peak: Largest speed of the tool after it began [m/s].
-        rest: Largest speed from 0.5 s after the fault on [m/s].
+        faulted: Periods from their beginning to the first torque of a fault; None without a fault.
+        peak: Largest speed of the tool after they began [m/s].
+        rest: Largest speed of the tool from 0.5 s after the fault on [m/s].
     """
 
     faulted: int | None
@@ -231,27 +236,27 @@ class Outcome(NamedTuple):
     rest: float
 
 
-def tell(driver: Driver, lab: Lab, phase: str, lie: Lie) -> Outcome:
-    """Tell one lie in one phase and watch the arm."""
+def inject(driver: Driver, lab: Lab, phase: str, falsify: Falsifier) -> Outcome:
+    """Publish false states in one phase and observe the arm."""
     driver.begin(phase)
-    while lab.label == "fault":  # a busy machine has held one of us up
+    while lab.label == "fault":  # a busy machine has delayed a process
         driver.begin(phase)
     driver.speeds.clear()
-    driver.lie = lie
+    driver.falsify = falsify
     faulted: list[int] = []
 
     def watch() -> bool:
         if not faulted and lab.label == "fault":
             faulted.append(len(driver.speeds))
-            driver.let_go()
-        return len(driver.speeds) >= WATCHED
+            driver.release()
+        return len(driver.speeds) >= WATCH_TICKS
 
-    driver.play(WATCHED * 0.002 * 2.0, watch)
+    driver.play(WATCH_TICKS * 0.002 * 2.0, watch)
     calm = driver.speeds[(faulted[0] if faulted else 0) + REST_TICKS :]
     return Outcome(faulted[0] if faulted else None, max(driver.speeds), max(calm, default=0.0))
 
 
 def acceptable(outcome: Outcome, peak: float) -> bool:
-    """Whether the tool stayed slow, and the arm at rest once there was a fault."""
+    """Return True if the tool stayed slow and, after a fault, the arm came to rest."""
     rested = outcome.faulted is None or outcome.rest < REST_SPEED
-    return outcome.peak <= peak + FASTER and rested
+    return outcome.peak <= peak + SPEED_MARGIN and rested
