@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from wam_power_ros.cli import main
-from wam_power_ros.cli.launcher import DOMAIN
+from wam_power_ros.cli.launcher import DOMAIN_FILE
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.domain import private_domain
 
@@ -76,7 +76,7 @@ def test_no_torque_of_a_simulation_reaches_a_driver_in_the_exported_domain(
 
         probe.until(standing, "the simulation at work", 120.0)
         assert learning.poll() is None, said(tmp_path)
-        taken = int((tmp_path / "s" / "logs" / DOMAIN).read_text())
+        taken = int((tmp_path / "s" / "logs" / DOMAIN_FILE).read_text())
         learning.send_signal(signal.SIGINT)
         probe.until(lambda: learning.poll() is not None, "its end", 60.0)
     finally:
@@ -119,13 +119,13 @@ def test_a_second_learn_is_refused_before_it_writes_anything(
 ) -> None:
     folder = tmp_path / "s"
     (folder / "logs").mkdir(parents=True)
-    (folder / "logs" / DOMAIN).write_text("42\n")
+    (folder / "logs" / DOMAIN_FILE).write_text("42\n")
     (folder / "logs" / "parameters.yaml").write_text("# of the first\n")
     with (folder / lock).open("a") as first:
         fcntl.flock(first, fcntl.LOCK_EX)
         assert main.main(["learn", "--session", str(folder)]) == 2
     assert "another session or learner is at work in" in capsys.readouterr().err
-    assert (folder / "logs" / DOMAIN).read_text() == "42\n"
+    assert (folder / "logs" / DOMAIN_FILE).read_text() == "42\n"
     assert (folder / "logs" / "parameters.yaml").read_text() == "# of the first\n"
 
 

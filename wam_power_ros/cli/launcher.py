@@ -27,7 +27,7 @@ from wam_power_ros.ros.domain import exported, hold, private_domain
 if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
 
-DOMAIN = "ros_domain_id"  # file in a session's logs/ that holds the domain of its simulated nodes
+DOMAIN_FILE = "ros_domain_id"  # in a session's logs/: the DDS domain of its simulated nodes
 MEGABYTE = 1e6
 STAND_INS = {  # variables of simulated nodes, whatever this terminal exports for a robot
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -104,7 +104,7 @@ def launch(
             domain = stack.enter_context(private_domain())
             environment = STAND_INS | {"ROS_DOMAIN_ID": str(domain)}
             stack.enter_context(held(folder))
-            (logs / DOMAIN).write_text(f"{domain}\n")
+            (logs / DOMAIN_FILE).write_text(f"{domain}\n")
             _tell_domain(domain)
         else:
             domain = exported(os.environ)
@@ -112,7 +112,7 @@ def launch(
                 stack.enter_context(lock)
             environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach(os.environ)}
             stack.enter_context(held(folder))
-            (logs / DOMAIN).unlink(missing_ok=True)
+            (logs / DOMAIN_FILE).unlink(missing_ok=True)
             _confirm_activation()
         file = logs / "parameters.yaml"
         file.write_text(overlay.text(setup), encoding="utf-8")
@@ -172,7 +172,7 @@ def check_space(folder: Path, needed: float) -> None:
 
 def session_environment(folder: Path) -> dict[str, str]:
     """Variables that lead to the DDS domain of a session, if it was launched on stand-ins."""
-    domain = folder / "logs" / DOMAIN
+    domain = folder / "logs" / DOMAIN_FILE
     if not domain.exists():
         return {}
     return STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}

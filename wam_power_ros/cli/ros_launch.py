@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 
-from wam_power_ros.cli.launcher import DOMAIN, held, reach, task_setup
+from wam_power_ros.cli.launcher import DOMAIN_FILE, held, reach, task_setup
 from wam_power_ros.cli.session_options import TASK, check_names, session_folder
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
@@ -43,7 +43,7 @@ NAMESPACE = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 NEEDED = ("wam_sim", "torque_controller")
 HELD: list[ExitStack | None] = []  # the locks of domain and session, until the launch ends
 RESPAWN_DELAY = 1.0  # [s], within which Ctrl-C of the terminal has reached launch as well
-SHARED = {  # launch argument -> default and description
+SHARED_ARGUMENTS = {  # launch argument -> default and description
     "namespace": ("", "of the nodes of one arm, and of its topics, services and frames"),
     "task": ("", "skill to be learnt; '': that of the session, or flip"),
     "session": ("", "folder of a session, begun or resumed; '': no learner"),
@@ -56,8 +56,8 @@ SHARED = {  # launch argument -> default and description
 SECURE = "each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
 
 
-class Launched(NamedTuple):
-    """What a launch file starts.
+class LaunchPlan(NamedTuple):
+    """Nodes and parameters that a launch file starts.
 
     Attributes:
         setup: Parameters by node.
@@ -77,8 +77,8 @@ class Launched(NamedTuple):
         return [("/clock", f"{self.namespace}/clock")] if self.namespace else []
 
 
-def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
-    """What launch arguments ask for.
+def prepare(given: Mapping[str, str], stand_ins: bool) -> LaunchPlan:
+    """Turn launch arguments into a plan.
 
     Args:
         given: Values of the launch arguments, by name.
@@ -137,7 +137,7 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> Launched:
         executables.append("pancake_tracker")
     if session is not None:
         executables.append("learner")
-    return Launched(setup, tuple(executables), session, _namespace(given["namespace"]))
+    return LaunchPlan(setup, tuple(executables), session, _namespace(given["namespace"]))
 
 
 def _several(given: Mapping[str, str], name: str) -> list[str]:
@@ -178,39 +178,39 @@ def _namespace(text: str) -> str:
     return f"/{name}" if name else ""
 
 
-def parameter_file(launched: Launched) -> Path:
+def parameter_file(plan: LaunchPlan) -> Path:
     """File with the parameters of all nodes: in the session, else one that ends with the launch.
 
     Raises:
         UsageError: The session is being practised.
     """
-    if launched.session is not None:
+    if plan.session is not None:
         lock = ExitStack()
-        lock.enter_context(held(launched.session))
+        lock.enter_context(held(plan.session))
         HELD.append(lock)
-        folder = launched.session / "logs"
+        folder = plan.session / "logs"
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / DOMAIN).unlink(missing_ok=True)  # of `wam-power learn`, which began the session
+        (folder / DOMAIN_FILE).unlink(missing_ok=True)  # left by `wam-power learn`
     else:
         folder = Path(tempfile.mkdtemp(prefix="wam_power_ros_"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
     file = folder / "parameters.yaml"
-    file.write_text(overlay.text(launched.setup, launched.namespace), encoding="utf-8")
+    file.write_text(overlay.text(plan.setup, plan.namespace), encoding="utf-8")
     return file
 
 
-def arm_description(launched: Launched) -> dict[str, object] | None:
+def arm_description(plan: LaunchPlan) -> dict[str, object] | None:
     """Parameters of robot_state_publisher.
 
     Returns:
         None where there is no URDF whose joints are called as the driver calls them.
     """
-    arm = launched.setup["torque_controller"]
+    arm = plan.setup["torque_controller"]
     if not arm["urdf"] or arm["joint_names"] != arm["model_joint_names"]:
         return None
     return {
         "robot_description": share(arm["urdf"]).read_text(),
-        "frame_prefix": f"{launched.namespace}/".lstrip("/"),
+        "frame_prefix": f"{plan.namespace}/".lstrip("/"),
         "use_sim_time": bool(arm.get("use_sim_time", False)),
     }
 
@@ -233,12 +233,12 @@ def rviz_file(namespace: str) -> str:
 def description(
     arguments: list[DeclareLaunchArgument],
     stand_ins: bool,
-    check: Callable[[Launched, Path], bool] = lambda launched, file: True,
+    check: Callable[[LaunchPlan, Path], bool] = lambda plan, file: True,
 ) -> LaunchDescription:
     """Description of a launch file.
 
     Args:
-        arguments: Arguments of this launch file; those of `SHARED` come with them.
+        arguments: Arguments of this launch file; those of `SHARED_ARGUMENTS` come with them.
         stand_ins: True when the simulated devices are started too, false on hardware.
         check: Function that is called before anything is started, with the parameter file; nothing
             is started if it returns false.
@@ -252,7 +252,7 @@ def description(
         *arguments,
         *(
             DeclareLaunchArgument(name, default_value=default, description=text)
-            for name, (default, text) in SHARED.items()
+            for name, (default, text) in SHARED_ARGUMENTS.items()
         ),
         DeclareLaunchArgument(
             "secure", default_value="false", choices=["true", "false"], description=SECURE
@@ -264,13 +264,13 @@ def description(
 
     def start(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         values = {each.name: LaunchConfiguration(each.name).perform(context) for each in arguments}
-        launched = prepare(values, stand_ins)
-        HELD.append(hold(exported(os.environ), launched.namespace))
-        file = parameter_file(launched)
-        if not check(launched, file):
+        plan = prepare(values, stand_ins)
+        HELD.append(hold(exported(os.environ), plan.namespace))
+        file = parameter_file(plan)
+        if not check(plan, file):
             return []
-        shown = _shown(launched, file, stand_ins, values["rviz"] == "true")
-        return [*_nodes(launched, file, values["secure"] == "true"), *shown]
+        shown = _shown(plan, file, stand_ins, values["rviz"] == "true")
+        return [*_nodes(plan, file, values["secure"] == "true"), *shown]
 
     return LaunchDescription(
         [
@@ -283,7 +283,7 @@ def description(
     )
 
 
-def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescriptionEntity]:
+def _nodes(plan: LaunchPlan, file: Path, secure: bool) -> list[LaunchDescriptionEntity]:
     from launch.actions import ExecuteProcess, Shutdown
     from launch_ros.actions import Node
 
@@ -301,7 +301,7 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
         if context.is_shutdown:
             return []
         _check(event)
-        command = [sys.executable, "-m", "wam_power_ros.cli", "report", str(launched.session)]
+        command = [sys.executable, "-m", "wam_power_ros.cli", "report", str(plan.session)]
         ended = Shutdown(reason="the session has ended")
         return [ExecuteProcess(cmd=command, name="report", output="screen", on_exit=[ended])]
 
@@ -314,18 +314,18 @@ def _nodes(launched: Launched, file: Path, secure: bool) -> list[LaunchDescripti
         Node(
             package="wam_power_ros",
             executable=name,
-            namespace=launched.namespace,
-            remappings=launched.remappings,
+            namespace=plan.namespace,
+            remappings=plan.remappings,
             parameters=[str(file)],
             output="screen",
-            ros_arguments=["--enclave", f"{launched.namespace}/{name}"] if secure else [],
+            ros_arguments=["--enclave", f"{plan.namespace}/{name}"] if secure else [],
             sigterm_timeout=PATIENCE,
             sigkill_timeout=PATIENCE,
             on_exit=ends.get(name, started_again),
             respawn=name not in ends,
             respawn_delay=RESPAWN_DELAY,
         )
-        for name in launched.executables
+        for name in plan.executables
     ]
 
 
@@ -336,18 +336,18 @@ def _check(event: ProcessExited) -> None:
 
 
 def _shown(
-    launched: Launched, file: Path, stand_ins: bool, rviz: bool
+    plan: LaunchPlan, file: Path, stand_ins: bool, rviz: bool
 ) -> list[LaunchDescriptionEntity]:
     """RViz if asked for; robot_state_publisher where it is installed and no driver brings one."""
     from ament_index_python.packages import get_packages_with_prefixes
     from launch_ros.actions import Node
 
-    common = {"namespace": launched.namespace, "output": "log"}
-    arm = launched.setup["torque_controller"]
-    described = arm_description(launched) if stand_ins else None
+    common = {"namespace": plan.namespace, "output": "log"}
+    arm = plan.setup["torque_controller"]
+    described = arm_description(plan) if stand_ins else None
     nodes, name = [], "robot_state_publisher"
     if described is not None and name in get_packages_with_prefixes():
-        remaps = [*launched.remappings, ("joint_states", arm["state_topic"])]
+        remaps = [*plan.remappings, ("joint_states", arm["state_topic"])]
         own = file.with_name(f"{name}.yaml")  # launch would leave a file of its own behind
         own.write_text(yaml.safe_dump({"/**": {"ros__parameters": described}}), encoding="utf-8")
         nodes.append(
@@ -355,7 +355,7 @@ def _shown(
         )
     if rviz:
         config = file.with_name("session.rviz")
-        config.write_text(rviz_file(launched.namespace), encoding="utf-8")
+        config.write_text(rviz_file(plan.namespace), encoding="utf-8")
         time = f"use_sim_time:={str(arm.get('use_sim_time', False)).lower()}"
         nodes.append(
             Node(
@@ -363,7 +363,7 @@ def _shown(
                 executable="rviz2",
                 arguments=["-d", str(config)],
                 ros_arguments=["-p", time],
-                remappings=launched.remappings,
+                remappings=plan.remappings,
                 **common,
             )
         )
