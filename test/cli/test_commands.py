@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands refuse what cannot be done before anything starts, and say what can."""
+"""The commands refuse invalid requests before anything starts, and say what to do instead."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from wam_power_ros.bags import layout
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.cli.commands import _has_ended
-from wam_power_ros.cli.launcher import as_called, called, learner_at_work
+from wam_power_ros.cli.launcher import learner_is_running, pasteable, program_command
 from wam_power_ros.cli.session_options import given_options
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session
@@ -65,7 +65,7 @@ def test_the_demonstrations_of_another_task_are_refused(
 
 
 @pytest.mark.parametrize("task", ["flip", "reach"])
-def test_a_demonstration_is_known_by_what_it_notes_and_not_by_its_name(
+def test_the_task_of_a_demonstration_is_read_from_the_bag_and_not_from_its_name(
     task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -87,13 +87,13 @@ def test_feedback_without_a_learner_answers_at_once(
 ) -> None:
     settings, folder = preset("flip"), tmp_path / "s"
     with Session.begin(folder, settings, 5, [demonstrated_policy()]):
-        assert learner_at_work(folder)
+        assert learner_is_running(folder)
     monkeypatch.delattr("wam_power_ros.cli.commands.session_environment")  # no DDS is reached
     assert main.main(["feedback", "reward", "--session", str(folder)]) == 2
-    assert "no learner is at work" in capsys.readouterr().err
+    assert "no learner is running" in capsys.readouterr().err
 
 
-def test_a_session_that_has_ended_says_so_and_how_to_go_on_and_starts_nothing(
+def test_a_session_that_has_ended_prints_how_to_continue_and_starts_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings, policies = preset("flip", budget=3, confirm=0, retests=1), [demonstrated_policy()]
@@ -110,7 +110,7 @@ def test_a_session_that_has_ended_says_so_and_how_to_go_on_and_starts_nothing(
     assert "learn --task flip --trials 6 --bags a b" in said
 
 
-def test_a_session_whose_answer_cannot_be_shown_has_a_report_without_it(
+def test_a_session_whose_final_policy_cannot_be_executed_has_a_report_without_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings, policies = preset("flip", budget=3, confirm=0), [demonstrated_policy()]
@@ -126,7 +126,7 @@ def test_a_session_whose_answer_cannot_be_shown_has_a_report_without_it(
     assert "Learning curve" in (folder / "report.html").read_text()
 
 
-def test_a_session_that_was_not_begun_is_resumed_with_all_it_was_asked_for() -> None:
+def test_a_session_without_a_file_is_resumed_with_all_its_options() -> None:
     words = ["--task", "reach", "--preset", "full", "--trials", "9", "--demonstrations", "2"]
     options = main._parser().parse_args(["learn", *words, "--bags", "a b", "c"])
     again = main._parser().parse_args(["learn", *given_options(options)])
@@ -155,19 +155,19 @@ def test_commands_are_printed_as_they_can_be_pasted(
     monkeypatch.setenv("PATH", str(path))
     monkeypatch.setattr(sys, "argv", [program.format(here=here, bin=path)])
     expected = printed.format(python=sys.executable)
-    assert called() == expected
-    assert as_called("to recover it: wam-power recover x") == f"to recover it: {expected} recover x"
+    assert program_command() == expected
+    assert pasteable("to recover it: wam-power recover x") == f"to recover it: {expected} recover x"
 
 
 @pytest.mark.parametrize("words", [["demonstration"], ["reward", "some_bag"]])
-def test_feedback_takes_a_bag_for_a_demonstration_alone(
+def test_feedback_takes_a_bag_only_for_a_demonstration(
     words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["feedback", *words]) == 2
     assert "a bag is needed for a demonstration" in capsys.readouterr().err
 
 
-def test_the_obstacle_of_reaching_is_half_way_of_the_nominal_demonstration() -> None:
+def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() -> None:
     from hardware_sim.scenes.reach import HOME, reach
     from wam_power_ros.control.arm import Arm
 
@@ -193,7 +193,7 @@ def test_the_obstacle_of_reaching_is_half_way_of_the_nominal_demonstration() -> 
     ],
 )
 @pytest.mark.parametrize("command", ["learn --session", "teach --folder", "replay bag --folder"])
-def test_an_arm_that_its_urdf_is_not_is_refused_before_anything_starts(
+def test_a_set_up_that_does_not_fit_its_urdf_is_refused_before_anything_starts(
     command: str, wrong: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file, folder = tmp_path / "my_arm.yaml", tmp_path / "folder"

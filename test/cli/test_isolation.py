@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`wam-power` in a terminal that is set up for a robot, or for nothing at all."""
+"""`wam-power` in a terminal whose environment is set for a robot, invalid, or missing."""
 
 from __future__ import annotations
 
@@ -76,21 +76,21 @@ def test_no_torque_of_a_simulation_reaches_a_driver_in_the_exported_domain(
 
         probe.until(standing, "the simulation at work", 120.0)
         assert learning.poll() is None, said(tmp_path)
-        taken = int((tmp_path / "s" / "logs" / DOMAIN_FILE).read_text())
+        chosen = int((tmp_path / "s" / "logs" / DOMAIN_FILE).read_text())
         learning.send_signal(signal.SIGINT)
         probe.until(lambda: learning.poll() is not None, "its end", 60.0)
     finally:
         learning.kill()
     assert torques == []
     assert {tuple(message.name) for message in others} == {tuple(names)}
-    assert taken != domain_id
+    assert chosen != domain_id
     assert f"not in the exported {domain_id}" in said(tmp_path)
-    assert f"export ROS_DOMAIN_ID={taken}" in said(tmp_path)
+    assert f"export ROS_DOMAIN_ID={chosen}" in said(tmp_path)
 
 
 @pytest.fixture
-def somebody(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
-    """An exported domain in which another process works."""
+def domain_in_use(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """An exported domain that another process holds."""
     with private_domain() as free:
         pass
     command = [sys.executable, "-c", HOLDING, str(free)]
@@ -105,11 +105,11 @@ def somebody(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
 
 @pytest.mark.requirement("S-55")
 def test_a_session_on_an_arm_is_refused_in_the_domain_of_another(
-    somebody: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    domain_in_use: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "s"
     assert main.main(["learn", "--session", str(folder), "--config", "geodude"]) == 2
-    assert f"DDS domain {somebody} is in use on this machine" in capsys.readouterr().err
+    assert f"DDS domain {domain_in_use} is in use on this machine" in capsys.readouterr().err
     assert not folder.exists()
 
 
@@ -124,7 +124,7 @@ def test_a_second_learn_is_refused_before_it_writes_anything(
     with (folder / lock).open("a") as first:
         fcntl.flock(first, fcntl.LOCK_EX)
         assert main.main(["learn", "--session", str(folder)]) == 2
-    assert "another session or learner is at work in" in capsys.readouterr().err
+    assert "another session or learner is using" in capsys.readouterr().err
     assert (folder / "logs" / DOMAIN_FILE).read_text() == "42\n"
     assert (folder / "logs" / "parameters.yaml").read_text() == "# of the first\n"
 
@@ -160,7 +160,7 @@ def test_no_trials_at_all_are_refused(
 
 
 @pytest.mark.parametrize("command", ["learn", "teach"])
-def test_too_little_disk_is_told_before_anybody_teaches(
+def test_a_full_disk_is_an_error_before_anybody_teaches(
     command: str,
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
@@ -177,7 +177,7 @@ def test_too_little_disk_is_told_before_anybody_teaches(
 @pytest.mark.parametrize(
     ("domain", "node"), [("300", "torque_controller"), ("robot", "learner"), ("-1", "check_driver")]
 )
-def test_a_node_names_a_domain_that_is_none(domain: str, node: str, tmp_path: Path) -> None:
+def test_a_node_refuses_an_invalid_domain(domain: str, node: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "wam_power_ros.cli", "run", node]
     assert terminal(command, tmp_path, ROS_DOMAIN_ID=domain).wait(60.0) == 2
     text = " ".join(said(tmp_path).split())
@@ -185,7 +185,7 @@ def test_a_node_names_a_domain_that_is_none(domain: str, node: str, tmp_path: Pa
     assert "Traceback" not in text
 
 
-def test_a_session_on_an_arm_names_a_domain_that_is_none(
+def test_a_session_on_an_arm_refuses_an_invalid_domain(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "300")
@@ -195,7 +195,7 @@ def test_a_session_on_an_arm_names_a_domain_that_is_none(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_odd_names_no_home_and_a_terminal_of_ascii_are_no_hindrance(tmp_path: Path) -> None:
+def test_odd_names_a_missing_home_and_an_ascii_terminal_are_accepted(tmp_path: Path) -> None:
     bag = str(min((ROOT / "bags").glob("reach_*")))
     words = ["--task", "reach", "--preset", "full", "--session", 'it\'s "a" té$t', "--bags", bag]
     log = tmp_path / 'it\'s "a" té$t' / "rollouts.jsonl"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: same entry points as ros2 run, refusals that say what to do instead."""
+"""The command line: same entry points as ros2 run, errors that say what to do instead."""
 
 import io
 import re
@@ -41,7 +41,7 @@ def test_wam_power_run_starts_what_ros2_run_starts() -> None:
 
 
 @pytest.mark.parametrize("node", main.NODES)
-def test_every_node_is_a_module_that_is_there(node: str) -> None:
+def test_every_node_has_a_module(node: str) -> None:
     assert find_spec(main.NODES[node].load().args[0]) is not None
 
 
@@ -65,12 +65,12 @@ def test_an_unknown_node_is_refused_with_the_known_ones(
     assert all(node in message for node in main.NODES)
 
 
-def test_what_a_session_was_begun_with_cannot_be_changed(
+def test_seed_and_settings_of_a_session_cannot_be_changed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = str(begun_session(tmp_path / "s"))
     assert "begun with seed 5" in refusal(capsys, "learn", "--session", folder, "--seed", "6")
-    assert "leave trials out" in refusal(capsys, "learn", "--session", folder, "--trials", "9")
+    assert "omit trials" in refusal(capsys, "learn", "--session", folder, "--trials", "9")
 
 
 def test_resuming_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -78,7 +78,7 @@ def test_resuming_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "holds no session" in message
 
 
-def test_an_arm_is_not_taken_hold_of_with_nobody_there(
+def test_no_controller_starts_on_an_arm_without_a_person_to_confirm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
@@ -88,7 +88,7 @@ def test_an_arm_is_not_taken_hold_of_with_nobody_there(
     assert "no answer: standard input is closed" in message
 
 
-def test_a_set_up_that_is_none_starts_nothing(
+def test_an_unknown_set_up_starts_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = tmp_path / "s"
@@ -103,9 +103,7 @@ def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[st
     assert nodes["/**/wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
 
 
-def test_a_report_of_no_session_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_report_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no session.yaml" in refusal(capsys, "report", str(tmp_path))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A misspelt word is refused with the word that was probably meant."""
+"""A misspelt word is refused with a suggestion of the nearest valid word."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("words", "meant"),
+    ("words", "message"),
     [
         (["lern"], "did you mean 'learn'?"),
         (["learn", "--sesion", "x"], "--sesion; did you mean '--session'?"),
@@ -30,16 +30,18 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (["run", "torque_controler"], "did you mean 'torque_controller'?"),
         (["teach", "--demonstrations", "0"], "0 must be at least 1"),
         (["learn", "--trials", "-3"], "-3 must be at least 0"),
-        (["learn", "--seed", "x"], "'x' is no whole number"),
+        (["learn", "--seed", "x"], "'x' is not a whole number"),
     ],
 )
-def test_a_slip_is_refused_with_what_was_meant(
-    words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+def test_a_wrong_word_or_number_is_refused_with_the_valid_ones(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert meant in refused(capsys, *words)
+    assert message in refused(capsys, *words)
 
 
-def test_what_is_like_nothing_known_gets_no_guess(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_word_unlike_every_valid_one_gets_no_suggestion(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert "did you mean" not in refused(capsys, "quux")
 
 

@@ -29,7 +29,7 @@ def hardware(**given: object) -> ros_launch.LaunchPlan:
     return ros_launch.prepare(values, stand_ins=False)
 
 
-def test_hardware_starts_no_stand_in_and_no_torque_by_itself(tmp_path: Path) -> None:
+def test_hardware_starts_no_stand_in_and_no_torque_without_activation(tmp_path: Path) -> None:
     plan = hardware(config="geodude full_speed")
     assert set(plan.executables) == {
         "torque_controller",
@@ -58,7 +58,7 @@ def test_stand_ins_keep_the_pace_that_was_asked_for(asked: dict[str, str], pace:
     assert plan.setup["learner"].get("use_sim_time", False) == (pace == "lockstep")
 
 
-def test_a_session_has_its_bags_in_its_folder_and_what_was_asked_for_it(tmp_path: Path) -> None:
+def test_a_session_has_its_bags_in_its_folder_and_the_given_settings(tmp_path: Path) -> None:
     folder = tmp_path / "s"
     given = {"seed": 7, "trials": 20, "learner": "cma_es", "preset": "paper"}
     plan = sim(session=folder, demonstrations=f"{BAGS[0]} {BAGS[1]}", **given)
@@ -83,12 +83,12 @@ def test_a_path_with_a_space_is_quoted(tmp_path: Path) -> None:
         sim(session=tmp_path / "s", demonstrations="'unended")
 
 
-def test_a_launch_leaves_a_session_alone_that_is_being_practised(tmp_path: Path) -> None:
+def test_a_launch_refuses_a_session_in_use_and_changes_nothing(tmp_path: Path) -> None:
     plan = sim(session=tmp_path)
-    with launcher.held(tmp_path):
+    with launcher.folder_lock(tmp_path):
         domain = tmp_path / "logs" / launcher.DOMAIN_FILE
         domain.write_text("42")
-        with pytest.raises(UsageError, match="another session or learner is at work"):
+        with pytest.raises(UsageError, match="another session or learner is using"):
             ros_launch.parameter_file(plan)
         assert [file.name for file in domain.parent.iterdir() if file.suffix == ".yaml"] == []
         assert domain.read_text() == "42"
@@ -136,7 +136,7 @@ def test_without_a_session_the_parameter_file_ends_with_the_launch(
     assert not file.parent.exists()
 
 
-def test_the_arm_is_described_with_the_frames_and_the_time_of_its_nodes() -> None:
+def test_the_description_of_the_arm_has_the_frames_and_the_clock_of_its_nodes() -> None:
     described = ros_launch.arm_description(sim(namespace="left"))
     assert described is not None
     assert described["frame_prefix"] == "left/" and described["use_sim_time"] is True

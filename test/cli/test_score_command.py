@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was recorded is scored again as it was scored, and under another return as that has it."""
+"""A recorded rollout gets its logged return again, and another return under another preset."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def session(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_session_scored_again_has_the_returns_it_had(
+def test_a_session_scored_again_has_its_logged_returns(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["score", str(session)]) == 0
@@ -77,7 +77,7 @@ def test_another_preset_gives_its_own_return(
     assert all("°" in line for line in lines[1:3])  # what happened, whatever counts as success
 
 
-def test_a_bag_is_scored_as_its_rollout_was(
+def test_a_bag_is_scored_as_its_rollout_was_logged(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = session / "bags" / "rollout_trial-0002"
@@ -94,16 +94,18 @@ def test_a_bag_whose_paths_are_of_another_policy_has_no_return(
     policy, rollout = demonstrated_policy("trial-0002"), a_rollout("trial-0002", 3.0)
     bag = recorded(session / "bags" / "rollout_x", policy, rollout, executed="trial-0001")
     assert main.main(["score", str(bag)]) == 1
-    assert "the paths are not of the policy trial-0002" in capsys.readouterr().out
+    assert "the paths do not belong to the policy trial-0002" in capsys.readouterr().out
 
 
-def test_a_demonstration_is_scored_as_it_was_led(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_demonstration_is_scored_by_its_own_path(capsys: pytest.CaptureFixture[str]) -> None:
     bag = min((ROOT / "bags").glob("reach_*"))
     assert main.main(["score", str(bag), "--task", "reach"]) == 0
-    assert "stopped at the obstacle" in capsys.readouterr().out  # it stands on the demonstration
+    assert "stopped at the obstacle" in capsys.readouterr().out  # which lies on the demonstration
 
 
-def test_what_has_no_return_says_why_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bag_without_a_return_is_an_error_that_says_why(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     bag = min((ROOT / "bags").glob("reach_*"))
     assert main.main(["score", str(bag), "--task", "flip"]) == 1
     assert "no state of the pancake" in capsys.readouterr().out
