@@ -5,6 +5,7 @@ import io
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -26,11 +27,6 @@ OUTCOME = TASK.outcome
 def begun_session(folder: Path, seed: int = 5) -> Path:
     Session.begin(folder, preset("flip"), seed, [demonstrated_policy()]).close()
     return folder
-
-
-def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert main.main(arguments) == 2
-    return capsys.readouterr().err
 
 
 def test_wam_power_run_starts_what_ros2_run_starts() -> None:
@@ -66,16 +62,15 @@ def test_an_unknown_node_is_refused_with_the_known_ones(
 
 
 def test_seed_and_settings_of_a_session_cannot_be_changed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, refusal: Callable[..., str]
 ) -> None:
-    folder = str(begun_session(tmp_path / "s"))
-    assert "begun with seed 5" in refusal(capsys, "learn", "--session", folder, "--seed", "6")
-    assert "omit trials" in refusal(capsys, "learn", "--session", folder, "--trials", "9")
+    begun_session(tmp_path / "s")
+    assert "begun with seed 5" in refusal("learn", "--session", "s", "--seed", "6")
+    assert "omit trials" in refusal("learn", "--session", "s", "--trials", "9")
 
 
-def test_resuming_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    message = refusal(capsys, "learn", "--resume", "--session", str(tmp_path / "none"))
-    assert "holds no session" in message
+def test_resuming_needs_a_session(refusal: Callable[..., str]) -> None:
+    assert "holds no session" in refusal("learn", "--resume", "--session", "none")
 
 
 def test_no_controller_starts_on_an_arm_without_a_person_to_confirm(
@@ -83,18 +78,15 @@ def test_no_controller_starts_on_an_arm_without_a_person_to_confirm(
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     arguments = ["teach", "--folder", str(tmp_path / "taught"), "--config", "geodude"]
-    message = refusal(capsys, *arguments)
+    assert main.main(arguments) == 2
+    message = capsys.readouterr().err
     assert "hand on the pendant" in message
     assert "no answer: standard input is closed" in message
 
 
-def test_an_unknown_set_up_starts_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "s"
-    message = refusal(capsys, "learn", "--session", str(folder), "--config", "geodud")
+def test_an_unknown_set_up_starts_nothing(refusal: Callable[..., str]) -> None:
+    message = refusal("learn", "--session", "s", "--config", "geodud")
     assert "no set-up 'geodud'" in message
-    assert not folder.exists()
 
 
 def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -103,8 +95,8 @@ def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[st
     assert nodes["/**/wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
 
 
-def test_a_report_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "no session.yaml" in refusal(capsys, "report", str(tmp_path))
+def test_a_report_needs_a_session(refusal: Callable[..., str]) -> None:
+    assert "no session.yaml" in refusal("report", ".")
 
 
 def test_the_report_command_writes_the_report(

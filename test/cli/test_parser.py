@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -57,14 +58,9 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"wam_power_ros {__version__}\n"
 
 
-def test_stand_ins_without_a_set_up_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_stand_ins_without_a_set_up_are_refused(refusal: Callable[..., str]) -> None:
     for command in (["learn"], ["teach"], ["replay", "bag"], ["config"]):
-        assert main.main([*command, "--simulate"]) == 2
-        assert "everything is simulated already" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+        assert "everything is simulated already" in refusal(*command, "--simulate")
 
 
 def test_the_shell_completes_commands(tmp_path: Path) -> None:

@@ -48,8 +48,6 @@ if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
     from wam_power_ros.practice.session_log import Line, Record
 
-REPLAYS = Path("replays")
-
 
 # On the arm or its stand-in
 
@@ -174,7 +172,7 @@ def replay(options: argparse.Namespace) -> int:
     identity = arm and arm.identity()
     recorded = reader.read_demonstration(options.bag, names, arm=identity)
     replay_trajectory.movement(*recorded, options.speed)
-    folder = (options.folder or REPLAYS / timestamp()).resolve()
+    folder = (options.folder or Path("replays") / timestamp()).resolve()
     signal.signal(signal.SIGTERM, interrupt)
     changes = {"demonstration_recorder": {"stem": "replay"}}
     with launch(options, folder, 0, changes=changes) as launcher:

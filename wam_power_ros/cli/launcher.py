@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
@@ -133,25 +133,25 @@ def folder_lock(folder: Path) -> Iterator[None]:
         UsageError: Another launcher or a learner holds the folder.
     """
     (folder / "logs").mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
-        for path in (folder / "logs" / ".lock", folder / ".lock"):  # of launchers, of learners
-            file = stack.enter_context(path.open("a"))
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise UsageError(f"another session or learner is using {folder}") from None
-        file.close()  # releases the learner's lock, for the learner that is started
+    with (folder / "logs" / ".lock").open("a") as file:
+        if not _lock(file) or learner_is_running(folder):
+            raise UsageError(f"another session or learner is using {folder}")
         yield
 
 
 def learner_is_running(folder: Path) -> bool:
     """Whether a learner is running in a session folder."""
     with (folder / ".lock").open("a") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False
+        return not _lock(file)
+
+
+def _lock(file: IO[str]) -> bool:
+    """Lock a file until it is closed; return False if another process holds it."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def check_space(folder: Path, needed: float) -> None:

@@ -72,11 +72,8 @@ class Processes:
         Raises:
             ProcessError: It failed, or another one ended.
         """
-        while running.process.poll() is None:
-            self.check(but=running)
-            time.sleep(0.05)
-        self.check(but=running)
-        self._running.remove(running)
+        if self.wait(running):
+            self._check([running])
 
     def wait(self, running: Running) -> int:
         """Wait for a process that ends by itself and reports its own errors; return its status.

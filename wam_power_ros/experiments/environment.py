@@ -7,10 +7,9 @@ seed and id is bit for bit the same in both.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
-import yaml
 
 from hardware_sim.demonstrator import Demonstrator, Script
 from hardware_sim.ground_truth import Truth
@@ -20,20 +19,13 @@ from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.tracking.tracker import Tracker, TrackerSettings
+from wam_power_ros.tracking.tracker import Tracker
 
 _STILL_TICKS = 25  # for which the arm is held before a rollout, so that its state repeats
 _FRAME_WAIT_TICKS = 100  # longest wait for the last camera frame of a rollout
-
-
-def tracker_settings() -> TrackerSettings:
-    """Settings of the tracker in config/pancake_tracker.yaml."""
-    text = share("config/pancake_tracker.yaml").read_text()
-    (values,) = (node["ros__parameters"] for node in yaml.safe_load(text).values())
-    names = {field.name for field in fields(TrackerSettings)}
-    return TrackerSettings(**{name: values[name] for name in names})
 
 
 class Environment:
@@ -60,7 +52,9 @@ class Environment:
         self.arm = configured.arm
         obstacle = world.settings.scene.obstacle
         self.controller = Controller(self.arm, replace(configured.settings, obstacle=obstacle))
-        self._tracker_settings = tracker_settings()
+        tracker_file = share("config/pancake_tracker.yaml")
+        tracked = PancakeTrackerParams.of_file(tracker_file, "pancake_tracker")
+        self._tracker_settings = tracked.settings()
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
 

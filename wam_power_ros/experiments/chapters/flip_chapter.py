@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from scipy.stats import mannwhitneyu
@@ -77,44 +78,40 @@ def _default(sessions: Sessions) -> Chapter:
     confirmed = sum(run["ended_by"] == "confirmation" for run in sessions.runs)
     peaks = np.array([row["peak_qd"] for row in retests]).max(axis=0)
     speeds = ", ".join(f"J{k} {peak:.1f}" for k, peak in enumerate(peaks, start=1))
+    claim = partial(Claim, count=over)
+    judged = partial(claim, runs=len(sessions))
     claims = [
         *(
-            Claim(
+            judged(
                 f"Shipped default: {what} in at least {RELIABLE:.0%} of re-tests",
                 "",
                 sessions.reliable(shares),
                 f"mean {shares.mean():.1%}, worst session {shares.min():.0%}",
-                over,
-                int((shares >= RELIABLE).sum()) >= wanted * len(sessions),
-                runs=len(sessions),
+                met=int((shares >= RELIABLE).sum()) >= wanted * len(sessions),
             )
             for what, shares, wanted in (("landed", landed, 0.9), ("true flips", true, 2.0 / 3.0))
         ),
-        Claim(
+        judged(
             "Shipped default: rollouts on the arm until the final policy, all counted",
             "fewer than 100",
             f"median {np.median(used):.0f}",
             f"{used.min()} to {used.max()}",
-            count,
-            bool(used.max() < 100),
-            OPEN,
-            len(sessions),
+            count=count,
+            met=bool(used.max() < 100),
+            left_open=OPEN,
         ),
-        Claim(
+        judged(
             "Shipped default: no joint beyond its no-load speed at 48 V",
             "",
             f"{beyond} of {len(retests)} re-tests beyond",
             "",
-            over,
-            beyond == 0,
-            runs=len(sessions),
+            met=beyond == 0,
         ),
-        Claim(
+        claim(
             "Speeds that the arm's safety board has to allow",
             "",
             f"elbow {elbow.max():.2f} m/s, 350 mm beyond it {forearm.max():.2f} m/s",
             f"medians {np.median(elbow):.2f} and {np.median(forearm):.2f} m/s",
-            over,
         ),
     ]
     rows = [
@@ -188,41 +185,35 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
     landed, true = sessions.landed, sessions.true_flips
     over = counted(len(sessions), "session")
     six = Sessions(sessions.runs[:6])
+    claim = partial(Claim, count=over)
     claims = [
-        Claim(
+        claim(
             "Fig. 5: gain of the mean return from the first five rollouts to the last five of 50",
             f"{paper_late - paper_early:.2f}",
             f"{gain.mean():.2f}",
             f"sd {gain.std():.2f}; the first six sessions {gain[:6].mean():.2f}",
-            over,
-            None,
-            "demonstrations, exploration, origin of the altitude and the rule for t_f, so that our "
-            "returns are higher",
+            left_open="demonstrations, exploration, origin of the altitude and the rule for t_f, "
+            "so that our returns are higher",
         ),
-        Claim(
+        claim(
             "Fig. 5: mean return of the last five rollouts",
             f"{paper_late:.2f}",
             f"{late.mean():.2f}",
             f"sd {late.std():.2f}, from {early.mean():.2f} (paper from {paper_early:.2f})",
-            over,
         ),
-        Claim(
+        claim(
             "Paper's preset: rollout of the third return in a row of at least 0.9",
             f"mean curve first reaches 0.9 at {int(np.argmax(fig5 >= 0.9)) + 1}",
             f"median {np.median(fired):.0f}" if fired else "never",
             f"{len(fired)} of {over} within their rollouts",
-            over,
-            None,
-            "what makes a return reproducible",
+            left_open="what makes a return reproducible",
         ),
-        Claim(
+        claim(
             f"Paper's preset: landed in at least {RELIABLE:.0%} of re-tests of the final mean",
             "caught and flipped, as filmed",
             sessions.reliable(landed),
             f"landed {landed.mean():.0%}, true flips {true.mean():.0%} of all re-tests",
-            over,
-            None,
-            OPEN,
+            left_open=OPEN,
         ),
     ]
     rows = []
