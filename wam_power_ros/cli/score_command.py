@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,6 @@ from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
-    from wam_power_ros.learning.demonstration import Demonstration
     from wam_power_ros.learning.policy import Policy
     from wam_power_ros.learning.rollout import Rollout
     from wam_power_ros.tasks.task import Assessment, Task
@@ -48,11 +48,14 @@ def score(options: argparse.Namespace) -> int:
 
 def _score_bag(bag: Path, options: argparse.Namespace) -> bool:
     """Print the score of a bag; return False if it has none."""
+    from wam_power_ros.practice.settings import preset
+
     name = options.task or "flip"
     setup = overlay.setup(options.config, task=task_setup(name))
     names, arm = _arm(setup)
     try:
-        task = _task(name, options.preset, _context(bag, name, setup, names, arm))
+        context = _context(bag, name, setup, names, arm)
+        task = preset(name, options.preset or "").make_task(context)
         assessed = task.assess(*recorded_rollout(bag, task, names, arm))
     except ValueError as error:
         print(f"{bag}: no return: {error}")
@@ -67,11 +70,13 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
     import numpy as np
 
     from wam_power_ros.practice import session
+    from wam_power_ros.practice.settings import preset
 
     header, _, records = session.read(folder)
     name = options.task or header.settings.task
     names, arm = _arm(overlay.setup(options.config, task=task_setup(name)))
-    task = _task(name, options.preset, json.loads((folder / "task.json").read_text()))
+    context = json.loads((folder / "task.json").read_text())
+    task = preset(name, options.preset or "").make_task(context)
     chosen = options.preset or "first"
     print(f"{folder}: logged return; return and success under {name}, preset {chosen}")
     by_kind: dict[str, list[tuple[float, float]]] = {}
@@ -118,6 +123,7 @@ def recorded_rollout(
     from wam_power_ros.learning import policy as policies
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
     from wam_power_ros.ros import interface, pose_messages
+    from wam_power_ros.tasks.task import cut_short
 
     found: dict[str, Any] = {}
     topics = reader.topics(bag)
@@ -140,11 +146,14 @@ def recorded_rollout(
         if start_ns != path.start_ns:
             raise ValueError(f"the path of the {task.body} is of another rollout than the tool's")
         body = BodyPath(policy.id, *body_path)
+    rollout = Rollout(tool, body)
     if interface.ROLLOUT_FINISHED in found:  # not in bags of earlier versions
         finished = pose_messages.finished(found[interface.ROLLOUT_FINISHED])
         if (finished.id, finished.start_ns) != (policy.id, path.start_ns):
             raise ValueError(f"the paths do not belong to the policy {policy.id}")
-    return policy, Rollout(tool, body)
+        if cut_short(policy, rollout, task.settle_time):
+            rollout = replace(rollout, fault=finished.fault)
+    return policy, rollout
 
 
 def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tuple[Policy, Rollout]:
@@ -153,11 +162,12 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
 
     from wam_power_ros import rotations
     from wam_power_ros.bags import layout, reader
+    from wam_power_ros.learning.demonstration import from_joint_samples
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
     from wam_power_ros.ros import interface
 
     stamps, q = reader.read_demonstration(bag, joint_names)
-    demonstration = _demonstration(bag, joint_names, arm)
+    demonstration = from_joint_samples(arm, stamps, q)
     policy = task.policy_of([demonstration], "demonstration")
     # From the start of the movement, at the rate of the paths that the controller publishes.
     near = np.abs(q - demonstration.q[0]).sum(axis=1)
@@ -191,17 +201,12 @@ def _topic(topics: Iterable[str], name: str) -> str:
     return next((topic for topic in topics if f"/{topic}".endswith(f"/{name}")), "")
 
 
-def _demonstration(bag: Path, joint_names: list[str], arm: Arm) -> Demonstration:
-    from wam_power_ros.bags import reader
-    from wam_power_ros.learning.demonstration import from_joint_samples
-
-    return from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
-
-
 def _context(
     bag: Path, task: str, setup: overlay.Setup, joint_names: list[str], arm: Arm
 ) -> dict[str, Any]:
     """Context of the session that a bag belongs to, else of a session on this bag alone."""
+    from wam_power_ros.bags import reader
+    from wam_power_ros.learning.demonstration import from_joint_samples
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.session import Session
 
@@ -209,15 +214,9 @@ def _context(
     if Session.exists(folder) and Session.task_of(folder) == task:
         kept: dict[str, Any] = json.loads((folder / "task.json").read_text())
         return kept
-    demonstration = _demonstration(bag, joint_names, arm)
+    demonstration = from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
     obstacle = setup["torque_controller"]["obstacle"]
     return plugins.task_type(task).context_of([demonstration], obstacle)
-
-
-def _task(name: str, preset_name: str | None, context: dict[str, Any]) -> Task:
-    from wam_power_ros.practice.settings import preset
-
-    return preset(name, preset_name or "").make_task(context)
 
 
 def _outcome(assessed: Assessment) -> str:
