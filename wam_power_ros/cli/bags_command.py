@@ -84,7 +84,7 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     help_joints = "names of the arm's joints in that bag, base to tip"
     imported.add_argument("--joints", nargs="+", default=[], metavar="NAME", help=help_joints)
     imported.add_argument("--topic", default="", help="of the joint states (default: the only one)")
-    imported.add_argument("--task", default="flip", help="it demonstrates (default: flip)")
+    imported.add_argument("--task", default="flip", help="of the demonstration (default: flip)")
     _config_option(imported)
     for command, name in ((trimmed, "trimmed"), (merged, "merged"), (imported, "TASK_NAME")):
         command.add_argument("--output", type=Path, help=f"new bag (default: BAG_{name})")

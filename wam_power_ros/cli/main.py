@@ -174,7 +174,7 @@ def _parser() -> argparse.ArgumentParser:
         "Move the arm to the start of a bag and follow its joint positions; Ctrl-C stops the arm.",
     )
     replay.add_argument("bag", type=Path, help="a demonstration, or any bag with joint states")
-    replay.add_argument("--speed", type=float, default=1.0, help="factor on the speed (default 1)")
+    replay.add_argument("--speed", type=float, default=1.0, help="1: as recorded (default)")
     replay.add_argument("--folder", type=Path, help="for the recording (default: replays/NOW)")
     _arm_options(replay)
 
@@ -184,7 +184,7 @@ def _parser() -> argparse.ArgumentParser:
         "publish the topics of a bag, as ros2 bag play does, except commands to an arm",
     )
     play.add_argument("bag", type=Path, help="any bag of the common message types")
-    play.add_argument("--rate", type=float, default=1.0, help="factor on the speed (default 1)")
+    play.add_argument("--rate", type=float, default=1.0, help="1: as recorded (default)")
     play.add_argument("--topics", nargs="+", default=[], metavar="TOPIC", help="only these topics")
     play.add_argument(
         "--wait",

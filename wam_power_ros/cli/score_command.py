@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
-    text = "return of recorded movements, or of a whole session, under any task and preset"
+    text = "print the return of bags or of a whole session under any task and preset"
     parser = subparsers.add_parser("score", help=text, description=f"{text.capitalize()}.")
     parser.set_defaults(command=score)
     parser.add_argument("recorded", type=Path, nargs="+", help="bags, or folder of a session")
