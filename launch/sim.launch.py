@@ -23,8 +23,8 @@ from wam_power_ros.cli import ros_launch
 from wam_power_ros.entry import INTERRUPTED
 
 
-def check_domain(launched: ros_launch.Launched, parameters: Path) -> bool:
-    """Refuse a domain in which the controller would command a robot instead of the simulation.
+def check_domain(plan: ros_launch.LaunchPlan, parameters: Path) -> bool:
+    """Refuse a domain in which a controller would command a robot instead of the simulation.
 
     Returns:
         False after Ctrl-C.
@@ -33,8 +33,8 @@ def check_domain(launched: ros_launch.Launched, parameters: Path) -> bool:
         RuntimeError: A driver, another stand-in or another session uses this domain.
     """
     command = [sys.executable, "-m", "hardware_sim.driver_watch", "--ros-args"]
-    command += ["--params-file", str(parameters), "-r", f"__ns:={launched.namespace or '/'}"]
-    for old, new in launched.remappings:
+    command += ["--params-file", str(parameters), "-r", f"__ns:={plan.namespace or '/'}"]
+    for old, new in plan.remappings:
         command += ["-r", f"{old}:={new}"]
     status = subprocess.run(command).returncode
     if status not in (0, INTERRUPTED):

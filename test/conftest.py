@@ -242,3 +242,21 @@ def processes(domain_id: int, tmp_path: Path) -> Iterator[Processes]:
     processes = Processes(domain_id, tmp_path)
     yield processes
     processes.close()
+
+
+@pytest.fixture
+def refusal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., str]:
+    """Function that runs `wam-power` in `tmp_path`, expects a refusal and returns its message."""
+    from wam_power_ros.cli import main
+
+    monkeypatch.chdir(tmp_path)
+
+    def refuse(*words: str) -> str:
+        before = sorted(tmp_path.iterdir())
+        assert main.main(words) == 2
+        assert sorted(tmp_path.iterdir()) == before
+        return capsys.readouterr().err
+
+    return refuse

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`wam-power bags` tells good takes from bad ones, and loses none."""
+"""`wam-power bags` grades takes and loses none."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_each_take_has_a_line_with_its_quality_and_why(
     assert "poor" in rows["demo_cut"]
 
 
-def test_no_take_is_an_error_that_names_where_was_looked(
+def test_no_take_is_an_error_that_names_the_folders(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["bags", "list", str(tmp_path)]) == 2
@@ -63,9 +63,7 @@ def test_a_take_is_shown_with_its_topics_and_joints(
     assert text.count("% of its limit") == 7
 
 
-def test_a_take_is_as_far_from_itself_as_nothing(
-    take: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_take_does_not_differ_from_itself(take: Path, capsys: pytest.CaptureFixture[str]) -> None:
     other = sorted((ROOT / "bags").glob("reach_*"))[1]
     _, same, different = said(capsys, "compare", take, take, other).splitlines()
     assert "rms 0.000 rad" in same and "tool 0 mm, at most 0 mm" in same
@@ -109,7 +107,7 @@ def test_an_imported_bag_is_of_the_task_it_was_imported_for(
     assert "is a demonstration of reach, not of flip" in capsys.readouterr().err
 
 
-def test_an_imported_bag_from_which_nothing_can_be_learnt_is_told_so_at_once(
+def test_an_imported_bag_from_which_nothing_can_be_learnt_is_graded_poor_at_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     still = demonstration(tmp_path / "still", np.zeros((200, 7)), WAM)

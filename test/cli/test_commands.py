@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands refuse what cannot be done before anything starts, and say what can."""
+"""The commands refuse invalid requests before anything starts, and say what to do instead."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from wam_power_ros.bags import layout
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.cli.commands import _has_ended
-from wam_power_ros.cli.launcher import as_called, called, learner_at_work
+from wam_power_ros.cli.launcher import learner_is_running, pasteable, program_command
 from wam_power_ros.cli.session_options import given_options
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session
@@ -37,49 +38,31 @@ ROOT = Path(__file__).resolve().parents[2]
     ],
 )
 def test_an_unknown_name_is_refused_with_the_known_ones(
-    words: list[str],
-    known: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    words: list[str], known: str, refusal: Callable[..., str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main.main(words) == 2
-    assert known in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    assert known in refusal(*words)
 
 
 @pytest.mark.parametrize(("task", "stem"), [("flip", "reach"), ("reach", "demo")])
 def test_the_demonstrations_of_another_task_are_refused(
-    task: str,
-    stem: str,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    task: str, stem: str, refusal: Callable[..., str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     bag = min((ROOT / "bags").glob(f"{stem}_*"))
-    assert main.main(["learn", "--task", task, "--bags", str(bag)]) == 2
-    assert f"not of {task}" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    assert f"not of {task}" in refusal("learn", "--task", task, "--bags", str(bag))
 
 
 @pytest.mark.parametrize("task", ["flip", "reach"])
-def test_a_demonstration_is_known_by_what_it_notes_and_not_by_its_name(
-    task: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_the_task_of_a_demonstration_is_read_from_the_bag_and_not_from_its_name(
+    task: str, tmp_path: Path, refusal: Callable[..., str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
     writer = BagWriter(tmp_path / "mine")
     writer.event("start", "reach", START)
     writer.add("/joint_states", layout.JOINT_STATE, QOS)
     names = tuple(f"wam_j{joint}" for joint in range(1, 8))
     writer.write("/joint_states", START, joint_state(START, names, np.zeros(7)))
     writer.close({})
-    words = ["learn", "--task", task, "--bags", "mine", "none"]
-    assert main.main(words) == 2
-    wrong = "mine is a demonstration of reach" if task == "flip" else "none is not a bag"
-    assert wrong in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+    message = "mine is a demonstration of reach" if task == "flip" else "none is not a bag"
+    assert message in refusal("learn", "--task", task, "--bags", "mine", "none")
 
 
 def test_feedback_without_a_learner_answers_at_once(
@@ -87,13 +70,13 @@ def test_feedback_without_a_learner_answers_at_once(
 ) -> None:
     settings, folder = preset("flip"), tmp_path / "s"
     with Session.begin(folder, settings, 5, [demonstrated_policy()]):
-        assert learner_at_work(folder)
+        assert learner_is_running(folder)
     monkeypatch.delattr("wam_power_ros.cli.commands.session_environment")  # no DDS is reached
     assert main.main(["feedback", "reward", "--session", str(folder)]) == 2
-    assert "no learner is at work" in capsys.readouterr().err
+    assert "no learner is running" in capsys.readouterr().err
 
 
-def test_a_session_that_has_ended_says_so_and_how_to_go_on_and_starts_nothing(
+def test_a_session_that_has_ended_prints_how_to_continue_and_starts_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings, policies = preset("flip", budget=3, confirm=0, retests=1), [demonstrated_policy()]
@@ -110,7 +93,7 @@ def test_a_session_that_has_ended_says_so_and_how_to_go_on_and_starts_nothing(
     assert "learn --task flip --trials 6 --bags a b" in said
 
 
-def test_a_session_whose_answer_cannot_be_shown_has_a_report_without_it(
+def test_a_session_whose_final_policy_cannot_be_executed_has_a_report_without_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings, policies = preset("flip", budget=3, confirm=0), [demonstrated_policy()]
@@ -126,7 +109,7 @@ def test_a_session_whose_answer_cannot_be_shown_has_a_report_without_it(
     assert "Learning curve" in (folder / "report.html").read_text()
 
 
-def test_a_session_that_was_not_begun_is_resumed_with_all_it_was_asked_for() -> None:
+def test_a_session_without_a_file_is_resumed_with_all_its_options() -> None:
     words = ["--task", "reach", "--preset", "full", "--trials", "9", "--demonstrations", "2"]
     options = main._parser().parse_args(["learn", *words, "--bags", "a b", "c"])
     again = main._parser().parse_args(["learn", *given_options(options)])
@@ -155,19 +138,18 @@ def test_commands_are_printed_as_they_can_be_pasted(
     monkeypatch.setenv("PATH", str(path))
     monkeypatch.setattr(sys, "argv", [program.format(here=here, bin=path)])
     expected = printed.format(python=sys.executable)
-    assert called() == expected
-    assert as_called("to recover it: wam-power recover x") == f"to recover it: {expected} recover x"
+    assert program_command() == expected
+    assert pasteable("to recover it: wam-power recover x") == f"to recover it: {expected} recover x"
 
 
 @pytest.mark.parametrize("words", [["demonstration"], ["reward", "some_bag"]])
-def test_feedback_takes_a_bag_for_a_demonstration_alone(
-    words: list[str], capsys: pytest.CaptureFixture[str]
+def test_feedback_takes_a_bag_only_for_a_demonstration(
+    words: list[str], refusal: Callable[..., str]
 ) -> None:
-    assert main.main(["feedback", *words]) == 2
-    assert "a bag is needed for a demonstration" in capsys.readouterr().err
+    assert "a bag is needed for a demonstration" in refusal("feedback", *words)
 
 
-def test_the_obstacle_of_reaching_is_half_way_of_the_nominal_demonstration() -> None:
+def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() -> None:
     from hardware_sim.scenes.reach import HOME, reach
     from wam_power_ros.control.arm import Arm
 
@@ -193,29 +175,21 @@ def test_the_obstacle_of_reaching_is_half_way_of_the_nominal_demonstration() -> 
     ],
 )
 @pytest.mark.parametrize("command", ["learn --session", "teach --folder", "replay bag --folder"])
-def test_an_arm_that_its_urdf_is_not_is_refused_before_anything_starts(
-    command: str, wrong: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_set_up_that_does_not_fit_its_urdf_is_refused_before_anything_starts(
+    command: str, wrong: str, tmp_path: Path, refusal: Callable[..., str]
 ) -> None:
-    file, folder = tmp_path / "my_arm.yaml", tmp_path / "folder"
+    file = tmp_path / "my_arm.yaml"
     file.write_text(f"torque_controller:\n  ros__parameters:\n    {wrong}\n")
-    words = [*command.split(), str(folder), "--config", str(file), "--simulate"]
-    assert main.main(words) == 2
-    said = capsys.readouterr().err
-    assert "in the robot description" in said
-    assert "(torque_controller: urdf, model_joint_names, tool_frame, guarded_links)" in said
-    assert not folder.exists()
+    message = refusal(*command.split(), "folder", "--config", str(file), "--simulate")
+    assert "in the robot description" in message
+    assert "(torque_controller: urdf, model_joint_names, tool_frame, guarded_links)" in message
 
 
 @pytest.mark.requirement("S-59")
-def test_a_bag_of_another_arm_is_not_replayed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bag_of_another_arm_is_not_replayed(tmp_path: Path, refusal: Callable[..., str]) -> None:
     theirs = ArmIdentity("cobot7", NAMES, "a" * 64, "b" * 64)
     writer = BagWriter(tmp_path / "demo")
     writer.add("/joint_states", layout.JOINT_STATE, QOS)
     writer.write("/joint_states", START, joint_state(START, NAMES, np.zeros(3)))
     path = writer.close({"arm": arm_identity.to_json(theirs)})
-    folder = tmp_path / "replay"
-    assert main.main(["replay", str(path), "--folder", str(folder)]) == 2
-    assert "belongs to another arm: cobot7" in capsys.readouterr().err
-    assert not folder.exists()  # no node was started
+    assert "belongs to another arm: cobot7" in refusal("replay", str(path), "--folder", "replay")

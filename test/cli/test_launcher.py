@@ -35,7 +35,9 @@ def options(*words: str) -> argparse.Namespace:
         (["--config", "geodude", "--config", "full_speed", "--simulate"], True),
     ],
 )
-def test_the_same_set_up_can_be_chosen_again(words: list[str], with_stand_ins: bool) -> None:
+def test_a_command_to_resume_selects_the_same_set_up(
+    words: list[str], with_stand_ins: bool
+) -> None:
     assert setup_options(options(*words)) == words
     assert simulated(options(*words)) == with_stand_ins
 
@@ -94,7 +96,7 @@ def test_the_task_of_another_package_brings_its_set_up(lab_package: Path) -> Non
     assert overlay.setup(task=task_setup("flip")) == overlay.setup()
 
 
-def test_the_set_up_of_a_task_lies_under_the_others(tmp_path: Path) -> None:
+def test_other_set_ups_override_that_of_the_task(tmp_path: Path) -> None:
     mine = tmp_path / "mine.yaml"
     mine.write_text("demonstration_recorder: {ros__parameters: {stem: mine}}")
     setup = overlay.setup([str(mine)], simulated=True, task=task_setup("reach"))

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: same entry points as ros2 run, refusals that say what to do instead."""
+"""The command line: same entry points as ros2 run, errors that say what to do instead."""
 
 import io
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -28,11 +29,6 @@ def begun_session(folder: Path, seed: int = 5) -> Path:
     return folder
 
 
-def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert main.main(arguments) == 2
-    return capsys.readouterr().err
-
-
 def test_wam_power_run_starts_what_ros2_run_starts() -> None:
     setup = (ROOT / "setup.py").read_text().replace("{NAME}", "wam_power_ros")
     points = dict(re.findall(r'"([\w-]+) = (wam_power_ros\.entry:\w+)"', setup))
@@ -41,7 +37,7 @@ def test_wam_power_run_starts_what_ros2_run_starts() -> None:
 
 
 @pytest.mark.parametrize("node", main.NODES)
-def test_every_node_is_a_module_that_is_there(node: str) -> None:
+def test_every_node_has_a_module(node: str) -> None:
     assert find_spec(main.NODES[node].load().args[0]) is not None
 
 
@@ -65,36 +61,32 @@ def test_an_unknown_node_is_refused_with_the_known_ones(
     assert all(node in message for node in main.NODES)
 
 
-def test_what_a_session_was_begun_with_cannot_be_changed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_seed_and_settings_of_a_session_cannot_be_changed(
+    tmp_path: Path, refusal: Callable[..., str]
 ) -> None:
-    folder = str(begun_session(tmp_path / "s"))
-    assert "begun with seed 5" in refusal(capsys, "learn", "--session", folder, "--seed", "6")
-    assert "leave trials out" in refusal(capsys, "learn", "--session", folder, "--trials", "9")
+    begun_session(tmp_path / "s")
+    assert "begun with seed 5" in refusal("learn", "--session", "s", "--seed", "6")
+    assert "omit trials" in refusal("learn", "--session", "s", "--trials", "9")
 
 
-def test_resuming_needs_a_session(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    message = refusal(capsys, "learn", "--resume", "--session", str(tmp_path / "none"))
-    assert "holds no session" in message
+def test_resuming_needs_a_session(refusal: Callable[..., str]) -> None:
+    assert "holds no session" in refusal("learn", "--resume", "--session", "none")
 
 
-def test_an_arm_is_not_taken_hold_of_with_nobody_there(
+def test_no_controller_starts_on_an_arm_without_a_person_to_confirm(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     arguments = ["teach", "--folder", str(tmp_path / "taught"), "--config", "geodude"]
-    message = refusal(capsys, *arguments)
+    assert main.main(arguments) == 2
+    message = capsys.readouterr().err
     assert "hand on the pendant" in message
     assert "no answer: standard input is closed" in message
 
 
-def test_a_set_up_that_is_none_starts_nothing(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = tmp_path / "s"
-    message = refusal(capsys, "learn", "--session", str(folder), "--config", "geodud")
+def test_an_unknown_set_up_starts_nothing(refusal: Callable[..., str]) -> None:
+    message = refusal("learn", "--session", "s", "--config", "geodud")
     assert "no set-up 'geodud'" in message
-    assert not folder.exists()
 
 
 def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -103,10 +95,8 @@ def test_the_parameters_of_a_set_up_are_printed(capsys: pytest.CaptureFixture[st
     assert nodes["/**/wam_sim"]["ros__parameters"]["joint_names"][6] == "right_j7"
 
 
-def test_a_report_of_no_session_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "no session.yaml" in refusal(capsys, "report", str(tmp_path))
+def test_a_report_needs_a_session(refusal: Callable[..., str]) -> None:
+    assert "no session.yaml" in refusal("report", ".")
 
 
 def test_the_report_command_writes_the_report(

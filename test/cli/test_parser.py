@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A misspelt word is refused with the word that was probably meant."""
+"""A misspelt word is refused with a suggestion of the nearest valid word."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("words", "meant"),
+    ("words", "message"),
     [
         (["lern"], "did you mean 'learn'?"),
         (["learn", "--sesion", "x"], "--sesion; did you mean '--session'?"),
@@ -30,16 +31,18 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (["run", "torque_controler"], "did you mean 'torque_controller'?"),
         (["teach", "--demonstrations", "0"], "0 must be at least 1"),
         (["learn", "--trials", "-3"], "-3 must be at least 0"),
-        (["learn", "--seed", "x"], "'x' is no whole number"),
+        (["learn", "--seed", "x"], "'x' is not a whole number"),
     ],
 )
-def test_a_slip_is_refused_with_what_was_meant(
-    words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+def test_a_wrong_word_or_number_is_refused_with_the_valid_ones(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert meant in refused(capsys, *words)
+    assert message in refused(capsys, *words)
 
 
-def test_what_is_like_nothing_known_gets_no_guess(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_word_unlike_every_valid_one_gets_no_suggestion(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert "did you mean" not in refused(capsys, "quux")
 
 
@@ -55,14 +58,9 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"wam_power_ros {__version__}\n"
 
 
-def test_stand_ins_without_a_set_up_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
+def test_stand_ins_without_a_set_up_are_refused(refusal: Callable[..., str]) -> None:
     for command in (["learn"], ["teach"], ["replay", "bag"], ["config"]):
-        assert main.main([*command, "--simulate"]) == 2
-        assert "everything is simulated already" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+        assert "everything is simulated already" in refusal(*command, "--simulate")
 
 
 def test_the_shell_completes_commands(tmp_path: Path) -> None:

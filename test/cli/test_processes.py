@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Processes of a session: one that dies is named, none is left behind."""
+"""Processes of a session: a dead one is reported, none is left running."""
 
 import os
 import signal
@@ -46,7 +46,7 @@ def test_a_process_that_dies_is_named_with_the_end_of_its_log(tmp_path: Path) ->
             processes.check()
 
 
-def test_one_may_end_well_but_not_badly(tmp_path: Path) -> None:
+def test_a_process_may_end_with_status_0_but_not_with_another(tmp_path: Path) -> None:
     with Processes(tmp_path, {}) as processes:
         well = processes.start("well", [sys.executable, "-c", "pass"])
         processes.finish(well)
@@ -67,7 +67,7 @@ def test_leaving_ends_every_process_even_one_that_ignores_the_interrupt(tmp_path
     processes = Processes(tmp_path, {})
     running = [processes.start("polite", SLEEP), processes.start("stubborn", STUBBORN)]
     assert soon(lambda: "ready" in running[1].log.read_text())
-    processes.stop(patience=0.5)
+    processes.stop(timeout=0.5)
     assert [one.process.poll() for one in running] == [-signal.SIGINT, -signal.SIGTERM]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What launch arguments become; the launch files themselves are run in test/system."""
+"""Launch arguments become a launch plan; test/system runs the launch files themselves."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from wam_power_ros.params import overlay
 from wam_power_ros.params.parameter_file import of_nodes
 
 BAGS = sorted((ROOT / "bags").glob("demo_*"))
-DEFAULTS = {name: default for name, (default, _) in ros_launch.SHARED.items()}
+DEFAULTS = {name: default for name, (default, _) in ros_launch.SHARED_ARGUMENTS.items()}
 SIM = {**DEFAULTS, "config": "", "pace": "lockstep"}
 
 
-def sim(**given: object) -> ros_launch.Launched:
+def sim(**given: object) -> ros_launch.LaunchPlan:
     return ros_launch.prepare(SIM | {name: str(value) for name, value in given.items()}, True)
 
 
-def hardware(**given: object) -> ros_launch.Launched:
+def hardware(**given: object) -> ros_launch.LaunchPlan:
     values = DEFAULTS | {name: str(value) for name, value in given.items()}
     return ros_launch.prepare(values, stand_ins=False)
 
 
-def test_hardware_starts_no_stand_in_and_no_torque_by_itself(tmp_path: Path) -> None:
-    launched = hardware(config="geodude full_speed")
-    assert set(launched.executables) == {
+def test_hardware_starts_no_stand_in_and_no_torque_without_activation(tmp_path: Path) -> None:
+    plan = hardware(config="geodude full_speed")
+    assert set(plan.executables) == {
         "torque_controller",
         "pancake_tracker",
         "demonstration_recorder",
     }
-    assert not launched.setup["torque_controller"]["autostart"]
-    assert launched.setup["torque_controller"]["joint_names"][0] == "right_j1"
-    launched = hardware(config="geodude", session=tmp_path / "s", demonstrations=BAGS[0])
-    assert launched.executables[-1] == "learner"
-    assert not launched.setup["learner"]["reset_faults"]
+    assert not plan.setup["torque_controller"]["autostart"]
+    assert plan.setup["torque_controller"]["joint_names"][0] == "right_j1"
+    plan = hardware(config="geodude", session=tmp_path / "s", demonstrations=BAGS[0])
+    assert plan.executables[-1] == "learner"
+    assert not plan.setup["learner"]["reset_faults"]
 
 
 @pytest.mark.parametrize(
@@ -52,23 +52,23 @@ def test_hardware_starts_no_stand_in_and_no_torque_by_itself(tmp_path: Path) -> 
     ],
 )
 def test_stand_ins_keep_the_pace_that_was_asked_for(asked: dict[str, str], pace: str) -> None:
-    launched = sim(**asked)
-    assert set(launched.executables) == set(overlay.NODES) - {"optitrack_sim", "learner"}
-    assert launched.setup["wam_sim"]["pace"] == pace
-    assert launched.setup["learner"].get("use_sim_time", False) == (pace == "lockstep")
+    plan = sim(**asked)
+    assert set(plan.executables) == set(overlay.NODES) - {"optitrack_sim", "learner"}
+    assert plan.setup["wam_sim"]["pace"] == pace
+    assert plan.setup["learner"].get("use_sim_time", False) == (pace == "lockstep")
 
 
-def test_a_session_has_its_bags_in_its_folder_and_what_was_asked_for_it(tmp_path: Path) -> None:
+def test_a_session_has_its_bags_in_its_folder_and_the_given_settings(tmp_path: Path) -> None:
     folder = tmp_path / "s"
     given = {"seed": 7, "trials": 20, "learner": "cma_es", "preset": "paper"}
-    launched = sim(session=folder, demonstrations=f"{BAGS[0]} {BAGS[1]}", **given)
-    learner = launched.setup["learner"]
+    plan = sim(session=folder, demonstrations=f"{BAGS[0]} {BAGS[1]}", **given)
+    learner = plan.setup["learner"]
     assert {name: learner[name] for name in given} == given
     assert learner["demonstrations"] == [str(bag) for bag in BAGS[:2]]
-    assert (learner["session"], launched.session) == (str(folder), folder)
-    assert launched.setup["demonstration_recorder"]["directory"] == str(folder / "bags")
-    assert launched.setup["wam_sim"]["seed"] == 7
-    file = ros_launch.parameter_file(launched)
+    assert (learner["session"], plan.session) == (str(folder), folder)
+    assert plan.setup["demonstration_recorder"]["directory"] == str(folder / "bags")
+    assert plan.setup["wam_sim"]["seed"] == 7
+    file = ros_launch.parameter_file(plan)
     assert file.is_relative_to(folder)
     assert of_nodes(file)["learner"] == learner
 
@@ -77,31 +77,31 @@ def test_a_path_with_a_space_is_quoted(tmp_path: Path) -> None:
     (tmp_path / "my bags").mkdir()
     bag = tmp_path / "my bags" / BAGS[0].name
     bag.symlink_to(BAGS[0].resolve())
-    launched = sim(session=tmp_path / "s", demonstrations=f"'{bag}' {BAGS[1]}")
-    assert launched.setup["learner"]["demonstrations"] == [str(b.resolve()) for b in BAGS[:2]]
+    plan = sim(session=tmp_path / "s", demonstrations=f"'{bag}' {BAGS[1]}")
+    assert plan.setup["learner"]["demonstrations"] == [str(b.resolve()) for b in BAGS[:2]]
     with pytest.raises(ValueError, match="No closing quotation"):
         sim(session=tmp_path / "s", demonstrations="'unended")
 
 
-def test_a_launch_leaves_a_session_alone_that_is_being_practised(tmp_path: Path) -> None:
-    launched = sim(session=tmp_path)
-    with launcher.held(tmp_path):
-        domain = tmp_path / "logs" / launcher.DOMAIN
+def test_a_launch_refuses_a_session_in_use_and_changes_nothing(tmp_path: Path) -> None:
+    plan = sim(session=tmp_path)
+    with launcher.folder_lock(tmp_path):
+        domain = tmp_path / "logs" / launcher.DOMAIN_FILE
         domain.write_text("42")
-        with pytest.raises(UsageError, match="another session or learner is at work"):
-            ros_launch.parameter_file(launched)
+        with pytest.raises(UsageError, match="another session or learner is using"):
+            ros_launch.parameter_file(plan)
         assert [file.name for file in domain.parent.iterdir() if file.suffix == ".yaml"] == []
         assert domain.read_text() == "42"
 
 
 def test_a_task_without_a_body_has_no_tracker(tmp_path: Path) -> None:
-    for launched in (
+    for plan in (
         sim(task="reach", config="geodude", session=tmp_path),
         hardware(task="reach", config="geodude", session=tmp_path),
     ):
-        assert "pancake_tracker" not in launched.executables
-        assert launched.setup["learner"]["task"] == "reach"
-        assert launched.setup["torque_controller"]["obstacle"][3] > 0.0
+        assert "pancake_tracker" not in plan.executables
+        assert plan.setup["learner"]["task"] == "reach"
+        assert plan.setup["torque_controller"]["obstacle"][3] > 0.0
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_without_a_session_the_parameter_file_ends_with_the_launch(
     assert not file.parent.exists()
 
 
-def test_the_arm_is_described_with_the_frames_and_the_time_of_its_nodes() -> None:
+def test_the_description_of_the_arm_has_the_frames_and_the_clock_of_its_nodes() -> None:
     described = ros_launch.arm_description(sim(namespace="left"))
     assert described is not None
     assert described["frame_prefix"] == "left/" and described["use_sim_time"] is True

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was recorded is scored again as it was scored, and under another return as that has it."""
+"""A recorded rollout gets its logged return again, and another return under another preset."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from toss_task import ANY_ARM, demonstrated_policy
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind, Rollout
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros.pose_messages import Finished, finished_message, path_message
@@ -24,7 +24,9 @@ ROOT = Path(__file__).resolve().parents[2]
 START = 1_700_000_000_000_000_000
 
 
-def recorded(path: Path, policy: Policy, rollout: Rollout, executed: str = "") -> Path:
+def recorded(
+    path: Path, policy: Policy, rollout: Rollout, executed: str = "", fault: Fault | None = None
+) -> Path:
     """Bag of a rollout, with paths of the one before it at its beginning, as latched topics are."""
     writer = BagWriter(path)
     writer.add("/policy", "std_msgs/msg/String", LATCHED)
@@ -37,7 +39,7 @@ def recorded(path: Path, policy: Policy, rollout: Rollout, executed: str = "") -
         for stamp, found in ((START, old[topic]), (START + 10**9, paths[topic])):
             writer.write(topic, stamp, serialize_message(path_message(found, stamp, "base")))
     writer.add("/rollout/finished", "std_msgs/msg/String", LATCHED)
-    finished = Finished(executed or policy.id, START + 10**9, None)
+    finished = Finished(executed or policy.id, START + 10**9, fault)
     writer.write("/rollout/finished", START + 10**9, string(finished_message(finished).data))
     return writer.close({})
 
@@ -56,7 +58,7 @@ def session(tmp_path: Path) -> Path:
     return folder
 
 
-def test_a_session_scored_again_has_the_returns_it_had(
+def test_a_session_scored_again_has_its_logged_returns(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main.main(["score", str(session)]) == 0
@@ -77,7 +79,7 @@ def test_another_preset_gives_its_own_return(
     assert all("°" in line for line in lines[1:3])  # what happened, whatever counts as success
 
 
-def test_a_bag_is_scored_as_its_rollout_was(
+def test_a_bag_is_scored_as_its_rollout_was_logged(
     session: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bag = session / "bags" / "rollout_trial-0002"
@@ -94,16 +96,31 @@ def test_a_bag_whose_paths_are_of_another_policy_has_no_return(
     policy, rollout = demonstrated_policy("trial-0002"), a_rollout("trial-0002", 3.0)
     bag = recorded(session / "bags" / "rollout_x", policy, rollout, executed="trial-0001")
     assert main.main(["score", str(bag)]) == 1
-    assert "the paths are not of the policy trial-0002" in capsys.readouterr().out
+    assert "the paths do not belong to the policy trial-0002" in capsys.readouterr().out
 
 
-def test_a_demonstration_is_scored_as_it_was_led(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(("samples", "told"), [(100, "joint 4 at 9.0 rad/s"), (186, "rotation")])
+def test_a_fault_counts_only_if_it_ended_the_rollout(
+    samples: int, told: str, session: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    policy, whole = demonstrated_policy("trial-0002"), a_rollout("trial-0002", 3.0)
+    path = (whole.tool.t, whole.tool.position, whole.tool.quat_xyzw)
+    tool = EndEffectorPath("trial-0002", *(values[:samples] for values in path))
+    fault = Fault(FaultKind.JOINT_SPEED, "joint 4 at 9.0 rad/s")
+    bag = recorded(session / "bags/rollout_x", policy, Rollout(tool, whole.body), fault=fault)
+    assert main.main(["score", str(bag)]) == 0
+    assert told in capsys.readouterr().out
+
+
+def test_a_demonstration_is_scored_by_its_own_path(capsys: pytest.CaptureFixture[str]) -> None:
     bag = min((ROOT / "bags").glob("reach_*"))
     assert main.main(["score", str(bag), "--task", "reach"]) == 0
-    assert "stopped at the obstacle" in capsys.readouterr().out  # it stands on the demonstration
+    assert "stopped at the obstacle" in capsys.readouterr().out  # which lies on the demonstration
 
 
-def test_what_has_no_return_says_why_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bag_without_a_return_is_an_error_that_says_why(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     bag = min((ROOT / "bags").glob("reach_*"))
     assert main.main(["score", str(bag), "--task", "flip"]) == 1
     assert "no state of the pancake" in capsys.readouterr().out

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `wam-power view` refuses; the page itself is tested in `test/view`."""
+"""Errors of `wam-power view`; `test/view` tests the page itself."""
 
 from __future__ import annotations
 

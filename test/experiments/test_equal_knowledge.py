@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Equal knowledge: what a learner is told is all that differs between the rows."""
+"""Equal knowledge: rows differ only in the information of the learner."""
 
 import numpy as np
 import pytest
 
 from wam_power_ros.experiments.studies import equal_knowledge
-from wam_power_ros.experiments.studies.equal_knowledge import Planner, Told, runs
+from wam_power_ros.experiments.studies.equal_knowledge import InformedLearner, Planner, runs
 from wam_power_ros.learning.random_search import RandomSearch
 
 
@@ -14,10 +14,10 @@ def searching(seed: int = 0) -> RandomSearch:
 
 
 class Hill:
-    """A model that knows the optimum, and remembers what it was told."""
+    """A model that knows the optimum and records the returns it gets."""
 
     def __init__(self) -> None:
-        self.told: list[float] = []
+        self.returns: list[float] = []
 
     def predict(self, z: np.ndarray) -> np.ndarray:
         """See `Model`."""
@@ -25,33 +25,33 @@ class Hill:
 
     def learn(self, z: np.ndarray, ret: float) -> None:
         """See `Model`."""
-        self.told.append(ret)
+        self.returns.append(ret)
 
 
 def test_without_model_and_noise_a_learner_is_as_it_was() -> None:
-    alone, told = searching(), Told(searching(), None, 0.0, np.random.default_rng(9))
+    alone, informed = searching(), InformedLearner(searching(), None, 0.0, np.random.default_rng(9))
     for ret in (0.3, 0.1, 0.7):
         z = alone.ask()
-        assert told.ask().tolist() == z.tolist()
+        assert informed.ask().tolist() == z.tolist()
         alone.tell(z, ret)
-        told.tell(z, ret)
-    assert told.mean.tolist() == alone.mean.tolist()
+        informed.tell(z, ret)
+    assert informed.mean.tolist() == alone.mean.tolist()
 
 
 def test_with_a_model_the_best_of_its_own_draws_is_tried() -> None:
     drawn = searching()
     expected = np.stack([drawn.ask() for _ in range(equal_knowledge.CANDIDATES)])
-    z = Told(searching(), Hill(), 0.0, np.random.default_rng(9)).ask()
+    z = InformedLearner(searching(), Hill(), 0.0, np.random.default_rng(9)).ask()
     assert z.tolist() == expected[np.argmin(((expected - 1.0) ** 2).sum(axis=1))].tolist()
 
 
 def test_noise_reaches_learner_and_model_alike_and_no_return_is_negative() -> None:
     learner, model = searching(), Hill()
-    told = Told(learner, model, 0.5, np.random.default_rng(9))
+    informed = InformedLearner(learner, model, 0.5, np.random.default_rng(9))
     for _ in range(50):
-        told.tell(np.zeros(2), 0.1)
-    assert learner._rollouts.returns.tolist() == model.told
-    assert min(model.told) == 0.0 and np.std(model.told) > 0.1
+        informed.tell(np.zeros(2), 0.1)
+    assert learner._rollouts.returns.tolist() == model.returns
+    assert min(model.returns) == 0.0 and np.std(model.returns) > 0.1
 
 
 def test_the_planner_tries_what_the_model_says_is_best() -> None:

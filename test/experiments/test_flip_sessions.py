@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pancake's sessions of the reproduction, and their chapter."""
+"""Pancake sessions of the reproduction, and their chapter."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from wam_power_ros.experiments.studies import flip_sessions
 from wam_power_ros.reporting.chapter import Chapter, Claim
 
 
-def test_a_pan_believed_heavier_is_heavier_to_the_controller_alone() -> None:
+def test_a_pan_believed_heavier_is_heavier_only_in_the_controllers_model() -> None:
     true, wrong = flip_sessions.stand_in(21), flip_sessions.stand_in(21, believed_pan=1.2)
     carried = np.abs(wrong.arm.gravity(HOME)) - np.abs(true.arm.gravity(HOME))
     assert carried[1] > 0.3  # 0.12 kg at more than half a metre
@@ -21,7 +21,7 @@ def test_a_pan_believed_heavier_is_heavier_to_the_controller_alone() -> None:
 
 
 @pytest.mark.parametrize("share", [0.5, 1.5])
-def test_joint_friction_is_a_share_of_what_it_is(share: float) -> None:
+def test_joint_friction_is_scaled(share: float) -> None:
     as_is, other = flip_sessions.stand_in(21), flip_sessions.stand_in(21, friction_share=share)
     friction = (as_is.world.model.dof_frictionloss, other.world.model.dof_frictionloss)
     np.testing.assert_allclose(friction[1][:7], share * friction[0][:7])

@@ -43,7 +43,7 @@ def test_results_are_the_same_whatever_the_order_and_the_number_of_workers(tmp_p
     assert one["study-0"]["seed-2"] == study_jobs.draw(2)  # every bit
 
 
-def test_what_is_there_is_not_computed_again(tmp_path: Path) -> None:
+def test_an_existing_result_is_not_computed_again(tmp_path: Path) -> None:
     job = Job("study", "key", study_jobs.count, {"log": str(tmp_path / "log")})
     assert run([job], tmp_path) == run([job], tmp_path) == {"study": {"key": {"done": True}}}
     assert (tmp_path / "log").read_text() == "x"
@@ -77,19 +77,19 @@ def test_a_job_that_fails_is_named_and_takes_no_other_with_it(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("what", ["nan", "array"])
-def test_a_result_that_is_no_plain_number_is_refused(tmp_path: Path, what: str) -> None:
+def test_a_result_that_is_not_json_is_refused(tmp_path: Path, what: str) -> None:
     with pytest.raises(JobError, match="study/key"):
         run([Job("study", "key", study_jobs.give, {"what": what})], tmp_path)
     assert files(tmp_path) == {}
 
 
-def test_names_that_are_no_files_and_arguments_that_are_no_data_are_refused() -> None:
+def test_invalid_names_and_arguments_are_refused() -> None:
     for name in ("", "../up", "a/b", ".hidden"):
-        with pytest.raises(ValueError, match="is no file name"):
+        with pytest.raises(ValueError, match="must be a file name"):
             Job("study", name, study_jobs.draw)
     with pytest.raises(ValueError, match="arguments of study/key"):
         Job("study", "key", study_jobs.draw, {"seed": float("inf")})
-    with pytest.raises(ValueError, match="two jobs of one name: study-0/seed-0"):
+    with pytest.raises(ValueError, match="two jobs with the same name: study-0/seed-0"):
         run([draws()[0], draws()[0]], Path("nowhere"))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The study of a novice's toss: the same sessions for every learner, and their figures."""
+"""The study of a novice's toss: the same sessions for every learner, and their statistics."""
 
 import math
 from typing import Any
@@ -11,7 +11,7 @@ from wam_power_ros.experiments.studies.flip_sessions import HELD_OUT, stand_in, 
 from wam_power_ros.practice.settings import preset
 
 
-def test_rows_differ_in_the_learner_and_what_it_is_told_alone() -> None:
+def test_rows_differ_only_in_the_learner_and_its_information() -> None:
     found = novice.jobs([1, 2])
     assert {job.arguments["seed"] for job in found} == {1, 2}
     assert not set(novice.HELD_OUT) & set(HELD_OUT)
@@ -56,7 +56,7 @@ def a_session(
     }
 
 
-def test_the_figures_of_a_row_count_sessions_and_not_rollouts() -> None:
+def test_the_statistics_of_a_row_count_sessions_and_not_rollouts() -> None:
     sessions = [
         a_session(30, "confirmation", 20),
         a_session(27, "confirmation", 30, first=True),
@@ -70,7 +70,7 @@ def test_the_figures_of_a_row_count_sessions_and_not_rollouts() -> None:
     assert novice.line([a_session(0, "budget", 60)])["to_streak"] is None
 
 
-def test_the_figures_of_other_worlds_are_apart_from_those_of_the_own_one() -> None:
+def test_the_statistics_of_other_worlds_are_separate() -> None:
     found = novice.line([a_session(30, "confirmation", 20, elsewhere=k) for k in (15, 30)])
     assert found["true"][0] == 1.0 and found["elsewhere"][0] == 0.75
     assert found["elsewhere"][1] == pytest.approx(0.55)

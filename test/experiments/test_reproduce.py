@@ -76,16 +76,16 @@ def test_a_run_that_fails_is_reported_and_ends_the_reproduction_with_an_error(
     assert len(files(tmp_path / "results")) == 2
 
 
-def test_a_study_that_is_not_there_is_refused_with_those_that_are(
+def test_an_unknown_study_is_refused_with_the_known_ones(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert main.main(["reproduce", "--only", "cooking"]) == 2
-    assert "cooking: no such study; there are reaching" in capsys.readouterr().err
+    assert "cooking: no such study; the studies are reaching" in capsys.readouterr().err
 
 
-def test_two_figures_of_one_name_are_refused(tmp_path: Path) -> None:
+def test_two_figures_with_the_same_name_are_refused(tmp_path: Path) -> None:
     chapter = study_jobs.chapter(job_cache.run(study_jobs.jobs("quick"), tmp_path))
-    with pytest.raises(ValueError, match="two figures of one name: draws"):
+    with pytest.raises(ValueError, match="two figures with the same name: draws"):
         reproduce.write(tmp_path, "quick", [chapter, chapter], [], "")
 
 
@@ -151,7 +151,7 @@ def test_a_cluster_of_two_worker_processes_gives_the_same_files(
         job_cache.run([bad], tmp_path / "cluster", scheduler=cluster)
 
 
-def test_a_cluster_of_a_single_worker_computes_there_and_not_here(
+def test_a_cluster_of_a_single_worker_computes_on_the_cluster(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")
@@ -168,10 +168,10 @@ def test_a_job_that_is_lost_on_the_cluster_fails_alone(
     distributed = pytest.importorskip("distributed")
     execute = job_cache._execute
 
-    def mortal(job: job_cache.Job, expected: str, here: int | None) -> object:
+    def mortal(job: job_cache.Job, expected: str, parent: int | None) -> object:
         if job == lost:
             raise ModuleNotFoundError("wam_power_ros")  # as where a worker lacks the package
-        return execute(job, expected, here)
+        return execute(job, expected, parent)
 
     *others, lost = jobs = draws(4)
     monkeypatch.setattr(job_cache, "_execute", mortal)
@@ -194,5 +194,5 @@ def test_without_dask_a_scheduler_is_refused_with_the_extra_to_install(
 def test_without_a_verdict_no_share_of_claims_is_counted() -> None:
     few = Claim("ours ahead", "", "1.0", "", "2 runs", met=True, runs=2)
     html = reproduce.render("quick", [Chapter("chapter", claims=[few])], [], "", Path())
-    assert "No claim has the 5 runs that a verdict takes." in html
+    assert "No claim has the 5 runs that a verdict needs." in html
     assert "0 of 0" not in html

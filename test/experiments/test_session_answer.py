@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answer of a session is executed again in the scene of its task."""
+"""The final policy of a session is executed again in the scene of its task."""
 
 import hashlib
 import json
@@ -24,7 +24,7 @@ def begun(folder: Path, radius: float) -> Path:
     with Session.begin(folder, settings, 3, [scenario.policy], context=context) as session:
         session.save_policy(scenario.policy)
     nothing = {"rollouts": 0, "bytes": 0, "sha256": hashlib.sha256(b"").hexdigest()}
-    (folder / "acknowledged.json").write_text(json.dumps(nothing))  # how it was learnt is no matter
+    (folder / "acknowledged.json").write_text(json.dumps(nothing))  # with an empty log
     return folder
 
 

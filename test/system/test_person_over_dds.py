@@ -15,7 +15,7 @@ from toss_task import practice_of
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_ros.bags import reader
-from wam_power_ros.cli.launcher import DOMAIN
+from wam_power_ros.cli.launcher import DOMAIN_FILE
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.experiments.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
@@ -70,7 +70,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
         return answer.text
 
     (folder / "logs").mkdir()
-    (folder / "logs" / DOMAIN).write_text(processes.environment["ROS_DOMAIN_ID"])
+    (folder / "logs" / DOMAIN_FILE).write_text(processes.environment["ROS_DOMAIN_ID"])
 
     def tell(*words: object) -> tuple[int, str]:
         """Exit status and answer of `wam-power feedback`, which knows the session alone."""

@@ -15,17 +15,17 @@ from wam_power_ros.cli import ros_launch
 from wam_power_ros.ros import interface
 
 BAGS = " ".join(str(bag) for bag in sorted((ROOT / "bags").glob("reach_*")))
-ARGUMENTS = {name: default for name, (default, _) in ros_launch.SHARED.items()}
+ARGUMENTS = {name: default for name, (default, _) in ros_launch.SHARED_ARGUMENTS.items()}
 ARGUMENTS |= {"config": "", "pace": "lockstep", "task": "reach", "demonstrations": BAGS}
 PATIENCE = 300.0  # [s of wall time]
 ARMS = {"left": 5, "right": 6}  # namespace -> seed
 
 
-def start(processes: Processes, launched: ros_launch.Launched) -> Process:
+def start(processes: Processes, plan: ros_launch.LaunchPlan) -> Process:
     """The processes that a launch file would start; returns the learner."""
-    file = ros_launch.parameter_file(launched)
-    remaps = [("__ns", launched.namespace), *launched.remappings]
-    for name in launched.executables:
+    file = ros_launch.parameter_file(plan)
+    remaps = [("__ns", plan.namespace), *plan.remappings]
+    for name in plan.executables:
         command = [sys.executable, "-m", "wam_power_ros.cli", "run", name, "--ros-args"]
         command += ["--params-file", str(file)]
         command += [word for old, new in remaps for word in ("-r", f"{old}:={new}")]
@@ -40,9 +40,9 @@ def test_two_arms_in_two_namespaces_learn_side_by_side(
     learners = {}
     for name, seed in ARMS.items():
         given = {"namespace": name, "session": str(tmp_path / name), "seed": str(seed)}
-        launched = ros_launch.prepare({**ARGUMENTS, **given, "trials": "2"}, stand_ins=True)
-        launched.setup["learner"]["changes"] = json.dumps({"retests": 1})
-        learners[name] = start(processes, launched)
+        plan = ros_launch.prepare({**ARGUMENTS, **given, "trials": "2"}, stand_ins=True)
+        plan.setup["learner"]["changes"] = json.dumps({"retests": 1})
+        learners[name] = start(processes, plan)
     for name, learner in learners.items():
         probe.until(lambda ended=learner: ended.poll() is not None, f"the {name} session", PATIENCE)
         assert learner.returncode == 0, processes.output(learner)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`wam-power bags`: look at recordings, and keep them in order."""
+"""`wam-power bags`: inspect and edit recordings."""
 
 from __future__ import annotations
 
@@ -8,8 +8,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from wam_power_ros.cli.launcher import UsageError, arm_of, as_called, short_path, task_stems
-from wam_power_ros.cli.node_log import telling
+from wam_power_ros.cli.launcher import (
+    UsageError,
+    arm_of,
+    pasteable,
+    short_path,
+    task_setup,
+    task_stems,
+)
+from wam_power_ros.cli.node_log import progress_messages
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
@@ -19,12 +26,12 @@ if TYPE_CHECKING:
     from wam_power_ros.bags.takes import Take
     from wam_power_ros.control.arm import Arm
 
-NAME_MAX = 40  # columns of a name in the table
-SAMPLES = 101  # of a movement that is compared with another
+NAME_WIDTH_MAX = 40  # columns of a name in the table
+COMPARED_SAMPLES = 101  # of each movement in a comparison
 
 
-class Looked(NamedTuple):
-    """A take as it was looked at.
+class InspectedTake(NamedTuple):
+    """A take and its quality.
 
     Attributes:
         take: Its contents.
@@ -41,7 +48,7 @@ class Looked(NamedTuple):
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
-    text = "look at recordings, and keep them in order"
+    text = "inspect and edit recordings"
     group = subparsers.add_parser("bags", help=text, description=f"{text.capitalize()}.")
     commands = group.add_subparsers(required=True, metavar="COMMAND")
 
@@ -50,43 +57,38 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
         added.set_defaults(command=command)
         return added
 
-    listing = add("list", list_, "a line for each take: task, duration, quality and why")
-    listing.add_argument("place", type=Path, nargs="*", help="folders (default: those of takes)")
-    shown = add("show", show, "topics, joints and quality of a take")
+    listing = add("list", list_, "print a line for each take: task, duration, quality and reasons")
+    listing.add_argument("folder", type=Path, nargs="*", help="of takes (default: the usual ones)")
+    shown = add("show", show, "print topics, joints and quality of a take")
     shown.add_argument("bag", type=Path)
     plotted = add("plot", plot, "draw joint angles and speeds of takes, with the arm's limits")
     plotted.add_argument("bag", type=Path, nargs="+")
     plotted.add_argument("--output", type=Path, help=".png or .svg (default: BAG.png)")
-    compared = add("compare", compare, "how far takes are from the first: duration, joints, tool")
+    compared = add("compare", compare, "print how takes differ from the first one")
     compared.add_argument("bag", type=Path, nargs="+")
     for command in (listing, shown, plotted, compared):
         _config_option(command)
     trimmed = add("trim", trim, "copy a part of a take")
     trimmed.add_argument("bag", type=Path)
-    trimmed.add_argument("begin", type=float, help="[s] since the first joint state")
-    trimmed.add_argument("end", type=float, help="[s] since the first joint state")
+    trimmed.add_argument("begin", type=float, help="time since the first joint state [s]")
+    trimmed.add_argument("end", type=float, help="time since the first joint state [s]")
     renamed = add("rename", rename, "give a bag another name")
     renamed.add_argument("bag", type=Path)
     renamed.add_argument("name")
     deleted = add("delete", delete, "move bags to the folder .trash beside them")
     deleted.add_argument("bag", type=Path, nargs="+")
-    merged = add("merge", merge, "copy bags that were recorded one after another into one")
+    merged = add("merge", merge, "copy consecutive recordings into one bag")
     merged.add_argument("bag", type=Path, nargs="+")
-    imported = add("import", import_, "make a demonstration of any rosbag2 bag with joint states")
+    imported = add("import", import_, "make a demonstration of any bag with joint states")
     imported.add_argument("bag", type=Path, help="MCAP or SQLite")
-    imported.add_argument(
-        "--joints",
-        nargs="+",
-        default=[],
-        metavar="NAME",
-        help="the arm's joints there, base to tip",
-    )
-    imported.add_argument("--topic", default="", help="joint states (default: the only ones)")
-    imported.add_argument("--task", default="flip", help="task it demonstrates (default: flip)")
+    help_joints = "names of the arm's joints in that bag, base to tip"
+    imported.add_argument("--joints", nargs="+", default=[], metavar="NAME", help=help_joints)
+    imported.add_argument("--topic", default="", help="of the joint states (default: the only one)")
+    imported.add_argument("--task", default="flip", help="of the demonstration (default: flip)")
     _config_option(imported)
     for command, name in ((trimmed, "trimmed"), (merged, "merged"), (imported, "TASK_NAME")):
         command.add_argument("--output", type=Path, help=f"new bag (default: BAG_{name})")
-    recovered = add("recover", recover, "make a readable bag of a damaged one")
+    recovered = add("recover", recover, "recover a damaged bag")
     recovered.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
 
 
@@ -96,30 +98,30 @@ def _config_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
-# Looking
+# Inspecting
 
 
 def list_(options: argparse.Namespace) -> int:
     """Print a line for each take."""
     from wam_power_ros.bags import takes
 
-    places = options.place or [Path(name) for name in takes.FOLDERS]
-    found = takes.find(places)
+    folders = options.folder or [Path(name) for name in takes.FOLDERS]
+    found = takes.find(folders)
     if not found:
-        raise UsageError(f"no bags below {', '.join(map(str, places))}")
+        raise UsageError(f"no bags below {', '.join(map(str, folders))}")
     outcomes, tasks = _outcomes(found), task_stems()
     names, arm = arm_of(overlay.setup(options.config))
-    width = min(max(len(path.name) for path in found), NAME_MAX)
-    print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality':7}  why")
+    width = min(max(len(path.name) for path in found), NAME_WIDTH_MAX)
+    print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality':7}  reasons")
     folder = None
     for path in found:
         if path.parent != folder:
             folder = path.parent
             print(f"{short_path(folder.resolve())}/")
-        kind, row, why = _row(path, names, arm)
+        kind, row, reasons = _row(path, names, arm)
         kind = "/".join(sorted(tasks.get(kind, {kind})))
-        told = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), why)))
-        print(f"{path.name:{width}}  {kind:9}  {row}  {told}".rstrip(), flush=True)
+        notes = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), reasons)))
+        print(f"{path.name:{width}}  {kind:9}  {row}  {notes}".rstrip(), flush=True)
     return 0
 
 
@@ -128,7 +130,7 @@ def show(options: argparse.Namespace) -> None:
     from wam_power_ros.bags import quality
 
     names, arm = arm_of(overlay.setup(options.config))
-    take, t, q, remarks = look(options.bag, names, arm)
+    take, t, q, remarks = inspect(options.bag, names, arm)
     graded = quality.grade(remarks)
     qd = quality.joint_speeds(t, q)
     print(f"{take.path}: {take.kind}, {take.duration:.2f} s, {graded.name.lower()}")
@@ -152,8 +154,8 @@ def plot(options: argparse.Namespace) -> None:
     from wam_power_ros.reporting import figures, take_figures
 
     names, arm = arm_of(overlay.setup(options.config))
-    takes = {path.resolve().name: look(path, names, arm) for path in options.bag}
-    movements = {name: (looked.t, looked.q) for name, looked in takes.items()}
+    takes = {path.resolve().name: inspect(path, names, arm) for path in options.bag}
+    movements = {name: (inspected.t, inspected.q) for name, inspected in takes.items()}
     limits = None if arm is None else _limits(arm)
     drawn = take_figures.joints(movements, names, limits)
     output = options.output or Path(f"{options.bag[0].resolve().name}.png")
@@ -164,15 +166,15 @@ def plot(options: argparse.Namespace) -> None:
 
 
 def compare(options: argparse.Namespace) -> None:
-    """Print how far takes are from the first of them."""
+    """Print how takes differ from the first."""
     import numpy as np
 
     if len(options.bag) < 2:
-        raise UsageError("compare needs two bags at least")
+        raise UsageError("compare needs at least two bags")
     names, arm = arm_of(overlay.setup(options.config))
-    first, *others = [look(path, names, arm) for path in options.bag]
+    first, *others = [inspect(path, names, arm) for path in options.bag]
     one, took = _movement(first)
-    print(f"{first.take.path.name}: movement of {took:.2f} s, the one compared with")
+    print(f"{first.take.path.name}: movement of {took:.2f} s, the reference")
     for other in others:
         q, took = _movement(other)
         away = np.abs(q - one)
@@ -188,11 +190,11 @@ def compare(options: argparse.Namespace) -> None:
         )
 
 
-def look(path: Path, names: Sequence[str], arm: Arm | None) -> Looked:
-    """Read a take and judge it.
+def inspect(path: Path, names: Sequence[str], arm: Arm | None) -> InspectedTake:
+    """Read a take and judge its quality.
 
     Raises:
-        ValueError: It cannot be read, or nothing can be learnt from it.
+        ValueError: The bag cannot be read, or nothing can be learnt from it.
     """
     from wam_power_ros.bags import quality, takes
     from wam_power_ros.learning.demonstration import smooth_joints
@@ -201,7 +203,7 @@ def look(path: Path, names: Sequence[str], arm: Arm | None) -> Looked:
     t, q = smooth_joints(take.stamps, take.q)
     remarks = quality.movement_remarks(t, q, names, None if arm is None else _limits(arm))
     remarks += quality.completeness_remarks(take.counts, take.missing, take.ended)
-    return Looked(take, t, q, remarks)
+    return InspectedTake(take, t, q, remarks)
 
 
 def _limits(arm: Arm) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -211,50 +213,51 @@ def _limits(arm: Arm) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _row(path: Path, names: Sequence[str], arm: Arm | None) -> tuple[str, str, str]:
-    """Kind of a take, its duration and quality in columns, and the reasons."""
+    """Kind of a take, its duration and quality in columns, and the reasons for its quality."""
     from wam_power_ros.bags import quality
 
     try:
-        with telling(f"reading {path.name}"):
-            take, _, _, remarks = look(path, names, arm)
+        with progress_messages(f"reading {path.name}"):
+            take, _, _, remarks = inspect(path, names, arm)
     except (ValueError, OSError) as error:
-        why = as_called(str(error).removeprefix(f"{path}").lstrip(": "))
+        reason = pasteable(str(error).removeprefix(f"{path}").lstrip(": "))
         row = f"{'–':>6}  {quality.Grade.POOR.name.lower():7}"
-        return path.name.partition("_")[0], row, why
+        return path.name.partition("_")[0], row, reason
     graded: Grade = quality.grade(remarks)
     row = f"{take.duration:4.1f} s  {graded.name.lower():7}"
     return take.kind, row, "; ".join(remark.text for remark in remarks)
 
 
 def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
-    """Outcomes of the rollouts among some bags, by the logs of their sessions."""
+    """Outcomes of those bags that are rollouts, from the logs of their sessions."""
     from wam_power_ros.practice import session
 
-    told = {}
+    outcomes = {}
     for folder in dict.fromkeys(path.resolve().parent for path in found):
         if folder.name == "bags" and session.Session.exists(folder.parent):
             task = session.read_task(folder.parent)
             for record in session.read(folder.parent)[2]:
                 if record.bag:
                     ret = "no return" if record.ret is None else f"return {record.ret:.3f}"
-                    told[folder / record.bag] = f"{task.outcome(record)}, {ret}"
-    return told
+                    outcomes[folder / record.bag] = f"{task.outcome(record)}, {ret}"
+    return outcomes
 
 
-def _movement(looked: Looked) -> tuple[np.ndarray, float]:
-    """Moving part of a take, stretched onto SAMPLES (SAMPLES, n) [rad], and its time [s]."""
+def _movement(inspected: InspectedTake) -> tuple[np.ndarray, float]:
+    """Moving part of a take, resampled, shape (COMPARED_SAMPLES, n) [rad], and its duration [s]."""
     import numpy as np
 
     from wam_power_ros.bags import quality
 
-    speed = np.linalg.norm(quality.joint_speeds(looked.t, looked.q), axis=1)
+    _, t, q, _ = inspected
+    speed = np.linalg.norm(quality.joint_speeds(t, q), axis=1)
     fast = np.flatnonzero(speed > 0.05 * speed.max())
-    t = looked.t[fast[0] : fast[-1] + 1]
-    grid = np.linspace(t[0], t[-1], SAMPLES)
-    return np.stack([np.interp(grid, looked.t, each) for each in looked.q.T], axis=1), t[-1] - t[0]
+    begin, end = t[fast[0]], t[fast[-1]]
+    grid = np.linspace(begin, end, COMPARED_SAMPLES)
+    return np.stack([np.interp(grid, t, each) for each in q.T], axis=1), end - begin
 
 
-# Keeping in order
+# Editing
 
 
 def trim(options: argparse.Namespace) -> None:
@@ -262,8 +265,8 @@ def trim(options: argparse.Namespace) -> None:
     from wam_power_ros.bags import editing
 
     if not 0.0 <= options.begin < options.end:
-        raise UsageError(f"from {options.begin} to {options.end} s is no part of a take")
-    _made(editing.trim(options.bag, _output(options, "trimmed"), options.begin, options.end))
+        raise UsageError(f"begin {options.begin} and end {options.end} must be 0 <= begin < end")
+    _print_bag(editing.trim(options.bag, _output(options, "trimmed"), options.begin, options.end))
 
 
 def merge(options: argparse.Namespace) -> None:
@@ -271,31 +274,30 @@ def merge(options: argparse.Namespace) -> None:
     from wam_power_ros.bags import editing
 
     if len(options.bag) < 2:
-        raise UsageError("merge needs two bags at least")
-    _made(editing.merge(options.bag, _output(options, "merged")))
+        raise UsageError("merge needs at least two bags")
+    _print_bag(editing.merge(options.bag, _output(options, "merged")))
 
 
 def import_(options: argparse.Namespace) -> None:
-    """Make a demonstration of another recorder's bag."""
+    """Convert a bag of another recorder into a demonstration."""
     from wam_power_ros.bags import editing, layout
-    from wam_power_ros.cli.launcher import task_setup
 
     setup = overlay.setup(options.config, task=task_setup(options.task))
     names, arm = arm_of(setup)
     kind = setup["demonstration_recorder"]["stem"]
-    to = options.output or layout.free_path(Path(), f"{kind}_{options.bag.resolve().stem}")
-    with telling(f"importing {options.bag}"):
-        made = editing.import_bag(options.bag, to, names, options.joints, options.topic, kind)
-        _, row, why = _row(made, names, arm)
-    _made(made)
-    print(f"  {row.strip()}  {why}".rstrip())
+    output = options.output or layout.free_path(Path(), f"{kind}_{options.bag.resolve().stem}")
+    with progress_messages(f"importing {options.bag}"):
+        made = editing.import_bag(options.bag, output, names, options.joints, options.topic, kind)
+        _, row, reasons = _row(made, names, arm)
+    _print_bag(made)
+    print(f"  {row.strip()}  {reasons}".rstrip())
 
 
 def rename(options: argparse.Namespace) -> None:
     """Give a bag another name."""
     from wam_power_ros.bags import series
 
-    _made(series.rename(options.bag, options.name))
+    _print_bag(series.rename(options.bag, options.name))
 
 
 def delete(options: argparse.Namespace) -> None:
@@ -303,7 +305,7 @@ def delete(options: argparse.Namespace) -> None:
     from wam_power_ros.bags import series
 
     for bag in options.bag:
-        print(f"{bag} is now {series.discard(bag)}")
+        print(f"{bag} was moved to {series.discard(bag)}")
 
 
 def recover(options: argparse.Namespace) -> None:
@@ -314,11 +316,11 @@ def recover(options: argparse.Namespace) -> None:
         print(recover(bag))
 
 
-def _output(options: argparse.Namespace, how: str) -> Path:
+def _output(options: argparse.Namespace, suffix: str) -> Path:
     bag = options.bag[0] if isinstance(options.bag, list) else options.bag
     bag = bag.resolve()
-    return options.output or bag.with_name(f"{bag.name}_{how}")
+    return options.output or bag.with_name(f"{bag.name}_{suffix}")
 
 
-def _made(path: Path) -> None:
+def _print_bag(path: Path) -> None:
     print(f"Bag: {short_path(path.resolve())}")

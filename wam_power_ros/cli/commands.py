@@ -19,75 +19,70 @@ from wam_power_ros.cli.launcher import (
     Launcher,
     UsageError,
     arm_of,
-    as_called,
-    called,
     interrupt,
     launch,
-    learner_at_work,
-    now,
+    learner_is_running,
+    pasteable,
+    program_command,
     session_environment,
     setup_options,
     short_path,
     simulated,
     task_setup,
+    timestamp,
 )
-from wam_power_ros.cli.node_log import TROUBLE, NodeLogs, telling
+from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs, progress_messages
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
-    TASK,
+    DEFAULT_TASK,
     check_names,
     existing_session,
     given_options,
     session_folder,
 )
 from wam_power_ros.console import prompt
+from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay, parameter_file
 
 if TYPE_CHECKING:
     from wam_power_ros.practice.session import SessionHeader
     from wam_power_ros.practice.session_log import Line, Record
 
-REPLAYS = Path("replays")
-INTERRUPTED = 130  # exit status
-
 
 # On the arm or its stand-in
 
 
 def teach(options: argparse.Namespace) -> int:
-    """Record a series of demonstrations, added to those of the folder."""
+    """Record demonstrations and add them to the series of the folder."""
     from wam_power_ros.bags import series
     from wam_power_ros.practice import plugins
     from wam_power_ros.reporting.terminal import counted
 
-    task = options.task or TASK
-    plugins.task_type(task)  # refuses an unknown name before anything starts
-    folder = (options.folder or Path("demonstrations") / now()).resolve()
+    task = options.task or DEFAULT_TASK
+    plugins.task_type(task)  # raises for an unknown name before anything starts
+    folder = (options.folder or Path("demonstrations") / timestamp()).resolve()
     file = folder / series.FILE
     before = len(series.read(file))
     if before:
-        print(f"{short_path(folder)} has {counted(before, 'demonstration')}; these are added.")
-    seed = before if options.seed is None else options.seed  # other movements than those before
+        print(f"{short_path(folder)} holds {counted(before, 'demonstration')}; new ones are added.")
+    seed = before if options.seed is None else options.seed  # so that new movements differ
     status = 0
     try:
         with launch(options, folder, seed, task) as launcher:
-            count, review = options.demonstrations, sys.stdin.isatty()
-            _teach(launcher, file, count, options, review)
+            _teach(launcher, file, options.demonstrations, options, review=sys.stdin.isatty())
     except KeyboardInterrupt:
         status = INTERRUPTED
         print("\nStopped.")
     if bags := series.read(file):
-        of_task = ["--task", task] if options.task else []
-        words = ["learn", "--bags", *map(str, map(short_path, bags)), *of_task]
-        _paste(
-            f"To learn from {counted(len(bags), 'demonstration')}:",
-            [*words, *setup_options(options)],
-        )
+        words = ["learn", "--bags", *map(str, map(short_path, bags))]
+        words += ["--task", task] if options.task else []
+        purpose = f"To learn from {counted(len(bags), 'demonstration')}:"
+        _print_command(purpose, [*words, *setup_options(options)])
     return status
 
 
 def learn(options: argparse.Namespace) -> int:
-    """Begin a session or resume one, run it to its end and write its report."""
+    """Start or resume a session, run it to its end and write its report."""
     from wam_power_ros.practice import session
     from wam_power_ros.reporting import terminal
 
@@ -97,19 +92,19 @@ def learn(options: argparse.Namespace) -> int:
         header, _, records = session.read(folder)
         seed, task = header.seed, header.settings.task
         if _has_ended(header.settings.practice.retests, records):
-            return _tell_ended(folder, header, records, options)
+            return _report_ended(folder, header, records, options)
         print(f"Resuming {folder} with {len(records)} recorded rollouts.")
     else:
-        seed, task = options.seed or 0, options.task or TASK
+        seed, task = options.seed or 0, options.task or DEFAULT_TASK
         check_names(task, options)
         print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
 
-    def to_resume(text: str) -> None:
+    def print_how_to_resume(text: str) -> None:
         words = ["learn", "--session", str(short_path(folder))]
-        if not session.Session.exists(folder):  # nothing is on disk yet of what was asked for
+        if not session.Session.exists(folder):  # the options are not on disk yet
             words += given_options(options)
-        _paste(f"{text} To resume:", [*words, *setup_options(options)])
+        _print_command(f"{text} To resume:", [*words, *setup_options(options)])
 
     try:
         with launch(options, folder, seed, task) as launcher:
@@ -129,42 +124,42 @@ def learn(options: argparse.Namespace) -> int:
             )
             practised = _follow(folder, launcher.processes, learner, options.bell)
     except KeyboardInterrupt:
-        to_resume(f"\nStopped. The session is in {short_path(folder)}.")
+        print_how_to_resume(f"\nStopped. The session is in {short_path(folder)}.")
         return INTERRUPTED
-    except ProcessError as error:  # what to do comes last, below the tail of a log
-        print(f"wam-power: {as_called(str(error))}", file=sys.stderr, flush=True)
-        to_resume(f"\nThe session is in {short_path(folder)}.")
+    except ProcessError as error:  # the advice comes last, below the end of the log
+        print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
+        print_how_to_resume(f"\nThe session is in {short_path(folder)}.")
         return 2
     print(terminal.wrapped(terminal.summary(practised, session.read_task(folder))))
     return report(argparse.Namespace(session=folder))
 
 
 def _has_ended(retests: int, records: Sequence[Record]) -> bool:
-    """Whether all re-tests of a session, which come last, are on record."""
+    """Whether all re-tests, the last rollouts of a session, are recorded."""
     done = sum(record.kind == "retest" and record.ret is not None for record in records)
     return 0 < retests <= done
 
 
-def _tell_ended(
+def _report_ended(
     folder: Path, header: SessionHeader, records: Sequence[Record], options: argparse.Namespace
 ) -> int:
-    """Say what a session that has ended has learnt, and how to practise longer; starts nothing."""
+    """Print the result of a session that has ended and how to practise longer; start nothing."""
     from wam_power_ros.practice import session
     from wam_power_ros.reporting import terminal
 
-    print(f"{short_path(folder)} has ended: all its re-tests are on record. Nothing is started.")
+    print(f"{short_path(folder)} has ended: all its re-tests are recorded. Nothing is started.")
     print(terminal.wrapped(terminal.summary(records, session.read_task(folder))))
     settings = header.settings
     words = ["learn", "--task", settings.task, "--trials", str(2 * settings.practice.budget)]
     bags = map(str, map(short_path, map(Path, header.demonstrations)))
-    again = [*words, "--bags", *bags, *setup_options(options)]
-    _paste("To practise longer, in a new session on the same demonstrations:", again)
+    words += ["--bags", *bags, *setup_options(options)]
+    _print_command("To practise longer, in a new session on the same demonstrations:", words)
     return 0 if (folder / "report.html").is_file() else report(argparse.Namespace(session=folder))
 
 
-def _paste(text: str, words: Sequence[str]) -> None:
-    """Print a command that can be pasted, below what it is for."""
-    print(f"{text}\n  {called()} {shlex.join(words)}")
+def _print_command(purpose: str, words: Sequence[str]) -> None:
+    """Print a `wam-power` command to be pasted, below its purpose."""
+    print(f"{purpose}\n  {program_command()} {shlex.join(words)}")
 
 
 def replay(options: argparse.Namespace) -> int:
@@ -177,7 +172,7 @@ def replay(options: argparse.Namespace) -> int:
     identity = arm and arm.identity()
     recorded = reader.read_demonstration(options.bag, names, arm=identity)
     replay_trajectory.movement(*recorded, options.speed)
-    folder = (options.folder or REPLAYS / now()).resolve()
+    folder = (options.folder or Path("replays") / timestamp()).resolve()
     signal.signal(signal.SIGTERM, interrupt)
     changes = {"demonstration_recorder": {"stem": "replay"}}
     with launch(options, folder, 0, changes=changes) as launcher:
@@ -192,12 +187,12 @@ def replay(options: argparse.Namespace) -> int:
         while True:
             try:
                 return launcher.processes.wait(replaying)
-            except KeyboardInterrupt:  # the script stops the arm first; then the nodes may end
+            except KeyboardInterrupt:  # the script stops the arm before the nodes end
                 replaying.process.send_signal(signal.SIGINT)
 
 
 def enable(_: argparse.Namespace) -> int:
-    """Publish the enabling switch from the keyboard."""
+    """Publish the state of the enabling switch from the keyboard."""
     from wam_power_ros.console import enabling_switch
 
     return enabling_switch.main()
@@ -206,10 +201,10 @@ def enable(_: argparse.Namespace) -> int:
 def _record_demonstrations(
     launcher: Launcher, folder: Path, options: argparse.Namespace
 ) -> list[Path]:
-    """Bags of the series of a session, completed now if need be.
+    """Record the demonstrations that a session lacks; return the bags of all.
 
-    A person goes on where a series was interrupted. The simulated demonstrator begins it again: its
-    movements depend on the seed and on their number since the stand-in was started.
+    A person continues an interrupted series. The simulated demonstrator starts over: its movements
+    depend on the seed and on how many it has made since the stand-in was started.
     """
     from wam_power_ros.bags import series
 
@@ -222,8 +217,8 @@ def _record_demonstrations(
                 series.discard(bag)
             recorded = []
             series.write(file, recorded)
-        missing = wanted - len(recorded)
-        _teach(launcher, file, missing, options, review=person and sys.stdin.isatty())
+        review = person and sys.stdin.isatty()
+        _teach(launcher, file, wanted - len(recorded), options, review)
     return series.read(file)
 
 
@@ -250,29 +245,29 @@ def _teach(
 
 
 def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) -> Sequence[Record]:
-    """Show the session until the learner has ended it; returns its records."""
+    """Display a session until its learner ends; return its records."""
     from wam_power_ros.practice import session
     from wam_power_ros.practice.session_log import with_ratings
     from wam_power_ros.reporting import terminal
 
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
     log: Sequence[Line] = ()
-    seen = 0
-    over = False
+    size_shown = 0
+    ended = False
     with terminal.Display() as display, Keys(session_environment(folder)) as keys:
-        while not over:
+        while not ended:
             display.footer = keys.poll()
-            over = learner.process.poll() is not None
+            ended = learner.process.poll() is not None
             processes.check(but=learner)
             size = path.stat().st_size if path.exists() else 0
-            if size != seen:
-                seen = size
+            if size != size_shown:
+                size_shown = size
                 settings, log = session.read(folder)[0].settings.practice, session.read_log(folder)
                 outcome = session.read_task(folder).outcome
                 display.show(log, settings.budget + settings.retests, outcome)
-            for said in logs.new():
-                display.show_message(said.text, said.severity in TROUBLE)
-                prompt.cue(bell and said.severity == "ERROR", "fault")
+            for entry in logs.new():
+                display.show_message(entry.text, entry.severity in PROBLEMS)
+                prompt.cue(bell and entry.severity == "ERROR", "fault")
             display.tick(time.monotonic())
             time.sleep(0.2)
     return with_ratings(log)
@@ -282,12 +277,12 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 
 
 def feedback(options: argparse.Namespace) -> int:
-    """Give a person's feedback to the learner of a running session."""
+    """Pass a person's feedback to the learner of a running session."""
     if (options.kind == "demonstration") != (options.bag is not None):
-        raise UsageError("a bag is needed for a demonstration, and only for that")
+        raise UsageError("a bag is needed for a demonstration, and only for a demonstration")
     folder = existing_session(options.session)
-    if not learner_at_work(folder):
-        raise UsageError(f"no learner is at work in {short_path(folder)}")
+    if not learner_is_running(folder):
+        raise UsageError(f"no learner is running in {short_path(folder)}")
     os.environ |= session_environment(folder)
     from wam_power_ros.console.feedback import give
 
@@ -298,13 +293,13 @@ def feedback(options: argparse.Namespace) -> int:
 
 
 def report(options: argparse.Namespace) -> int:
-    """Write the report of a session; with pictures of the arm when it was simulated."""
+    """Write the report of a session, with a film of the arm if it was simulated."""
     from wam_power_ros.practice import session
     from wam_power_ros.reporting import session_report
 
     folder = options.session
     _, _, records = session.read(folder)
-    with telling("writing the report"):
+    with progress_messages("writing the report"):
         if any(record.truth for record in records):
             _report_with_film(folder)
         else:
@@ -316,7 +311,8 @@ def report(options: argparse.Namespace) -> int:
 def _report_with_film(folder: Path) -> None:
     """Write the report of a simulated session, with a film if this machine can render one.
 
-    The answer is executed once more for it, in process, by the WAM: not that of another arm.
+    Another process executes the final policy again on the simulated WAM; if it cannot, because the
+    session is of another arm, the report has no such rollout.
     """
     from wam_power_ros.reporting import session_report
 
@@ -328,13 +324,13 @@ def _report_with_film(folder: Path) -> None:
 
 
 def _last_error(command: Sequence[str], gl: str) -> str | None:
-    """Run a command; last line of its error output when it failed, None when it did not."""
-    ended = subprocess.run(
+    """Run a command; return the last line of its error output if it failed, else None."""
+    completed = subprocess.run(
         command, env={**os.environ, "MUJOCO_GL": gl}, stderr=subprocess.PIPE, text=True
     )
-    if ended.returncode == 0:
+    if completed.returncode == 0:
         return None
-    return (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
+    return (completed.stderr.strip().splitlines() or [f"status {completed.returncode}"])[-1]
 
 
 # Set-ups, bags, studies
@@ -342,7 +338,9 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
 
 def config(options: argparse.Namespace) -> None:
     """Print the parameters of every node."""
-    setup = overlay.setup(options.config, options.simulate, task_setup(options.task or TASK))
+    setup = overlay.setup(
+        options.config, options.simulate, task_setup(options.task or DEFAULT_TASK)
+    )
     print(overlay.text(setup), end="")
 
 
@@ -377,8 +375,8 @@ def reproduce(options: argparse.Namespace) -> int:
             options.only or reproduce.STUDIES,
         )
     except KeyboardInterrupt:
-        again = sys.argv[1:] if sys.argv[1:2] == ["reproduce"] else ["reproduce"]
-        _paste(f"\nStopped. Finished results are in {folder}. To resume:", again)
+        words = sys.argv[1:] if sys.argv[1:2] == ["reproduce"] else ["reproduce"]
+        _print_command(f"\nStopped. Finished results are in {folder}. To resume:", words)
         return INTERRUPTED
     except jobs.JobError as error:
         print(f"wam-power: {error}Finished results are in {folder}.", file=sys.stderr)

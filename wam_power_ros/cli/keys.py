@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys of the terminal during a session: r, p and space do what `wam-power feedback` does."""
+"""Keys of the terminal during a session: r, p and space act as `wam-power feedback` does."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ HINT = "keys: r reward, p punish, space pause or continue"
 class Keys:
     """Context manager that passes keys to the learner; does nothing without a terminal.
 
-    A process of its own calls the services: this one stays without ROS.
+    A child process calls the services, so that this process need not import ROS.
 
     Args:
-        environment: Variables of that process, such as the session's ROS_DOMAIN_ID.
+        environment: Environment variables of the child, such as the session's ROS_DOMAIN_ID.
     """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._environment = {**os.environ, **environment}
         self._terminal: int | None = None
         self._paused = False
-        self._said = ""
+        self._status = ""
 
     def __enter__(self) -> Keys:
         fd = sys.stdin.fileno() if sys.stdin.isatty() else None
-        if fd is not None and os.tcgetpgrp(fd) == os.getpgrp():  # else it is not ours to set
+        if fd is not None and os.tcgetpgrp(fd) == os.getpgrp():  # else a background job
             self._before = termios.tcgetattr(fd)
             command = [sys.executable, "-m", "wam_power_ros.console.feedback"]
-            self._caller = subprocess.Popen(
+            self._feedback = subprocess.Popen(
                 command,
                 env=self._environment,
                 stdin=subprocess.PIPE,
@@ -44,27 +44,27 @@ class Keys:
                 start_new_session=True,
             )
             tty.setcbreak(fd)
-            self._terminal, self._said = fd, HINT
+            self._terminal, self._status = fd, HINT
         return self
 
     def __exit__(self, *error: object) -> None:
         if self._terminal is not None:
             termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._before)
             with suppress(OSError):
-                self._caller.stdin.close()  # by which it ends
-            self._caller.stdout.close()
+                self._feedback.stdin.close()  # which ends the process
+            self._feedback.stdout.close()
 
     def poll(self) -> str:
-        """Pass on the keys that have been pressed; returns what was answered last."""
+        """Pass on the keys that were pressed; return the status to display."""
         if self._terminal is None:
             return ""
         if _readable(self._terminal):
             for key in os.read(self._terminal, 64).decode(errors="replace"):
                 self._press(key)
-        if _readable(self._caller.stdout.fileno()):
-            answers = os.read(self._caller.stdout.fileno(), 4096).decode(errors="replace")
-            self._said = (answers.strip().splitlines() or ["no learner is there"])[-1]
-        return self._said
+        if _readable(self._feedback.stdout.fileno()):
+            answers = os.read(self._feedback.stdout.fileno(), 4096).decode(errors="replace")
+            self._status = (answers.strip().splitlines() or ["no learner answers"])[-1]
+        return self._status
 
     def _press(self, key: str) -> None:
         pause = "continue" if self._paused else "pause"
@@ -74,11 +74,11 @@ class Keys:
         if key == " ":
             self._paused = not self._paused
         try:
-            self._caller.stdin.write(f"{kind}\n".encode())
-            self._caller.stdin.flush()
-            self._said = f"{kind} …"
+            self._feedback.stdin.write(f"{kind}\n".encode())
+            self._feedback.stdin.flush()
+            self._status = f"{kind} …"
         except OSError:
-            self._said = "keys have ended; wam-power feedback does the same"
+            self._status = "keys are disabled; use wam-power feedback"
 
 
 def _readable(fd: int) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launcher: starts the nodes of one set-up, each as a process of its own."""
+"""Launcher: starts the nodes of one set-up, one process each."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING
 
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
@@ -27,9 +27,9 @@ from wam_power_ros.ros.domain import exported, hold, private_domain
 if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
 
-DOMAIN = "ros_domain_id"  # file in a session's logs/ that holds the domain of its simulated nodes
+DOMAIN_FILE = "ros_domain_id"  # in a session's logs/: the DDS domain of its simulated nodes
 MEGABYTE = 1e6
-STAND_INS = {  # variables of simulated nodes, whatever this terminal exports for a robot
+STAND_IN_ENVIRONMENT = {  # overrides what this terminal exports for a robot
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
     "ROS_STATIC_PEERS": "",
     "ROS_DISCOVERY_SERVER": "",
@@ -37,7 +37,7 @@ STAND_INS = {  # variables of simulated nodes, whatever this terminal exports fo
 
 
 class UsageError(Exception):
-    """The request cannot be carried out; the message says what can."""
+    """The request cannot be carried out; the message says what to do instead."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Launcher:
     """Running nodes of one set-up.
 
     Attributes:
-        processes: Processes of the nodes.
+        processes: Processes of the nodes and scripts.
         setup: Parameters by node.
         file: Parameter file that holds the set-up.
     """
@@ -68,7 +68,7 @@ class Launcher:
         command += _enclave("operator")
         for key, value in parameters.items():
             command += ["-p", f"{key}:={json.dumps(value)}"]
-        return self.processes.start(name, command, talks=True)
+        return self.processes.start(name, command, interactive=True)
 
 
 @contextmanager
@@ -79,19 +79,19 @@ def launch(
     task: str = "",
     changes: overlay.Setup | None = None,
 ) -> Iterator[Launcher]:
-    """Start controller and recorder, and the stand-ins unless there is a real arm.
+    """Start controller and recorder, and the stand-in unless there is a real arm.
 
     Args:
         options: Parsed options; `config` and `simulate` choose the set-up.
         folder: Folder for bags and logs.
         seed: Seed of the stand-in.
-        task: Name of the task whose set-up lies under the others; empty for none.
+        task: Name of the task whose set-up the others override; empty for none.
         changes: Parameters by node that override the set-up.
 
     Raises:
-        UsageError: Another launcher is at work in the folder, or its disk is nearly full.
-        ValueError: The URDF has not the joints or links that the set-up names.
-        DomainError: Another session holds the robot's domain, or ROS_DOMAIN_ID is none.
+        UsageError: Another session or learner uses the folder, or its disk is nearly full.
+        ValueError: The URDF lacks joints or links that the set-up names.
+        DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
     setup = overlay.setup(options.config, options.simulate, task_setup(task) if task else "")
     for node, values in (changes or {}).items():
@@ -102,17 +102,17 @@ def launch(
     with ExitStack() as stack:
         if simulated(options):
             domain = stack.enter_context(private_domain())
-            environment = STAND_INS | {"ROS_DOMAIN_ID": str(domain)}
-            stack.enter_context(held(folder))
-            (logs / DOMAIN).write_text(f"{domain}\n")
-            _tell_domain(domain)
+            environment = STAND_IN_ENVIRONMENT | {"ROS_DOMAIN_ID": str(domain)}
+            stack.enter_context(folder_lock(folder))
+            (logs / DOMAIN_FILE).write_text(f"{domain}\n")
+            _print_domain(domain)
         else:
             domain = exported(os.environ)
             if lock := hold(domain):
                 stack.enter_context(lock)
-            environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": reach(os.environ)}
-            stack.enter_context(held(folder))
-            (logs / DOMAIN).unlink(missing_ok=True)
+            environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": discovery_range(os.environ)}
+            stack.enter_context(folder_lock(folder))
+            (logs / DOMAIN_FILE).unlink(missing_ok=True)
             _confirm_activation()
         file = logs / "parameters.yaml"
         file.write_text(overlay.text(setup), encoding="utf-8")
@@ -126,69 +126,71 @@ def launch(
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
-    """Keep other launchers out of a folder, before anything is written there.
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Lock a folder against other launchers, before anything is written there.
 
     Raises:
-        UsageError: Another one, or a learner, is at work there.
+        UsageError: Another launcher or a learner holds the folder.
     """
     (folder / "logs").mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
-        for path in (folder / "logs" / ".lock", folder / ".lock"):  # a launcher's, a learner's
-            file = stack.enter_context(path.open("a"))
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise UsageError(f"another session or learner is at work in {folder}") from None
-        file.close()  # the learner's own again
+    with (folder / "logs" / ".lock").open("a") as file:
+        if not _lock(file) or learner_is_running(folder):
+            raise UsageError(f"another session or learner is using {folder}")
         yield
 
 
-def learner_at_work(folder: Path) -> bool:
-    """Whether a learner holds a session folder."""
+def learner_is_running(folder: Path) -> bool:
+    """Whether a learner is running in a session folder."""
     with (folder / ".lock").open("a") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False
+        return not _lock(file)
+
+
+def _lock(file: IO[str]) -> bool:
+    """Lock a file until it is closed; return False if another process holds it."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 def check_space(folder: Path, needed: float) -> None:
     """Check that a disk has room for the first recording, before a person teaches.
 
     Args:
-        folder: Folder for the bags; it need not be there yet.
-        needed: Free space below which the recorder begins no recording [MB].
+        folder: Folder for the bags; it need not exist yet.
+        needed: Free space below which the recorder starts no recording [MB].
 
     Raises:
-        UsageError: There is less.
+        UsageError: The disk has less free space.
     """
-    place = next(path for path in (folder, *folder.resolve().parents) if path.exists())
-    free = shutil.disk_usage(place).free / MEGABYTE
+    existing = next(path for path in (folder, *folder.resolve().parents) if path.exists())
+    free = shutil.disk_usage(existing).free / MEGABYTE
     if free < needed:
-        raise UsageError(f"{free:.0f} MB free on the disk of {folder}, {needed:.0f} MB needed")
+        raise UsageError(
+            f"{free:.0f} MB free on the disk of {folder}, {needed:.0f} MB needed: free some space"
+        )
 
 
 def session_environment(folder: Path) -> dict[str, str]:
-    """Variables that lead to the DDS domain of a session, if it was launched on stand-ins."""
-    domain = folder / "logs" / DOMAIN
+    """Environment variables that select the DDS domain of a session in simulation, else none."""
+    domain = folder / "logs" / DOMAIN_FILE
     if not domain.exists():
         return {}
-    return STAND_INS | {"ROS_DOMAIN_ID": domain.read_text().strip()}
+    return STAND_IN_ENVIRONMENT | {"ROS_DOMAIN_ID": domain.read_text().strip()}
 
 
-def reach(environment: Mapping[str, str]) -> str:
-    """Discovery range of nodes that are started: this machine, unless the environment names one."""
+def discovery_range(environment: Mapping[str, str]) -> str:
+    """DDS discovery range of started nodes: this machine, unless the environment names one."""
     return environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE") or "LOCALHOST"
 
 
-def _tell_domain(domain: int) -> None:
+def _print_domain(domain: int) -> None:
     exported = os.environ.get("ROS_DOMAIN_ID")
     unused = f", not in the exported {exported}," if exported else ""
     show(
-        f"Simulation: in a DDS domain of its own{unused} that no robot shares. To look on: "
-        f"export ROS_DOMAIN_ID={domain}"
+        f"Simulation: in its own DDS domain{unused} that no robot shares. To see its topics in "
+        f"another terminal: export ROS_DOMAIN_ID={domain}"
     )
 
 
@@ -196,7 +198,7 @@ def task_setup(task: str) -> str:
     """Set-up of a task: its name for config/TASK.yaml, or the file TASK.yaml beside its module.
 
     Raises:
-        ValueError: When there is no such task; lists the known ones.
+        ValueError: There is no such task; the message lists the known ones.
     """
     from wam_power_ros.practice import plugins
 
@@ -206,7 +208,7 @@ def task_setup(task: str) -> str:
 
 
 def task_stems() -> dict[str, set[str]]:
-    """Stem of the names of demonstrations -> tasks that they are of."""
+    """Map each stem of bag names to the tasks whose demonstrations have it."""
     from wam_power_ros.practice import plugins
 
     tasks: dict[str, set[str]] = {}
@@ -217,7 +219,7 @@ def task_stems() -> dict[str, set[str]]:
 
 
 def _enclave(name: str) -> list[str]:
-    """ROS arguments that name the enclave of a node, where security is enabled."""
+    """ROS arguments that name the enclave of a node; none if security is disabled."""
     secure = os.environ.get("ROS_SECURITY_ENABLE") == "true"
     return ["--enclave", f"/{name}"] if secure else []
 
@@ -228,25 +230,25 @@ def simulated(options: argparse.Namespace) -> bool:
 
 
 def setup_options(options: argparse.Namespace) -> list[str]:
-    """Command-line words that choose the same set-up again."""
+    """Command-line words that select the same set-up."""
     words = [word for name in options.config for word in ("--config", name)]
     return [*words, "--simulate"] if options.simulate else words
 
 
 def _confirm_activation() -> None:
-    """Ask before the controller starts: it activates by itself, without lifecycle commands."""
+    """Wait for Enter before the controller starts, since it activates itself."""
     if not ask(
-        "The controller holds the arm in its present posture as soon as the driver sends states. "
+        "The controller will hold the arm in its current posture once the driver sends states. "
         "Keep a hand on the pendant, then press Enter: "
     ):
         raise UsageError("no answer: standard input is closed")
 
 
 def arm_of(setup: overlay.Setup) -> tuple[list[str], Arm | None]:
-    """Joint names of the driver of a set-up, and model of its arm; None without a URDF file.
+    """Joint names of the driver of a set-up, and model of its arm (None without a URDF file).
 
     Raises:
-        ValueError: The URDF has not the joints or links that the set-up names.
+        ValueError: The URDF lacks joints or links that the set-up names.
     """
     from wam_power_ros.control.arm import Arm, guarded_points
     from wam_power_ros.params.resources import share
@@ -264,8 +266,8 @@ def arm_of(setup: overlay.Setup) -> tuple[list[str], Arm | None]:
         raise ValueError(f"{controller['urdf']}: {error} ({where})") from None
 
 
-def called() -> str:
-    """How this command line was called, to be typed again: such as .venv/bin/wam-power."""
+def program_command() -> str:
+    """Command that started this program, to be typed again, such as .venv/bin/wam-power."""
     program = Path(sys.argv[0])
     if program.name == "__main__.py":
         return f"{shlex.quote(str(short_path(Path(sys.executable))))} -m wam_power_ros.cli"
@@ -275,13 +277,13 @@ def called() -> str:
     return shlex.quote(str(short_path(program)))
 
 
-def as_called(text: str) -> str:
-    """Text whose `wam-power COMMAND` can be pasted into this terminal."""
-    return re.sub(r"\bwam-power (?=[a-z]+ )", lambda _: f"{called()} ", text)
+def pasteable(text: str) -> str:
+    """Text in which `wam-power COMMAND` is replaced by what can be pasted in this terminal."""
+    return re.sub(r"\bwam-power (?=[a-z]+ )", lambda _: f"{program_command()} ", text)
 
 
-def now() -> str:
-    """Present time as the name of a folder."""
+def timestamp() -> str:
+    """Current time as a folder name."""
     return datetime.now().strftime("%Y-%m-%d-%H%M%S")
 
 

@@ -17,13 +17,14 @@ from importlib import metadata
 from pathlib import Path
 
 from wam_power_ros import __version__
-from wam_power_ros.cli import bags_command, commands, score_command, session_options
-from wam_power_ros.cli.launcher import UsageError, as_called
+from wam_power_ros.cli import bags_command, commands, score_command, session_options, view
+from wam_power_ros.cli.launcher import UsageError, pasteable
 from wam_power_ros.cli.parser import Parser, natural, positive
 from wam_power_ros.cli.processes import ProcessError
+from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay
 
-COMMAND_LINE = "wam-power"  # the one executable that is no node
+COMMAND_LINE = "wam-power"  # the only executable that is not a node
 NODES = {  # executable -> entry point, as setup.py declares them
     entry.name: entry
     for entry in metadata.distribution("wam_power_ros").entry_points.select(group="console_scripts")
@@ -33,7 +34,7 @@ NODES = {  # executable -> entry point, as setup.py declares them
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `wam-power`; returns the exit status."""
-    _write_what_can_be_written()
+    _replace_unencodable_characters()
     parser = _parser()
     with contextlib.suppress(ImportError):  # the extra "completion"
         import argcomplete
@@ -43,19 +44,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if getattr(options, "simulate", False) and not options.config:
             raise UsageError(
-                "--simulate puts stand-ins in the place of the devices of --config NAME; without "
-                "--config everything is simulated already"
+                "--simulate replaces the devices of --config NAME by stand-ins; without --config "
+                "everything is simulated already"
             )
         return int(options.command(options) or 0)
     except (UsageError, ProcessError, OSError, ValueError) as error:
-        print(f"{COMMAND_LINE}: {as_called(str(error))}", file=sys.stderr)
+        print(f"{COMMAND_LINE}: {pasteable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        return 130
+        return INTERRUPTED
 
 
-def _write_what_can_be_written() -> None:
-    """Replace letters that the terminal does not know, here and in the processes started here."""
+def _replace_unencodable_characters() -> None:
+    """Print "?" for characters that the terminal cannot encode, here and in child processes."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -70,8 +71,11 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"wam_power_ros {__version__}")
     subparsers = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    def add(name: str, command: Callable, text: str, more: str = "") -> argparse.ArgumentParser:
-        added = subparsers.add_parser(name, help=text, description=more or f"{text.capitalize()}.")
+    def add(
+        name: str, command: Callable, summary: str, description: str = ""
+    ) -> argparse.ArgumentParser:
+        description = description or f"{summary.capitalize()}."
+        added = subparsers.add_parser(name, help=summary, description=description)
         added.set_defaults(command=command)
         return added
 
@@ -90,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
     learn.add_argument("--trials", type=natural, help="budget of rollouts (default: the preset's)")
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
     learn.add_argument(
-        "--resume", action="store_true", help="resume; without --session the newest session"
+        "--resume", action="store_true", help="resume --session, or the newest session"
     )
     learn.add_argument(
         "--bags", type=Path, nargs="+", help="learn from these demonstrations, record none"
@@ -105,26 +109,26 @@ def _parser() -> argparse.ArgumentParser:
     config = add(
         "config",
         commands.config,
-        "print the parameters of every node under some set-ups",
-        "Print a parameter file for all nodes, as learn starts them with it; for "
+        "print the parameters of every node for the given set-ups",
+        "Print the parameter file that learn starts the nodes with, for "
         "ros2 run wam_power_ros NODE --ros-args --params-file FILE.",
     )
     names = ", ".join(overlay.known())
     config.add_argument("config", nargs="*", metavar="NAME", help=f"{names}, or a .yaml file")
     _task_option(config)
     config.add_argument(
-        "--simulate", action="store_true", help="stand-ins take the place of the devices"
+        "--simulate", action="store_true", help="replace the devices by simulated stand-ins"
     )
 
     policy = add(
         "policy",
         commands.policy,
-        "print the SROS2 policy of some set-ups",
+        "print the SROS2 policy for the given set-ups",
         "Print which node may publish, subscribe and call what, for ros2 security "
         "generate_artifacts.",
     )
     policy.add_argument("config", nargs="*", metavar="NAME", help="as for config")
-    policy.add_argument("--namespace", default="", help="of the arm's nodes")
+    policy.add_argument("--namespace", default="", help="namespace of the arm's nodes")
 
     feedback = add(
         "feedback",
@@ -136,27 +140,29 @@ def _parser() -> argparse.ArgumentParser:
         "kind",
         choices=("reward", "punish", "demonstration", "pause", "continue"),
         help="reward or punish: the last finished rollout; demonstration: learn from it if its "
-        "reproduction is better; pause: after the trial under way, to record a demonstration",
+        "reproduction is better; pause: stop after the current trial, e.g. to teach in between",
     )
     feedback.add_argument("bag", type=Path, nargs="?", help="bag of the demonstration")
     feedback.add_argument("--session", type=Path, help="folder (default: the newest session)")
 
-    viewed = add(
+    view_ = add(
         "view",
-        _view,
+        view.view,
         "serve a page that shows a session or a bag in a browser",
         "Show arm, movements and learning curve in a browser; with buttons while a session runs.",
     )
-    viewed.add_argument(
+    view_.add_argument(
         "path", type=Path, nargs="?", metavar="SESSION|BAG", help="folder (default: newest session)"
     )
-    viewed.add_argument(
+    view_.add_argument(
         "--address",
         default="127.0.0.1",
-        help="that the page is served at (default 127.0.0.1: this machine only). At any other, "
-        "everyone who reaches it can press the buttons",
+        help="address to serve the page at (default 127.0.0.1: this machine only). At any other "
+        "address, everyone who can reach it can press the buttons",
     )
-    viewed.add_argument("--port", type=natural, default=8080, help="or the next free one (8080)")
+    view_.add_argument(
+        "--port", type=natural, default=8080, help="port, or the next free one (default 8080)"
+    )
 
     report = add("report", commands.report, "write the report of a session")
     report.add_argument("session", type=Path, help="folder of the session")
@@ -184,7 +190,7 @@ def _parser() -> argparse.ArgumentParser:
         "--wait",
         type=float,
         default=0.0,
-        help="longest wait for a subscriber of every topic before it begins [s] (default 0)",
+        help="longest wait for a subscriber to every topic before playing [s] (default 0)",
     )
 
     bags_command.add_to(subparsers)
@@ -193,14 +199,14 @@ def _parser() -> argparse.ArgumentParser:
     recover = add(
         "recover",
         bags_command.recover,
-        "make a readable bag of one that a kill, a full disk or an incomplete copy has damaged",
+        "recover a bag damaged by a killed recorder, a full disk or an incomplete copy",
     )
     recover.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
 
     add(
         "enable",
         commands.enable,
-        "a keyboard as the enabling switch of hold_to_run",
+        "use the keyboard as the enabling switch that hold_to_run requires",
         "Publish /controller/enable: true while a key of this terminal is held down.",
     )
 
@@ -210,37 +216,31 @@ def _parser() -> argparse.ArgumentParser:
         "run the studies of the paper in simulation and write a report; resumes where it stopped",
     )
     reproduce.add_argument(
-        "--folder", type=Path, help="for results and report (default: reproduction)"
+        "--folder", type=Path, help="folder of results and report (default: reproduction)"
     )
     reproduce.add_argument(
         "--jobs", type=positive, default=os.cpu_count(), help="processes (default: one per core)"
     )
     reproduce.add_argument(
-        "--quick", action="store_true", help="a few seeds, to see that it works (minutes)"
+        "--quick", action="store_true", help="run a few seeds only, as a check (minutes)"
     )
     reproduce.add_argument("--only", nargs="+", metavar="STUDY", help="only these studies")
     reproduce.add_argument(
         "--scheduler",
         metavar="ADDRESS",
         default=os.environ.get("DASK_SCHEDULER_ADDRESS"),
-        help="run on this Dask cluster (default: $DASK_SCHEDULER_ADDRESS)",
+        help="compute on this Dask cluster (default: $DASK_SCHEDULER_ADDRESS)",
     )
 
     run = add(
         "run",
         _run,
         "start one node, as ros2 run does",
-        "wam-power run NODE --ros-args ... is ros2 run wam_power_ros NODE --ros-args ...",
+        "wam-power run NODE --ros-args ... equals ros2 run wam_power_ros NODE --ros-args ...",
     )
     run.add_argument("node", choices=NODES, metavar="NODE", help=", ".join(NODES))
     run.add_argument("rest", nargs=argparse.REMAINDER, metavar="...", help="arguments of the node")
     return parser
-
-
-def _view(options: argparse.Namespace) -> int:
-    from wam_power_ros.cli.view import view
-
-    return view(options)
 
 
 def _known(group: str) -> str:
@@ -250,7 +250,7 @@ def _known(group: str) -> str:
 def _task_option(parser: argparse.ArgumentParser) -> None:
     known = _known("wam_power_ros.tasks")
     parser.add_argument(
-        "--task", metavar="NAME", help=f"one of {known} (default: {session_options.TASK})"
+        "--task", metavar="NAME", help=f"one of {known} (default: {session_options.DEFAULT_TASK})"
     )
 
 
@@ -259,14 +259,14 @@ def _skill_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--demonstrations", type=positive, default=3, help="number to record (default 3)"
     )
-    parser.add_argument("--seed", type=natural, help="seed of exploration and simulation (0)")
+    parser.add_argument("--seed", type=natural, help="of exploration and simulation (default 0)")
 
 
 def _arm_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bell",
         action="store_true",
-        help="ring the terminal's bell at start, end and fault; with spd-say or espeak also spoken",
+        help="ring the terminal's bell at start, end and fault; speak with spd-say or espeak",
     )
     parser.add_argument(
         "--config",
@@ -275,12 +275,12 @@ def _arm_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="set-up of a driver, a motion capture, ...: "
         f"{', '.join(overlay.known())}, or a .yaml file; may be repeated, later ones override "
-        "earlier ones. No stand-in is started",
+        "earlier ones. Starts no stand-ins",
     )
     parser.add_argument(
         "--simulate",
         action="store_true",
-        help="with --config: stand-ins of the same shape take the place of the devices",
+        help="with --config: replace the devices by stand-ins with the same interfaces",
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""New lines in the logs of the nodes, and signs of life while something takes long."""
+"""New entries in the logs of the nodes; messages while a long activity goes on."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from pathlib import Path
 
 from wam_power_ros.console.prompt import show
 
-QUIET_MAX = 5.0  # [s] without a word on the terminal
-LINE = re.compile(r"\[(DEBUG|INFO|WARN|ERROR|FATAL)\] \[[\d.]+\] \[([^\]]+)\]: (.*)")
-TROUBLE = ("WARN", "ERROR", "FATAL")
+MESSAGE_PERIOD = 5.0  # [s]
+LOG_LINE = re.compile(r"\[(DEBUG|INFO|WARN|ERROR|FATAL)\] \[[\d.]+\] \[([^\]]+)\]: (.*)")
+PROBLEMS = ("WARN", "ERROR", "FATAL")  # severities shown as problems
 
 
 @dataclass(frozen=True)
-class Said:
-    """A line of a node's log.
+class LogEntry:
+    """An entry of a node's log.
 
     Attributes:
         severity: One of INFO, WARN, ERROR, FATAL.
-        text: Node and message.
+        text: Name of the node and message.
     """
 
     severity: str
@@ -32,37 +32,37 @@ class Said:
 
 
 class NodeLogs:
-    """Reads the logs of a folder as they grow, from their present end on."""
+    """Reads what is appended to the logs of a folder from now on."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._read = {file: file.stat().st_size for file in folder.glob("*.log")}
 
-    def new(self) -> Iterator[Said]:
-        """Complete lines written since the last call, file by file; others than log lines not."""
+    def new(self) -> Iterator[LogEntry]:
+        """Entries written since the last call, file by file; skips lines of other formats."""
         for file in sorted(self._folder.glob("*.log")):
             with file.open("rb") as opened:
                 opened.seek(self._read.get(file, 0))
                 text, newline, _ = opened.read().rpartition(b"\n")
             self._read[file] = self._read.get(file, 0) + len(text) + len(newline)
             for line in text.decode(errors="replace").splitlines():
-                if found := LINE.match(line):
-                    yield Said(found[1], f"{found[2]}: {found[3]}")
+                if found := LOG_LINE.match(line):
+                    yield LogEntry(found[1], f"{found[2]}: {found[3]}")
 
 
 @contextmanager
-def telling(what: str) -> Iterator[None]:
-    """Say now and then that something goes on that takes long."""
-    over, begun = threading.Event(), time.monotonic()
+def progress_messages(activity: str) -> Iterator[None]:
+    """Print every MESSAGE_PERIOD how long an activity has taken so far."""
+    ended, start = threading.Event(), time.monotonic()
 
-    def tell() -> None:
-        while not over.wait(QUIET_MAX):
-            show(f"{what}, {time.monotonic() - begun:.0f} s")
+    def print_messages() -> None:
+        while not ended.wait(MESSAGE_PERIOD):
+            show(f"{activity}, {time.monotonic() - start:.0f} s")
 
-    thread = threading.Thread(target=tell, daemon=True)
+    thread = threading.Thread(target=print_messages, daemon=True)
     thread.start()
     try:
         yield
     finally:
-        over.set()
+        ended.set()
         thread.join()

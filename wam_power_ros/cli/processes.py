@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes of one session as processes: started, watched, always ended.
+"""Processes of the nodes of one session: start them, watch them, always end them.
 
-Each gets a process group of its own, so Ctrl-C in the terminal reaches the parent only, which ends
-them in order. Should the parent be killed, the kernel sends them SIGINT.
+Each has its own process group, so that Ctrl-C in the terminal reaches only the parent, which ends
+them in order. If the parent is killed, the kernel sends them SIGINT.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 PR_SET_PDEATHSIG = 1
-TAIL = 15  # lines of a log shown when a process dies
+TAIL_LINES = 15  # of a log, shown when a process dies
 
 
 class ProcessError(RuntimeError):
-    """A process ended that should not have; the message holds the end of its log."""
+    """A process ended that should still run; the message has the end of its log."""
 
 
 @dataclass(frozen=True)
 class Running:
-    """A started process and where its output goes."""
+    """A started process and the file that its output goes to."""
 
     name: str
     process: subprocess.Popen[bytes]
@@ -37,7 +37,7 @@ class Running:
     def tail(self) -> str:
         """Last lines of the log."""
         lines = self.log.read_text(errors="replace").splitlines()
-        return "\n".join(lines[-TAIL:]) or "(nothing was printed)"
+        return "\n".join(lines[-TAIL_LINES:]) or "(nothing was printed)"
 
 
 class Processes:
@@ -49,40 +49,37 @@ class Processes:
         self._environment = {**os.environ, "PYTHONUNBUFFERED": "1", **environment}
         self._running: list[Running] = []
 
-    def start(self, name: str, command: Sequence[str], talks: bool = False) -> Running:
-        """Start a command whose output goes to its log, or one that `talks` with the terminal."""
+    def start(self, name: str, command: Sequence[str], interactive: bool = False) -> Running:
+        """Start a command; its output goes to a log, or to the terminal if `interactive`."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"{name}.log"
         with log.open("ab") as output:
             process = subprocess.Popen(
                 command,
                 env=self._environment,
-                stdin=None if talks else subprocess.DEVNULL,
-                stdout=None if talks else output,
-                stderr=None if talks else output,
-                start_new_session=not talks,
+                stdin=None if interactive else subprocess.DEVNULL,
+                stdout=None if interactive else output,
+                stderr=None if interactive else output,
+                start_new_session=not interactive,
                 preexec_fn=_end_with_parent if sys.platform == "linux" else None,
             )
         self._running.append(Running(name, process, log))
         return self._running[-1]
 
     def finish(self, running: Running) -> None:
-        """Wait for a process that is to end by itself, while the others go on.
+        """Wait for a process that ends by itself, while the others keep running.
 
         Raises:
-            ProcessError: It failed, or one of the others ended.
+            ProcessError: It failed, or another one ended.
         """
-        while running.process.poll() is None:
-            self.check(but=running)
-            time.sleep(0.05)
-        self.check(but=running)
-        self._running.remove(running)
+        if self.wait(running):
+            self._check([running])
 
     def wait(self, running: Running) -> int:
-        """Exit status of a process that is to end by itself and speaks of its own failures.
+        """Wait for a process that ends by itself and reports its own errors; return its status.
 
         Raises:
-            ProcessError: One of the others ended.
+            ProcessError: Another process ended.
         """
         while (status := running.process.poll()) is None:
             self._check(other for other in self._running if other is not running)
@@ -91,37 +88,37 @@ class Processes:
         return status
 
     def check(self, but: Running | None = None) -> None:
-        """Raise when a process has ended, whatever its exit status.
+        """Check that no process has ended, whatever its exit status.
 
         Args:
-            but: The one that may end with status 0.
+            but: Process that may end with status 0.
 
         Raises:
-            ProcessError: With the name, the exit status and the end of the log.
+            ProcessError: One has ended; the message has its name, status and the end of its log.
         """
-        well = but is not None and but.process.poll() == 0
-        self._check(other for other in self._running if not (well and other is but))
+        succeeded = but is not None and but.process.poll() == 0
+        self._check(other for other in self._running if not (succeeded and other is but))
 
-    def _check(self, those: Iterable[Running]) -> None:
-        for running in those:
+    def _check(self, processes: Iterable[Running]) -> None:
+        for running in processes:
             status = running.process.poll()
             if status is None:
                 continue
-            how = f"signal {-status}" if status < 0 else f"status {status}"
+            cause = f"signal {-status}" if status < 0 else f"status {status}"
             raise ProcessError(
-                f"{running.name} ended with {how}. End of {running.log}:\n{running.tail}"
+                f"{running.name} ended with {cause}. End of {running.log}:\n{running.tail}"
             )
 
-    def stop(self, patience: float = 8.0) -> None:
-        """End every process: SIGINT, after `patience` [s] SIGTERM, then SIGKILL."""
+    def stop(self, timeout: float = 8.0) -> None:
+        """End every process: SIGINT, after `timeout` [s] SIGTERM, then SIGKILL."""
         while self._running:
             process = self._running.pop().process
-            for how in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
                 if process.poll() is not None:
                     break
-                process.send_signal(how)
+                process.send_signal(number)
                 try:
-                    process.wait(patience)
+                    process.wait(timeout)
                 except subprocess.TimeoutExpired:
                     continue
 

@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`wam-power score`: return of recorded movements under any task and preset, offline."""
+"""`wam-power score`: return of recorded movements under any task and preset, without nodes."""
 
 from __future__ import annotations
 
 import argparse
 import json
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,6 @@ from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
-    from wam_power_ros.learning.demonstration import Demonstration
     from wam_power_ros.learning.policy import Policy
     from wam_power_ros.learning.rollout import Rollout
     from wam_power_ros.tasks.task import Assessment, Task
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 def add_to(subparsers: argparse._SubParsersAction) -> None:
     """Add the command to the command line."""
-    text = "return of recorded movements, or of a whole session, under any task and preset"
-    score_ = subparsers.add_parser("score", help=text, description=f"{text.capitalize()}.")
-    score_.set_defaults(command=score)
-    score_.add_argument("recorded", type=Path, nargs="+", help="bags, or folder of a session")
-    score_.add_argument("--task", metavar="NAME", help="task (default: the session's, else flip)")
-    score_.add_argument(
+    text = "print the return of bags or of a whole session under any task and preset"
+    parser = subparsers.add_parser("score", help=text, description=f"{text.capitalize()}.")
+    parser.set_defaults(command=score)
+    parser.add_argument("recorded", type=Path, nargs="+", help="bags, or folder of a session")
+    parser.add_argument("--task", metavar="NAME", help="task (default: the session's, else flip)")
+    parser.add_argument(
         "--preset", metavar="NAME", help="settings of the task (default: its first)"
     )
-    score_.add_argument("--config", action="append", default=[], metavar="NAME", help="set-up")
+    parser.add_argument("--config", action="append", default=[], metavar="NAME", help="set-up")
 
 
 def score(options: argparse.Namespace) -> int:
@@ -38,44 +38,45 @@ def score(options: argparse.Namespace) -> int:
     from wam_power_ros.practice.session import Session
 
     failed = 0
-    for place in options.recorded:
-        if Session.exists(place):
-            _score_session(place, options)
+    for path in options.recorded:
+        if Session.exists(path):
+            _score_session(path, options)
         else:
-            failed += _score_bag(place, options)
+            failed += not _score_bag(path, options)
     return 1 if failed else 0
 
 
-def _score_bag(bag: Path, options: argparse.Namespace) -> int:
-    """Print the score of a bag; returns 1 when it has none."""
+def _score_bag(bag: Path, options: argparse.Namespace) -> bool:
+    """Print the score of a bag; return False if it has none."""
+    from wam_power_ros.practice.settings import preset
+
     name = options.task or "flip"
     setup = overlay.setup(options.config, task=task_setup(name))
-    names, arm = arm_of(setup)
-    if arm is None:
-        raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
+    names, arm = _arm(setup)
     try:
-        task = _task(name, options.preset, _context(bag, name, setup, names, arm))
+        context = _context(bag, name, setup, names, arm)
+        task = preset(name, options.preset or "").make_task(context)
         assessed = task.assess(*recorded_rollout(bag, task, names, arm))
     except ValueError as error:
         print(f"{bag}: no return: {error}")
-        return 1
+        return False
     terms = ", ".join(f"{term} {value:.3f}" for term, value in assessed.terms.items())
-    print(f"{bag}: {_told(assessed)}" + (f" ({terms})" if terms else ""))
-    return assessed.ret is None
+    print(f"{bag}: {_outcome(assessed)}" + (f" ({terms})" if terms else ""))
+    return assessed.ret is not None
 
 
 def _score_session(folder: Path, options: argparse.Namespace) -> None:
-    """Print every rollout of a session with its logged return and the one under the preset."""
+    """Print each rollout of a session with its logged return and its return under the preset."""
     import numpy as np
 
     from wam_power_ros.practice import session
+    from wam_power_ros.practice.settings import preset
 
     header, _, records = session.read(folder)
     name = options.task or header.settings.task
-    names, arm = arm_of(overlay.setup(options.config, task=task_setup(name)))
-    if arm is None:
-        raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
-    task = _task(name, options.preset, json.loads((folder / "task.json").read_text()))
+    names, arm = _arm(overlay.setup(options.config, task=task_setup(name)))
+    context = json.loads((folder / "task.json").read_text())
+    task = preset(name, options.preset or "").make_task(context)
     chosen = options.preset or "first"
     print(f"{folder}: logged return; return and success under {name}, preset {chosen}")
     by_kind: dict[str, list[tuple[float, float]]] = {}
@@ -83,47 +84,55 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
         logged = "–" if record.ret is None else f"{record.ret:.3f}"
         bag = folder / "bags" / record.bag
         if record.fault:
-            told = f"fault: {record.fault}"
+            outcome = f"fault: {record.fault}"
         elif not record.bag or not bag.is_dir():
-            told = "no bag"
+            outcome = "no bag"
         else:
             try:
                 assessed = task.assess(*recorded_rollout(bag, task, names, arm))
             except ValueError as error:
-                told = str(error)
+                outcome = str(error)
             else:
-                told = _told(assessed)
-                if name == header.settings.task:  # a return alone may call a dropped one a success
-                    told += f"; {task.outcome(record)}"
+                outcome = _outcome(assessed)
+                if name == header.settings.task:  # the return alone does not tell a drop
+                    outcome += f"; {task.outcome(record)}"
                 if record.ret is not None and assessed.ret is not None:
                     by_kind.setdefault(record.kind, []).append((record.ret, assessed.ret))
-        print(f"{record.number:4d}  {record.kind:12}  {logged:>6}  {told}", flush=True)
+        print(f"{record.number:4d}  {record.kind:12}  {logged:>6}  {outcome}", flush=True)
     for kind, pairs in by_kind.items():
         before, now = np.mean(pairs, axis=0)
         print(f"mean of {len(pairs)} {kind}: {before:.3f} logged, {now:.3f} now")
 
 
+def _arm(setup: overlay.Setup) -> tuple[list[str], Arm]:
+    names, arm = arm_of(setup)
+    if arm is None:
+        raise UsageError("the set-up has no URDF file of the arm: choose one with --config")
+    return names, arm
+
+
 def recorded_rollout(
     bag: Path, task: Task, joint_names: list[str], arm: Arm
 ) -> tuple[Policy, Rollout]:
-    """Policy and rollout of a bag; of a demonstration, the policy fitted to it and its own path.
+    """Policy and rollout of a bag; for a demonstration, the policy fitted to it and its own path.
 
     Raises:
-        ValueError: The bag cannot be read, or holds neither.
+        ValueError: The bag cannot be read, or has neither a rollout nor a demonstration.
     """
     from wam_power_ros.bags import layout, reader
     from wam_power_ros.learning import policy as policies
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
     from wam_power_ros.ros import interface, pose_messages
+    from wam_power_ros.tasks.task import cut_short
 
     found: dict[str, Any] = {}
     topics = reader.topics(bag)
     body_topic = interface.rollout_topic(task.body) if task.body else ""
-    of_tool = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_FINISHED)
-    leaves = (interface.POLICY, *of_tool, body_topic)
-    wanted = {topic: leaf for leaf in leaves if leaf and (topic := _topic(topics, leaf))}
-    for name, _, data in reader.messages(bag, wanted):
-        found[wanted[name]] = layout.TYPES.deserialize_cdr(data, topics[name].msgtype)
+    tool_topics = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_FINISHED)
+    names = (interface.POLICY, *tool_topics, body_topic)
+    wanted = {topic: name for name in names if name and (topic := _topic(topics, name))}
+    for topic, _, data in reader.messages(bag, wanted):
+        found[wanted[topic]] = layout.TYPES.deserialize_cdr(data, topics[topic].msgtype)
     if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
         return _as_rollout(bag, task, joint_names, arm)
     policy = policies.from_json(found[interface.POLICY].data)
@@ -133,30 +142,34 @@ def recorded_rollout(
     if task.body:
         if body_topic not in found:
             raise ValueError(f"no path of the {task.body} on {body_topic}")
-        begun, *of_body = pose_messages.path(found[body_topic])
-        if begun != path.start_ns:
+        start_ns, *body_path = pose_messages.path(found[body_topic])
+        if start_ns != path.start_ns:
             raise ValueError(f"the path of the {task.body} is of another rollout than the tool's")
-        body = BodyPath(policy.id, *of_body)
+        body = BodyPath(policy.id, *body_path)
+    rollout = Rollout(tool, body)
     if interface.ROLLOUT_FINISHED in found:  # not in bags of earlier versions
         finished = pose_messages.finished(found[interface.ROLLOUT_FINISHED])
         if (finished.id, finished.start_ns) != (policy.id, path.start_ns):
-            raise ValueError(f"the paths are not of the policy {policy.id}")
-    return policy, Rollout(tool, body)
+            raise ValueError(f"the paths do not belong to the policy {policy.id}")
+        if cut_short(policy, rollout, task.settle_time):
+            rollout = replace(rollout, fault=finished.fault)
+    return policy, rollout
 
 
 def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tuple[Policy, Rollout]:
-    """A demonstration as a rollout of the policy that is fitted to it."""
+    """Demonstration as a rollout of the policy fitted to it."""
     import numpy as np
 
     from wam_power_ros import rotations
     from wam_power_ros.bags import layout, reader
+    from wam_power_ros.learning.demonstration import from_joint_samples
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
     from wam_power_ros.ros import interface
 
     stamps, q = reader.read_demonstration(bag, joint_names)
-    demonstration = _demonstration(bag, joint_names, arm)
+    demonstration = from_joint_samples(arm, stamps, q)
     policy = task.policy_of([demonstration], "demonstration")
-    # the recording from the start of the movement on, as the controller would sample it
+    # From the start of the movement, at the rate of the paths that the controller publishes.
     near = np.abs(q - demonstration.q[0]).sum(axis=1)
     peak = int(np.abs(np.diff(q, axis=0)).sum(axis=1).argmax())
     first = int(near[: peak + 1].argmin())
@@ -184,21 +197,16 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
 
 
 def _topic(topics: Iterable[str], name: str) -> str:
-    """The topic of a bag that has this name, in whatever namespace; empty for none."""
+    """Topic of a bag with this name, in any namespace; empty if there is none."""
     return next((topic for topic in topics if f"/{topic}".endswith(f"/{name}")), "")
-
-
-def _demonstration(bag: Path, joint_names: list[str], arm: Arm) -> Demonstration:
-    from wam_power_ros.bags import reader
-    from wam_power_ros.learning.demonstration import from_joint_samples
-
-    return from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
 
 
 def _context(
     bag: Path, task: str, setup: overlay.Setup, joint_names: list[str], arm: Arm
 ) -> dict[str, Any]:
-    """Context of the session that a bag is of, else that of the bag as the only demonstration."""
+    """Context of the session that a bag belongs to, else of a session on this bag alone."""
+    from wam_power_ros.bags import reader
+    from wam_power_ros.learning.demonstration import from_joint_samples
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.session import Session
 
@@ -206,18 +214,12 @@ def _context(
     if Session.exists(folder) and Session.task_of(folder) == task:
         kept: dict[str, Any] = json.loads((folder / "task.json").read_text())
         return kept
-    demonstration = _demonstration(bag, joint_names, arm)
+    demonstration = from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
     obstacle = setup["torque_controller"]["obstacle"]
     return plugins.task_type(task).context_of([demonstration], obstacle)
 
 
-def _task(name: str, preset_name: str | None, context: dict[str, Any]) -> Task:
-    from wam_power_ros.practice.settings import preset
-
-    return preset(name, preset_name or "").make_task(context)
-
-
-def _told(assessed: Assessment) -> str:
+def _outcome(assessed: Assessment) -> str:
     ret = "no return" if assessed.ret is None else f"return {assessed.ret:.3f}"
     success = "success" if assessed.success else "no success"
     return ", ".join(filter(None, (ret, success, assessed.why)))

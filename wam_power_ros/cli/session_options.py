@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that name or begin a session: checked before anything starts, repeated to resume it."""
+"""Options that select or start a session: checks before anything starts, words to resume it."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from wam_power_ros.cli.launcher import UsageError, arm_of, now, task_setup, task_stems
+from wam_power_ros.cli.launcher import UsageError, arm_of, task_setup, task_stems, timestamp
 from wam_power_ros.params import overlay
 
 SESSIONS = Path("sessions")
-TASK = "flip"  # the default
+DEFAULT_TASK = "flip"
 
 
 def existing_session(folder: Path | None) -> Path:
-    """Folder of a session, by default that of the newest one."""
+    """Folder of a session, by default the newest one.
+
+    Raises:
+        UsageError: There is no session.
+    """
     from wam_power_ros.practice.session import Session
 
     if folder is None:
@@ -28,32 +32,37 @@ def existing_session(folder: Path | None) -> Path:
 
 
 def session_folder(options: argparse.Namespace) -> Path:
-    """Folder to begin or resume; refuses options that differ from what the session began with."""
+    """Folder of the session to start or resume.
+
+    Raises:
+        UsageError: An option differs from what the session was started with, or there is no session
+            to resume.
+    """
     from wam_power_ros.practice.session import Session, read
 
     if options.resume:
         folder = existing_session(options.session)
     else:
-        folder = (options.session or SESSIONS / f"{now()}-seed-{options.seed or 0}").resolve()
+        folder = (options.session or SESSIONS / f"{timestamp()}-seed-{options.seed or 0}").resolve()
     if Session.exists(folder):
         header, _, _ = read(folder)
         if options.seed is not None and options.seed != header.seed:
-            raise UsageError(f"{folder} was begun with seed {header.seed}; leave seed out")
+            raise UsageError(f"{folder} was begun with seed {header.seed}; omit the seed")
         if options.task not in (None, header.settings.task):
-            raise UsageError(f"{folder} was begun with task {header.settings.task}")
+            raise UsageError(f"{folder} was begun with task {header.settings.task}; omit the task")
         given = [name for name in ("learner", "preset", "trials", "bags") if getattr(options, name)]
         if given:
-            raise UsageError(f"{folder} was begun already; leave {', '.join(given)} out")
+            raise UsageError(f"{folder} was begun with its own settings; omit {', '.join(given)}")
     return folder
 
 
 def check_names(task: str, options: argparse.Namespace) -> None:
-    """Refuse what is unknown or belongs to another task before anything starts.
+    """Check the options of a new session before anything starts.
 
     Raises:
-        ValueError: When task, learner or preset is not known; lists the known names. When a bag is
-            none, or not of this arm.
-        UsageError: When a bag is a demonstration of another task, or the budget leaves nothing to
+        ValueError: Task, learner or preset is unknown (the message lists the known ones), or a bag
+            cannot be read or is of another arm.
+        UsageError: A bag is a demonstration of another task, or the budget leaves no rollout to
             practise.
     """
     from wam_power_ros.practice import plugins
@@ -75,21 +84,21 @@ def check_names(task: str, options: argparse.Namespace) -> None:
 
 
 def _check_arm_and_bags(task: str, options: argparse.Namespace) -> None:
-    """Refuse an arm that its URDF is not, and bags that are no demonstrations of a task by it."""
+    """Check that the URDF fits the set-up and that the bags are demonstrations by that arm."""
     from wam_power_ros.bags import reader, takes
 
     names, arm = arm_of(overlay.setup(options.config, options.simulate, task_setup(task)))
     tasks = task_stems()
     for bag in options.bags or []:
         reader.read_demonstration(bag, names, arm=arm and arm.identity())
-        of_bag = tasks.get(takes.kind_of(bag), {task})
-        if task not in of_bag:
-            known = ", ".join(of_bag)
-            raise UsageError(f"{bag} is a demonstration of {known}, not of {task}: give --task")
+        tasks_of_bag = tasks.get(takes.kind_of(bag), {task})
+        if task not in tasks_of_bag:
+            names_ = ", ".join(tasks_of_bag)
+            raise UsageError(f"{bag} is a demonstration of {names_}, not of {task}: use --task")
 
 
 def given_options(options: argparse.Namespace) -> list[str]:
-    """Command-line words of what a new session was asked for."""
+    """Command-line words that repeat the options of a new session."""
     words = []
     for name in ("task", "learner", "preset", "trials", "seed", "demonstrations"):
         value = getattr(options, name)

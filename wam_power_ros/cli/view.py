@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `view`: a page in the browser, of a session or a bag."""
+"""`wam-power view`: a page that shows a session or a bag in a browser."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from pathlib import Path
 
 from wam_power_ros.cli.launcher import UsageError, interrupt, session_environment
 from wam_power_ros.cli.session_options import existing_session
-from wam_power_ros.practice.session import Session
 
 
 def view(options: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
+    from wam_power_ros.practice.session import Session
+
     try:
         from wam_power_ros.view import guarded_server, viewer
     except ImportError as error:
@@ -22,7 +23,7 @@ def view(options: argparse.Namespace) -> int:
         ) from None
     path: Path | None = options.path
     is_bag = path is not None and not Session.exists(path) and path.exists()
-    place = path.resolve() if is_bag else existing_session(path)
+    folder = path.resolve() if is_bag else existing_session(path)
     signal.signal(signal.SIGTERM, interrupt)
     server = guarded_server.open_server(options.address, options.port)
     try:
@@ -30,9 +31,9 @@ def view(options: argparse.Namespace) -> int:
         url = f"http://{host}:{server.get_port()}"
         ready = lambda: print(f"{url}  (Ctrl-C ends it)", flush=True)  # noqa: E731
         if is_bag:
-            viewer.of_bag(server, place, ready)
+            viewer.of_bag(server, folder, ready)
         else:
-            viewer.of_session(server, place, ready, session_environment)
+            viewer.of_session(server, folder, ready, session_environment)
     except KeyboardInterrupt:
         pass
     finally:

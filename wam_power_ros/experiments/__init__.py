@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""In-process studies: the core and the stand-in's world in one process, no DDS."""
+"""In-process studies: learning, control and simulation in one process, without DDS."""

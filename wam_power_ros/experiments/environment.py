@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated world, controller and tracker in one process, connected by calls, not by topics.
+"""Simulated world, controller and tracker in one process, connected by calls instead of topics.
 
-The arrays that the nodes exchange over DDS pass here in the same order through the same core, so a
-rollout of one seed and id comes out bit for bit as it does there.
+They exchange the same arrays in the same order as the nodes do over DDS, so a rollout with the same
+seed and id is bit for bit the same in both.
 """
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
-import yaml
 
 from hardware_sim.demonstrator import Demonstrator, Script
 from hardware_sim.ground_truth import Truth
@@ -20,20 +19,13 @@ from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.tracking.tracker import Tracker, TrackerSettings
+from wam_power_ros.tracking.tracker import Tracker
 
-_STILL_TICKS = 25  # ticks in which a held arm repeats its state before a rollout begins
-_LATE_TICKS = 100  # ticks waited, at most, for the last camera frame of a rollout
-
-
-def tracker_settings() -> TrackerSettings:
-    """The tracker's settings of config/pancake_tracker.yaml."""
-    text = share("config/pancake_tracker.yaml").read_text()
-    (values,) = (node["ros__parameters"] for node in yaml.safe_load(text).values())
-    names = {field.name for field in fields(TrackerSettings)}
-    return TrackerSettings(**{name: values[name] for name in names})
+_STILL_TICKS = 25  # for which the arm is held before a rollout, so that its state repeats
+_FRAME_WAIT_TICKS = 100  # longest wait for the last camera frame of a rollout
 
 
 class Environment:
@@ -41,7 +33,7 @@ class Environment:
 
     Attributes:
         world: Simulated world.
-        arm: Model of the arm as the controller has it.
+        arm: The controller's model of the arm.
         controller: Torque controller.
         tracker: Tracker of the scene's body.
     """
@@ -50,18 +42,19 @@ class Environment:
         """Connect a world to a controller and a tracker with the parameters of config/.
 
         Args:
-            world: Simulated world; its obstacle, if any, is the controller's too.
-            urdf: Description of the arm for the controller; that of the world if omitted.
+            world: Simulated world; the controller has the same obstacle, if any.
+            urdf: Robot description for the controller; the world's if omitted.
         """
         self.world = world
         file = share("config/torque_controller.yaml")
-        as_set = TorqueControllerParams.of_file(file, "torque_controller").controller(
-            urdf or world.urdf
-        )
-        self.arm = as_set.arm
+        params = TorqueControllerParams.of_file(file, "torque_controller")
+        configured = params.controller(urdf or world.urdf)
+        self.arm = configured.arm
         obstacle = world.settings.scene.obstacle
-        self.controller = Controller(self.arm, replace(as_set.settings, obstacle=obstacle))
-        self._tracker_settings = tracker_settings()
+        self.controller = Controller(self.arm, replace(configured.settings, obstacle=obstacle))
+        tracker_file = share("config/pancake_tracker.yaml")
+        tracked = PancakeTrackerParams.of_file(tracker_file, "pancake_tracker")
+        self._tracker_settings = tracked.settings()
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
 
@@ -75,20 +68,20 @@ class Environment:
         return self.arm.tool_pose(q)[0]
 
     def tick(self) -> None:
-        """One control period: state to torque, torque to state."""
+        """Run one control period: state to torque, torque to state."""
         world = self.world
         stamp_ns, q, qd, _ = world.joint_state()
-        was = self.controller.mode
+        mode = self.controller.mode
         tau = self.controller.step(stamp_ns, q, qd)
-        if was is Mode.ROLLOUT and self.controller.mode is not was:
-            self._truth = world.truth()  # before the step, as the stand-in publishes it
+        if mode is Mode.ROLLOUT and self.controller.mode is not mode:
+            self._truth = world.truth()  # before the step, like the stand-in
         world.step(tau)
         for frame in world.mocap_frames():
-            quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # as a message
+            quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # like a message
             self.tracker.add(frame.stamp_ns, frame.position, quat_xyzw)
 
     def demonstrate(self, script: Script, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Let the simulated demonstrator move the gravity-compensated arm from home.
+        """Let the simulated demonstrator move the gravity-compensated arm from its home posture.
 
         Returns:
             Stamps (M,) [ns] and joint positions (M, 7) [rad] as the driver reported them.
@@ -111,7 +104,7 @@ class Environment:
         return np.array(stamps), np.array(q)
 
     def run(self, policy: Policy) -> tuple[Rollout, Truth]:
-        """Execute a policy; returns its rollout and the simulator's ground truth."""
+        """Execute a policy; return its rollout and the simulator's ground truth."""
         world = self.world
         self.place(policy.id, policy.q_start)
         controller = self.controller
@@ -128,11 +121,11 @@ class Environment:
         truth, start_ns = self._truth, controller.rollout_stamp_ns
         tool = controller.take_finished()
         if tool is None or start_ns is None or truth is None:
-            raise RuntimeError(f"rollout {policy.id} left no path")
+            raise RuntimeError(f"rollout {policy.id} has no path")
         body = None
         if world.scene.body:
             end_ns = start_ns + round(float(tool.t[-1]) * 1e9)
-            for _ in range(_LATE_TICKS):
+            for _ in range(_FRAME_WAIT_TICKS):
                 if self.tracker.latest_ns >= end_ns:
                     break
                 self.tick()
@@ -140,7 +133,7 @@ class Environment:
         return Rollout(tool, body, controller.latched), truth
 
     def place(self, rollout_id: str, q_start: np.ndarray) -> None:
-        """Put the arm to a posture and hold it there; only a simulation can do that."""
+        """Reset the world with the arm at a posture and hold it there."""
         self.world.reset(rollout_id, q_start)
         self.controller = Controller(self.arm, self.controller.settings)
         self.tracker = Tracker(self._tracker_settings)

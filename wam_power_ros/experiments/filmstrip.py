@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Images of a traced rollout, rendered in a process of its own if this machine has OpenGL.
+"""Images of a traced rollout, rendered by a child process if this machine has OpenGL.
 
-MuJoCo selects its OpenGL library when it is first imported, too late for a process that has
-simulated already; and a missing library may end the process that loads it.
+MuJoCo selects its OpenGL library when it is first imported, which is too late in a process that has
+simulated, and a missing library may end the process that loads it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,8 @@ FRAMES = 8  # of a strip
 SIZE = (360, 480)  # [pixel]
 
 
-def strip(
-    name: str, caption: str, trace: Sequence[Sequence[float]], first: float, last: float
-) -> Figure:
-    """Fig. 6 of the paper: frames of a rollout side by side, evenly spaced in time.
+def strip(name: str, caption: str, trace: Sequence[Sequence[float]], last: float) -> Figure:
+    """Fig. 6 of the paper: frames of a rollout side by side, evenly spaced in time from its start.
 
     If nothing can be rendered the figure has no image, and its caption gives the reason.
 
@@ -35,7 +33,6 @@ def strip(
         name: Name of the figure.
         caption: Caption of the figure.
         trace: `World.trace` of the rollout: joint positions of arm and pancake. Shape (n, nq).
-        first: Time of the first frame [s].
         last: Time of the last frame [s].
 
     Raises:
@@ -43,7 +40,7 @@ def strip(
     """
     if not len(trace):
         raise ValueError(f"the trace for figure {name!r} is empty")
-    wanted = np.linspace(first, last, FRAMES) * TRACE_RATE
+    wanted = np.linspace(0.0, last, FRAMES) * TRACE_RATE
     chosen = np.unique(np.clip(wanted.round().astype(int), 0, len(trace) - 1))
     try:
         images = _images([trace[k] for k in chosen])
@@ -57,31 +54,33 @@ def _images(poses: Sequence[Sequence[float]]) -> np.ndarray:
     """RGB images of poses. Shape (m, h, w, 3).
 
     Raises:
-        RuntimeError: There is no OpenGL, with the reason.
+        RuntimeError: Rendering failed; the message has the reason.
     """
-    given = io.BytesIO()
-    np.save(given, np.array(poses, dtype=float))
+    poses_npy = io.BytesIO()
+    np.save(poses_npy, np.array(poses, dtype=float))
     command = [sys.executable, "-m", __name__]
     environment = os.environ | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl")}
     try:
-        ended = subprocess.run(
+        completed = subprocess.run(
             command,
-            input=given.getvalue(),
+            input=poses_npy.getvalue(),
             capture_output=True,
             env=environment,
             timeout=RENDER_TIMEOUT,
         )
     except subprocess.TimeoutExpired:
         raise RuntimeError(f"nothing was rendered within {RENDER_TIMEOUT:.0f} s") from None
-    if ended.returncode != 0:
-        message = ended.stderr.decode(errors="replace").strip().splitlines()
-        raise RuntimeError(message[-1] if message else f"rendering ended with {ended.returncode}")
-    return np.load(io.BytesIO(ended.stdout))
+    if completed.returncode != 0:
+        message = completed.stderr.decode(errors="replace").strip().splitlines()
+        raise RuntimeError(
+            message[-1] if message else f"rendering ended with {completed.returncode}"
+        )
+    return np.load(io.BytesIO(completed.stdout))
 
 
 def main() -> int:
     """Render poses (.npy on standard input) to images (.npy on standard output)."""
-    from hardware_sim.world import World  # and with it MuJoCo
+    from hardware_sim.world import World  # imports MuJoCo
     from wam_power_ros.experiments.render import render
 
     poses = np.load(io.BytesIO(sys.stdin.buffer.read()))

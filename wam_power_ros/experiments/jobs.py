@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many independent runs spread over cores or machines, each result kept in a file of its own.
+"""Independent runs (jobs) spread over cores or machines, with one result file each.
 
-A study is a list of jobs. A result that is in its folder already is not computed again, so an
-interrupted study goes on, and ends with the numbers it would have had: a job depends neither on
-the others nor on their order nor on how many run at a time.
+A study is a list of jobs. A result whose file exists is not computed again, so an interrupted study
+can be resumed and ends with the same numbers: a job depends neither on the others nor on their
+order nor on how many run at a time.
 
     pancake-default/seed-301.json      {"digest": ..., "result": {...}}
     times.jsonl                        one line per computed job: wall and processor time, host
 
-A result is used only if its digest fits: that of the job's function and arguments, of all Python
-sources of this project that numbers can depend on (everything but `NOT_HASHED`; comments,
-docstrings and layout are ignored), of the files under config/, urdf/ and bags/, and of the versions
-of the numerical libraries. Reports can be reworded without computing anything again.
+A result is used only if its digest matches. The digest covers the job's function and arguments, all
+Python sources of this project that numbers can depend on (all but `NOT_HASHED`; comments,
+docstrings and layout are ignored), the files under config/, urdf/ and bags/, and the versions of
+the numerical libraries. Reports can be reworded without computing anything again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from joblib import Parallel, delayed, parallel_config
 from rich.console import Console
@@ -54,7 +54,7 @@ from wam_power_ros import durable_files
 from wam_power_ros.params.resources import share
 
 PACKAGES = ("wam_power_ros", "hardware_sim")
-NOT_HASHED = (  # sources without influence on a result; the studies run without ROS
+NOT_HASHED = (  # sources that cannot change a result; the studies run without ROS
     "wam_power_ros/bags/editing.py",
     "wam_power_ros/bags/quality.py",
     "wam_power_ros/bags/series.py",
@@ -73,27 +73,29 @@ NOT_HASHED = (  # sources without influence on a result; the studies run without
     "wam_power_ros/ros",
 )
 DATA = ("config", "urdf", "bags")
-LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # another version may move last digits
+LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # other versions may change last digits
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 CLUSTER_TIMEOUT = 120.0  # [s]
-SPEED_PERIOD = 3600.0  # [s] of runs from which the time left is estimated; one takes a minute
+SPEED_PERIOD = 3600.0  # [s], window for estimating the remaining time; a run takes a minute
+Scale = Literal["full", "quick"]
 Results = dict[str, dict[str, dict[str, Any]]]  # study -> key -> result
-# What a worker returns: the job, its result as JSON text or the traceback, its times [s] and host.
+# What a worker returns: job, result as JSON text, traceback, and times [s] with host.
 _Computed = tuple["Job", str, str, dict[str, Any]]
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a study, with finite JSON data as arguments and as result.
+    """One run of a study, with JSON data of finite numbers as arguments and result.
 
     Attributes:
         study: Folder of its result, such as "pancake-default".
         key: Name of its file there, such as "seed-301".
-        function: Function of an importable module; the same arguments give the same result.
+        function: Function of an importable module, deterministic in its arguments.
         arguments: Keyword arguments.
 
     Raises:
-        ValueError: `study` or `key` is no file name, or `arguments` are no finite JSON data.
+        ValueError: `study` or `key` is not a file name, or `arguments` are not JSON data of finite
+            numbers.
     """
 
     study: str
@@ -104,7 +106,9 @@ class Job:
     def __post_init__(self) -> None:
         for name in (self.study, self.key):
             if not NAME.fullmatch(name):
-                raise ValueError(f"{name!r} is no file name: letters, digits, '.', '_', '-'")
+                raise ValueError(
+                    f"{name!r} must be a file name of letters, digits, '.', '_' and '-'"
+                )
         try:
             _json(self.arguments)
         except (TypeError, ValueError) as error:
@@ -121,7 +125,7 @@ class Job:
 
 
 class JobError(Exception):
-    """Some jobs failed; the message names each of them with its traceback."""
+    """Some jobs failed; the message has the name and traceback of each."""
 
 
 def run(
@@ -131,47 +135,48 @@ def run(
     scheduler: str | None = None,
     console: Console | None = None,
 ) -> Results:
-    """Return the results of all jobs; those not in the folder yet are computed and written there.
+    """Return the results of all jobs; compute and write those that the folder lacks.
 
-    Ctrl-C (KeyboardInterrupt) and errors lose nothing that was finished.
+    Finished results survive Ctrl-C (KeyboardInterrupt) and errors.
 
     Args:
-        jobs: Jobs of different names.
-        folder: Folder of the results; made if missing.
+        jobs: Jobs with different names.
+        folder: Folder of the results; created if missing.
         workers: Number of processes on this machine.
         scheduler: Address of a Dask scheduler whose workers compute instead of this machine. They
-            need the same sources and libraries, and OMP_NUM_THREADS=1 as Dask's nannies set it.
+            need the same sources and libraries, and OMP_NUM_THREADS=1, which Dask's nannies set.
         console: Console for progress; standard error if omitted.
 
     Returns:
-        Study -> key -> result, in the order of `jobs`, each as it was read from JSON.
+        Study -> key -> result, in the order of `jobs`, as read from JSON.
 
     Raises:
-        JobError: Some jobs failed; the others are finished and written.
-        ValueError: Two jobs have one name, workers < 1, or Dask is missing.
+        JobError: Some jobs failed; the others are computed and written.
+        ValueError: Two jobs have the same name, workers < 1, or Dask is missing.
     """
-    twice = [name for name, count in Counter(job.name for job in jobs).items() if count > 1]
-    if twice:
-        raise ValueError(f"two jobs of one name: {', '.join(twice)}")
+    duplicates = [name for name, count in Counter(job.name for job in jobs).items() if count > 1]
+    if duplicates:
+        raise ValueError(f"two jobs with the same name: {', '.join(duplicates)}")
     if workers < 1:
         raise ValueError(f"workers = {workers} must be at least 1")
     console = console or Console(stderr=True)
     results = found(jobs, folder)
     if stale := sum(job.path(folder).exists() for job in jobs) - len(results):
-        console.print(f"{stale} results of other sources, arguments or versions are not used.")
+        console.print(f"{stale} results of other sources, arguments or versions are ignored.")
     if results:
-        console.print(f"{len(results)} of {len(jobs)} results are there already.")
+        console.print(f"{len(results)} of {len(jobs)} results exist already.")
     missing = [job for job in jobs if job.name not in results]
-    left, begun = Counter(job.study for job in missing), time.monotonic()
+    remaining, start = Counter(job.study for job in missing), time.monotonic()
     if missing:
         console.print(f"{len(missing)} runs to compute, with {workers} processes.", highlight=False)
     failed: list[str] = []
-    bar = (BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn())
-    remaining = (TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}"))
+    columns = (
+        *(BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn()),
+        *(TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}")),
+    )
     with (
         Progress(
-            *bar,
-            *remaining,
+            *columns,
             console=console,
             disable=not console.is_terminal,
             speed_estimate_period=SPEED_PERIOD,
@@ -185,14 +190,15 @@ def run(
             else:
                 _write(job, folder, text, times)
                 results[job.name] = json.loads(text)
-            left[job.study] -= 1
+            remaining[job.study] -= 1
             progress.update(task, advance=1, description=job.study)
-            if not left[job.study]:
-                minutes = (time.monotonic() - begun) / 60.0
-                done, more = len(missing) - left.total(), left.total()
-                about = f", about {math.ceil(minutes / done * more)} min left" if more else ""
+            if not remaining[job.study]:
+                minutes = (time.monotonic() - start) / 60.0
+                left = remaining.total()
+                done = len(missing) - left
+                estimate = f", about {math.ceil(minutes / done * left)} min left" if left else ""
                 console.print(
-                    f"{job.study}: done; {done} of {len(missing)} runs{about}", highlight=False
+                    f"{job.study}: done; {done} of {len(missing)} runs{estimate}", highlight=False
                 )
     if failed:
         raise JobError(f"{len(failed)} of {len(jobs)} jobs failed.\n" + "\n".join(failed))
@@ -203,10 +209,10 @@ def run(
 
 
 def found(jobs: Sequence[Job], folder: Path) -> dict[str, dict[str, Any]]:
-    """Usable results that are in the folder, by the names of their jobs."""
+    """Results in the folder whose digest matches, by the names of their jobs."""
     results = {}
     for job in jobs:
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # none, or a broken one
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # missing or damaged
             kept = json.loads(job.path(folder).read_text(encoding="utf-8"))
             if kept["digest"] == digest(job):
                 results[job.name] = kept["result"]
@@ -214,11 +220,11 @@ def found(jobs: Sequence[Job], folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def spent(jobs: Sequence[Job], folder: Path) -> tuple[float, float]:
-    """Total wall and processor time [s] of computing these jobs, in whichever run that was."""
+    """Total wall and processor time [s] of these jobs, whenever they were computed."""
     times = {}
     with contextlib.suppress(FileNotFoundError):
         for line in (folder / "times.jsonl").read_text().splitlines():
-            with contextlib.suppress(ValueError, KeyError):  # a line cut off by a power failure
+            with contextlib.suppress(ValueError, KeyError):  # a line cut by a power failure
                 note = json.loads(line)
                 times[note["job"]] = (note["wall"], note["cpu"])
     known = [times[job.name] for job in jobs if job.name in times]
@@ -229,14 +235,15 @@ def spent(jobs: Sequence[Job], folder: Path) -> tuple[float, float]:
 
 
 def digest(job: Job) -> str:
-    """Digest of all that a job's result depends on, see the module."""
-    function, own = job.function, Path(inspect.getfile(job.function))
+    """Digest of all that a job's result depends on; see the module."""
+    function = job.function
+    module = _code(Path(inspect.getfile(function)))
     names = (function.__module__, function.__qualname__)
-    return _hash([*names, _json(job.arguments), _code(own), sources()])
+    return _hash([*names, _json(job.arguments), module, sources()])
 
 
 def versions(libraries: Sequence[str] = LIBRARIES) -> list[str]:
-    """Versions of Python and of those libraries that are installed."""
+    """Versions of Python and of the given libraries that are installed."""
     found = [f"Python {platform.python_version()}"]
     for library in libraries:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):  # ROS renames some
@@ -256,7 +263,7 @@ def sources() -> str:
 
 
 def hashed_sources() -> Iterator[tuple[str, Path]]:
-    """Python files that numbers can depend on, each with its name from the package on."""
+    """Python files that numbers can depend on, each with its path from the package on."""
     for package in PACKAGES:
         root = Path(str(importlib.resources.files(package)))
         for path in sorted(root.rglob("*.py")):
@@ -267,7 +274,7 @@ def hashed_sources() -> Iterator[tuple[str, Path]]:
 
 @functools.cache
 def _code(path: Path) -> str:
-    """The code of a module without comments, docstrings and layout."""
+    """Code of a module without comments, docstrings and layout."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         documented = isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
@@ -281,7 +288,7 @@ def _hash(parts: Sequence[str]) -> str:
 
 
 def _json(data: object) -> str:
-    """JSON text; floats come back bit for bit, NaN and infinity are refused."""
+    """JSON text that restores floats bit for bit; raises ValueError for NaN and infinity."""
     return json.dumps(data, allow_nan=False, sort_keys=True)
 
 
@@ -291,35 +298,35 @@ def _json(data: object) -> str:
 def _compute(
     jobs: Sequence[Job], workers: int, scheduler: str | None, stack: contextlib.ExitStack
 ) -> Iterator[_Computed]:
-    """Compute jobs and yield each as soon as it is finished."""
+    """Compute jobs; yield each as soon as it is finished."""
     if not jobs:
         return
     if scheduler is not None:
-        yield from _compute_there(jobs, stack.enter_context(_cluster(scheduler)))
+        yield from _compute_on_cluster(jobs, stack.enter_context(_cluster(scheduler)))
         return
     calls = (delayed(_execute)(job, digest(job), os.getpid()) for job in jobs)
     with parallel_config("loky", inner_max_num_threads=1):
         done = Parallel(n_jobs=workers, batch_size=1, return_as="generator_unordered")(calls)
     stack.callback(done.close)
     try:
-        with warnings.catch_warnings():  # of a worker that loky replaces, as it may at any time
+        with warnings.catch_warnings():  # loky may replace a worker at any time
             warnings.filterwarnings("ignore", message="A worker stopped", category=UserWarning)
             yield from done
     except BrokenExecutor as error:
-        raise JobError(f"a worker process is gone, out of memory perhaps: {error}") from None
+        raise JobError(f"a worker process died, perhaps out of memory: {error}") from None
 
 
-def _compute_there(jobs: Sequence[Job], client: Any) -> Iterator[_Computed]:  # noqa: ANN401
-    """Compute jobs on a cluster; joblib would compute here while it has a single worker."""
+def _compute_on_cluster(jobs: Sequence[Job], client: Any) -> Iterator[_Computed]:  # noqa: ANN401
+    """Compute jobs on a cluster, without joblib, which computes here if there is one worker."""
     from distributed import as_completed
 
     futures = {client.submit(_execute, job, digest(job), None, pure=False): job for job in jobs}
     for future in as_completed(futures):
         if future.status == "finished":
             yield future.result()
-        else:  # its worker was killed, or has not this package
-            why = repr(future.exception()) if future.status == "error" else future.status
-            yield futures[future], "", f"lost on the cluster: {why}", {}
+        else:  # its worker was killed or lacks this package
+            reason = repr(future.exception()) if future.status == "error" else future.status
+            yield futures[future], "", f"lost on the cluster: {reason}", {}
 
 
 def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if that is installed)
@@ -332,22 +339,24 @@ def _cluster(address: str) -> Any:  # noqa: ANN401 (a distributed.Client, if tha
     try:
         client = Client(address, timeout=CLUSTER_TIMEOUT)
         client.wait_for_workers(1, timeout=CLUSTER_TIMEOUT)
-    except OSError as error:  # TimeoutError is one
+    except OSError as error:  # includes TimeoutError
         raise ValueError(f"no Dask scheduler with workers at {address!r}: {error}") from None
     return client
 
 
-def _execute(job: Job, expected: str, here: int | None) -> _Computed:
-    """Run a job wherever this is; an error is returned, not raised."""
-    if here not in (None, os.getpid()):
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asked
+def _execute(job: Job, expected: str, parent: int | None) -> _Computed:
+    """Run a job in a worker, or in the process `parent`; return an error as a traceback."""
+    if parent not in (None, os.getpid()):
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
     wall, cpu = time.perf_counter(), time.thread_time()
     text = error = ""
     try:
         if digest(job) != expected:
             raise RuntimeError("the worker has other sources or libraries than this machine")
-        if here is None and os.environ.get("OMP_NUM_THREADS") != "1":
-            raise RuntimeError("start Dask's workers with OMP_NUM_THREADS=1: last digits need it")
+        if parent is None and os.environ.get("OMP_NUM_THREADS") != "1":
+            raise RuntimeError(
+                "start Dask's workers with OMP_NUM_THREADS=1: last digits depend on it"
+            )
         text = _json(job.function(**job.arguments))
     except Exception:
         error = traceback.format_exc()
@@ -356,7 +365,7 @@ def _execute(job: Job, expected: str, here: int | None) -> _Computed:
 
 
 def _write(job: Job, folder: Path, text: str, times: dict[str, Any]) -> None:
-    """Write a result, whole or not at all whenever this is interrupted, and note its time."""
+    """Write a result atomically, and log its time."""
     path = job.path(folder)
     path.parent.mkdir(parents=True, exist_ok=True)
     durable_files.replace(path, f'{{"digest": "{digest(job)}", "result": {text}}}\n')

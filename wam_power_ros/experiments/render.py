@@ -17,7 +17,7 @@ BACKGROUND = (246, 247, 249)
 def render(
     world: World, poses: Sequence[np.ndarray], size: tuple[int, int] = (480, 480)
 ) -> list[np.ndarray]:
-    """Images of arm and scene.
+    """Render images of arm and scene.
 
     Args:
         world: World to render; its state is not modified.
@@ -28,13 +28,13 @@ def render(
         RGB images. Shapes (h, w, 3), uint8.
 
     Raises:
-        RuntimeError: There is no OpenGL, with the reason.
+        RuntimeError: OpenGL is missing; the message has the reason.
     """
     model = _lit(world.model, *size)
     try:
         renderer = mujoco.Renderer(model, size[1], size[0])
-    except Exception as error:  # each OpenGL library has errors of its own
-        raise RuntimeError(f"nothing to render with: {error}") from error
+    except Exception as error:  # each OpenGL library raises other errors
+        raise RuntimeError(f"OpenGL is not available: {error}") from error
     camera = mujoco.MjvCamera()
     camera.lookat[:] = (0.42, 0.0, 0.85)
     camera.distance, camera.azimuth, camera.elevation = 2.1, 105.0, -12.0
@@ -47,14 +47,14 @@ def render(
             renderer.update_scene(data, camera)
             frame = renderer.render().copy()
             renderer.enable_segmentation_rendering()
-            frame[renderer.render()[:, :, 0] < 0] = BACKGROUND  # nothing is there
+            frame[renderer.render()[:, :, 0] < 0] = BACKGROUND  # no body there
             renderer.disable_segmentation_rendering()
             frames.append(frame)
     return frames
 
 
 def _lit(model: mujoco.MjModel, width: int, height: int) -> mujoco.MjModel:
-    """A copy for rendering: even light, an infinite floor."""
+    """Copy of a model for rendering, with even light and an infinite floor."""
     model = copy.copy(model)
     visual = model.vis
     visual.global_.offwidth, visual.global_.offheight = width, height

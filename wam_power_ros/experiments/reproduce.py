@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reproduce the paper's results: the runs of every study, and one report of their results.
+"""Reproduce the paper's results: run every study and write one report of their results.
 
 <folder>/results/<study>/<key>.json      results of the runs, see `jobs`
-<folder>/report.html, figures/*.png      the report; written again at the end of every call
+<folder>/report.html, figures/*.png      the report; rewritten at the end of every call
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from collections.abc import Collection, Sequence
 from html import escape
 from itertools import groupby
 from pathlib import Path
-from typing import Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -24,12 +23,12 @@ from rich.text import Text
 
 from wam_power_ros import durable_files
 from wam_power_ros.experiments import jobs as job_cache
-from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.experiments.jobs import Job, Scale
 from wam_power_ros.reporting import chapter as chapter_html
 from wam_power_ros.reporting import html_page
 from wam_power_ros.reporting.chapter import RUNS_MIN, Chapter, Claim
 
-STUDIES = {  # name -> modules of its jobs and of its chapter, in the order of the paper
+STUDIES = {  # name -> modules of its jobs and its chapter, in the order of the paper
     "reaching": ("studies.reaching", "chapters.reaching_chapter"),
     "comparison": ("studies.comparison", "chapters.comparison_chapter"),
     "pancake": ("studies.flip_sessions", "chapters.flip_chapter"),
@@ -39,8 +38,7 @@ PAPER = (
     "P. Kormushev, S. Calinon, D. G. Caldwell: Robot Motor Skill Coordination with EM-based "
     "Reinforcement Learning. IROS 2010."
 )
-MACHINE = "Machine, versions, seeds, time"
-Scale = Literal["full", "quick"]
+MACHINE_TITLE = "Machine, versions, seeds, time"
 
 
 def run(
@@ -50,11 +48,11 @@ def run(
     scheduler: str | None = None,
     only: Collection[str] = STUDIES,
 ) -> Path:
-    """Compute the results that are missing, then write the report.
+    """Compute the missing results, then write the report.
 
     Args:
         folder: Folder of results, report and figures.
-        scale: "quick" runs the same code with a few seeds and small budgets, as a check.
+        scale: "quick" runs the same code with few seeds and small budgets, as a check.
         workers: Number of processes on this machine.
         scheduler: Address of a Dask scheduler whose workers compute instead.
         only: Names of the studies to run.
@@ -63,72 +61,77 @@ def run(
         Path of the report.
 
     Raises:
-        jobs.JobError: Some runs failed; the others are kept.
-        ValueError: `only` names no study, or Dask is missing.
-        KeyboardInterrupt: The user stopped it; all finished runs are kept.
+        jobs.JobError: Some runs failed; the results of the others are kept.
+        ValueError: `only` has an unknown name, or Dask is missing.
+        KeyboardInterrupt: The user stopped it; finished results are kept.
     """
     unknown = [name for name in only if name not in STUDIES]
     if unknown:
-        raise ValueError(f"{', '.join(unknown)}: no such study; there are {', '.join(STUDIES)}")
-    began = time.monotonic()
+        raise ValueError(
+            f"{', '.join(unknown)}: no such study; the studies are {', '.join(STUDIES)}"
+        )
+    start = time.monotonic()
     pairs = [pair for name, pair in STUDIES.items() if name in only]
     package = "wam_power_ros.experiments"
     modules = [[importlib.import_module(f"{package}.{name}") for name in pair] for pair in pairs]
-    wanted = [study.jobs(scale) for study, _ in modules]
-    jobs = [job for some in wanted for job in some]
-    kept = folder / "results"
-    there = len(job_cache.found(jobs, kept))
-    results = job_cache.run(jobs, kept, workers, scheduler)
+    jobs_by_study = [study.jobs(scale) for study, _ in modules]
+    jobs = [job for some in jobs_by_study for job in some]
+    results_folder = folder / "results"
+    cached = len(job_cache.found(jobs, results_folder))
+    results = job_cache.run(jobs, results_folder, workers, scheduler)
     chapters = [
         module.chapter({job.study: results[job.study] for job in some})
-        for (_, module), some in zip(modules, wanted, strict=True)
+        for (_, module), some in zip(modules, jobs_by_study, strict=True)
     ]
-    took = time.monotonic() - began
-    here = f"the Dask cluster at {scheduler}"
+    elapsed = time.monotonic() - start
+    computer = f"the Dask cluster at {scheduler}"
     if scheduler is None:
-        here = "one process" if workers == 1 else f"{workers} processes"
-    wall, cpu = job_cache.spent(jobs, kept)
-    time_it_took = (
+        computer = "one process" if workers == 1 else f"{workers} processes"
+    wall, cpu = job_cache.spent(jobs, results_folder)
+    timing = (
         f"The {len(jobs)} runs took {duration(cpu)} of processor time, {duration(wall)} one after "
-        f"another. This time {there} of them had been computed before; the rest and the report "
-        f"took {duration(took)} with {here}."
+        f"another. This time {cached} of them had been computed before; the rest and the report "
+        f"took {duration(elapsed)} with {computer}."
     )
-    path = write(folder, scale, chapters, jobs, time_it_took)
+    path = write(folder, scale, chapters, jobs, timing)
     console = Console(file=sys.stdout)
     console.print(overview(chapters))
-    console.print(f"\n{time_it_took}", highlight=False)
+    console.print(f"\n{timing}", highlight=False)
     return path
 
 
 def write(
-    folder: Path, scale: Scale, chapters: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str
+    folder: Path, scale: Scale, chapters: Sequence[Chapter], jobs: Sequence[Job], timing: str
 ) -> Path:
-    """Write `report.html` and its figures into a folder that holds the results of all `jobs`.
+    """Write `report.html` and its figures into a folder with the results of all `jobs`.
 
     Raises:
-        ValueError: Two figures have one name.
+        ValueError: Two figures have the same name.
     """
     drawn = [figure for chapter in chapters for figure in chapter.all_figures() if figure.png]
     names = [figure.name for figure in drawn]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"two figures of one name: {', '.join(twice)}")
+    if duplicates := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"two figures with the same name: {', '.join(duplicates)}")
     (folder / "figures").mkdir(parents=True, exist_ok=True)
     for figure in drawn:
         (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
     path = folder / "report.html"
-    text = render(scale, chapters, jobs, time_it_took, folder / "results")
-    durable_files.replace(path, text)
+    durable_files.replace(path, render(scale, chapters, jobs, timing, folder / "results"))
     return path
 
 
 def render(
-    scale: Scale, chapters: Sequence[Chapter], jobs: Sequence[Job], time_it_took: str, kept: Path
+    scale: Scale,
+    chapters: Sequence[Chapter],
+    jobs: Sequence[Job],
+    timing: str,
+    results_folder: Path,
 ) -> str:
-    """The report as HTML; `kept` is the folder of the results, for the rest see `write`."""
+    """Report as HTML, with computing times from the folder of the results; see `write`."""
     claims = [claim for chapter in chapters for claim in chapter.all_claims()]
     judged = [claim for claim in claims if claim.holds is not None]
     met = sum(bool(claim.holds) for claim in judged)
-    _, cpu = job_cache.spent(jobs, kept)
+    _, cpu = job_cache.spent(jobs, results_folder)
     introduction = [
         PAPER,
         f"{len(jobs)} runs of {len({job.study for job in jobs})} studies, all in simulation; every "
@@ -140,9 +143,9 @@ def render(
     if scale == "quick":
         introduction.append(
             "This is the quick version, a few seeds and small budgets to see that everything "
-            "works: its numbers are no evidence about the paper."
+            "works: its numbers say nothing about the paper."
         )
-    sections = [chapter.title for chapter in chapters] + [MACHINE]
+    sections = [chapter.title for chapter in chapters] + [MACHINE_TITLE]
     links = [f'<a href="#{html_page.anchor(title)}">{escape(title)}</a>' for title in sections]
     values = [("claims with a criterion met", f"{met} of {len(judged)}")] if judged else []
     values += [("runs", str(len(jobs))), ("processor time", duration(cpu))]
@@ -154,39 +157,39 @@ def render(
             f"<nav>{''.join(links)}</nav>",
             html_page.section("Overview", _verdicts(judged), chapter_html.overview(chapters)),
             *(chapter_html.html(chapter) for chapter in chapters),
-            _machine(jobs, time_it_took, kept),
+            _machine(jobs, timing, results_folder),
         ],
     )
 
 
 def _verdicts(judged: Sequence[Claim]) -> list[str]:
+    if not judged:
+        return [f"No claim has the {RUNS_MIN} runs that a verdict needs."]
     missed = [claim for claim in judged if not claim.holds]
     if not missed:
-        if not judged:
-            return [f"No claim has the {RUNS_MIN} runs that a verdict takes."]
         return [f"All {len(judged)} claims with a criterion are met."]
     names = "; ".join(f"{claim.what}: {claim.ours}" for claim in missed)
     return [f"Not met, of {len(judged)} claims with a criterion: {names}."]
 
 
-def _machine(jobs: Sequence[Job], time_it_took: str, kept: Path) -> str:
+def _machine(jobs: Sequence[Job], timing: str, results_folder: Path) -> str:
     versions = ", ".join(job_cache.versions((*job_cache.LIBRARIES, "joblib")))
     text = [
         f"{_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}. "
         f"{versions}.",
-        time_it_took,
-        "A run depends on its arguments only: the same seeds give the same numbers whatever the "
-        "number of processes, the order, and however often it was interrupted. Other processors "
-        "or versions of these libraries may move last digits, and learning makes them grow.",
+        timing,
+        "A run depends on its arguments only: the same seeds give the same numbers for any number "
+        "of processes, any order, and any number of interruptions. Other processors or versions "
+        "of these libraries may change last digits, and learning amplifies such differences.",
     ]
     rows = []
     for study in dict.fromkeys(job.study for job in jobs):
         own = [job for job in jobs if job.study == study]
-        wall, cpu = job_cache.spent(own, kept)
+        wall, cpu = job_cache.spent(own, results_folder)
         seeds = ranges({seed for job in own for seed in _seeds(**job.arguments)})
         rows.append([study, str(len(own)), seeds or "–", duration(cpu), duration(wall)])
     head = ["study", "runs", "seeds", "processor time", "wall time, one after another"]
-    return html_page.section(MACHINE, text, html_page.table(head, rows))
+    return html_page.section(MACHINE_TITLE, text, html_page.table(head, rows))
 
 
 def _processor() -> str:
@@ -211,7 +214,7 @@ def ranges(numbers: set[int]) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time with its unit, to about two digits."""
+    """Duration with its unit, to about two digits."""
     if seconds < 99.5:
         return f"{seconds:.2g} s" if seconds < 9.95 else f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
@@ -229,8 +232,8 @@ def overview(chapters: Sequence[Chapter]) -> Table:
         table.add_row(Text(chapter.title, style="bold"))
         for claim in chapter.all_claims():
             measured = Text(claim.ours)
-            about = ", ".join(text for text in (claim.spread, claim.count) if text)
-            measured.append(f"\n{about}" if about else "", style="dim")
+            details = ", ".join(text for text in (claim.spread, claim.count) if text)
+            measured.append(f"\n{details}" if details else "", style="dim")
             verdict = Text(claim.verdict, style=styles[claim.holds])
             table.add_row(Text(claim.what), Text(claim.paper), measured, verdict)
         table.add_row()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Execute the answer of a simulated session again, in this process, for its report: paths and film.
+"""Execute the final policy of a simulated session again, for paths and film of its report.
 
 A rollout is a function of the session's seed and of the policy with its id, so this is exactly the
 rollout that the session ran. Rendering needs OpenGL; MUJOCO_GL selects the library that MuJoCo
@@ -33,12 +33,12 @@ from wam_power_ros.tasks.task import Task
 
 FILM_RATE = 25.0  # [Hz], real time
 UNITS = {"t_f": " s", "angle_deg": "°", "apex": " m"}
-ARM = ("peak_", "saturated")  # ground truth about the arm, which the report has elsewhere
+ARM_TRUTH = ("peak_", "saturated")  # ground truth about the arm, left out of the caption
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of an executed policy, as `tasks.task.LoggedRollout` has it."""
+    """Outcome of an executed policy, a `tasks.task.LoggedRollout`."""
 
     ret: float | None
     observation: Mapping[str, Any] | None
@@ -50,17 +50,17 @@ class Outcome:
 
 
 def run(folder: Path, film: bool) -> session_report.ShownRollout:
-    """Execute the answer of a session; with `film` write `film.webp` into its folder.
+    """Execute the final policy of a session; with `film`, write `film.webp` into its folder.
 
     Raises:
-        session.SessionError: There is no session, or one without a policy yet.
-        RuntimeError: There is no OpenGL for the film.
+        session.SessionError: There is no session, or it has no policy yet.
+        RuntimeError: OpenGL, which the film needs, is missing.
     """
     header, _, _ = session.read(folder)
     task = session.read_task(folder)
     saved = folder / "policy.json"
     if not saved.exists():
-        raise session.SessionError(f"{folder} holds no policy yet")
+        raise session.SessionError(f"{folder} has no policy yet")
     answer = policy.from_json(saved.read_text())
     obstacle = (*task.obstacle, task.radius) if isinstance(task, Reach) else (0.0, 0.0, 0.0, 0.0)
     settings = WorldSettings(scene=SceneSettings(obstacle=obstacle), unknown=_unknown(folder))
@@ -79,7 +79,7 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
 
 
 def _unknown(folder: Path) -> bool:
-    """Whether a session was held in an unknown world, by the parameters of its nodes, if any."""
+    """Whether the parameters of a session's nodes, if any, select an unknown world."""
     file = folder / "logs" / "parameters.yaml"
     if not file.is_file():
         return False
@@ -88,27 +88,27 @@ def _unknown(folder: Path) -> bool:
 
 
 def _caption(task: Task, executed: Policy, rollout: Rollout, truth: Truth) -> str:
-    """Outcome of a rollout by the task's own observation and by the simulator's ground truth."""
+    """Outcome of a rollout as the task observed it and by the simulator's ground truth."""
     judged = task.assess(executed, rollout)
     fault = "" if rollout.fault is None else rollout.fault.text
-    seen = (judged.ret, judged.observation, judged.success, judged.why)
-    outcome = task.outcome(Outcome(*seen, fault, truth))
+    judgement = (judged.ret, judged.observation, judged.success, judged.why)
+    outcome = task.outcome(Outcome(*judgement, fault, truth))
     ret = "no return" if judged.ret is None else f"return {judged.ret:.3f}"
-    known = ", ".join(
+    facts = ", ".join(
         f"{name.removesuffix('_deg')} {value:.3g}{UNITS.get(name, '')}"
         if isinstance(value, float)
         else name.replace("_", " ")
         for name, value in truth.items()
-        if value is True or (isinstance(value, float) and not name.startswith(ARM))
+        if value is True or (isinstance(value, float) and not name.startswith(ARM_TRUTH))
     )
-    return f"{outcome}; {ret}. Ground truth: {known}."
+    return f"{outcome}; {ret}. Ground truth: {facts}."
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """`python -m wam_power_ros.experiments.session_answer`: write the report of a session."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("session", type=Path)
-    parser.add_argument("--no-film", metavar="WHY", help="leave the film out, for this reason")
+    parser.add_argument("--no-film", metavar="REASON", help="render no film, for this reason")
     options = parser.parse_args(arguments)
     shown = run(options.session, film=options.no_film is None)
     session_report.write(options.session, shown, options.no_film or "")

@@ -110,10 +110,9 @@ def test_a_return_is_that_of_the_policy_alone_and_of_equation_1_as_written() -> 
     np.testing.assert_array_equal(collided, plain_collided)
 
 
-@pytest.mark.parametrize("change", [{"radius": -0.1}, {"duration": 0.0}, {"count": 0}])
-def test_a_scenario_out_of_range_is_refused(change: dict) -> None:
-    with pytest.raises(ValueError, match=next(iter(change))):
-        synthetic(**change)
+def test_a_negative_radius_is_refused() -> None:
+    with pytest.raises(ValueError, match="radius"):
+        dataclasses.replace(SCENARIO, radius=-0.1)
 
 
 @pytest.mark.parametrize("period", [0.0, -0.01, np.inf, np.nan])

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report's chapter of each study."""
+"""Chapter of the report for each study."""

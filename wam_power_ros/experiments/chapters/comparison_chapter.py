@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapter of the comparison of learners; every number and figure follows from its results."""
+"""Chapter of the comparison of learners, computed from its results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import ranksums
 
 from wam_power_ros.experiments.jobs import Results
-from wam_power_ros.experiments.studies.comparison import FOILS, REFINED
+from wam_power_ros.experiments.studies.comparison import BASELINES, REFINED
 from wam_power_ros.reporting import study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
@@ -28,30 +28,35 @@ LEARNERS = {
     "reinforce": "REINFORCE",
     "enac": "eNAC",
     "random": "random search",
-    "screened": "screened PoWER (ours; told the model)",
+    "screened": "screened PoWER (ours; given the model)",
 }
 OURS = "screened"
 
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """All runs of a learner on a task."""
+    """All runs of a learner on a task.
 
-    final: np.ndarray  # return of the answer of each run, (runs,)
-    returns: np.ndarray  # of the rollouts, (runs, rollouts)
+    Attributes:
+        final: Return of the final mean of each run. Shape (runs,).
+        returns: Returns of the rollouts. Shape (runs, rollouts).
+    """
+
+    final: np.ndarray
+    returns: np.ndarray
 
     @classmethod
     def of(cls, results: list[Mapping[str, Any]]) -> Runs:
-        """Join jobs: one of reaching is of several seeds, one of the pancake of one."""
+        """Join jobs, which have several seeds each on reaching and one each on the pancake."""
         final, returns = [], []
         for job in results:
-            several = "final" in job
-            final += job["final"] if several else [float(np.mean(job["repeats"]))]
-            returns += job["returns"] if several else [job["returns"]]
+            on_reaching = "final" in job
+            final += job["final"] if on_reaching else [float(np.mean(job["repeats"]))]
+            returns += job["returns"] if on_reaching else [job["returns"]]
         return cls(np.array(final), np.array(returns))
 
     @property
-    def practised(self) -> np.ndarray:
+    def mean_returns(self) -> np.ndarray:
         """Mean return of all rollouts of each run. Shape (runs,)."""
         return self.returns.mean(axis=1)
 
@@ -69,23 +74,23 @@ class Runs:
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `comparison.jobs`; results of other studies are ignored."""
+    """Chapter of `comparison.jobs`; ignores results of other studies."""
     return Chapter(
         "Learners side by side",
         [
-            "All learners have the same rollouts, start at the same demonstration and learn full "
-            "matrices and attractors. Settings and exploration of each were chosen on other seeds: "
-            "on reaching two settings with twelve explorations, on 10 seeds and the best of them "
-            "on 60 more; on the pancake little more than the better of two explorations, on 2 "
-            "seeds. Screened PoWER draws candidates from PoWER's own distribution and executes the "
-            "one of highest predicted return; of ever fewer candidates, so that the rollouts "
-            "decide in the end. The model of reaching is Eq. 1's free path and Eq. 4, and the "
-            "places where rollouts were stopped; that of the pancake is the toss Eq. 1 plans, in "
-            "free flight, corrected by the returns. It receives the same returns as the others, "
-            "but it is given these models, which the others are not: what the comparison shows is "
-            "the worth of a model, not of a learner (experiments/studies/equal_knowledge.py gives "
-            "it to all). Rollouts until a return was reached count single rollouts; the mean "
-            "policy follows later.",
+            "All learners have the same number of rollouts, start at the same demonstration and "
+            "learn full matrices and attractors. Settings and exploration scales of each were "
+            "chosen on other seeds: on reaching, two settings with twelve scales on 10 seeds, and "
+            "the best of them on 60 more; on the pancake, little more than the better of two "
+            "scales on 2 seeds. Screened PoWER draws candidates from PoWER's distribution and "
+            "executes the one of highest predicted return. It draws fewer candidates with every "
+            "rollout, so that the rollouts decide in the end. The model of reaching is the free "
+            "path of Eq. 1, Eq. 4 and the places where rollouts were stopped; that of the pancake "
+            "is the toss that Eq. 1 plans, in free flight, corrected by the returns. All learners "
+            "receive the same returns, but only screened PoWER is given a model: the comparison "
+            "shows the value of a model, not of a learner "
+            "(experiments/studies/equal_knowledge.py gives the model to all). Rollouts until a "
+            "return was reached count single rollouts; the mean policy reaches it later.",
         ],
         parts=[_task(task, results[f"comparison-{task}"]) for task in TASKS],
     )
@@ -102,22 +107,21 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
     rows = []
     for name, some in runs.items():
         final = some.final
-        means = (final.mean(), np.median(final), final.std(ddof=1), some.practised.mean())
-        p = (_p_greater(ours.final, final), _p_greater(ours.practised, some.practised))
+        means = (final.mean(), np.median(final), final.std(ddof=1), some.mean_returns.mean())
+        p = (_p_greater(ours.final, final), _p_greater(ours.mean_returns, some.mean_returns))
         cells = [*(f"{value:.3f}" for value in means), some.needed(level)]
         cells += ["" if name == OURS else f"{value:.1g}" for value in p]
         rows.append([LEARNERS[name], str(len(final)), *cells])
     best = max(range(len(rows)), key=lambda row: float(rows[row][2]))
     measured = {
-        "its answer": {name: some.final for name, some in runs.items()},
-        "its rollouts, all while it learns": {name: r.practised for name, r in runs.items()},
+        "final policy": {name: some.final for name, some in runs.items()},
+        "all rollouts while it learns": {name: some.mean_returns for name, some in runs.items()},
     }
-    numbers = ("mean", "median", "sd", "mean of all rollouts", "rollouts")
     return Chapter(
         TASKS[task],
         [
-            f"{over} where the table does not say fewer. PoWER's median answer returns "
-            f"{level:.3f}; a rollout of that return came after "
+            f"{over} unless the table says fewer. PoWER's median final policy returns "
+            f"{level:.3f}; the first rollout with that return came after "
             f"{power.needed(level)} rollouts with PoWER and {ours.needed(level)} with ours "
             "(median)."
         ],
@@ -130,8 +134,11 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
         [
             Table(
                 f"{TASKS[task]}. Rollouts: until one returned {level:.3f}, median over runs. "
-                "p: ours greater, rank-sum, one-sided, of the answer and of all rollouts.",
-                ("learner", "runs", *numbers, "p answer", "p rollouts"),
+                "p: ours greater, rank-sum, one-sided, for the final policy and for all rollouts.",
+                (
+                    *("learner", "runs", "mean", "median", "sd", "mean of all rollouts"),
+                    *("rollouts", "p final policy", "p all rollouts"),
+                ),
                 rows,
                 [(best, 2)],
             )
@@ -151,17 +158,17 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
 
 
 def _ahead(name: str, returns: Mapping[str, np.ndarray], what: str, over: str) -> Claim:
-    """Claim that a learner is ahead of all FOILS."""
-    foils = [foil for foil in FOILS if foil in returns]
-    ours, others = returns[name], [returns[foil] for foil in foils]
+    """Claim that a learner has higher returns than all BASELINES."""
+    baselines = [baseline for baseline in BASELINES if baseline in returns]
+    ours, others = returns[name], [returns[baseline] for baseline in baselines]
     p_values = [_p_greater(ours, values) for values in others]
-    ahead = all(ours.mean() > values.mean() for values in others) and max(p_values) < 0.01
-    names = ", ".join(LEARNERS[foil] for foil in foils)
+    is_ahead = all(ours.mean() > values.mean() for values in others) and max(p_values) < 0.01
+    names = ", ".join(LEARNERS[baseline] for baseline in baselines)
     against = f"{ours.mean():.3f} against {', '.join(f'{v.mean():.3f}' for v in others)}"
     spread = f"p = {', '.join(f'{p:.1g}' for p in p_values)}"
-    claimed = f"{LEARNERS[name]} ahead of {names}: {what} (rank-sum p < 0.01)"
-    few = min(map(len, (ours, *others)))
-    return Claim(claimed, "", against, spread, over, ahead, runs=few)
+    claim = f"{LEARNERS[name]} ahead of {names}: {what} (rank-sum p < 0.01)"
+    count = min(map(len, (ours, *others)))
+    return Claim(claim, "", against, spread, over, is_ahead, runs=count)
 
 
 def _p_greater(ours: np.ndarray, others: np.ndarray) -> float:

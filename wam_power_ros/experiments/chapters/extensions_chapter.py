@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapter of the extensions the paper asks for; every number follows from their results."""
+"""Chapter of the extensions that the paper asks for, computed from their results."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from wam_power_ros.experiments.studies.extensions import (
 from wam_power_ros.reporting.chapter import Chapter, Claim, Table
 from wam_power_ros.reporting.terminal import counted
 
-LEVEL = 0.05  # of significance
-MARGIN = 0.03  # difference of mean returns that does not matter, as in the claims of reaching
-PAPERS = "6"  # size of the elite in the paper
+SIGNIFICANCE = 0.05
+MARGIN = 0.03  # negligible difference of mean returns, as in the claims of reaching
+PAPER_SIGMA = "6"  # size of the elite in the paper
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `extensions.jobs`; results of other studies are ignored."""
+    """Chapter of `extensions.jobs`; ignores results of other studies."""
     return Chapter(
         title="Extensions the paper asks for (Sec. IV)",
         text=[
@@ -60,10 +60,10 @@ def _sigma(results: Results) -> Chapter:
     for task, values in tasks.items():
         medians = {name: float(np.median(values[name])) for name in values}
         rows.append([task, *(_spread(values[name]) if name in values else "–" for name in names)])
-        top = max(medians, key=lambda name: medians[name])
+        top = max(medians, key=medians.__getitem__)
         best.append((len(rows) - 1, 1 + names.index(top)))
         fixed = {name: medians[name] for name in medians if name != AUTO}
-        good, bad = (pick(fixed, key=lambda name: fixed[name]) for pick in (max, min))
+        good, bad = max(fixed, key=fixed.__getitem__), min(fixed, key=fixed.__getitem__)
         auto, best_fixed = values[AUTO], values[good]
         low, high = _interval(auto, best_fixed)
         what = f"Automatic elite at most {MARGIN} worse than the best fixed one: {task}"
@@ -74,8 +74,8 @@ def _sigma(results: Results) -> Chapter:
         worst = np.mean(auto) - np.mean(values[bad])
         spread = f"{interval}; against the worst, σ = {bad}: {worst:+.3f}"
         over = f"{counted(len(auto), 'run')} each"
-        few = min(len(auto), len(best_fixed))
-        claims.append(Claim(what, "proposed", measured, spread, over, low > -MARGIN, runs=few))
+        count = min(len(auto), len(best_fixed))
+        claims.append(Claim(what, "proposed", measured, spread, over, low > -MARGIN, runs=count))
         chosen = np.array([size for size in sizes[task] if size is not None])
         sentences.append(
             f"{task}: median {np.median(chosen):.0f} ({chosen.min():.0f} to {chosen.max():.0f})"
@@ -83,8 +83,8 @@ def _sigma(results: Results) -> Chapter:
     return Chapter(
         "Automatic size of the elite",
         [
-            "After every rollout the size of highest expected return is taken, as estimated by "
-            "leaving rollouts out of the elite in turn. Over a run it chose "
+            "After every rollout the elite gets the size of highest expected return, estimated by "
+            "leaving rollouts out of the elite in turn. Sizes chosen in a run: "
             f"{'; '.join(sentences)}."
         ],
         claims,
@@ -101,16 +101,15 @@ def _sigma(results: Results) -> Chapter:
 
 
 def _person(results: Results) -> Chapter:
-    alone, helped = results[f"{SIGMA}{PAPERS}"], results[PERSON]
+    alone, helped = results[f"{SIGMA}{PAPER_SIGMA}"], results[PERSON]
     count = [run["rated"] for run in helped.values()]
     return Chapter(
         "Rewards and punishments by a person",
         [
-            "A simulated person sees what really happened: it rewards true flips that are caught "
-            "and punishes rollouts that are not caught, "
-            f"{np.median(count):.0f} of them in the median "
-            f"session ({min(count)} to {max(count)}). Learnt from is Eq. 5, which does not ask for "
-            "a catch, by the paper's preset without its stop rule."
+            "A simulated person who knows the ground truth rewards true flips that are caught and "
+            f"punishes rollouts that are not caught, {np.median(count):.0f} rollouts in the median "
+            f"session ({min(count)} to {max(count)}). The sessions use the paper's preset without "
+            "its stopping rule; its return, Eq. 5, does not require a catch."
         ],
         *_compared("A person's ratings", alone, helped),
     )
@@ -123,9 +122,9 @@ def _demonstration(results: Results) -> Chapter:
     return Chapter(
         "A demonstration in the middle of learning",
         [
-            "Sessions of the shipped default begin with demonstrations of a hand that hardly turns "
-            "the pancake; in half of them the usual hand gives one more after some rollouts. "
-            f"It was learnt from in {taken} of {counted(len(helped), 'session')} "
+            "Sessions of the shipped default begin with a weak demonstrator who hardly turns the "
+            "pancake; in half of them the usual one gives another demonstration after some "
+            f"rollouts. It was learnt from in {taken} of {counted(len(helped), 'session')} "
             f"and refused in {refused}."
         ],
         *_compared("A later demonstration", alone, helped),
@@ -135,7 +134,7 @@ def _demonstration(results: Results) -> Chapter:
 def _compared(
     what: str, alone: Mapping[str, Any], helped: Mapping[str, Any]
 ) -> tuple[list[Claim], list[Table]]:
-    """Re-tests without and with a person: landed, true flips, angle, return."""
+    """Claims and table of re-tests without and with a person."""
     claims, rows = [], []
     for name, key, form in (
         ("landed, share of re-tests", "landed", ".0%"),
@@ -148,19 +147,19 @@ def _compared(
         rows.append([name, _spread(without, form), _spread(with_, form), f"{p:.2g}"])
         if key in ("landed", "true_flip"):
             means = f"mean {np.mean(with_):.0%} against {np.mean(without):.0%} without"
-            met = bool(np.mean(with_) > np.mean(without) and p < LEVEL)
+            met = bool(np.mean(with_) > np.mean(without) and p < SIGNIFICANCE)
             over = f"{counted(len(with_), 'session')} each"
-            few = min(len(with_), len(without))
-            claim = Claim(f"{what}: {name}", "proposed", means, f"p = {p:.2g}", over, met, runs=few)
-            claims.append(claim)
+            count = min(len(with_), len(without))
+            title = f"{what}: {name}"
+            claims.append(Claim(title, "proposed", means, f"p = {p:.2g}", over, met, runs=count))
     used = [[run["used"] for run in runs.values()] for runs in (alone, helped)]
     rows.append(["rollouts used", *(_spread(u, ".0f") for u in used), f"{_p(*used):.2g}"])
     head = ("of a session, median and quartiles", "without", "with", "p")
-    return claims, [Table(f"{what}: the answers of the sessions.", head, rows)]
+    return claims, [Table(f"{what}: final policies of the sessions.", head, rows)]
 
 
 def _interval(one: Sequence[float], other: Sequence[float]) -> tuple[float, float]:
-    """90 % interval of the difference of two means, by Welch's t; without end for a single run."""
+    """90 % interval of the difference of two means, by Welch's t; infinite for a single run."""
     if min(len(one), len(other)) < 2:
         return -math.inf, math.inf
     if not np.ptp(one) and not np.ptp(other):
@@ -170,7 +169,7 @@ def _interval(one: Sequence[float], other: Sequence[float]) -> tuple[float, floa
 
 
 def _means(runs: Mapping[str, Mapping[str, Any]], key: str) -> list[float]:
-    """Mean over the re-tests of each session; 0 where there was nothing to re-test."""
+    """Mean over the re-tests of each session; 0 for a session without re-tests."""
     values = [[value for value in run[key] if value is not None] for run in runs.values()]
     return [float(np.mean(some)) if some else 0.0 for some in values]
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapter of the pancake sessions; every number, figure and verdict follows from their results."""
+"""Chapter of the pancake sessions, computed from their results."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 from scipy.stats import mannwhitneyu
@@ -26,20 +27,20 @@ from wam_power_ros.reporting import figures, flip_figures, study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 from wam_power_ros.reporting.terminal import counted
 
-THEIRS = "paper's settings"
+PAPER_LABEL = "paper's settings"
 BLOCK = 10  # rollouts averaged in the ablation
-OPEN = "how often a success has to be repeated, and how the answer was tested"
+OPEN = "how often a success has to be repeated, and how the final policy was tested"
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `flip_sessions.jobs`; results of other studies are ignored."""
+    """Chapter of `flip_sessions.jobs`; ignores results of other studies."""
     default, paper, long = (Sessions([*results[s].values()]) for s in (DEFAULT, PAPER, LONG))
     learnt, ablated = (
         {name.removeprefix(of): runs for name, runs in results.items() if name.startswith(of)}
         for of in (LEARNT, ABLATION)
     )
     seeds = next(iter(ablated.values()))
-    ablated["full"] = {key: results[PAPER][key] for key in seeds}  # of the same seeds
+    ablated["full"] = {key: results[PAPER][key] for key in seeds}  # same seeds
     conditions, ablation = (
         {name: Sessions([*runs.values()]) for name, runs in some.items()}
         for some in (learnt, ablated)
@@ -47,14 +48,14 @@ def chapter(results: Results) -> Chapter:
     return Chapter(
         "Flipping a pancake (Sec. III-B, Figs. 3 to 6)",
         [
-            "Every session is taught a small series of demonstrations of its own by the simulated "
-            "hand, chooses one by its reproduction and practises, with encoders, velocity filter, "
-            "delay and the motors' torque-speed envelope at 48 V (unless a table says otherwise). "
-            "Every trial on the arm counts. Its answer is then re-tested with fresh noise: where "
-            "the pancake lies, cameras, draught, torque constants and joint friction. Landed means "
-            "that the pancake lies flat in the pan, other side up; a true flip also turned by 150 "
-            "to 240 degrees until it came down, so it did not topple over its edge. None of these "
-            "seeds was used for tuning.",
+            "In every session the simulated demonstrator gives a new series of demonstrations; the "
+            "session chooses one by its reproduction and practises, with encoders, velocity "
+            "filter, delay and the motors' torque-speed envelope at 48 V (unless a table says "
+            "otherwise). Every trial on the arm counts. The final policy is then re-tested with "
+            "new noise on the pancake's place, cameras, draught, torque constants and joint "
+            "friction. Landed means that the pancake lies flat in the pan, other side up; in a "
+            "true flip it also turned by 150 to 240 degrees before it came down, so it did not "
+            "topple over its edge. None of these seeds was used for tuning.",
         ],
         parts=[
             _default(default),
@@ -77,64 +78,60 @@ def _default(sessions: Sessions) -> Chapter:
     confirmed = sum(run["ended_by"] == "confirmation" for run in sessions.runs)
     peaks = np.array([row["peak_qd"] for row in retests]).max(axis=0)
     speeds = ", ".join(f"J{k} {peak:.1f}" for k, peak in enumerate(peaks, start=1))
+    claim = partial(Claim, count=over)
+    judged = partial(claim, runs=len(sessions))
     claims = [
         *(
-            Claim(
+            judged(
                 f"Shipped default: {what} in at least {RELIABLE:.0%} of re-tests",
                 "",
                 sessions.reliable(shares),
                 f"mean {shares.mean():.1%}, worst session {shares.min():.0%}",
-                over,
-                int((shares >= RELIABLE).sum()) >= wanted * len(sessions),
-                runs=len(sessions),
+                met=int((shares >= RELIABLE).sum()) >= wanted * len(sessions),
             )
             for what, shares, wanted in (("landed", landed, 0.9), ("true flips", true, 2.0 / 3.0))
         ),
-        Claim(
-            "Shipped default: rollouts on the arm until the answer, all counted",
+        judged(
+            "Shipped default: rollouts on the arm until the final policy, all counted",
             "fewer than 100",
             f"median {np.median(used):.0f}",
             f"{used.min()} to {used.max()}",
-            count,
-            bool(used.max() < 100),
-            OPEN,
-            len(sessions),
+            count=count,
+            met=bool(used.max() < 100),
+            left_open=OPEN,
         ),
-        Claim(
+        judged(
             "Shipped default: no joint beyond its no-load speed at 48 V",
             "",
             f"{beyond} of {len(retests)} re-tests beyond",
             "",
-            over,
-            beyond == 0,
-            runs=len(sessions),
+            met=beyond == 0,
         ),
-        Claim(
-            "Speeds the arm's safety board has to allow",
+        claim(
+            "Speeds that the arm's safety board has to allow",
             "",
             f"elbow {elbow.max():.2f} m/s, 350 mm beyond it {forearm.max():.2f} m/s",
             f"medians {np.median(elbow):.2f} and {np.median(forearm):.2f} m/s",
-            over,
         ),
     ]
     rows = [
         ["landed, share of re-tests", *quantile_cells(landed, ".0%")],
         ["true flips, share of re-tests", *quantile_cells(true, ".0%")],
         ["angle at t_f, mean [degrees]", *sessions.means("angle_deg", ".0f")],
-        ["rollouts until the answer", *quantile_cells(used, ".0f")],
+        ["rollouts until the final policy", *quantile_cells(used, ".0f")],
         ["miss at t_f, mean [m]", *sessions.means("miss", ".3f")],
         ["apex, mean [m]", *sessions.means("apex", ".2f")],
     ]
-    head = ("of a session", "least", "lower quartile", "median", "upper quartile", "most")
-    caption = f"The answers of {count}. Peak joint speeds in any re-test [rad/s]: {speeds}."
+    head = ("of a session", "minimum", "lower quartile", "median", "upper quartile", "maximum")
+    caption = f"Final policies of {count}. Peak joint speeds in any re-test [rad/s]: {speeds}."
     return Chapter(
         "The shipped default",
         [
-            f"The default (preset flip) confirmed its answer within the budget in {confirmed} of "
+            f"The default (preset flip) confirmed a policy within the budget in {confirmed} of "
             f"{count}, after {used.min():.0f} to {used.max():.0f} (median {np.median(used):.0f}) "
             f"rollouts, and {faults} of {len(trials)} trials ended in a fault of the controller. "
             f"Before any learning, the reproduction of the demonstration was a true flip in "
-            f"{sessions.reproduced} of {count}: where it was, what remained was to find it again.",
+            f"{sessions.reproduced} of {count}; these sessions only had to repeat it.",
         ],
         claims,
         [Table(caption, head, rows)],
@@ -151,8 +148,8 @@ def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> Chapter:
     kept = [name for name in shares if shares[name] >= RELIABLE]
     lost = [f"{name} ({shares[name]:.0%})" for name in shares if shares[name] < RELIABLE]
     text = "Policies learnt by the default, unchanged, in conditions they were not learnt in. "
-    text += f"They land at least {RELIABLE:.0%} under: {'; '.join(kept)}. " if kept else ""
-    text += f"They do not under: {'; '.join(lost)}." if lost else ""
+    text += f"They land in at least {RELIABLE:.0%} under: {'; '.join(kept)}. " if kept else ""
+    text += f"They land less often under: {'; '.join(lost)}." if lost else ""
     conditions = {"as learnt": sessions.retests, **carried}
     again = []
     for name, others in learnt.items():
@@ -165,14 +162,14 @@ def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> Chapter:
         [text],
         tables=[
             Table(
-                "Answers of the default, run in other conditions.",
+                "Final policies of the default, run in other conditions.",
                 ("condition", "runs", *outcomes),
                 [[name, f"{len(r)}", *outcome_cells(r)] for name, r in conditions.items()],
             ),
             Table(
-                "Sessions of the default held in such conditions from the first demonstration on; "
-                "the last column is their answers back in the stand-in as it is.",
-                ("learnt under", "sessions", "median rollouts", *outcomes, "landed, as it is"),
+                "Sessions of the default under such conditions from the first demonstration on; in "
+                "the last column their final policies run in the unchanged stand-in.",
+                ("learnt under", "sessions", "median rollouts", *outcomes, "landed, unchanged"),
                 again,
             ),
         ],
@@ -188,41 +185,35 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
     landed, true = sessions.landed, sessions.true_flips
     over = counted(len(sessions), "session")
     six = Sessions(sessions.runs[:6])
+    claim = partial(Claim, count=over)
     claims = [
-        Claim(
+        claim(
             "Fig. 5: gain of the mean return from the first five rollouts to the last five of 50",
             f"{paper_late - paper_early:.2f}",
             f"{gain.mean():.2f}",
             f"sd {gain.std():.2f}; the first six sessions {gain[:6].mean():.2f}",
-            over,
-            None,
-            "demonstrations, exploration, origin of the altitude and the rule for t_f; so our "
-            "scale sits higher",
+            left_open="demonstrations, exploration, origin of the altitude and the rule for t_f, "
+            "so that our returns are higher",
         ),
-        Claim(
+        claim(
             "Fig. 5: mean return of the last five rollouts",
             f"{paper_late:.2f}",
             f"{late.mean():.2f}",
             f"sd {late.std():.2f}, from {early.mean():.2f} (paper from {paper_early:.2f})",
-            over,
         ),
-        Claim(
+        claim(
             "Paper's preset: rollout of the third return in a row of at least 0.9",
             f"mean curve first reaches 0.9 at {int(np.argmax(fig5 >= 0.9)) + 1}",
             f"median {np.median(fired):.0f}" if fired else "never",
-            f"{len(fired)} of {counted(len(sessions), 'session')} within their rollouts",
-            over,
-            None,
-            "what makes a return reproducible",
+            f"{len(fired)} of {over} within their rollouts",
+            left_open="what makes a return reproducible",
         ),
-        Claim(
+        claim(
             f"Paper's preset: landed in at least {RELIABLE:.0%} of re-tests of the final mean",
             "caught and flipped, as filmed",
             sessions.reliable(landed),
             f"landed {landed.mean():.0%}, true flips {true.mean():.0%} of all re-tests",
-            over,
-            None,
-            OPEN,
+            left_open=OPEN,
         ),
     ]
     rows = []
@@ -236,10 +227,10 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
         "The paper's own settings (Fig. 5)",
         [
             "The paper's preset: Eq. 5, full matrices, sigma 6, no decay, 50 rollouts without "
-            "stopping early. For this figure the hand is a weaker one than the default's, since "
+            "stopping early. For this figure the demonstrator is weaker than the default's, since "
             "the paper's own demonstration did not toss the pancake when it was first reproduced; "
-            "with the strong hand Eq. 5 is near its goal from the start. Its pitch rate was chosen "
-            "on other seeds.",
+            "with the default demonstrator Eq. 5 is near its maximum from the start. The pitch "
+            "rate of the weaker one was chosen on other seeds.",
             "From the first five to the last five rollouts the mean return rises by "
             f"{gain.mean():.2f} (paper {paper_late - paper_early:.2f}). Eq. 5 rewards height, so a "
             f"return of 0.9 does not imply a catch: the final means landed in {landed.mean():.0%} "
@@ -249,8 +240,8 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
         claims,
         [
             Table(
-                "The paper's preset and what really happened in the re-tests of its answers, each "
-                "with fresh noise.",
+                "The paper's preset: ground truth of the re-tests of its final policies, each with "
+                "new noise.",
                 ("rollouts", *returns, "landed", "true flips", "angle at t_f", "apex [m]"),
                 rows,
             )
@@ -270,17 +261,17 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
 def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessions]) -> Chapter:
     table = figures.paper_table("k33")[:, 1]
     published = f"{float(np.ptp(table)) / table.mean():.0%}"
-    profiles = {"default": default.stiffness("learnt"), THEIRS: paper.stiffness("learnt")}
-    ours, theirs = (_variation(rows) for rows in profiles.values())
+    profiles = {"default": default.stiffness("learnt"), PAPER_LABEL: paper.stiffness("learnt")}
+    ours, paper_like = (_variation(rows) for rows in profiles.values())
     demonstrated = _variation(paper.stiffness("demonstrated"))
     claims = [
         Claim(
-            "Vertical stiffness K33 along the learnt movement, largest less smallest over its mean",
+            "Vertical stiffness K33 along the learnt movement, (maximum - minimum) / mean",
             published,
-            f"{np.median(theirs):.0%} ({THEIRS})",
-            f"{theirs.min():.0%} to {theirs.max():.0%}; before learning "
+            f"{np.median(paper_like):.0%} ({PAPER_LABEL})",
+            f"{paper_like.min():.0%} to {paper_like.max():.0%}; before learning "
             f"{np.median(demonstrated):.0%}",
-            counted(len(theirs), "session"),
+            counted(len(paper_like), "session"),
         )
     ]
     stacked = {name: study_figures.stack(sessions.curves) for name, sessions in ablation.items()}
@@ -298,7 +289,7 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
         other = finals["diagonal"]
         claims.append(
             Claim(
-                "Full less diagonal matrices on the pancake, mean return of the last "
+                "Full minus diagonal matrices on the pancake, mean return of the last "
                 f"{BLOCK} rollouts",
                 "",
                 f"{full.mean() - other.mean():+.3f}",
@@ -309,18 +300,18 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
     best = max(range(len(rows)), key=lambda k: finals[rows[k][0]].mean())
     block = (f"mean return per {BLOCK} rollouts", f"last {BLOCK}, mean ± sd")
     return Chapter(
-        "Compliance: what is learnt of the stiffness",
+        "Compliance: the learnt stiffness",
         [
             "In the paper the vertical stiffness of the learnt policy varies by "
             f"{published} along the movement. Here it varies by "
             f"{np.median(demonstrated):.0%} as fitted to the demonstration, by "
-            f"{np.median(theirs):.0%} as learnt with the paper's settings and by "
+            f"{np.median(paper_like):.0%} as learnt with the paper's settings and by "
             f"{np.median(ours):.0%} as learnt by the default (medians)."
         ],
         claims,
         [
             Table(
-                "The paper's settings with less of the matrices to learn: same seeds, same "
+                "The paper's settings with fewer matrix entries to learn: same seeds, same "
                 "demonstrations. p: rank-sum test of the last column of returns against full.",
                 ("learnt", *block, "landed", "true flips", "p against full"),
                 rows,
@@ -331,12 +322,12 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
             Figure.of(
                 "k33-profiles",
                 "Vertical stiffness along the learnt movements: median and 80 % of the sessions, "
-                "beside the paper's.",
+                "with the paper's.",
                 figures.stiffness(profiles, paper=True),
             ),
             Figure.of(
                 "pancake-ablation",
-                "Return of Eq. 5 with less of the stiffness to learn: median and quartiles over "
+                "Return of Eq. 5 with fewer matrix entries to learn: median and quartiles over "
                 "sessions.",
                 study_figures.learner_curves(
                     {name: sessions.curves for name, sessions in ablation.items()},
@@ -356,26 +347,27 @@ def _p(one: np.ndarray, other: np.ndarray) -> float:
     return float(mannwhitneyu(one, other, alternative="two-sided").pvalue)
 
 
-def _flights(sessions: Sessions, name: str, whose: str) -> list[Figure]:
-    """Figs. 3, 4 and 6 of the session that kept its paths."""
+def _flights(sessions: Sessions, name: str, settings: str) -> list[Figure]:
+    """Figs. 3, 4 and 6 from the session that kept its paths."""
     shown = next((run["figure_paths"] for run in sessions.runs if run["figure_paths"]), None)
     if shown is None:
         return []
     flights = {}
-    for title in ("demonstration", "reproduction", "answer"):
-        own = shown[title]
+    for key in ("demonstration", "reproduction", "answer"):
+        title = "final policy" if key == "answer" else key
+        paths = shown[key]
         pan, pancake = (
-            {k: np.array(v) for k, v in own[body].items()} for body in ("pan", "pancake")
+            {k: np.array(v) for k, v in paths[body].items()} for body in ("pan", "pancake")
         )
-        flights[title] = (EndEffectorPath(title, **pan), BodyPath(title, **pancake), own["t_f"])
+        flights[title] = (EndEffectorPath(key, **pan), BodyPath(key, **pancake), paths["t_f"])
     last = shown["answer"]["t_f"] or 1.0
-    film = f"Fig. 6. The answer of the same session with {whose}."
+    film = f"Fig. 6. The final policy of the same session with {settings}."
     return [
         Figure.of(
             f"fig3-4-flights-{name}",
-            f"Figs. 3 and 4. One session with {whose}: the demonstration, its first reproduction, "
-            "and the answer, from the side.",
+            f"Figs. 3 and 4. One session with {settings}: the demonstration, its first "
+            "reproduction and the final policy, from the side.",
             flip_figures.flights(flights),
         ),
-        filmstrip.strip(f"fig6-film-{name}", film, shown["trace"], 0.0, last + 0.25),
+        filmstrip.strip(f"fig6-film-{name}", film, shown["trace"], last + 0.25),
     ]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics over pancake sessions of one condition, and the cells of their tables."""
+"""Statistics of pancake sessions under one condition, and cells of their tables."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 from wam_power_ros.reporting import study_figures
 from wam_power_ros.reporting.terminal import counted
 
-Row = Mapping[str, Any]  # a rollout as the study keeps it
-RELIABLE = 0.9  # share of an answer's re-tests
+Row = Mapping[str, Any]  # a rollout in a result of the study
+RELIABLE = 0.9  # share of the re-tests of a final policy
 
 
 @dataclass(frozen=True)
 class Sessions:
-    """Sessions held under one condition, results of `flip_sessions.session`, and statistics."""
+    """Sessions under one condition: results of `flip_sessions.session` and their statistics."""
 
     runs: Sequence[Mapping[str, Any]]
 
@@ -27,12 +27,12 @@ class Sessions:
 
     @property
     def retests(self) -> list[Row]:
-        """Re-tests of all answers."""
+        """Re-tests of all sessions."""
         return [row for run in self.runs for row in run["retests"]]
 
     @property
     def used(self) -> np.ndarray:
-        """Rollouts each session used. Shape (n,)."""
+        """Number of rollouts used by each session. Shape (n,)."""
         return np.array([run["used"] for run in self.runs])
 
     @property
@@ -47,9 +47,9 @@ class Sessions:
 
     @property
     def reproduced(self) -> int:
-        """Number of sessions whose demonstration was a true flip when it was reproduced.
+        """Number of sessions in which the chosen reproduction was a true flip.
 
-        Of several reproductions that of the highest return is learnt from.
+        A session learns from the reproduction of highest return.
         """
         count = 0
         for run in self.runs:
@@ -60,7 +60,7 @@ class Sessions:
 
     @property
     def curves(self) -> list[list[float]]:
-        """Returns of the rollouts of each session that could be judged."""
+        """Returns of the rollouts of each session, without those that have none."""
         return [[ret for ret in run["curve"] if ret is not None] for run in self.runs]
 
     @property
@@ -69,7 +69,7 @@ class Sessions:
         return study_figures.first_and_last_five(self.curves)
 
     def means(self, name: str, form: str) -> list[str]:
-        """Cells: quantiles of the sessions' mean of a quantity over the re-tests, if any."""
+        """Cells: quantiles over sessions of the mean of a quantity over the re-tests, if any."""
         tested = [run["retests"] for run in self.runs if run["retests"]]
         return quantile_cells(np.array([values(rows, name).mean() for rows in tested]), form)
 
@@ -78,32 +78,32 @@ class Sessions:
         return np.array([run["k33"][which] for run in self.runs if run["k33"]])
 
     def reliable(self, shares: np.ndarray) -> str:
-        """Number of sessions in which a share of the re-tests is at least RELIABLE."""
+        """Number of sessions whose share of the re-tests is at least RELIABLE."""
         return f"{int((shares >= RELIABLE).sum())} of {counted(len(self), 'session')}"
 
 
 def values(rows: Iterable[Row], name: str) -> np.ndarray:
-    """A quantity of all rows. Shape (n,)."""
+    """Values of a quantity in all rows. Shape (n,)."""
     return np.array([row[name] for row in rows], dtype=float)
 
 
 def share(rows: Sequence[Row], name: str) -> float:
-    """Share of the rows of which something holds; 0 where there is no row."""
+    """Share of the rows in which a flag is set; 0 without rows."""
     return float(values(rows, name).mean()) if rows else 0.0
 
 
 def share_cell(rows: Sequence[Row], name: str) -> str:
-    """Cell: share of the rows of which something holds; empty where there is no row."""
+    """Cell: share of the rows in which a flag is set; empty without rows."""
     return f"{share(rows, name):.0%}" if rows else ""
 
 
 def outcome_cells(rows: Sequence[Row]) -> list[str]:
-    """Cells: landed, true flips, median angle, number beyond a motor's no-load speed."""
+    """Cells: landed, true flips, median angle, number beyond the motors' no-load speed."""
     angle = f"{np.median(values(rows, 'angle_deg')):.0f}°" if rows else ""
     beyond = f"{sum(row['beyond_no_load'] for row in rows)}"
     return [share_cell(rows, "landed"), share_cell(rows, "true_flip"), angle, beyond]
 
 
 def quantile_cells(sample: np.ndarray, form: str) -> list[str]:
-    """Cells: least, lower quartile, median, upper quartile and most of a sample."""
+    """Cells: minimum, lower quartile, median, upper quartile and maximum of a sample."""
     return [f"{value:{form}}" for value in np.quantile(sample, (0.0, 0.25, 0.5, 0.75, 1.0))]

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapter of the reaching study; every number, figure and verdict follows from its results."""
+"""Chapter of the reaching study, computed from its results."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,10 @@ from wam_power_ros.experiments.studies.reaching_runs import VARIANTS
 from wam_power_ros.reporting import reach_figures, study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
-PAPER = {"full": 0.73, "diagonal": 0.61}  # after 100 rollouts, mean of 10 experiments
-FIRST = 10  # runs, as many as the paper's
+PAPER_RETURNS = {"full": 0.73, "diagonal": 0.61}  # after 100 rollouts, mean of 10 experiments
+PAPER_RUNS = 10
 LEVEL = 0.73
-JOINED = ("means", "best", "stuck", "paths")  # what a job has of each of its runs
+RUN_FIELDS = ("means", "best", "stuck", "paths")  # fields of a job with one value per run
 GEOMETRY = (
     "demonstrations, obstacle and unit of length: a calibrated geometry, with decimetres in Eq. 4, "
     "the only unit that can give both figures"
@@ -51,7 +52,7 @@ class Runs:
     def of(cls, study: Mapping[str, Mapping[str, Any]], variant: str) -> Runs:
         """Join the jobs of a variant."""
         parts = [part for part in study.values() if part["variant"] == variant]
-        joined = ([value for part in parts for value in part[name]] for name in JOINED)
+        joined = ([value for part in parts for value in part[name]] for name in RUN_FIELDS)
         means, best, stuck, paths = joined
         first = parts[0]
         shown = [np.array(path) for path in first["demonstrations"]]
@@ -71,7 +72,7 @@ class Runs:
 
 
 def chapter(results: Results) -> Chapter:
-    """The chapter of `reaching.jobs`; results of other studies are ignored."""
+    """Chapter of `reaching.jobs`; ignores results of other studies."""
     synthetic, taught = (
         {variant: Runs.of(results[study], variant) for variant in VARIANTS}
         for study in (SYNTHETIC, TAUGHT)
@@ -79,10 +80,10 @@ def chapter(results: Results) -> Chapter:
     return Chapter(
         "Reaching past an obstacle (Sec. III-A, Fig. 2)",
         [
-            "Four demonstrations are fitted by two primitives; a sphere lies on their mean. A "
-            "rollout that meets it stays where it is; the return is Eq. 4. PoWER (sigma 3, noise "
-            "times 0.965 a rollout, as in the authors' scripts) learns full matrices or only their "
-            "diagonals. The noise of each was chosen on 60 other seeds. "
+            "Two primitives are fitted to four demonstrations; a sphere lies on their mean. A "
+            "rollout that touches it stops there; the return is Eq. 4. PoWER (sigma 3, noise times "
+            "0.965 after each rollout, as in the authors' scripts) learns full matrices or only "
+            "their diagonals. The noise of each was chosen on 60 other seeds. "
             f"Left open by the paper: {GEOMETRY}.",
         ],
         parts=[_synthetic(synthetic), _taught(taught, results[EXECUTED], results[PRACTISED])],
@@ -94,69 +95,61 @@ def _synthetic(runs: Mapping[str, Runs]) -> Chapter:
     over = runs["full"].over
     count, rollouts = runs["full"].means.shape
     p = _p_greater(full, diagonal)
-    apart = float(full.mean() - diagonal.mean())
+    difference = float(full.mean() - diagonal.mean())
     stuck = float(np.mean(runs["full"].stuck))
     hit = runs["full"].means >= LEVEL  # (runs, rollouts)
     needed = float(np.median(np.where(hit.any(axis=1), hit.argmax(axis=1) + 1.0, np.inf)))
     reached = f"in a median of {needed:.0f}" if np.isfinite(needed) else "not in half of the runs"
+    claim = partial(Claim, count=over)
     claims = [
-        Claim(
-            f"Reaching, {variant} matrices: mean return of {min(FIRST, count)} experiments",
-            f"{PAPER[variant]:.2f}",
-            f"{final[:FIRST].mean():.3f}",
+        claim(
+            f"Reaching, {variant} matrices: mean return of {min(PAPER_RUNS, count)} experiments",
+            f"{PAPER_RETURNS[variant]:.2f}",
+            f"{final[:PAPER_RUNS].mean():.3f}",
             f"all {count}: {final.mean():.3f}, sd {final.std(ddof=1):.3f}",
-            over,
-            None,
-            GEOMETRY,
+            left_open=GEOMETRY,
         )
         for variant, final in (("full", full), ("diagonal", diagonal))
     ]
+    judged = partial(claim, runs=count)
     claims += [
-        Claim(
+        judged(
             "Reaching, full matrices: median at least 0.74 and mean at least 0.72",
             "",
             f"median {np.median(full):.3f}, mean {full.mean():.3f}",
             f"sd {full.std(ddof=1):.3f}, {full.min():.2f} to {full.max():.2f}",
-            over,
-            bool(np.median(full) >= 0.74 and full.mean() >= 0.72),
-            runs=count,
+            met=bool(np.median(full) >= 0.74 and full.mean() >= 0.72),
         ),
-        Claim(
+        judged(
             "Reaching: full better than diagonal by at least 0.03 (rank-sum p < 0.01)",
-            f"{PAPER['full'] - PAPER['diagonal']:.2f}",
-            f"{apart:.3f}",
+            f"{PAPER_RETURNS['full'] - PAPER_RETURNS['diagonal']:.2f}",
+            f"{difference:.3f}",
             f"p = {p:.2g}, one-sided",
-            over,
-            apart >= 0.03 and p < 0.01,
-            runs=count,
+            met=difference >= 0.03 and p < 0.01,
         ),
-        Claim(
+        judged(
             "Reaching, full matrices: at most 10 % of runs stuck at the obstacle",
             "",
             f"{stuck:.0%}",
             f"diagonal {np.mean(runs['diagonal'].stuck):.0%}",
-            over,
-            stuck <= 0.1,
-            runs=count,
+            met=stuck <= 0.1,
         ),
-        Claim(
+        judged(
             f"Reaching, full, PoWER, stretch: mean 0.77, and {LEVEL} in a median of 45 rollouts",
             "",
             f"mean {full.mean():.3f}; {LEVEL} {reached}",
             f"{hit.any(axis=1).sum()} of {count} runs reached it",
-            over,
-            bool(full.mean() >= 0.77 and needed <= 45),
-            runs=count,
+            met=bool(full.mean() >= 0.77 and needed <= 45),
         ),
     ]
     learnt = {}
     for variant, some in runs.items():
-        best = some.paths[int(np.argmax(some.final[:FIRST]))]
-        learnt[variant] = replace(some.panel, learnt=best, rollouts=some.paths[:FIRST])
+        best = some.paths[int(np.argmax(some.final[:PAPER_RUNS]))]
+        learnt[variant] = replace(some.panel, learnt=best, rollouts=some.paths[:PAPER_RUNS])
     return Chapter(
         "Synthetic demonstrations",
         [
-            f"The demonstration itself returns {runs['full'].start:.3f}. After {rollouts} "
+            f"The demonstration returns {runs['full'].start:.3f}. After {rollouts} "
             f"rollouts the noise-free mean returns {full.mean():.3f} with full matrices and "
             f"{diagonal.mean():.3f} with diagonal ones ({count} runs each, p = {p:.2g})."
         ],
@@ -166,16 +159,16 @@ def _synthetic(runs: Mapping[str, Runs]) -> Chapter:
             Figure.of(
                 "reaching-curves",
                 "Return of the noise-free mean over rollouts, median and quartiles, with the "
-                "paper's figures after 100 rollouts (of its own, unknown geometry).",
+                "paper's values after 100 rollouts (in its own, unknown geometry).",
                 study_figures.learner_curves(
                     {variant: some.means.tolist() for variant, some in runs.items()},
                     ylabel="return (Eq. 4)",
-                    marks={f"paper, {name}": value for name, value in PAPER.items()},
+                    marks={f"paper, {name}": value for name, value in PAPER_RETURNS.items()},
                 ),
             ),
             Figure.of(
                 "fig2-reaching",
-                "Paths learnt in the first ten runs of each variant. The best of them is set off.",
+                "Paths learnt in the first ten runs of each variant, the best highlighted.",
                 reach_figures.paths(learnt),
             ),
         ],
@@ -201,13 +194,13 @@ def _taught(
     return Chapter(
         "Taught on the arm, and executed by it",
         [
-            "The same with the four demonstrations of bags/reach_*, given to the simulated arm in "
-            "gravity compensation. Learning simulates Eq. 1; the learnt policy is then "
-            "executed by the torque controller on the simulated arm, which follows Eq. 1 in closed "
-            "loop, with friction, delay and filtered velocities. There is no sphere in its world: "
-            f"{clear} of {len(VARIANTS)} executed paths stay clear of where it would be. The arm "
-            "is compliant and deviates from the plan of Eq. 1, so it practises as well: PoWER "
-            "on the returns of executed paths.",
+            "The same with the four demonstrations of bags/reach_*, recorded on the simulated arm "
+            "under gravity compensation. Learning simulates Eq. 1; the torque controller then "
+            "executes the learnt policy on the simulated arm, following Eq. 1 in closed loop, with "
+            "friction, delay and filtered velocities. The simulated world has no sphere: "
+            f"{clear} of {len(VARIANTS)} executed paths stay clear of its place. The arm is "
+            "compliant and deviates from the plan of Eq. 1, so PoWER also practises on the arm, "
+            "with the returns of executed paths.",
         ],
         [
             Claim(
@@ -222,7 +215,7 @@ def _taught(
             _table(runs, f"{over}; returns of the noise-free mean."),
             Table(
                 "The learnt policy on the arm: deviation of the executed path from the planned "
-                "one, least distance to the sphere, return of both paths.",
+                "path, smallest distance to the sphere, return of both paths.",
                 ("variant", *distances, "planned return", "executed return", "fault"),
                 rows,
             ),

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runs of each study."""
+"""Runs of each study."""

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learners side by side on both tasks: same rollouts, tuned alike, compared on other seeds.
+"""Learners side by side on both tasks: equal rollouts, equal tuning, held-out seeds.
 
     python -m wam_power_ros.experiments.studies.comparison pancake [pi2]
 
-tunes one learner or all on a task: all settings of GRID with all noises of NOISE on a few tuning
-seeds, then the best of these on more of them. The result is written into TUNED by hand.
+tunes one learner or all of them on a task: all settings in GRID with all exploration scales in
+NOISE on a few tuning seeds, then the best of these on more seeds. TUNED has the results.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from wam_power_ros.experiments import jobs as job_cache
-from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.experiments.jobs import Job, Scale
 from wam_power_ros.experiments.studies.comparison_runs import pancake_run, reaching_runs
 
-FOILS = ("power", "cma", "pi2")  # learners of the literature that a claim is made against
-REFINED = ("screened", "shaped")  # learners that claims are made of: ours, and PoWER refined
+BASELINES = ("power", "cma", "pi2")  # learners from the literature that claims compare with
+REFINED = ("screened", "shaped")  # learners with a claim: ours, and PoWER refined
 
 
 class Choice(NamedTuple):
-    """A learner's settings as data, and the standard deviations of its exploration."""
+    """Settings of a learner as data, and the standard deviations of its exploration."""
 
     settings: dict[str, Any]
-    stiffness: float  # as a share of the mean stiffness
+    stiffness: float  # fraction of the mean stiffness
     attractor: float  # [m]
 
 
 class Effort(NamedTuple):
-    """Tuning seeds of a learner: `few` for all choices, `many` for the best `kept` ones, if any."""
+    """Tuning seeds of a learner: `few` for all choices, then `many` for the best `kept`."""
 
     few: Sequence[int]
     many: Sequence[int]
@@ -42,10 +42,9 @@ class Effort(NamedTuple):
 
 
 ROLLOUTS = {"reaching": 100, "pancake": 40}
-# 401-440 served to decide what to measure; claims are measured on others.
+# Seeds 401-440 were used to decide what to measure; claims are measured on others.
 HELD_OUT = {"reaching": range(441, 481), "pancake": range(417, 433)}
-# Runs on the pancake (15 s each) of a learner without a claim.
-UNCLAIMED_SEEDS = 8
+UNCLAIMED_SEEDS = 8  # of a learner without a claim on the pancake, where a run takes 15 s
 EFFORT = {
     "reaching": Effort(range(1_000_000, 1_000_010), range(1_000_010, 1_000_070), 4),
     "pancake": Effort(range(21, 23), range(0), 0),
@@ -54,7 +53,7 @@ NOISE = {
     "reaching": [(k, mu) for k in (0.3, 0.6, 1.0) for mu in (0.00625, 0.0125, 0.025, 0.05)],
     "pancake": [(0.1, 0.01), (0.2, 0.02)],
 }
-# Two settings of each that its literature would suggest for some tens of rollouts.
+# Two settings of each learner that its literature suggests for some tens of rollouts.
 GRID: dict[str, list[dict[str, Any]]] = {
     "power": [{"sigma": 3, "decay": 0.965}, {"sigma": 6, "decay": 1.0}],
     "shaped": [{"kind": "shaped_power", "sigma": sigma} for sigma in (3, 6)],
@@ -66,8 +65,8 @@ GRID: dict[str, list[dict[str, Any]]] = {
     "random": [{"kind": "random"}],
     "screened": [{"kind": "screened", "half_life": half_life} for half_life in (4, 16)],
 }
-# The best choices by `tune`: on reaching among all of GRID and NOISE; on the pancake among the two
-# noises, for one setting of each learner (both of PoWER and of ours), which is little.
+# Best choices found by `tune`: on reaching, among all of GRID and NOISE; on the pancake, only
+# among the two of NOISE, for one setting of each learner (both of PoWER and ours).
 TUNED: dict[str, dict[str, Choice]] = {
     "reaching": {
         "power": Choice(GRID["power"][0], 0.6, 0.00625),
@@ -92,26 +91,26 @@ TUNED: dict[str, dict[str, Choice]] = {
         "screened": Choice(GRID["screened"][0], 0.1, 0.01),
     },
 }
-CHUNK = 10  # reaching runs of a job
+CHUNK = 10  # reaching runs per job
 
 
-def jobs(scale: Literal["full", "quick"]) -> list[Job]:
-    """Held-out runs of every learner on both tasks; a few short ones on tuning seeds in "quick"."""
+def jobs(scale: Scale) -> list[Job]:
+    """Held-out runs of every learner on both tasks; in "quick", few short ones on tuning seeds."""
     found = []
     for task in ROLLOUTS:
         seeds = HELD_OUT[task] if scale == "full" else EFFORT[task].few[:2]
         rollouts = ROLLOUTS[task] if scale == "full" else 3
         for name in GRID if scale == "full" else ("power", "cma", "pi2", "screened"):
-            beside = task == "pancake" and name not in (*FOILS, *REFINED)
-            some = seeds[:UNCLAIMED_SEEDS] if beside else seeds
+            unclaimed = task == "pancake" and name not in (*BASELINES, *REFINED)
+            some = seeds[:UNCLAIMED_SEEDS] if unclaimed else seeds
             found += _runs(task, f"comparison-{task}", name, TUNED[task][name], some, rollouts)
     return found
 
 
 def tune(task: str, name: str) -> list[tuple[float, Choice]]:
-    """Choices for a learner with their mean final return on the many seeds, best first.
+    """Choices for a learner with their mean final return on the last seeds, best first.
 
-    Results that are in the folder `tuning` are not computed again.
+    Results in the folder `tuning` are not computed again.
 
     Args:
         task: "reaching" or "pancake".

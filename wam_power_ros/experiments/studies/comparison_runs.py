@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One learner on one task for the comparison: reaching (Eq. 4) on Eq. 1, pancake (Eq. 5) in MuJoCo.
 
-Every learner has the same number of rollouts and receives the same returns. Settings come as data:
-a result depends on its arguments only, not on the table of tuned settings.
+Every learner has the same number of rollouts and the same return function. Settings are passed as
+data, so that a result depends on its arguments only and not on the table of tuned settings.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from hardware_sim.world import World
 from wam_power_ros.experiments.environment import Environment
-from wam_power_ros.experiments.studies.flip_sessions import teach
+from wam_power_ros.experiments.studies.flip_sessions import NOVICE, teach
 from wam_power_ros.experiments.studies.reaching_runs import generator, learn_many, scales
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learner import Learner, Model
@@ -26,17 +26,17 @@ from wam_power_ros.tasks.flip.planned_toss import TossModel
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 VARIANT = "full"  # on both tasks
-NOVICE = 5.0  # [rad/s] intended pitch rate of the demonstrator: leaves something to learn
-REPEATS = 3  # of the answer
+REPEATS = 3  # rollouts of the final mean
 
 
 def reaching_runs(
     settings: dict[str, Any], stiffness: float, attractor: float, seeds: list[int], rollouts: int
 ) -> dict[str, Any]:
-    """Runs of a learner on the synthetic reach; arguments as in `comparison.Choice`.
+    """Run a learner on the synthetic reach; arguments as in `comparison.Choice`.
 
     Returns:
-        Per seed: "final" return of the mean, "returns" of the rollouts, "means" after each.
+        Per seed: "final" return of the mean, "returns" of the rollouts, "means": those of the mean
+        after each rollout.
     """
     scenario = synthetic()
     parameters = Parametrization(scenario.policy, VARIANT, scales(stiffness, attractor))
@@ -54,10 +54,10 @@ def reaching_runs(
 def pancake_run(
     settings: dict[str, Any], stiffness: float, attractor: float, seed: int, rollouts: int
 ) -> dict[str, Any]:
-    """A learner on one demonstrated toss: one demonstration, Eq. 5, noisy rollouts.
+    """Run a learner on a toss with one demonstration, Eq. 5 and noisy rollouts.
 
-    A rollout that ends in a fault, or in which the pancake is lost from view, returns 0. The first
-    reproduces the demonstration; settings and exploration are as in `comparison.Choice`.
+    The first rollout reproduces the demonstration. A rollout that ends in a fault, or in which the
+    pancake is not tracked to the end, returns 0. Arguments are as in `comparison.Choice`.
 
     Returns:
         "returns" of the rollouts, "repeats" of the final mean, number of "faults" of the rollouts.
@@ -90,7 +90,7 @@ def pancake_run(
 
 
 def learner_of(settings: dict[str, Any], size: int, seed: int, model: Model) -> Learner:
-    """Construct the learner that `settings` name under "kind" ("power" if omitted).
+    """Construct the learner named by "kind" in `settings` ("power" if omitted).
 
     Raises:
         ValueError: The learner or a setting is unknown, or a value is out of range.

@@ -3,9 +3,9 @@
 
     python -m wam_power_ros.experiments.studies.equal_knowledge [--folder DIR] [--only ROW ...]
 
-prints, for each row, what it was told and its final return without and with noise in the returns.
-The model is that of screened PoWER (`ReachModel`): Eqs. 1 and 4, start and goal, but no obstacle.
-Settings and explorations are those of `comparison.TUNED`, found without a model and without noise.
+prints, for each row, the learner's information and its final return without and with noise in the
+returns. The model is that of screened PoWER (`ReachModel`): Eqs. 1 and 4, start and goal, but no
+obstacle. Settings and exploration are those of `comparison.TUNED`, tuned without model and noise.
 """
 
 from __future__ import annotations
@@ -22,20 +22,25 @@ from wam_power_ros.experiments import jobs as job_cache
 from wam_power_ros.experiments.jobs import Job
 from wam_power_ros.experiments.studies.comparison import TUNED
 from wam_power_ros.experiments.studies.comparison_runs import VARIANT, learner_of
-from wam_power_ros.experiments.studies.reaching_runs import generator, learn_many, scales
+from wam_power_ros.experiments.studies.reaching_runs import (
+    demonstrated_return,
+    generator,
+    learn_many,
+    scales,
+)
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.random_search import RandomSearch
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
-HELD_OUT = range(481, 493)  # seeds without any tuning
+HELD_OUT = range(481, 493)  # seeds not used for tuning
 ROLLOUTS = 50
-NOISE = 0.02  # standard deviation of a noisy return; Eq. 4 is at most 1
-SURE = 3.0  # standard deviations by which a return must miss the free path's for a contact
-CANDIDATES, HALF_LIFE = 200, 16.0  # of the screening; those of screened PoWER on this task
-GENERATIONS, POPULATION, STEP = 8, 25, 0.5  # of the planner: 200 predictions before a rollout
-BLIND, MODEL = "return", "return, model"  # told
+NOISE = 0.02  # standard deviation of noise on a return; Eq. 4 is at most 1
+CONTACT_SIGMAS = 3.0  # deviation from the free path's return that counts as contact [NOISE]
+CANDIDATES, HALF_LIFE = 200, 16.0  # of the screening, as in screened PoWER on this task
+GENERATIONS, POPULATION, STEP = 8, 25, 0.5  # of the planner: 200 predictions per rollout
+BLIND, MODEL = "return", "return, model"  # information of a learner
 LEARNERS = ("power", "shaped", "pi2", "cma", "random")
 ROWS = {
     "nothing": "nothing: the demonstration",
@@ -45,14 +50,14 @@ ROWS = {
 }
 
 
-class Told:
-    """A learner that is told noisy returns and, with a model, screens its candidates by it.
+class InformedLearner:
+    """A learner with noisy returns that, given a model, screens its candidates by it.
 
     Args:
-        learner: The learner itself.
-        model: Model of the returns, None without one.
+        learner: Learner that receives the returns.
+        model: Model of the returns; None for no screening.
         noise: Standard deviation of the noise.
-        rng: Source of the noise.
+        rng: Random generator of the noise.
     """
 
     def __init__(
@@ -65,11 +70,11 @@ class Told:
 
     @property
     def mean(self) -> np.ndarray:
-        """That of the learner. Shape (size,)."""
+        """Mean of the learner. Shape (size,)."""
         return self._learner.mean
 
     def ask(self) -> np.ndarray:
-        """Of the learner's own draws, fewer with every rollout, the one predicted best."""
+        """Draw candidates, fewer with every rollout; return the one of highest predicted return."""
         if self._model is None:
             return self._learner.ask()
         count = max(1, round(CANDIDATES * 0.5 ** (self._rollouts / HALF_LIFE)))
@@ -77,53 +82,53 @@ class Told:
         return drawn[int(np.argmax(self._model.predict(drawn)))] if count > 1 else drawn[0]
 
     def tell(self, z: np.ndarray, ret: float) -> None:
-        """Tell learner and model of a rollout."""
+        """Pass a rollout with its noisy return to learner and model."""
         self._rollouts += 1
-        seen = max(ret + self._noise * float(self._rng.standard_normal()), 0.0)
-        self._learner.tell(z, seen)
+        noisy = max(ret + self._noise * float(self._rng.standard_normal()), 0.0)
+        self._learner.tell(z, noisy)
         if self._model is not None:
-            self._model.learn(z, seen)
+            self._model.learn(z, noisy)
 
 
 class Planner(RandomSearch):
-    """Optimises on the model alone before every rollout, by CMA-ES from the best rollout so far."""
+    """Before every rollout, optimises on the model by CMA-ES from the best rollout so far."""
 
     def __init__(self, size: int, rng: np.random.Generator, model: Model) -> None:
         super().__init__(size, RandomSearch.Settings(), rng)
         self._model = model
 
     def ask(self) -> np.ndarray:
-        """The point of highest predicted return that was found. Shape (size,)."""
+        """Return the point of highest predicted return that the search finds. Shape (size,)."""
         search = cmaes.CMA(
             mean=self.mean,
             sigma=STEP,
             population_size=POPULATION,
             seed=int(self._rng.integers(2**32)),
         )
-        found, worth = self.mean, -np.inf
+        found, best_return = self.mean, -np.inf
         for _ in range(GENERATIONS):
             drawn = np.stack([search.ask() for _ in range(POPULATION)])
             predicted = self._model.predict(drawn)
             best = int(np.argmax(predicted))
-            if predicted[best] > worth:
-                found, worth = drawn[best], predicted[best]
+            if predicted[best] > best_return:
+                found, best_return = drawn[best], predicted[best]
             search.tell(list(zip(drawn, -predicted, strict=True)))
         return found
 
     def tell(self, z: np.ndarray, ret: float) -> None:
-        """Learn from a rollout; see `Learner.tell`."""
+        """See `Learner.tell`; the model learns too."""
         super().tell(z, ret)
         self._model.learn(z, ret)
 
 
 def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, Any]:
-    """Runs of a row.
+    """Run one row of the table.
 
     Args:
         row: A key of ROWS.
-        noise: Standard deviation of the returns that are told.
-        seeds: One for each run.
-        rollouts: Number of rollouts of each.
+        noise: Standard deviation of the noise on the returns.
+        seeds: One seed for each run.
+        rollouts: Number of rollouts of each run.
 
     Returns:
         Noise-free return of the mean of each run: "early" after 5 rollouts, "final" after the last.
@@ -134,29 +139,27 @@ def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, A
     noises = scales(choice.stiffness, choice.attractor)
     parameters = Parametrization(scenario.policy, VARIANT, noises)
     if name == "nothing":
-        start, _ = scenario.evaluate(
-            scenario.policy.stiffness[np.newaxis], scenario.policy.attractors[np.newaxis]
-        )
-        return {"early": start.tolist() * len(seeds), "final": start.tolist() * len(seeds)}
+        returns = [demonstrated_return(scenario)] * len(seeds)
+        return {"early": returns, "final": returns}
     learners = []
     for seed in seeds:
-        known = ReachModel(parameters, scenario, max(SURE * noise, 1e-9))
+        free_path = ReachModel(parameters, scenario, max(CONTACT_SIGMAS * noise, 1e-9))
         rng = np.random.default_rng([seed, 1])
         if name == "planner":
-            own: Learner = Planner(parameters.size, generator(seed), known)
+            learner: Learner = Planner(parameters.size, generator(seed), free_path)
         else:
-            own = learner_of(choice.settings, parameters.size, seed, known)
-        learners.append(Told(own, known if model else None, noise, rng))
-    found = learn_many(learners, parameters, scenario, rollouts)
+            learner = learner_of(choice.settings, parameters.size, seed, free_path)
+        learners.append(InformedLearner(learner, free_path if model else None, noise, rng))
+    executed = learn_many(learners, parameters, scenario, rollouts)
     early = min(5, rollouts) - 1
     return {
-        "early": [float(run.means[early]) for run in found],
-        "final": [run.final for run in found],
+        "early": [float(run.means[early]) for run in executed],
+        "final": [run.final for run in executed],
     }
 
 
 def jobs(rows: list[str], seeds: list[int], rollouts: int = ROLLOUTS) -> list[Job]:
-    """Runs of these rows, without and with noise."""
+    """Runs of the given rows, without and with noise."""
     return [
         Job(
             "equal-knowledge",
@@ -170,7 +173,7 @@ def jobs(rows: list[str], seeds: list[int], rollouts: int = ROLLOUTS) -> list[Jo
 
 
 def main() -> None:
-    """Run every row and print its figures."""
+    """Run the rows and print their statistics."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--folder", type=Path, default=Path("equal-knowledge"))
     parser.add_argument("--only", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")

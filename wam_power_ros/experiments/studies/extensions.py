@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extensions the paper proposes in its Sec. IV, each with and without it.
+"""Extensions that the paper proposes in its Sec. IV, with and without each of them.
 
-An elite of automatic size against fixed ones, with and without noise of the returns; a person who
+An elite of automatic size against fixed sizes, with and without noise on the returns; a person who
 rewards and punishes; a demonstration given while the robot learns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from hardware_sim.settings import PITCH_RATE
-from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.experiments.jobs import Job, Scale
 from wam_power_ros.experiments.studies.flip_sessions import NOVICE, rollouts, stand_in, teach
 from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evaluate, generator
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
@@ -27,35 +27,34 @@ REACHING, REACHING_NOISY = "wishes-sigma-reaching", "wishes-sigma-reaching-noisy
 SIGMA, PERSON, DEMONSTRATION = "wishes-sigma-pancake-", "wishes-person", "wishes-demonstration-"
 AUTO = "auto"
 LATER = "demonstration-later"  # id of the policy of a demonstration given while learning
-HELD_OUT = range(501, 509)  # seeds without any tuning
+HELD_OUT = range(501, 509)  # seeds not used for tuning
 HELD_OUT_REACHING = range(501, 531)
 TUNING = range(21, 22)  # for "quick"
 SIZES: tuple[int | str, ...] = (AUTO, 3, 6, 10, 20)
-RETURN_NOISE = 0.1  # standard deviation; what returns of one pancake policy have
+RETURN_NOISE = 0.1  # standard deviation, as of the returns of one pancake policy
 RATING, RATINGS_MAX = 0.3, 20  # of the simulated person
 POOR = 4.0  # [rad/s] pitch rate of a demonstrator that hardly turns the pancake
-GIVEN_AFTER = 20  # rollouts
-Scale = Literal["full", "quick"]
+GIVEN_AFTER = 20  # rollouts before the later demonstration
 
 
 def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> dict[str, Any]:
-    """Reaching with an elite of size `sigma`, full matrices, a run for every seed.
+    """Run PoWER on the reach with full matrices and an elite of size `sigma`, for every seed.
 
-    `noise` is the standard deviation of what is added to each return.
+    `noise` is the standard deviation of the noise on each return.
 
     Returns:
-        Noise-free return of the final mean, and the median size of the elite, of each run.
+        Of each run, the noise-free return of the "final" mean and the median elite size "sigma".
     """
     scenario = synthetic()
     parameters = Parametrization(scenario.policy, "full", NOISE["full"])
     settings = Power.Settings(sigma=sigma, decay=POWER.decay)
     learners = [Power(parameters.size, settings, generator(seed)) for seed in seeds]
-    disturbed = [np.random.default_rng([seed, 1]) for seed in seeds]
+    noise_rngs = [np.random.default_rng([seed, 1]) for seed in seeds]
     sizes = []
     for _ in range(rollouts):
         drawn = np.stack([parameters.clip(learner.ask()) for learner in learners])
         returns, _ = evaluate(drawn, parameters, scenario)
-        for learner, z, ret, rng in zip(learners, drawn, returns, disturbed, strict=True):
+        for learner, z, ret, rng in zip(learners, drawn, returns, noise_rngs, strict=True):
             learner.tell(z, max(float(ret) + noise * float(rng.standard_normal()), 0.0))
         sizes.append([learner.sigma for learner in learners])
     means = np.stack([parameters.clip(learner.mean) for learner in learners])
@@ -72,16 +71,16 @@ def session(
     ratings: int = 0,
     given_after: int = 0,
 ) -> dict[str, Any]:
-    """One session of the pancake, with a person who may take part.
+    """Run a session of the pancake in which a person may take part.
 
     Args:
         seed: Seed of the demonstrator, the stand-in and the exploration.
         name: Name of the preset.
         changes: Changes to the preset.
-        demonstrations: Number of demonstrations at first.
+        demonstrations: Number of initial demonstrations.
         pitch_rate: Pitch rate of their demonstrator, see `wrist_flick` [rad/s].
-        ratings: Largest number of rollouts that the person rates: true flips are rewarded,
-            drops are punished, by the simulator's ground truth.
+        ratings: Largest number of rollouts that the person rates: rewards true flips and punishes
+            drops, by the simulator's ground truth.
         given_after: Rollout after which the usual demonstrator gives a demonstration; 0 for none.
     """
     environment = stand_in(seed)
@@ -124,7 +123,7 @@ def session(
 
 
 def jobs(scale: Scale) -> list[Job]:
-    """The runs of the chapter; "quick" is the same code with few seeds and tiny budgets."""
+    """Runs of the chapter; "quick" is the same code with few seeds and tiny budgets."""
     quick = scale == "quick"
     seeds = TUNING if quick else HELD_OUT
     sizes = SIZES[:2] if quick else SIZES
@@ -137,7 +136,7 @@ def jobs(scale: Scale) -> list[Job]:
         }
         wanted += [Job(study, f"sigma-{s}", search, {"sigma": s, **arguments}) for s in sizes]
     series = 1 if quick else 3
-    # Reproductions of demonstrations that are not chosen are not among the paper's rollouts.
+    # The paper's rollouts do not include reproductions of demonstrations that are not chosen.
     budget = series - 1 + (4 if quick else 50)
     paper = {"budget": budget, "confirm": 0, "retests": 1 if quick else 10}
     flip = {"retests": paper["retests"], **({"budget": 6} if quick else {})}

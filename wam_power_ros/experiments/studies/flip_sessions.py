@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whole sessions of the pancake task in one process: teach a series, choose, practise, re-test.
+"""Whole sessions of the pancake task in one process: teach, choose, practise, re-test.
 
 `jobs` are the sessions of the reproduction: the shipped default and its policies in other
 conditions, the paper's preset beside Fig. 5, and the ablation of the paper's stiffness matrices.
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,7 +21,7 @@ from hardware_sim.settings import PITCH_RATE, SceneSettings, WorldSettings
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.experiments.environment import Environment
-from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.experiments.jobs import Job, Scale
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import activations, fit
 from wam_power_ros.learning.policy import Policy, with_id
@@ -34,7 +34,7 @@ from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 DEFAULT, PAPER, LONG = "pancake-default", "pancake-paper", "pancake-paper-100"  # studies
 LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
-HELD_OUT = range(301, 331)  # seeds without any tuning
+HELD_OUT = range(301, 331)  # seeds not used for tuning
 TUNING = range(21, 23)  # for "quick"
 NOVICE = 5.0  # [rad/s] intended pitch rate of the demonstrator for Fig. 5
 PROFILE = 41  # points of a stiffness profile
@@ -51,10 +51,9 @@ CONDITIONS: dict[str, dict[str, Any]] = {
     "2 ms more delay": {"command_delay_ticks": 3},
     "80 V": {"bus_voltage": 80.0},
 }
-# Conditions that whole sessions are held in, too.
+# Conditions in which whole sessions are run too.
 LEARNT_UNDER = ("wind 0.2 m/s", "wind 0.3 m/s", "2 ms more delay", "80 V")
-LESS = ("attractors", "diagonal", "symmetric")  # than the full matrices of the paper's sessions
-Scale = Literal["full", "quick"]
+LESS = ("attractors", "diagonal", "symmetric")  # variants that learn less than full matrices
 
 
 def stand_in(
@@ -65,13 +64,13 @@ def stand_in(
     level: bool = False,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
-    """Environment with sensors and motors of the stand-in, in its own or in another condition.
+    """Environment with sensors and motors of the stand-in, in its normal or another condition.
 
     Args:
         seed: Seed of all noise.
-        friction: Friction between pancake and pan; None for that of the stand-in.
-        believed_pan: Mass of the pan in the controller's model, as a share of its mass.
-        level: Demonstrations begin with the pan level, the pancake in its middle.
+        friction: Friction coefficient between pancake and pan; None for the stand-in's.
+        believed_pan: Mass of the pan in the controller's model, as a fraction of its mass.
+        level: True if demonstrations begin with the pan level and the pancake in its middle.
         **world: Fields of `WorldSettings`.
     """
     scene = SceneSettings(level=level)
@@ -82,13 +81,13 @@ def stand_in(
 
 
 def _with_pan(urdf: str, share: float) -> str:
-    """The description with mass and inertia of the pan times `share`."""
+    """Robot description with mass and inertia of the pan scaled by `share`."""
     if share == 1.0:
         return urdf
     tree = ElementTree.fromstring(urdf)
     inertial = tree.find("./link[@name='pan']/inertial")
     if inertial is None:
-        raise ValueError("the description has no link 'pan' with an inertia")
+        raise ValueError("the robot description has no link 'pan' with an inertia")
     for element in (*inertial.iter("mass"), *inertial.iter("inertia")):
         for name, value in element.items():
             element.set(name, repr(share * float(value)))
@@ -98,10 +97,10 @@ def _with_pan(urdf: str, share: float) -> str:
 def teach(
     environment: Environment, seed: int, count: int, pitch_rate: float = PITCH_RATE
 ) -> list[Policy]:
-    """Policies fitted to a small series of demonstrations by the simulated demonstrator.
+    """Fit a policy to each demonstration of a small series by the simulated demonstrator.
 
     Args:
-        environment: Environment in which it is taught.
+        environment: Environment to teach in.
         seed: Seed of the demonstrator; demonstration k of a seed is always the same.
         count: Number of demonstrations.
         pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
@@ -128,7 +127,7 @@ def practise(
     seed: int,
     report: Callable[[Record], None] | None = None,
 ) -> Practice:
-    """A session in one process, to the last re-test; `report` is called with every record."""
+    """Run a session in one process to its last re-test; `report` is called with every record."""
     practice = Practice(settings, {}, candidates, seed, environment)
     for record in rollouts(environment, practice):
         if report is not None:
@@ -157,7 +156,7 @@ def session(
     repeats: int = 3,
     keep_paths: bool = False,
 ) -> dict[str, Any]:
-    """One session from its first demonstration to the last re-test, as plain data.
+    """Run a session from its first demonstration to its last re-test; return plain data.
 
     Args:
         seed: Seed of the demonstrator, the stand-in and the exploration.
@@ -166,9 +165,9 @@ def session(
         pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
         changes: Changes to the preset.
         condition: Condition of the environment, arguments of `stand_in`.
-        carried: Name -> other condition in which the answer is run again.
-        repeats: Runs of the answer in each of these.
-        keep_paths: Whether the paths of demonstration, reproduction and answer are kept.
+        carried: Name -> other condition to run the final policy in.
+        repeats: Runs of the final policy in each of these.
+        keep_paths: True to keep the paths of demonstration, reproduction and final policy.
     """
     environment = stand_in(seed, **(condition or {}))
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
@@ -186,13 +185,13 @@ def session(
         "used": practice.used,
         "trials": [_kept(record) for record in trials],
         "retests": [_kept(record) for record in records if record.kind == "retest"],
-        "curve": curve,  # returns with the chosen demonstration, its reproduction first
+        "curve": curve,  # returns from the reproduction of the chosen demonstration on
         "fires": _fires(curve),
         "carried": {},
         "k33": {},
         "figure_paths": None,
     }
-    if best is None or parameters is None:  # nothing could be reproduced
+    if best is None or parameters is None:  # no demonstration could be reproduced
         return result
     demonstrated, answer = parameters.policy0, best.policy
     result["k33"] = {
@@ -214,7 +213,7 @@ def session(
 
 
 def _confirmed(practice: Practice, settings: SessionSettings) -> bool:
-    """Whether a session stopped because one mean succeeded often enough in a row."""
+    """Whether a session stopped because a mean succeeded often enough in a row."""
     wanted = settings.practice.confirm
     usable = [r for r in practice.records if r.kind != "retest" and r.ret is not None]
     last = usable[-wanted:] if wanted else []
@@ -225,7 +224,7 @@ def _confirmed(practice: Practice, settings: SessionSettings) -> bool:
 
 
 def _kept(record: Record) -> dict[str, Any]:
-    """The part of a record that is kept."""
+    """Part of a record that a result keeps."""
     flight = record.observation
     return {
         "kind": record.kind,
@@ -253,7 +252,7 @@ def _outcome(truth: Truth, fault: str) -> dict[str, Any]:
 
 
 def _fires(returns: Sequence[float | None]) -> int | None:
-    """Rollout at which the paper's rule first stops: enough good returns in a row."""
+    """Rollout at which the paper's rule stops, after enough good returns in a row, or None."""
     wanted, level = FIRES
     good = [(ret or 0.0) >= level for ret in returns]
     ends = range(wanted, len(good) + 1)
@@ -261,7 +260,7 @@ def _fires(returns: Sequence[float | None]) -> int | None:
 
 
 def _k33(policy: Policy) -> list[float]:
-    """Vertical stiffness sum_i h_i K_i,33 along the movement, evenly in time [1/s^2]."""
+    """Vertical stiffness sum_i h_i K_i,33 at PROFILE even times of the movement [1/s^2]."""
     t = np.linspace(0.0, policy.basis.duration, PROFILE)
     return (activations(policy.basis, t) @ policy.stiffness[:, 2, 2]).tolist()
 
@@ -269,7 +268,7 @@ def _k33(policy: Policy) -> list[float]:
 def _figure_paths(
     environment: Environment, seed: int, pitch_rate: float, demonstrated: Policy, answer: Policy
 ) -> dict[str, Any]:
-    """Paths of demonstration, reproduction and answer for the figures, and the answer's trace."""
+    """Paths of demonstration, reproduction and final policy, and the world's trace."""
     number = int(demonstrated.id.rpartition("-")[2]) - 1  # as `teach` named it
     world = environment.world
     script = _script(environment, seed, number, pitch_rate)
@@ -316,12 +315,12 @@ def _plain(t: np.ndarray, position: np.ndarray, quat_xyzw: np.ndarray) -> dict[s
 
 
 def jobs(scale: Scale) -> list[Job]:
-    """The sessions of the chapter; "quick" is the same code with few seeds and tiny budgets."""
+    """Sessions of the chapter; "quick" is the same code with few seeds and tiny budgets."""
     quick = scale == "quick"
     seeds = TUNING if quick else HELD_OUT
-    one = slice(1 if quick else None)  # of several things, in "quick" only the first
+    one = slice(1 if quick else None)  # only the first of several items in "quick"
     series = 2 if quick else 3  # demonstrations
-    # Reproductions of demonstrations that are not chosen are not among the paper's rollouts.
+    # The paper's rollouts do not include reproductions of demonstrations that are not chosen.
     budgets = {count: series - 1 + (3 if quick else count) for count in (50, 100)}
     retests = {"retests": 1 if quick else 30}
     fewer = {"retests": 1 if quick else 10}

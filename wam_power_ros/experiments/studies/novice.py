@@ -3,8 +3,8 @@
 
     python -m wam_power_ros.experiments.studies.novice [--seeds N] [--only ROW ...] [--case CASE]
 
-prints a row for each. The reproduction of such a demonstration is never caught as a true flip, so
-the task tells learners apart, which that of a practised demonstrator (`flip_sessions`) does not.
+prints a row for each. The reproduction of such a demonstration is never a true flip, so this task
+separates the learners, unlike that of a practised demonstrator (`flip_sessions`).
 """
 
 from __future__ import annotations
@@ -23,20 +23,18 @@ from wam_power_ros.experiments.studies.flip_sessions import NOVICE, session
 from wam_power_ros.practice.settings import preset
 
 BUDGET = 60  # rollouts
-RETESTS = 30  # of the answer
-SOLVED = 27  # true flips among them
+RETESTS = 30  # of the final policy
+SOLVED = 27  # true flips among the re-tests of a solved session
 CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
-HELD_OUT = range(7001, 7031)  # seeds without any tuning
-_BLIND = dict.fromkeys(
-    ("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"), 0.0
-)  # without corrections
+HELD_OUT = range(7001, 7031)  # seeds not used for tuning
+_NO_CORRECTIONS = dict.fromkeys(("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"), 0.0)
 
 
 class Row(NamedTuple):
     """A line of the table.
 
     Attributes:
-        told: Names of the measurements of a rollout that the learner is given.
+        told: Measurements of a rollout that the learner receives.
         changes: Changes to the preset `flip`.
     """
 
@@ -49,13 +47,13 @@ ROWS = {
     "corrections": Row(
         "landing error, rotation", {"learner": {"name": "corrections_only"}, "mean_every": 1}
     ),
-    "power": Row("return", _BLIND),
-    "cma_es": Row("return", {**_BLIND, "learner": {"name": "cma_es"}}),
-    "pi2_bb": Row("return", {**_BLIND, "learner": {"name": "pi2_bb"}}),
-    "random": Row("return", {**_BLIND, "learner": {"name": "random"}}),
+    "power": Row("return", _NO_CORRECTIONS),
+    "cma_es": Row("return", {**_NO_CORRECTIONS, "learner": {"name": "cma_es"}}),
+    "pi2_bb": Row("return", {**_NO_CORRECTIONS, "learner": {"name": "pi2_bb"}}),
+    "random": Row("return", {**_NO_CORRECTIONS, "learner": {"name": "random"}}),
 }
-# Arguments of a session by what is asked of it; "unknown": in worlds drawn from the seed, one for
-# the session; "varied": one for each rollout.
+# Arguments of a session in each case. "unknown" and "varied": worlds drawn from the seed, one for
+# the session or one for each rollout.
 CASES: Mapping[str, Mapping[str, Any]] = {
     "novice": {"pitch_rate": NOVICE},
     "weak": {"pitch_rate": 4.0},
@@ -63,7 +61,7 @@ CASES: Mapping[str, Mapping[str, Any]] = {
     "unknown": {"pitch_rate": NOVICE, "condition": {"unknown": "session"}},
     "varied": {"pitch_rate": NOVICE, "condition": {"unknown": "rollout"}},
 }
-# Where the answers of the preset are run again: as many other worlds as there are re-tests.
+# Final policies of the preset are run again in as many other worlds as there are re-tests.
 ELSEWHERE = {"carried": {"elsewhere": {"unknown": "rollout"}}, "repeats": RETESTS}
 
 
@@ -75,7 +73,7 @@ def study(row: str, case: str) -> str:
 def jobs(
     seeds: Sequence[int], rows: Sequence[str] = tuple(ROWS), case: str = "novice"
 ) -> list[Job]:
-    """Sessions of every row, those of a seed together."""
+    """Sessions of every row, ordered by seed."""
     return [
         Job(
             study(name, case),
@@ -96,14 +94,14 @@ def jobs(
 
 
 def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Figures of the sessions of a row, as data.
+    """Statistics of the sessions of a row.
 
     Returns:
-        Number of "sessions"; of these "reproduced": whose first reproduction was a true flip, and
-        "solved"; "to_streak": median of the rollouts before the streak of successes that ended a
-        session, of those it ended; "confirmed": their number; "true": mean and lowest decile of the
-        share of re-tests that were true flips; "elsewhere": the same of the runs in other worlds,
-        None when there were none.
+        "sessions": their number; "reproduced": those whose first reproduction was a true flip;
+        "solved": those with SOLVED true flips in the re-tests; "confirmed": those that a streak of
+        successes ended; "to_streak": median number of rollouts before that streak; "true": mean
+        and lowest decile of the share of true flips in the re-tests; "elsewhere": the same for the
+        runs in other worlds, None without such runs.
     """
     true = np.array([_true_flips(s["retests"]) for s in sessions])
     elsewhere = np.array([_true_flips(s["carried"].get("elsewhere")) for s in sessions])
@@ -121,7 +119,7 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _true_flips(runs: Sequence[Mapping[str, Any]] | None) -> float:
-    """Share of true flips; none of a session without an answer."""
+    """Share of true flips; 0 for a session without a final policy."""
     return float(np.mean([run["true_flip"] for run in runs or []] or [0]))
 
 
@@ -130,7 +128,7 @@ def _mean_and_decile(shares: np.ndarray) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Run the sessions of every row and print their figures."""
+    """Run the sessions of every row and print their statistics."""
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--folder", type=Path, default=Path("novice"))
     parser.add_argument("--seeds", type=int, default=len(HELD_OUT), help="of each row, at most 30")

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reaching past an obstacle, the paper's simulated experiment (Sec. III-A).
+"""Reaching past an obstacle: the paper's simulated experiment (Sec. III-A).
 
     python -m wam_power_ros.experiments.studies.reaching full
 
 prints the mean final return for a grid of noise scales; `reaching_runs.NOISE` was chosen from it.
 
-The paper gives neither its demonstrations nor its obstacle. Ours are random here
-(`synthetic_reach`), and taught on the simulated arm in `reaching_arm`. No ROS, no physics.
+The paper gives neither its demonstrations nor its obstacle. Here they are random
+(`synthetic_reach`); in `reaching_arm` they are taught on the simulated arm.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from wam_power_ros.experiments.jobs import Job
+from wam_power_ros.experiments.jobs import Job, Scale
 from wam_power_ros.experiments.studies import reaching_arm
 from wam_power_ros.experiments.studies.reaching_runs import CHUNK, VARIANTS, as_data, scales, study
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
@@ -35,9 +35,9 @@ HELD_OUT = range(401, 441)
 
 
 def tune(variant: str) -> list[tuple[float, NoiseScales]]:
-    """Mean final return of a variant with each of GRID on the tuning seeds, best first.
+    """Mean final return of a variant for each scale in GRID on the tuning seeds, best first.
 
-    Fewer than 60 seeds select settings that fail on others.
+    Fewer than 60 seeds select settings that fail on other seeds.
     """
     scenario, scores = synthetic(), []
     for noise in GRID:
@@ -46,8 +46,8 @@ def tune(variant: str) -> list[tuple[float, NoiseScales]]:
     return sorted(scores, key=lambda score: -score[0])
 
 
-def jobs(scale: Literal["full", "quick"]) -> list[Job]:
-    """Runs of the chapter: held-out seeds; in "quick", few rollouts with two tuning seeds."""
+def jobs(scale: Scale) -> list[Job]:
+    """Runs of the chapter on held-out seeds; in "quick", few rollouts on two tuning seeds."""
     full = scale == "full"
     seeds: Sequence[int] = HELD_OUT if full else TUNING[:2]
     rollouts = 100 if full else 10

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reaching taught on the simulated arm, learnt on Eq. 1 or on the arm by the torque controller.
+"""Reaching taught on the simulated arm, and learnt on Eq. 1 or on the arm.
 
-The four demonstrations are bags/reach_*. The arm does not feel the sphere: a policy learnt on Eq. 1
-is executed, and whether its path clears the sphere is reported; practice on the arm learns from the
+The four demonstrations are bags/reach_*. The simulated world has no sphere: a policy learnt on
+Eq. 1 is executed to see whether its path clears the sphere; practice on the arm learns from the
 returns of executed paths.
 """
 
@@ -31,12 +31,12 @@ from wam_power_ros.tasks.reach.scenario import Scenario, scenario_of
 # studies
 TAUGHT, EXECUTED, PRACTISED = "reaching-taught", "reaching-executed", "reaching-practised"
 NOISE_SEED = 7  # of the stand-in
-PRACTICE_MAX = 60  # rollouts on the arm
+PRACTICE_MAX = 60  # rollouts on the arm per run
 PRACTISING = 3  # number of seeds that practise on the arm
 
 
 def jobs(seeds: Sequence[int], rollouts: int) -> list[Job]:
-    """Runs of both variants, and the execution of the first seed's policy of each."""
+    """Runs of both variants, execution of a learnt policy of each, and practice on the arm."""
     found = []
     for variant in VARIANTS:
         arguments = {"variant": variant, "seeds": list(seeds), "rollouts": rollouts}
@@ -56,14 +56,14 @@ def taught_runs(variant: str, seeds: list[int], rollouts: int) -> dict[str, Any]
 
 
 def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
-    """Final policy of PoWER, executed on the arm, and its path as Eq. 1 plans it."""
+    """Execute the final policy of PoWER on the arm; compare its path with the plan of Eq. 1."""
     scenario = taught_scenario()
     (run,) = study(variant, [seed], rollouts, scenario)
     parameters = Parametrization(scenario.policy, variant, NOISE[variant])
     policy, _ = parameters.policy(run.mean, "reach-0001")
     executed, fault = _executed(Environment(World(seed=NOISE_SEED)), policy, scenario)
     planned = scenario.free_paths(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
-    shown = np.linspace(0, scenario.steps - 1, reaching_runs.DRAWN).round().astype(int)
+    shown = np.linspace(0, scenario.steps - 1, reaching_runs.PATH_SAMPLES).round().astype(int)
     deviation = np.linalg.norm(executed - planned, axis=1)
     return {
         "variant": variant,
@@ -83,11 +83,11 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
 
 
 def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
-    """PoWER with rollouts executed on the arm: Eq. 4 of executed paths, 0 after a fault.
+    """Run PoWER with rollouts on the arm: Eq. 4 of executed paths, 0 after a fault.
 
     Returns:
-        "returns" of the rollouts, without a reproduction of the demonstration; number of their
-        "faults"; return, "clearance" [m] of the sphere and "fault" of the executed final mean.
+        "returns" and number of "faults" of the rollouts, which do not include a reproduction;
+        "return", "clearance" from the sphere [m] and "fault" of the executed final mean.
     """
     scenario = taught_scenario()
     parameters = Parametrization(scenario.policy, variant, NOISE[variant])
@@ -126,7 +126,7 @@ def _clearance(path: np.ndarray, scenario: Scenario) -> float:
 def _executed(
     environment: Environment, policy: Policy, scenario: Scenario
 ) -> tuple[np.ndarray, str]:
-    """The tool's path (T, 3) [m] at the samples of the scenario, and the fault if any."""
+    """Path of the tool (T, 3) [m] at the samples of the scenario, and the fault or ""."""
     rollout, _ = environment.run(policy)
     t = np.arange(scenario.steps) * scenario.period
     path = [np.interp(t, rollout.tool.t, x) for x in rollout.tool.position.T]
@@ -135,7 +135,7 @@ def _executed(
 
 @cache
 def taught_scenario() -> Scenario:
-    """Scenario of the shipped demonstrations: positions of the tool."""
+    """Scenario of the tool paths of the shipped demonstrations."""
     arm = Environment(World(seed=NOISE_SEED)).arm
     bags = sorted(share("bags").glob("reach_*"))
     demonstrations = [from_joint_samples(arm, *read_demonstration(bag, JOINTS)) for bag in bags]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of learners on a reaching scenario, many at a time with their rollouts in one batch."""
+"""Runs of learners on a reaching scenario, evaluated in batches."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from wam_power_ros.tasks.reach.scenario import Scenario
 
 
 def scales(stiffness: float, attractor: float) -> NoiseScales:
-    """Exploration scales of a reach; rotation is not learnt by it."""
+    """Exploration scales of a reach, which does not learn the rotation."""
     return NoiseScales(stiffness=stiffness, attractor=attractor, rotation=0.1)
 
 
 VARIANTS = ("full", "diagonal")
-# Near the best of `reaching.tune` for each variant on the 60 tuning seeds: full .765, and within
-# .003 of it at twice the noise of either; diagonal .598.
+# Near the optimum of `reaching.tune` for each variant on the 60 tuning seeds: full .765, and within
+# .003 of it at twice either scale; diagonal .598.
 NOISE = {"full": scales(0.6, 0.00625), "diagonal": scales(0.6, 0.1)}
-POWER = Power.Settings(sigma=3, decay=0.965)  # of the authors' own scripts
-CHUNK = 10  # runs evaluated together; fixed, so that results do not depend on the number of jobs
-DRAWN = 50  # samples of a path that are kept for a figure
+POWER = Power.Settings(sigma=3, decay=0.965)  # as in the authors' scripts
+CHUNK = 10  # runs evaluated together; constant, so that results do not depend on the workers
+PATH_SAMPLES = 50  # samples of a path kept for a figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class Run:
         returns: Returns of its rollouts, in order. Shape (rollouts,).
         means: Return of the mean, without exploration, after each of them. Shape (rollouts,).
         stuck: Whether the last mean still meets the obstacle.
-        mean: Coordinates of the last mean, as executed. Shape (size,).
+        mean: Coordinates of the last mean, clipped. Shape (size,).
     """
 
     returns: np.ndarray
@@ -48,7 +48,7 @@ class Run:
 
     @property
     def best(self) -> float:
-        """Highest return of a rollout; Eq. 4 has no noise here."""
+        """Highest return of a rollout."""
         return float(self.returns.max())
 
     @property
@@ -60,12 +60,11 @@ class Run:
 def learn_many(
     learners: Sequence[Learner], parameters: Parametrization, scenario: Scenario, rollouts: int
 ) -> list[Run]:
-    """Run learners; each learns from the executed policies, with positive-definite stiffness.
+    """Run learners; each learns from the clipped policies, whose stiffness is positive definite.
 
     Args:
-        learners: Of `parameters.size` coordinates, which know nothing of each other; they have
-            learnt when this returns.
-        parameters: Around `scenario.policy`.
+        learners: Independent learners of `parameters.size` coordinates; modified.
+        parameters: Parametrization around `scenario.policy`.
         scenario: Reaching scenario.
         rollouts: Number of rollouts of each.
     """
@@ -91,7 +90,7 @@ def study(
     noise: NoiseScales | None = None,
     workers: int = 1,
 ) -> list[Run]:
-    """PoWER on one variant, a run for every seed; the number of workers changes no result."""
+    """Run PoWER on one variant for every seed; the number of workers does not change results."""
     parameters = Parametrization(scenario.policy, variant, noise or NOISE[variant])
 
     def runs(chunk: Sequence[int]) -> list[Run]:
@@ -111,18 +110,15 @@ def generator(seed: int) -> np.random.Generator:
 def as_data(
     runs: Sequence[Run], seeds: Sequence[int], variant: str, scenario: Scenario
 ) -> dict[str, Any]:
-    """Runs of one variant as data for JSON, with the paths of their last means."""
+    """Runs of one variant as JSON data, with the paths of their last means."""
     parameters = Parametrization(scenario.policy, variant, NOISE[variant])
     stiffness, attractors, _ = parameters.arrays(np.stack([run.mean for run in runs]))
     path, _ = scenario.stopped_paths(scenario.free_paths(stiffness, attractors))
-    shown = np.linspace(0, scenario.steps - 1, DRAWN).round().astype(int)
-    start, _ = scenario.evaluate(
-        scenario.policy.stiffness[np.newaxis], scenario.policy.attractors[np.newaxis]
-    )
+    shown = np.linspace(0, scenario.steps - 1, PATH_SAMPLES).round().astype(int)
     return {
         "variant": variant,
         "seeds": list(seeds),
-        "start": float(start[0]),
+        "start": demonstrated_return(scenario),
         "best": [run.best for run in runs],
         "stuck": [run.stuck for run in runs],
         "means": np.stack([run.means for run in runs]).round(6).tolist(),
@@ -133,9 +129,16 @@ def as_data(
     }
 
 
+def demonstrated_return(scenario: Scenario) -> float:
+    """Return (Eq. 4) of the policy fitted to the demonstrations."""
+    policy = scenario.policy
+    returns, _ = scenario.evaluate(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])
+    return float(returns[0])
+
+
 def evaluate(
     z: np.ndarray, parameters: Parametrization, scenario: Scenario
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns (Eq. 4) of policies at z (B, size), and which collided. Shapes (B,)."""
+    """Returns (Eq. 4) of policies at z (B, size), and whether each collided. Shapes (B,)."""
     stiffness, attractors, _ = parameters.arrays(z)
     return scenario.evaluate(stiffness, attractors)
