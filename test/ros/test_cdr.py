@@ -128,7 +128,7 @@ def test_torques_are_written_as_rclpy_writes_them(
     kind: str, torques: list[tuple[int, str, list[float]]]
 ) -> None:
     writer = joint_messages.TorqueWriter(NAMES, kind)
-    send = cdr.TorqueSender(writer)
+    send = cdr.TorqueSerializer(writer)
     for stamp_ns, label, tau in torques:
         message = deserialize_message(send(stamp_ns, label, np.array(tau)), writer.message_type)
         reading = joint_messages.torque(message, NAMES)

@@ -10,22 +10,22 @@ from conftest import Probe
 from std_msgs.msg import Float64MultiArray
 
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.command_guard import SILENCE, SoleCommander
+from wam_power_ros.ros.command_guard import SILENCE, CommandGuard
 
 COMMAND = Float64MultiArray(data=[0.0] * 7)
 
 
 @pytest.fixture
-def guard(probe: Probe) -> SoleCommander:
+def guard(probe: Probe) -> CommandGuard:
     """A guard of the command topic."""
     ours = probe.node.create_publisher(
         Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND
     )
-    return SoleCommander(probe.node, ours)
+    return CommandGuard(probe.node, ours)
 
 
 def test_alone_on_the_topic_we_may_begin_and_nobody_intrudes(
-    probe: Probe, guard: SoleCommander
+    probe: Probe, guard: CommandGuard
 ) -> None:
     probe.spin(0.2)
     assert guard.begin() is None
@@ -34,7 +34,7 @@ def test_alone_on_the_topic_we_may_begin_and_nobody_intrudes(
 
 
 def test_whoever_commands_while_we_are_silent_keeps_us_from_starting_until_it_stops(
-    probe: Probe, guard: SoleCommander
+    probe: Probe, guard: CommandGuard
 ) -> None:
     other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
 
@@ -53,7 +53,7 @@ def test_whoever_commands_while_we_are_silent_keeps_us_from_starting_until_it_st
 
 
 def test_a_publisher_that_appears_while_we_send_is_an_intruder_once(
-    probe: Probe, guard: SoleCommander
+    probe: Probe, guard: CommandGuard
 ) -> None:
     assert guard.begin() is None
     probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND, readers=0)

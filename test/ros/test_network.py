@@ -15,7 +15,7 @@ from conftest import Process, Processes
 
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import network
-from wam_power_ros.ros.network import PROFILE, RANGE, asked, bound, confine
+from wam_power_ros.ros.network import PROFILE, RANGE, bound_addresses, confine, wider_reach
 
 OURS = str(share(network.LOOPBACK))
 SERVE = """
@@ -83,7 +83,7 @@ def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], said: str) -
         environment = inherited | given
         assert not confine(environment)
         assert environment == {RANGE: "LOCALHOST", **given}
-        assert said in (asked(environment) or "")
+        assert said in (wider_reach(environment) or "")
 
 
 @pytest.mark.requirement("S-56")
@@ -94,7 +94,7 @@ def test_a_profile_in_the_working_directory_wins_and_is_named(
     (tmp_path / network.PROFILE_HERE).write_text("<dds/>")
     environment: dict[str, str] = {}
     assert not confine(environment)
-    assert network.PROFILE_HERE in (asked(environment) or "")
+    assert network.PROFILE_HERE in (wider_reach(environment) or "")
 
 
 def served(processes: Processes, *before: str, **environment: str) -> Process:
@@ -109,11 +109,11 @@ def served(processes: Processes, *before: str, **environment: str) -> Process:
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
 def test_every_socket_of_a_node_is_bound_to_the_loopback_interface(processes: Processes) -> None:
     process = served(processes, **{RANGE: "LOCALHOST"})
-    addresses = bound(str(process.pid))
+    addresses = bound_addresses(str(process.pid))
     assert len(addresses) >= 2
     assert [each for each in addresses if not each.startswith("127.")] == []
     asked_for = served(processes, **{RANGE: "SUBNET"})
-    assert any(each.startswith("0.0.0.0") for each in bound(str(asked_for.pid)))
+    assert any(each.startswith("0.0.0.0") for each in bound_addresses(str(asked_for.pid)))
 
 
 @pytest.mark.requirement("S-56")

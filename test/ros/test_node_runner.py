@@ -17,9 +17,9 @@ from std_msgs.msg import String
 
 from wam_power_ros.ros import interface, node_runner
 from wam_power_ros.ros.node_runner import (
-    FIRST,
-    PER_DOMAIN,
-    PER_PARTICIPANT,
+    FIRST_PORT,
+    PORTS_PER_DOMAIN,
+    PORTS_PER_PARTICIPANT,
     SPREAD,
     number_by_process,
 )
@@ -64,10 +64,10 @@ def numbered(process: int, ports: list[int]) -> bool:
 def test_a_participant_is_numbered_by_its_process_and_keeps_no_other_port(
     process: int, domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = FIRST + PER_DOMAIN * domain_id
+    first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
     monkeypatch.setattr(os, "getpid", lambda: process)
-    ports = [first + PER_PARTICIPANT * k for k in range(32)]
+    ports = [first + PORTS_PER_PARTICIPANT * k for k in range(32)]
     assert any(numbered(process, ports) for _ in range(3))
 
 
@@ -119,7 +119,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from wam_power_ros.ros import interface, node_runner, scheduling
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 
 class Talker(Node):
     def __init__(self):

@@ -16,10 +16,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.ros import service_client
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
-Serve = Callable[[str, Callable[[], Answer | None]], LateTrigger | None]
+Serve = Callable[[str, Callable[[], Answer | None]], DeferredTrigger | None]
 
 
 @pytest.fixture
@@ -31,12 +31,12 @@ def serve(domain_id: int) -> Iterator[Serve]:
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 
-    def offer(name: str, answer: Callable[[], Answer | None]) -> LateTrigger:
+    def offer(name: str, answer: Callable[[], Answer | None]) -> DeferredTrigger:
         def begin() -> str | None:
             given = answer()
             return None if given is None else str(given)
 
-        return LateTrigger(node, name, begin)
+        return DeferredTrigger(node, name, begin)
 
     over = threading.Event()
 

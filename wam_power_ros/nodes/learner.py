@@ -49,7 +49,7 @@ from wam_power_ros.ros.node_runner import (
     executor_for,
     init,
     number_by_process,
-    without_file,
+    parameter_file_hint,
 )
 from wam_power_ros.tasks.task import Pose, Task
 
@@ -311,7 +311,7 @@ def main() -> int:
         node.practise()
     except (SessionFailed, RolloutError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")
-        log.fatal(str(error) if node else f"{error}{without_file()}")
+        log.fatal(str(error) if node else f"{error}{parameter_file_hint()}")
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -13,7 +13,7 @@ from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 
 NOT_ACTIVE = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
 
@@ -70,7 +70,7 @@ class MotionRequests:
         self._active, self._when_read = active, when_read
         self.movement: Sampled | ControllerError | None = None
         self._moved_for = ""  # policy to whose start the arm was sent last
-        self._under_way: list[LateTrigger] = []  # those whose movement has begun
+        self._under_way: list[DeferredTrigger] = []  # those whose movement has begun
         self._execute = self._serve_in_order(interface.EXECUTE, self._begin_rollout)
         self._move = self._serve_in_order(interface.MOVE_TO_START, self._begin_move)
         self._replay = self._serve_in_order(interface.REPLAY, self._begin_replay)
@@ -109,7 +109,7 @@ class MotionRequests:
         for service in (self._execute, self._move, self._replay):
             service.finish(False, str(NOT_ACTIVE))
 
-    def _serve_in_order(self, name: str, begin: Callable[[], Answer | None]) -> LateTrigger:
+    def _serve_in_order(self, name: str, begin: Callable[[], Answer | None]) -> DeferredTrigger:
         """Service whose request is made once the policies and movements before it have been read.
 
         Args:
@@ -132,7 +132,7 @@ class MotionRequests:
             else:
                 service.finish(answer.success, str(answer))
 
-        service = LateTrigger(self._node, name, called)
+        service = DeferredTrigger(self._node, name, called)
         return service
 
     def _begin_rollout(self) -> Answer:

@@ -47,7 +47,7 @@ from wam_power_ros.ros import (
     scheduling,
     security,
 )
-from wam_power_ros.ros.command_guard import SoleCommander
+from wam_power_ros.ros.command_guard import CommandGuard
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -86,7 +86,7 @@ class TorqueController(LifecycleNode):
         self._reader = joint_messages.JointStateReader(params.joint_names)
         self._read = cdr.StateReader(self._reader)
         writer = joint_messages.TorqueWriter(params.joint_names, params.command_type)
-        self._write = cdr.TorqueSender(writer)
+        self._write = cdr.TorqueSerializer(writer)
         self._commands = self.create_publisher(
             writer.message_type, params.command_topic, interface.COMMAND
         )
@@ -97,7 +97,7 @@ class TorqueController(LifecycleNode):
             lambda what, reason: self._report.refuse(what, reason),
         )
         self._report = ControllerReport(self, params, self._preparation)
-        self._guard = SoleCommander(self, self._commands)
+        self._guard = CommandGuard(self, self._commands)
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = self.create_client(Trigger, idle, qos_profile=interface.IDLE_QOS)
         subscribe = self.create_subscription

@@ -113,7 +113,7 @@ class _Layout:
         return found == [message.position.tobytes(), message.velocity.tobytes()]
 
 
-class TorqueSender:
+class TorqueSerializer:
     """Torques -> serialised message of a `TorqueWriter`, which writes the first of every label."""
 
     def __init__(self, writer: TorqueWriter) -> None:

@@ -16,7 +16,7 @@ SILENCE = 0.5  # [s] without a command after which an announced commander counts
 _OWN = 100  # own commands that may come back
 
 
-class SoleCommander:
+class CommandGuard:
     """Listens to the topic while we send nothing, and counts its publishers while we send.
 
     A commander that was killed stays announced for 20 s: one that does not send does not keep us

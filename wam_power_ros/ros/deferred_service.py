@@ -13,7 +13,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 
-class LateTrigger:
+class DeferredTrigger:
     """Calls `begin` on a request; a text it returns is a refusal, answered at once."""
 
     def __init__(self, node: Node, name: str, begin: Callable[[], str | None]) -> None:

@@ -18,7 +18,11 @@ from typing import IO
 
 from wam_power_ros.ros import network, shared_memory
 
-FIRST, PER_DOMAIN, PER_PARTICIPANT = 7410, 250, 2  # ports of discovery (RTPS 2.2, 9.6.1.1)
+FIRST_PORT, PORTS_PER_DOMAIN, PORTS_PER_PARTICIPANT = (
+    7410,
+    250,
+    2,
+)  # ports of discovery (RTPS 2.2, 9.6.1.1)
 LAST = 232  # above it there are no ports
 PRIVATE = range(1, 102)  # above these, ports meet those the kernel hands out
 
@@ -108,7 +112,10 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
 
 def ports(domain: int) -> range:
     """UDP ports of a domain."""
-    return range(FIRST - 10 + PER_DOMAIN * domain, FIRST - 10 + PER_DOMAIN * (domain + 1))
+    return range(
+        FIRST_PORT - 10 + PORTS_PER_DOMAIN * domain,
+        FIRST_PORT - 10 + PORTS_PER_DOMAIN * (domain + 1),
+    )
 
 
 def _lock_file(domain: int | str) -> Path:

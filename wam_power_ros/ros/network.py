@@ -39,13 +39,13 @@ def confine(environment: MutableMapping[str, str]) -> bool:
             environment[RANGE] = "LOCALHOST"
     if not environment.get(RANGE):
         environment[RANGE] = "LOCALHOST"
-    if asked(environment):
+    if wider_reach(environment):
         return False
     environment |= {RANGE: "SYSTEM_DEFAULT", PROFILE: profile}
     return True
 
 
-def asked(environment: Mapping[str, str]) -> str | None:
+def wider_reach(environment: Mapping[str, str]) -> str | None:
     """What asks for more than the loopback interface, in words; None if nothing does."""
     if environment.get(PROFILE) == str(share(LOOPBACK)):
         return None
@@ -65,7 +65,7 @@ def asked(environment: Mapping[str, str]) -> str | None:
     return None
 
 
-def bound(processes: str = "self") -> list[str]:
+def bound_addresses(processes: str = "self") -> list[str]:
     """Addresses `ip:port` to which UDP sockets of this process are bound; none where not Linux.
 
     Args:

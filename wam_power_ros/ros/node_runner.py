@@ -34,7 +34,7 @@ from rclpy.signals import SignalHandlerOptions
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros import interrupts, network, security, shared_memory
-from wam_power_ros.ros.domain import FIRST, PER_DOMAIN, PER_PARTICIPANT, exported
+from wam_power_ros.ros.domain import FIRST_PORT, PORTS_PER_DOMAIN, PORTS_PER_PARTICIPANT, exported
 from wam_power_ros.ros.service_client import ServiceError
 
 N = TypeVar("N", bound=Node)
@@ -73,16 +73,18 @@ def number_by_process() -> Iterator[None]:
     Raises:
         ValueError: The sockets of that node reach further than they were to.
     """
-    first = FIRST + PER_DOMAIN * exported(os.environ)
-    others = network.bound()
+    first = FIRST_PORT + PORTS_PER_DOMAIN * exported(os.environ)
+    others = network.bound_addresses()
     with ExitStack() as held:
         for number in range(os.getpid() % SPREAD):
             place = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
             with suppress(OSError):  # in use
-                place.bind(("", first + PER_PARTICIPANT * number))
+                place.bind(("", first + PORTS_PER_PARTICIPANT * number))
         yield
-    if network.asked(os.environ) is None:  # a profile that is not applied leaves the network open
-        beyond = [each for each in network.bound() if not each.startswith("127.")]
+    if (
+        network.wider_reach(os.environ) is None
+    ):  # a profile that is not applied leaves the network open
+        beyond = [each for each in network.bound_addresses() if not each.startswith("127.")]
         if beyond := [each for each in beyond if each not in others]:
             raise ValueError(f"sockets at {', '.join(beyond)} are open to the network")
 
@@ -177,7 +179,7 @@ def run(
     except (ValueError, RCLError) as error:
         if node is not None:
             raise
-        get_logger("wam_power_ros").fatal(f"{error}{without_file()}")
+        get_logger("wam_power_ros").fatal(f"{error}{parameter_file_hint()}")
         return REFUSED
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -188,7 +190,7 @@ def run(
     return 0
 
 
-def without_file() -> str:
+def parameter_file_hint() -> str:
     """Where to get a parameter file, for a node that was started without one."""
     if parameter_file.given(sys.argv):
         return ""

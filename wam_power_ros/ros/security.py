@@ -228,7 +228,10 @@ def exposed(environment: Mapping[str, str]) -> str | None:
     enforced = environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
     if environment.get("ROS_SECURITY_ENABLE") == "true" and enforced:
         return None
-    if environment.get(network.RANGE) == "OFF" or (reason := network.asked(environment)) is None:
+    if (
+        environment.get(network.RANGE) == "OFF"
+        or (reason := network.wider_reach(environment)) is None
+    ):
         return None
     return (
         f"anybody on the network can command this arm: {reason}, security not enforced; without "
