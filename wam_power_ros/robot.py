@@ -165,7 +165,7 @@ class Robot:
         Raises:
             ServiceError: A service refuses or does not answer.
         """
-        self._calls.until(self._recorder_listens, f"{RECORDER} listens")
+        self._calls.until(self._recorder_listens, f"discovery by {RECORDER}")
         insist = self._calls.insist
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
         try:

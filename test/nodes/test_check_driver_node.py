@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
 
-BROKEN = {  # fault -> the one row that fails, and what it says of it
+BROKEN = {  # fault -> the one row that fails, and part of its text
     "wrong order": ("gravity", "wrong order of joints: wam_j2, wam_j6"),
     "no velocity": ("velocity", "no velocity"),
     "100 Hz": ("state rate", "100.0 Hz"),
@@ -78,7 +78,7 @@ class Bench:
                 text=True,
             )
         if by_hand is not None:
-            self.probe.until(lambda: "Lead each" in printed.read_text(), "question about joints")
+            self.probe.until(lambda: "Move each" in printed.read_text(), "question about joints")
             self.set(by_hand)
         process.communicate(typed, timeout=300)
         said = printed.read_text()
@@ -88,7 +88,7 @@ class Bench:
         return table | {"rows": rows, "status": process.returncode, "output": said}
 
     def close(self) -> None:
-        """End it."""
+        """End the stand-ins."""
         self.probe.close()
         self.processes.end(self.process, signal.SIGINT)
         self.processes.close()
@@ -107,7 +107,7 @@ def failing(table: dict[str, Any]) -> list[str]:
 
 
 def test_the_stand_in_conforms(bench: Bench) -> None:
-    table = bench.check("--active", typed="y\n" + 7 * "\n")  # asked to lead joints, nobody does
+    table = bench.check("--active", typed="y\n" + 7 * "\n")  # y, but no joint is moved
     assert (table["status"], failing(table)) == (0, [])
     assert table["rows"]["wam_j7 by hand"]["found"] == "no joint moved"
     assert "CONFORMS" in table["output"]
@@ -141,7 +141,7 @@ def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
     table = bench.check(typed="no\n")
     bench.probe.spin(0.5)
     assert (table["rows"]["watchdog"]["verdict"], torques) == ("not checked", [])
-    heard = {"heard by probe, wam_sim", "heard by wam_sim"}  # a busy machine discovers late
+    heard = {"heard by probe, wam_sim", "heard by wam_sim"}  # discovery is slow on a busy machine
     assert table["rows"]["command path"]["found"] in heard
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags become candidates where they can be read, fitted and executed; the rest is named."""
+"""Bags that can be read, fitted and executed become candidates; the others are named."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Markers show the policy, the last rollout, the body and the obstacle, whole in every message."""
+"""Every message has markers of the policy, the last rollout, the body and the obstacle."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from conftest import Probe, lift
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
-from wam_power_ros.nodes.markers import ARROW, Markers
+from wam_power_ros.nodes.markers import ARROW_LENGTH, Markers
 from wam_power_ros.ros import interface, pose_messages
 
 POLICY = lift("trial-0001")
@@ -48,7 +48,7 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
     np.testing.assert_array_equal(points(by_name["planned"])[0], START)
     np.testing.assert_array_equal(points(by_name["executed"]), executed)
     normal = points(by_name["normal"]) - where
-    np.testing.assert_allclose(normal[1], ARROW * np.array([0.0, -np.sin(0.4), np.cos(0.4)]))
+    np.testing.assert_allclose(normal[1], ARROW_LENGTH * np.array([0.0, -np.sin(0.4), np.cos(0.4)]))
     assert by_name["obstacle"].scale.x == 0.18
     ellipsoids = [marker for marker in drawn if marker.ns == "stiffness"]
     centres = [[getattr(marker.pose.position, axis) for axis in "xyz"] for marker in ellipsoids]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The torque controller over real DDS: its arm is played by the test, state by state."""
+"""The torque controller over real DDS: the test plays the arm, state by state."""
 
 from __future__ import annotations
 

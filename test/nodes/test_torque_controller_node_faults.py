@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the controller node over DDS: states, commanders, switch, clock, machine, itself."""
+"""Faults of the controller node over DDS: states, commanders, switch, clock, load, software."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_eac
         (NAMES[:6], HOME[:6]),
         ([*NAMES[:6], "wam_j1"], HOME),
         (NAMES, np.append(HOME[:6], math.nan)),
-        (NAMES, np.append(HOME[:6], 1e9)),  # the reader lets it pass, the controller does not
+        (NAMES, np.append(HOME[:6], 1e9)),  # accepted by the reader, refused by the controller
     ):
         arm.send(names, q)
         arm.send()
@@ -68,7 +68,7 @@ def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_eac
 
 
 def idle_service(probe: Probe) -> list[float]:
-    """The driver's service; when it was called [s, steady clock]."""
+    """The driver's service, with the times of its calls [s, steady clock]."""
     called: list[float] = []
 
     def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -92,7 +92,7 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
             arm.send(qd=np.full(7, 0.01))
             probe.spin(0.0015)
         label = arm.read()[-1].label if arm.read() else ""
-        if label == "fault":  # a busy machine has kept us from sending for 20 ms
+        if label == "fault":  # a busy machine has delayed the test by 20 ms
             probe.call(Trigger, interface.RESET)
         return label == "hold"
 
@@ -105,7 +105,7 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     probe.spin(0.2)
     stale = arm.read()[-1]
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
-    np.testing.assert_allclose(stale.tau, gravity, atol=0.01)  # braked, and carried
+    np.testing.assert_allclose(stale.tau, gravity, atol=0.01)  # braked, and held against gravity
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
     assert (report["level"], report["fault kind"]) == ("2", FaultKind.STATES_LOST.value)
     logged = lambda: processes.output(arm.process)  # noqa: E731
@@ -210,7 +210,7 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
     def held() -> bool:
         flow(0.05)
         label = arm.read()[-1].label if arm.read() else ""
-        if label == "fault":  # a busy machine has kept us from sending
+        if label == "fault":  # a busy machine has delayed the test
             probe.call(Trigger, interface.RESET)
         return label == "hold"
 
@@ -226,7 +226,7 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
         return arm.read()[-1].label == "fault"
 
     probe.until(faulted, "the fault")
-    assert not idled or max(pauses) > 0.05  # a busy machine has kept us from sending
+    assert not idled or max(pauses) > 0.05  # a busy machine has delayed the test
 
 
 BROKEN = """
@@ -271,7 +271,7 @@ def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
         probe,
         processes,
         realtime_priority=60,
-        state_timeout=10.0,  # whatever the machine does, states are only late
+        state_timeout=10.0,  # on a slow machine states are late, not lost
         allow_no_realtime=allowed,
         idle_service='""',
     )
@@ -290,7 +290,7 @@ def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
         arm.send()
         probe.spin(0.006)
         text = told().get("message", "")
-        if told().get("mode") == "fault" and "periods" not in text:  # a busy machine held us up
+        if told().get("mode") == "fault" and "periods" not in text:  # a delay of a busy machine
             probe.call(Trigger, interface.RESET)
         return "of the periods of a second missed" in text
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A service whose answer comes when the movement it asked for is over."""
+"""A service that answers when the requested movement has ended."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nobody reaches a process of ours from another network unless the network is asked for."""
+"""No process is reachable from the network unless the environment asks for it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict
     assert confine(environment)
     assert (environment[RANGE], environment[PROFILE]) == ("SYSTEM_DEFAULT", OURS)
     chosen = dict(environment)
-    assert confine(environment)  # a process that this one starts
+    assert confine(environment)  # in a child process
     assert environment == chosen
 
 
@@ -77,7 +77,7 @@ def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict
     ],
 )
 def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], said: str) -> None:
-    above = {RANGE: "SYSTEM_DEFAULT", PROFILE: OURS}  # as a process above this one chose
+    above = {RANGE: "SYSTEM_DEFAULT", PROFILE: OURS}  # as set by a parent process
     changed = {RANGE: "SYSTEM_DEFAULT"}.items() <= given.items() or PROFILE in given
     for inherited in ({},) if changed else ({}, above):
         environment = inherited | given
@@ -98,7 +98,7 @@ def test_a_profile_in_the_working_directory_wins_and_is_named(
 
 
 def served(processes: Processes, *before: str, **environment: str) -> Process:
-    """A node of ours that has started, or ended."""
+    """Start a node, and wait until it is ready or has ended."""
     process = processes.start([*before, sys.executable, "-c", SERVE], **environment)
     while "serving" not in processes.output(process) and process.poll() is None:
         pass
@@ -186,5 +186,5 @@ def test_from_another_network_nothing_matches_and_no_service_answers(
     confined = served(processes, *here, **{RANGE: "LOCALHOST"})
     assert matched() == "matched 0 False"
     processes.end(confined)
-    served(processes, *here, **{RANGE: "SUBNET"})  # the cable is there
+    served(processes, *here, **{RANGE: "SUBNET"})  # the cable works
     assert matched() == "matched 1 True"

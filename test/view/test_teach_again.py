@@ -48,7 +48,7 @@ def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_arm_is_let_go_only_after_the_trial_under_way_is_over() -> None:
-    under_way = Answer(Code.DONE, "waits after the trial under way", {"trial": "under_way"})
+    under_way = Answer(Code.DONE, "pauses after the trial under way", {"trial": "under_way"})
     services = Services(pause=[under_way] * 3)
     begin(services, lambda text: None)
     assert services.asked == [(PAUSE, True)] * 3 + BEGUN
