@@ -81,11 +81,11 @@ class Bench:
             self.probe.until(lambda: "Move each" in printed.read_text(), "question about joints")
             self.set(by_hand)
         process.communicate(typed, timeout=300)
-        said = printed.read_text()
-        sys.stdout.write(said)
+        output = printed.read_text()
+        sys.stdout.write(output)
         table = json.loads(file.read_text()) if file.exists() else {"rows": []}
         rows = {row["name"]: row for row in table["rows"]}
-        return table | {"rows": rows, "status": process.returncode, "output": said}
+        return table | {"rows": rows, "status": process.returncode, "output": output}
 
     def close(self) -> None:
         """End the stand-ins."""
@@ -121,9 +121,9 @@ def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
     bench: Bench, fault: str
 ) -> None:
     table = bench.check(*(["--active"] if fault == "no watchdog" else []), fault=fault)
-    name, said = BROKEN[fault]
+    name, text = BROKEN[fault]
     assert (table["status"], failing(table)) == (1, [name])
-    assert said in table["rows"][name]["found"] + table["rows"][name]["advice"]
+    assert text in table["rows"][name]["found"] + table["rows"][name]["advice"]
     assert f"DOES NOT CONFORM, let nothing move: {name}" in " ".join(table["output"].split())
 
 
@@ -141,8 +141,8 @@ def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
     table = bench.check(typed="no\n")
     bench.probe.spin(0.5)
     assert (table["rows"]["watchdog"]["verdict"], torques) == ("not checked", [])
-    heard = {"heard by probe, wam_sim", "heard by wam_sim"}  # discovery is slow on a busy machine
-    assert table["rows"]["command path"]["found"] in heard
+    found = {"heard by probe, wam_sim", "heard by wam_sim"}  # discovery is slow on a busy machine
+    assert table["rows"]["command path"]["found"] in found
 
 
 def test_without_messages_nothing_can_be_checked(processes: Processes) -> None:

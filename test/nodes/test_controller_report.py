@@ -110,9 +110,22 @@ def test_what_a_person_is_waited_for_is_logged_step_by_step(
     assert waiting == [
         "waiting for the robot description on /robot_description",
         "waiting for ros2 lifecycle set /probe configure",
-        "waiting for joint states on /joint_states",
+        "waiting for joint states on /joint_states (no joint state)",
         "waiting for ros2 lifecycle set /probe activate",
     ]
+
+
+def test_a_velocity_topic_without_messages_is_named_in_the_log(
+    report: ControllerReport, beside: Preparation
+) -> None:
+    configured = dataclasses.replace(
+        UNCONFIGURED,
+        described=True,
+        core=PARAMS.controller(URDF),
+        missing_state="no joint velocity on wam/velocity within the last second",
+    )
+    report.log_changes(configured)
+    assert "no joint velocity on wam/velocity" in beside.logged[-1][1]
 
 
 def test_a_controller_that_starts_itself_waits_for_no_person(
@@ -177,7 +190,7 @@ def test_what_is_worst_is_the_summary(probe: Probe, beside: Preparation) -> None
     silent = dataclasses.replace(slow, missing_state="no joint state")
     unasked = dataclasses.replace(held, active=False)
     still = dataclasses.replace(active(STILL), missing_state="no joint state", granted=slow.granted)
-    told = [
+    expected = [
         (still, "9 % missed", ("error", "stamps stand")),
         (silent, "9 % missed", ("warn", "no joint state")),
         (unasked, "9 % missed", ("warn", "not active")),
@@ -185,7 +198,7 @@ def test_what_is_worst_is_the_summary(probe: Probe, beside: Preparation) -> None
         (slow, "", ("warn", "hold; no real-time scheduling")),
         (held, "", ("ok", "hold")),
     ]
-    for condition, overload, summary in told:
+    for condition, overload, summary in expected:
         report.publish(condition, {}, overload)
         assert beside.reports[-1][2:4] == summary
 

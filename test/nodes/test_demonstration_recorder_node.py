@@ -312,8 +312,8 @@ def test_a_killed_recorder_loses_a_second_at_most(
     assert len(stamps) >= 1250
     assert information(made)["custom_data"]["joint_names"] == json.dumps(NAMES)
     again = processes.node(NODE, CONFIG, directory=tmp_path)
-    said = f"wam-power recover {path}"
-    probe.until(lambda: said in processes.output(again), "a word on what is left")
+    hint = f"wam-power recover {path}"
+    probe.until(lambda: hint in processes.output(again), "the hint to recover the bag")
 
 
 def test_a_recording_that_cannot_be_is_refused_with_its_reason(

@@ -57,8 +57,8 @@ class Rehearsal:
             policies.publish(String(data=to_json(policy)))
             answer = self.probe.call(Trigger, name)
             self.probe.spin(0.0 if answer.success else 0.1)
-            said = read(answer.success, answer.message)
-            return said.success and said.values.get("policy", said.text) == policy.id
+            result = read(answer.success, answer.message)
+            return result.success and result.values.get("policy", result.text) == policy.id
 
         self.probe.until(done, name)
 

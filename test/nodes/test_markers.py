@@ -32,12 +32,12 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
     where = np.array([0.6, 0.0, 0.5])
     still = np.zeros(3)
     state = pose_messages.StateReading(1, "wam_base", where, tilted, still, still, 1e-6)
-    heard = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
+    received = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
 
     def whole() -> list[Marker] | None:
         states.publish(pose_messages.odometry_message(state, "pancake"))
         probe.spin(0.05)
-        last = heard[-1].markers if heard else []
+        last = received[-1].markers if received else []
         return last if {marker.ns for marker in last} - {""} == ALL else None
 
     clear, *drawn = probe.until(whole, "all markers")
@@ -56,7 +56,7 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
 
 
 def test_without_a_body_and_an_obstacle_there_is_neither(probe: Probe) -> None:
-    heard = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
+    received = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
     Markers(probe.node, "", (0.0, 0.0, 0.0, 0.0)).plan(POLICY, START)
-    (message,) = probe.until(lambda: heard, "the markers")
+    (message,) = probe.until(lambda: received, "the markers")
     assert {marker.ns for marker in message.markers[1:]} == {"planned", "stiffness"}

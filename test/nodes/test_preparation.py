@@ -146,7 +146,7 @@ def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
         return worker.find() not in (0, worker.pid)
 
     probe.until(again, "another process")
-    report = arm.diagnosis(lambda d: d["preparation processes"] == "2", "it is told")
+    report = arm.diagnosis(lambda d: d["preparation processes"] == "2", "it is reported")
     probe.until(
         lambda: newer.get_subscription_count() and older.get_subscription_count(), "readers"
     )

@@ -66,7 +66,7 @@ def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict
 
 @pytest.mark.requirement("S-56")
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "reason"),
     [
         ({RANGE: "SUBNET"}, "SUBNET"),
         ({RANGE: "SYSTEM_DEFAULT"}, "SYSTEM_DEFAULT"),
@@ -76,14 +76,14 @@ def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict
         ({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, "rmw_zenoh_cpp"),
     ],
 )
-def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], said: str) -> None:
+def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], reason: str) -> None:
     above = {RANGE: "SYSTEM_DEFAULT", PROFILE: OURS}  # as set by a parent process
     changed = {RANGE: "SYSTEM_DEFAULT"}.items() <= given.items() or PROFILE in given
     for inherited in ({},) if changed else ({}, above):
         environment = inherited | given
         assert not confine(environment)
         assert environment == {RANGE: "LOCALHOST", **given}
-        assert said in (wider_reach(environment) or "")
+        assert reason in (wider_reach(environment) or "")
 
 
 @pytest.mark.requirement("S-56")

@@ -22,7 +22,6 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -53,7 +52,6 @@ from wam_power_ros.ros import (
     scheduling,
 )
 from wam_power_ros.ros.interface import is_latched, is_reliable
-from wam_power_ros.ros.node_runner import init, number_by_process
 from wam_power_ros.ros.stamps import nanoseconds
 
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
@@ -168,9 +166,10 @@ class CheckDriver(Node):
         )
         self.spin(seconds)
         if not (self.states or self.frames or self.clouds):
-            topics = (self._arm_params.state_topic, self._mocap.pose_topic or "")
-            named = filter(None, (*topics, self._mocap.markers_topic))
-            topics = " nor on ".join(map(self.resolve_topic_name, named))
+            mocap_topic = self._mocap.markers_topic or self._mocap.pose_topic
+            topics = " nor on ".join(
+                map(self.resolve_topic_name, (self._arm_params.state_topic, mocap_topic))
+            )
             raise ValueError(
                 f"no messages on {topics}: start the drivers, with the same ROS_DOMAIN_ID and "
                 "ROS_AUTOMATIC_DISCOVERY_RANGE as this check"
@@ -389,25 +388,20 @@ def main() -> int:
     """Entry point of `ros2 run wam_power_ros check_driver`; returns the exit status."""
     options = _parser().parse_args(remove_ros_args(sys.argv)[1:])
     console, errors = Console(), Console(stderr=True)
-    node = None
     interrupts.install()
     try:
-        init(sys.argv, SignalHandlerOptions.NO)
         setup = overlay.setup(options.config)
         arm = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
         mocap = PancakeTrackerParams.of_values("pancake_tracker", setup["pancake_tracker"])
-        with number_by_process():
-            node = CheckDriver(arm, mocap, console)
-        rows = topic_checks.accepted(node.check(options.seconds, options.active), options.accept)
+        make = lambda: CheckDriver(arm, mocap, console)  # noqa: E731
+        with node_runner.participant(make, SignalHandlerOptions.NO) as node:
+            rows = node.check(options.seconds, options.active)
+        rows = topic_checks.accepted(rows, options.accept)
     except (ValueError, OSError) as error:
         errors.print(f"cannot check: {error}", markup=False)
         return 2
     except KeyboardInterrupt:
         return 2
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
     result, sentence = topic_checks.verdict(rows)
     console.print(check_console.table(rows))
     console.print(sentence, style=check_console.COLOURS[result])

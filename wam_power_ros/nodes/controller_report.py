@@ -94,7 +94,8 @@ class ControllerReport:
         if now.core is None:
             return "" if now.autostart else f"ros2 lifecycle set {node} configure"
         if now.missing_state:
-            return f"joint states on {self._node.resolve_topic_name(self._params.state_topic)}"
+            topic = self._node.resolve_topic_name(self._params.state_topic)
+            return f"joint states on {topic} ({now.missing_state})"
         return "" if now.autostart else f"ros2 lifecycle set {node} activate"
 
     def publish(self, now: Condition, figures: Mapping[str, str], overload: str) -> None:

@@ -47,7 +47,7 @@ DISK_CHECK_PERIOD = 0.1  # [s] between checks for write errors and free space
 
 
 Megabytes = Annotated[
-    float, Field(ge=0.0, le=1e9, description="in MB: 0 requires no free space; a petabyte")
+    float, Field(ge=0.0, le=1e9, description="in MB: 0 requires none; at most a petabyte")
 ]
 
 

@@ -54,7 +54,7 @@ from wam_power_ros.ros.node_runner import (
 from wam_power_ros.tasks.task import Pose, Task
 
 Timeout = Annotated[
-    float, Field(ge=0.1, le=86_400.0, description="in s: a service's answer takes 0.1 s; a day")
+    float, Field(ge=0.1, le=86_400.0, description="in s: an answer takes 0.1 s; at most a day")
 ]
 
 
@@ -76,7 +76,7 @@ class LearnerParams(Params):
     preset: str  # of the task; empty: its first
     learner: str  # empty: the preset's
     trials: int = Field(ge=0, le=100_000, description="a year of practice")  # 0: the preset's
-    changes: str  # of the preset, a JSON object of settings by name
+    changes: str  # to settings of the preset, a JSON object by name
     seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
     scene_reset: bool  # a service of the stand-in puts the scene back; otherwise a person does
     reset_faults: bool  # stand-in only: in the lab a person resets the controller
@@ -304,7 +304,7 @@ def main() -> int:
     node = None
     interrupts.install()
     try:
-        init(signals=SignalHandlerOptions.NO)
+        init(SignalHandlerOptions.NO)
         with number_by_process():
             node = Learner()
         node.practise()

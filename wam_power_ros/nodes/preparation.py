@@ -2,9 +2,8 @@
 """The torque controller's side of its preparation process.
 
 Slow work is done in a process beside the 500 Hz loop (`preparation_worker`): it receives policies
-and movements to replay, reads, checks and tabulates them, and publishes and logs for the loop. A
-thread would not do, because C code that parses keeps the interpreter's lock. Nor would receiving
-the bytes here: taking a message of 17 MB from the middleware blocks the loop for 30 ms.
+and movements to replay, reads, checks and tabulates them, and publishes and logs for the loop.
+docs/architecture.md says why this is a process and not a thread.
 """
 
 from __future__ import annotations

@@ -159,8 +159,10 @@ class RolloutClient:
         fault = finished.fault if tool.t[-1] <= duration - END_TOLERANCE else None
         return Executed(Rollout(tool, body, fault), bag, self._truth_of(policy.id))
 
-    def until(self, condition: Callable[[], object], what: str, timeout: float) -> None:
-        """Spin until `condition()`; logs `what` it waits for, a noun phrase.
+    def until(
+        self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float
+    ) -> None:
+        """Spin until `condition()`; logs what it waits for, see `ServiceClient.until`.
 
         While simulated time advances, the timeout must have passed in it, too: a busy machine is
         not an error.
@@ -175,7 +177,8 @@ class RolloutClient:
             now = clock.now()
             advances = clock.ros_time_is_active and now > last
             if not advances or (now - begun).nanoseconds > timeout * 1e9:
-                raise RolloutError(f"waited {timeout:.0f} s in vain for {what}")
+                awaited = what() if callable(what) else what
+                raise RolloutError(f"waited {timeout:.0f} s in vain for {awaited}")
             last = now
 
     # Messages in
@@ -292,19 +295,20 @@ class RolloutClient:
             if scene_reset:
                 self._insist(self._reset, policy.id)
             self._ready_states = self._ready_ns = 0
+            self._missing = f"no state of the {self._body} received"
             if not self._body:
                 return
             try:
                 self.until(
                     lambda: self._ready_states >= READY_STATES,
-                    f"the {self._body} to be ready ({self._missing or 'not seen yet'})",
+                    lambda: f"the {self._body} to be ready: {self._missing}",
                     READY_TIMEOUT if scene_reset else self._params.patience,
                 )
                 return
-            except RolloutError as error:
+            except RolloutError:
                 if not scene_reset or time.monotonic() > end:
                     raise
-                self._log.warning(f"the scene is reset again: {error}")
+                self._log.warning(f"the scene is reset again: {self._missing}")
 
     def _reach_start(self, policy: Policy) -> None:
         """Move the arm to the start of the policy, after a reset of a fault if needed.
@@ -325,7 +329,9 @@ class RolloutClient:
                 end = time.monotonic() + self._params.patience
                 continue
             if time.monotonic() > end:
-                raise RolloutError(f"{interface.MOVE_TO_START} refused: {answer or 'no answer'}")
+                raise RolloutError(
+                    f"{interface.MOVE_TO_START} for {policy.id} failed: {answer or 'no answer'}"
+                )
             if answer is not None and answer.code is Code.FAULT and self._params.reset_faults:
                 self._call(interface.RESET)
             else:
@@ -367,7 +373,7 @@ class RolloutClient:
                 text = f"waiting for the enabling switch to be held, for {policy_id}"
                 self._log.info(text, throttle_duration_sec=SWITCH_LOG_PERIOD)
             elif time.monotonic() > end:
-                raise RolloutError(f"{name} for {policy_id} refused: {answer}")
+                raise RolloutError(f"{name} for {policy_id} failed: {answer}")
             self._services.until(lambda: False, timeout=0.05)
 
     def _end(self, policy_id: str, ready_ns: int) -> Finished:

@@ -229,7 +229,7 @@ class TorqueController(LifecycleNode):
         granted = self._granted
         return (
             f"no real-time scheduling (SCHED_FIFO {granted.scheduling}; locked memory "
-            f"{granted.memory}); allow_no_realtime is false"
+            f"{granted.memory}): grant both, or set allow_no_realtime"
         )
 
     # Joint states
@@ -259,7 +259,8 @@ class TorqueController(LifecycleNode):
             if self._watchdog.enabled and arrived_ns - self._qd_ns > VELOCITY_AGE_MAX_NS:
                 qd = None  # the controller differentiates the positions instead
                 age = (arrived_ns - self._qd_ns) * 1e-6
-                controller.fault(Fault(FaultKind.VELOCITY, f"no joint velocity for {age:.0f} ms"))
+                text = f"no joint velocity on {self._params.velocity_topic} for {age:.0f} ms"
+                controller.fault(Fault(FaultKind.VELOCITY, text))
         elapsed = (arrived_ns - self._watchdog.arrived_ns) * 1e-9
         tau = controller.step(stamp_ns, q, qd, elapsed if self._watchdog.enabled else None)
         if controller.fresh:

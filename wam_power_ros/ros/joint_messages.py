@@ -38,7 +38,7 @@ class JointStateReader:
             raise ValueError(f"joint_names {list(joint_names)} must be distinct and not empty")
         self.joint_names = tuple(joint_names)
         self._last_names: list[str] | None = None
-        # (nj,) places of our joints in `_last_names`; None when these are our joints in our order
+        # (nj,) indices of our joints in `_last_names`; None when these are our joints in our order
         self._index: np.ndarray | None = None
 
     def __call__(self, message: JointState) -> JointReading | None:
@@ -103,7 +103,7 @@ class JointStateReader:
         return qd
 
     def lookup(self, names: Sequence[str]) -> np.ndarray | None:
-        """Places of our joints in `names` (nj,), None if it has none; raises as a call does."""
+        """Indices of our joints in `names` (nj,), None if it has none; raises like `__call__`."""
         place = {name: i for i, name in enumerate(names)}
         missing = [name for name in self.joint_names if name not in place]
         if len(missing) == len(self.joint_names):

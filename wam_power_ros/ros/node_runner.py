@@ -18,7 +18,7 @@ import signal
 import socket
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
@@ -43,25 +43,22 @@ NUMBER_SPREAD = 16  # of the 32 numbers that discovery under LOCALHOST tries; la
 REFUSED = 2  # exit status
 
 
-def init(
-    args: Sequence[str] | None = None, signals: SignalHandlerOptions = SignalHandlerOptions.ALL
-) -> None:
+def init(signals: SignalHandlerOptions) -> None:
     """Initialise rclpy, on the loopback interface only unless the environment asks for more.
 
     Args:
-        args: Command line; that of the process if None.
         signals: Signals that rclpy handles.
 
     Raises:
         ValueError: ROS_DOMAIN_ID is not a domain, or security is enforced without keys.
     """
     exported(os.environ)
-    security.check_keystore(os.environ, sys.argv if args is None else args)
+    security.check_keystore(os.environ, sys.argv)
     network.confine(os.environ)
     if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # rclpy insists on one
         os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / f"ros_log_{os.getuid()}")
     shared_memory.remove_dead_segments()
-    rclpy.init(args=args, signal_handler_options=signals)
+    rclpy.init(signal_handler_options=signals)
 
 
 @contextmanager
@@ -126,7 +123,7 @@ def spin(
     node: Node,
     ended: Callable[[], bool],
     between: Callable[[], None] | None = None,
-    period: float | Callable[[], float] = 0.2,
+    period: Callable[[], float] = lambda: 0.2,
     on_error: Callable[[Exception], None] | None = None,
 ) -> None:
     """Dispatch the callbacks of a node until `ended()`.
@@ -135,14 +132,14 @@ def spin(
         node: Node.
         ended: Condition, checked after every callback and at least once a `period`.
         between: Function that is called as often.
-        period: Longest time between two checks [s], or a function that returns it.
+        period: Returns the longest time between two checks [s].
         on_error: Called with an exception that a callback did not catch, after which the node
             goes on; without it, the exception ends the node.
     """
     executor = executor_for(node)
     while not ended() and rclpy.ok():  # not executor.spin(): it hangs in builds for Jazzy
         try:
-            executor.spin_once(timeout_sec=period() if callable(period) else period)
+            executor.spin_once(timeout_sec=period())
             if between is not None:
                 between()
         except Exception as error:
@@ -153,7 +150,6 @@ def spin(
 
 def run(
     make_node: Callable[[], Node],
-    args: Sequence[str] | None = None,
     spin: Callable[[Node, Callable[[], bool]], None] = spin,
 ) -> int:
     """Run a node until SIGINT or SIGTERM, after which it can still send.
@@ -161,7 +157,6 @@ def run(
     Args:
         make_node: Makes the node; raises ValueError for an invalid configuration. If the node has a
             method `close`, it is called at the end, to finish files and send the last command.
-        args: Command line; that of the process if None.
         spin: Dispatches callbacks until the function it is given returns True.
 
     Returns:
@@ -172,7 +167,7 @@ def run(
         signal.signal(number, lambda received, _: signals.append(received))
     node = None
     try:
-        init(args, SignalHandlerOptions.NO)
+        init(SignalHandlerOptions.NO)
         with number_by_process():
             made = make_node()
         node = made
@@ -222,7 +217,7 @@ def participant(
         make_node: Makes the node.
         signals: Signals that rclpy handles, each of which shuts ROS down.
     """
-    init(signals=signals)
+    init(signals)
     try:
         with number_by_process():
             node = make_node()

@@ -89,7 +89,7 @@ TABLE: dict[str, dict[str, str]] = {
     },
     "optitrack_sim": {"publishes": "mocap pose MARKERS"},
 }
-NODE_NAMES = {"operator": "_ros2cli*"}  # where a node has another name: each command makes one
+NODE_NAMES = {"operator": "_ros2cli*"}  # names that differ: each `ros2` command has its own
 LIFECYCLE_NODES = {"torque_controller"}
 BODY_NODES = {"pancake_tracker", "optitrack_sim"}  # run only for a task with a tracked body
 PROCESSES = {  # node -> process whose enclave it shares; every other node has its own

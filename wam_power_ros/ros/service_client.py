@@ -61,13 +61,17 @@ class ServiceClient:
             self._clients[name] = self._node.create_client(kind, name)
 
     def until(
-        self, condition: Callable[[], object], what: str = "", timeout: float = TIMEOUT
+        self,
+        condition: Callable[[], object],
+        what: str | Callable[[], str] = "",
+        timeout: float = TIMEOUT,
     ) -> bool:
         """Dispatch callbacks until a condition holds or the timeout is over.
 
         Args:
             condition: Condition, checked after every callback and at least every 0.05 s.
-            what: What is awaited, a noun phrase for the log; nothing is logged if empty.
+            what: Noun phrase for the log, or a function that returns it at the time of logging;
+                nothing is logged if empty.
             timeout: Longest wait [s of wall time].
 
         Returns:
@@ -84,7 +88,8 @@ class ServiceClient:
             if waited > timeout:
                 return False
             if waited > log_at:
-                self._node.get_logger().info(f"waiting for {what}, {waited:.0f} s so far")
+                awaited = what() if callable(what) else what
+                self._node.get_logger().info(f"waiting for {awaited}, {waited:.0f} s so far")
                 log_at = waited + self._log_period
             interrupts.spin_once(self._executor, min(0.05, timeout - waited))
         return True
