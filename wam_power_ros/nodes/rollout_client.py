@@ -68,17 +68,11 @@ class RolloutParams(Protocol):
 
 @dataclass(frozen=True)
 class Executed:
-    """A rollout that has been executed.
-
-    Attributes:
-        rollout: Paths, and the fault if any.
-        bag: Name of its recording, empty when there is none.
-        truth: Ground truth of the simulator, None on hardware.
-    """
+    """A rollout that has been executed."""
 
     rollout: Rollout
-    bag: str
-    truth: dict[str, Any] | None
+    bag: str  # name of its recording, empty without one
+    truth: dict[str, Any] | None  # ground truth of the simulator, None on hardware
 
 
 class RolloutClient:
@@ -122,8 +116,7 @@ class RolloutClient:
             path, state = interface.rollout_topic(body), interface.body_topic(body, "state")
             subscribe(Path, path, self._on_body_path, interface.LATCHED)
             subscribe(Odometry, state, self._on_state, interface.STATE_OUT)
-        names = (interface.MOVE_TO_START, interface.EXECUTE, interface.RESET, self._reset)
-        for name in names:
+        for name in (interface.MOVE_TO_START, interface.EXECUTE, interface.RESET, self._reset):
             self._services.prepare(Trigger, name)
         self._services.prepare(SetBool, interface.RECORD)
 

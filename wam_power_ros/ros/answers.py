@@ -36,17 +36,11 @@ class Code(str, enum.Enum):
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer of a service.
-
-    Attributes:
-        code: Outcome of the request.
-        text: Sentence for a person; may be empty.
-        values: Values by name, without spaces, such as the id of the policy.
-    """
+    """An answer of a service."""
 
     code: Code
-    text: str = ""
-    values: Mapping[str, str] = field(default_factory=dict)
+    text: str = ""  # sentence for a person
+    values: Mapping[str, str] = field(default_factory=dict)  # such as the id of the policy
 
     def __post_init__(self) -> None:
         for key, value in self.values.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DDS domains of this machine: one process holds each, by a lock that the kernel ends with it.
+"""DDS domains of this machine: one process holds each, by a lock that ends with the process.
 
 A session holds the domain it works in, a stand-in the domain it was started in; nodes that they
 start share it. Simulations in namespaces may share a domain. This module imports no rclpy.

@@ -163,7 +163,7 @@ def run(
         Exit status: 0 after a signal, 2 when the configuration was refused.
     """
     signals: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in interrupts.SIGNALS:
         signal.signal(number, lambda received, _: signals.append(received))
     node = None
     try:
@@ -202,7 +202,7 @@ def end() -> None:
     `ros2 launch` sends a SIGINT after that of the terminal. The interpreter removes its handlers
     when it ends, and such a signal would change the exit status.
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in interrupts.SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     rclpy.try_shutdown()
 

@@ -175,19 +175,12 @@ def _rotation(quat_xyzw: np.ndarray) -> np.ndarray:
 
 
 class PathReading(NamedTuple):
-    """Path of a tool or a body through a rollout.
+    """Path of a tool or a body through a rollout."""
 
-    Attributes:
-        start_ns: Stamp of the start of the rollout [ns], which identifies the rollout.
-        t: Time since then [s]. Shape (M,).
-        position: Positions [m]. Shape (M, 3).
-        quat_xyzw: Orientations. Shape (M, 4).
-    """
-
-    start_ns: int
-    t: np.ndarray
-    position: np.ndarray
-    quat_xyzw: np.ndarray
+    start_ns: int  # stamp of the start, which identifies the rollout
+    t: np.ndarray  # (M,), time since the start [s]
+    position: np.ndarray  # (M, 3) [m]
+    quat_xyzw: np.ndarray  # (M, 4)
 
 
 def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) -> Path:
@@ -219,17 +212,11 @@ def path(message: Path) -> PathReading:
 
 
 class Finished(NamedTuple):
-    """A rollout that has ended.
+    """A rollout that has ended."""
 
-    Attributes:
-        id: Id of the policy that was executed.
-        start_ns: Stamp of its start [ns], also that of its paths.
-        fault: Fault latched at its end, None without.
-    """
-
-    id: str
-    start_ns: int
-    fault: Fault | None
+    id: str  # of the policy that was executed
+    start_ns: int  # stamp of its start and of its paths
+    fault: Fault | None  # latched at its end
 
 
 def finished_message(finished: Finished) -> String:

@@ -22,15 +22,10 @@ _ALIGNMENT = 64  # of each array in the shared memory [byte]
 
 
 class Message(NamedTuple):
-    """A message.
-
-    Attributes:
-        values: Values by name, as JSON has them.
-        arrays: Arrays by name, float64 and read-only.
-    """
+    """A message; its values are those of JSON."""
 
     values: dict[str, Any]
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, np.ndarray]  # float64, read-only
 
 
 class Channel:

@@ -14,15 +14,10 @@ MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 
 @dataclass(frozen=True)
 class Granted:
-    """Outcome of a request; each text is "granted" or the reason why not.
+    """Outcome of a request; each text is "granted" or the reason why not."""
 
-    Attributes:
-        scheduling: Real-time scheduling.
-        memory: Locked memory.
-    """
-
-    scheduling: str = "not requested"
-    memory: str = "not requested"
+    scheduling: str = "not requested"  # real-time scheduling
+    memory: str = "not requested"  # locked memory
 
     @property
     def complete(self) -> bool:
