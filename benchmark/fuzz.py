@@ -122,7 +122,7 @@ def bombard(controller: Controller, policy: Policy, messages: int, seed: int) ->
     rng, arm = np.random.default_rng(seed), controller.arm
     names = list(arm.joint_names)
     read = cdr.StateReader(joint_messages.JointStateReader(names))
-    write = cdr.TorqueSender(joint_messages.TorqueWriter(names, "multiarray"))
+    write = cdr.TorqueSerializer(joint_messages.TorqueWriter(names, "multiarray"))
     limit, step = controller.limits.torque, 2.0 * 0.002 * controller.limits.torque_rate
     found = {"torques": 0, "not finite": 0, "over": 0, "jumps": 0, "refused": 0, "largest": 0.0}
     before: np.ndarray | None = None

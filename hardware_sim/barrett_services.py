@@ -12,7 +12,7 @@ from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 
 
 class PositionControl:
@@ -81,7 +81,7 @@ class BarrettServices:
         serve(SetBool, interface.WAM_GRAVITY_COMPENSATE, self._on_gravity_compensate)
         serve(SetBool, interface.WAM_HOLD, self._on_hold)
         serve(Trigger, interface.WAM_IDLE, self._on_idle)
-        self._home = LateTrigger(node, interface.WAM_MOVE_HOME, self._begin_home)
+        self._home = DeferredTrigger(node, interface.WAM_MOVE_HOME, self._begin_home)
 
     def update(self) -> None:
         """Answer a pending move home once it has ended; called every tick."""

@@ -28,7 +28,7 @@ from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from wam_power_ros.ros import interface, network, node_runner, security
-from wam_power_ros.ros.domain import FIRST, PER_PARTICIPANT, exported, ports
+from wam_power_ros.ros.domain import FIRST_PORT, PORTS_PER_PARTICIPANT, exported, ports
 
 STAND_IN = "wam_sim"
 STATE_TYPE = "sensor_msgs/msg/JointState"
@@ -75,7 +75,7 @@ class DriverWatch:
             ValueError: A robot, or another stand-in, is in this domain.
         """
         domain = exported(os.environ)
-        loopback_only = network.asked(os.environ) is None
+        loopback_only = network.wider_reach(os.environ) is None
         complete_since = math.inf
         while True:
             now, others = time.monotonic(), _participants(domain)
@@ -173,9 +173,9 @@ def _low_bytes(process: int) -> bytes:
 
 def _participants(domain: int) -> int:
     """Number of other DDS participants of a domain on this machine, by their discovery ports."""
-    own = {int(address.rpartition(":")[2]) for address in network.bound()}
+    own = {int(address.rpartition(":")[2]) for address in network.bound_addresses()}
     others = network.ports_in_use() & set(ports(domain)) - own
-    return sum((port - FIRST) % PER_PARTICIPANT == 0 for port in others)
+    return sum((port - FIRST_PORT) % PORTS_PER_PARTICIPANT == 0 for port in others)
 
 
 def _described(name: str) -> str:

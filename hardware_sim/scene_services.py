@@ -22,7 +22,7 @@ from hardware_sim.world import World
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 
 WAIT_TICKS = 50  # from a reset to its answer, and from a demonstration request to its refusal
 START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
@@ -69,8 +69,8 @@ class SceneServices:
             String, interface.body_topic(body, "truth"), interface.LATCHED
         )
         node.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
-        self._reset = LateTrigger(node, interface.body_topic(body, "reset"), self._begin_reset)
-        self._demonstrate = LateTrigger(node, interface.DEMONSTRATE, self._begin_demonstration)
+        self._reset = DeferredTrigger(node, interface.body_topic(body, "reset"), self._begin_reset)
+        self._demonstrate = DeferredTrigger(node, interface.DEMONSTRATE, self._begin_demonstration)
         if body:
             node.create_service(Trigger, interface.body_topic(body, "drop"), self._on_drop)
 
@@ -104,7 +104,7 @@ class SceneServices:
             self._demonstrations += 1
             self._finish(self._demonstrate)
 
-    def _finish(self, service: LateTrigger) -> None:
+    def _finish(self, service: DeferredTrigger) -> None:
         rollout_id = self._world.rollout_id
         service.finish(True, str(Answer(Code.DONE, rollout_id, {"policy": rollout_id})))
 

@@ -168,7 +168,7 @@ class Robot:
         Raises:
             ServiceError: A service refuses or does not answer.
         """
-        self._calls.until(self._recorder_subscribed, f"the subscription of {RECORDER}")
+        self._calls.until(self._recorder_subscribed, f"discovery by {RECORDER}")
         insist = self._calls.insist
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
         try:

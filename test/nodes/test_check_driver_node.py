@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
 
-BROKEN = {  # fault -> the one row that fails, and what it says of it
+BROKEN = {  # fault -> the one row that fails, and part of its text
     "wrong order": ("gravity", "wrong order of joints: wam_j2, wam_j6"),
     "no velocity": ("velocity", "no velocity"),
     "100 Hz": ("state rate", "100.0 Hz"),
@@ -78,17 +78,17 @@ class Bench:
                 text=True,
             )
         if by_hand is not None:
-            self.probe.until(lambda: "Lead each" in printed.read_text(), "question about joints")
+            self.probe.until(lambda: "Move each" in printed.read_text(), "question about joints")
             self.set(by_hand)
         process.communicate(typed, timeout=300)
-        said = printed.read_text()
-        sys.stdout.write(said)
+        output = printed.read_text()
+        sys.stdout.write(output)
         table = json.loads(file.read_text()) if file.exists() else {"rows": []}
         rows = {row["name"]: row for row in table["rows"]}
-        return table | {"rows": rows, "status": process.returncode, "output": said}
+        return table | {"rows": rows, "status": process.returncode, "output": output}
 
     def close(self) -> None:
-        """End it."""
+        """End the stand-ins."""
         self.probe.close()
         self.processes.end(self.process, signal.SIGINT)
         self.processes.close()
@@ -107,7 +107,7 @@ def failing(table: dict[str, Any]) -> list[str]:
 
 
 def test_the_stand_in_conforms(bench: Bench) -> None:
-    table = bench.check("--active", typed="y\n" + 7 * "\n")  # asked to lead joints, nobody does
+    table = bench.check("--active", typed="y\n" + 7 * "\n")  # y, but no joint is moved
     assert (table["status"], failing(table)) == (0, [])
     assert table["rows"]["wam_j7 by hand"]["found"] == "no joint moved"
     assert "CONFORMS" in table["output"]
@@ -121,9 +121,9 @@ def test_a_broken_driver_does_not_conform_and_is_named_for_what_it_is(
     bench: Bench, fault: str
 ) -> None:
     table = bench.check(*(["--active"] if fault == "no watchdog" else []), fault=fault)
-    name, said = BROKEN[fault]
+    name, text = BROKEN[fault]
     assert (table["status"], failing(table)) == (1, [name])
-    assert said in table["rows"][name]["found"] + table["rows"][name]["advice"]
+    assert text in table["rows"][name]["found"] + table["rows"][name]["advice"]
     assert f"DOES NOT CONFORM, do not move the arm: {name}" in " ".join(table["output"].split())
 
 
@@ -141,8 +141,8 @@ def test_without_consent_no_torque_is_sent(bench: Bench) -> None:
     table = bench.check(typed="no\n")
     bench.probe.spin(0.5)
     assert (table["rows"]["watchdog"]["verdict"], torques) == ("not checked", [])
-    heard = {"received by probe, wam_sim", "received by wam_sim"}  # a busy machine discovers late
-    assert table["rows"]["command path"]["found"] in heard
+    found = {"received by probe, wam_sim", "received by wam_sim"}  # discovery is slow on a busy machine
+    assert table["rows"]["command path"]["found"] in found
 
 
 def test_without_messages_nothing_can_be_checked(processes: Processes) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the torque controller logs and reports; the process that would do so is the test."""
+"""Log and diagnostics of the torque controller; the test replaces the preparation process."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ UNCONFIGURED = Condition(
     described=False,
     autostart=False,
     active=False,
-    unfit="no joint state",
+    missing_state="no joint state",
     granted=Granted("granted", "granted"),
 )
 
 
 class Preparation:
-    """Keeps what it is handed to log and to publish."""
+    """Keeps log entries and diagnostics."""
 
     starts = 1
 
@@ -40,15 +40,15 @@ class Preparation:
         self.reports: list[tuple[str, str, str, str, Mapping[str, object]]] = []
 
     def log(self, severity: str, text: str) -> None:
-        """Keep what is to be logged."""
+        """Keep a log entry."""
         self.logged.append((severity, text))
 
     def report(self, _: int, *of: object) -> None:
-        """Keep name, device, level, text and values of what is to be published."""
+        """Keep name, device, level, text and values of the diagnostics."""
         self.reports.append(of)
 
     def take(self) -> list[tuple[str, str]]:
-        """What was logged since the last call."""
+        """Log entries since the last call."""
         logged, self.logged = self.logged, []
         return logged
 
@@ -69,7 +69,7 @@ def active(fault: Fault | None = None) -> Condition:
         core.step(2_000_000, HOME, 0.0 * HOME)
         core.hold()
     return dataclasses.replace(
-        UNCONFIGURED, core=core, fault=fault, described=True, active=True, unfit=None
+        UNCONFIGURED, core=core, fault=fault, described=True, active=True, missing_state=None
     )
 
 
@@ -103,23 +103,36 @@ def test_what_a_person_is_waited_for_is_logged_step_by_step(
 ) -> None:
     described = dataclasses.replace(UNCONFIGURED, described=True)
     configured = dataclasses.replace(described, core=PARAMS.controller(URDF))
-    fit = dataclasses.replace(configured, unfit=None)
+    fit = dataclasses.replace(configured, missing_state=None)
     for condition in (UNCONFIGURED, described, configured, fit, active()):
         report.log_changes(condition)
     waiting = [text for _, text in beside.logged if text.startswith("waiting for ")]
     assert waiting == [
         "waiting for the robot description on /robot_description",
         "waiting for ros2 lifecycle set /probe configure",
-        "waiting for joint states on /joint_states",
+        "waiting for joint states on /joint_states (no joint state)",
         "waiting for ros2 lifecycle set /probe activate",
     ]
+
+
+def test_a_velocity_topic_without_messages_is_named_in_the_log(
+    report: ControllerReport, beside: Preparation
+) -> None:
+    configured = dataclasses.replace(
+        UNCONFIGURED,
+        described=True,
+        core=PARAMS.controller(URDF),
+        missing_state="no joint velocity on wam/velocity within the last second",
+    )
+    report.log_changes(configured)
+    assert "no joint velocity on wam/velocity" in beside.logged[-1][1]
 
 
 def test_a_controller_that_starts_itself_waits_for_no_person(
     report: ControllerReport, beside: Preparation
 ) -> None:
     described = dataclasses.replace(UNCONFIGURED, described=True, autostart=True)
-    fit = dataclasses.replace(described, core=PARAMS.controller(URDF), unfit=None)
+    fit = dataclasses.replace(described, core=PARAMS.controller(URDF), missing_state=None)
     for condition in (described, fit):
         report.log_changes(condition)
     assert [text for _, text in beside.logged] == ["mode unconfigured", "mode inactive"]
@@ -174,10 +187,10 @@ def test_what_is_worst_is_the_summary(probe: Probe, beside: Preparation) -> None
     report = ControllerReport(probe.node, params, beside)
     held = active()
     slow = dataclasses.replace(held, granted=Granted("refused", "granted"))
-    silent = dataclasses.replace(slow, unfit="no joint state")
+    silent = dataclasses.replace(slow, missing_state="no joint state")
     unasked = dataclasses.replace(held, active=False)
-    still = dataclasses.replace(active(STILL), unfit="no joint state", granted=slow.granted)
-    told = [
+    still = dataclasses.replace(active(STILL), missing_state="no joint state", granted=slow.granted)
+    expected = [
         (still, "9 % missed", ("error", "stamps stand")),
         (silent, "9 % missed", ("warn", "no joint state")),
         (unasked, "9 % missed", ("warn", "not active")),
@@ -185,7 +198,7 @@ def test_what_is_worst_is_the_summary(probe: Probe, beside: Preparation) -> None
         (slow, "", ("warn", "hold; no real-time scheduling")),
         (held, "", ("ok", "hold")),
     ]
-    for condition, overload, summary in told:
+    for condition, overload, summary in expected:
         report.publish(condition, {}, overload)
         assert beside.reports[-1][2:4] == summary
 

@@ -43,7 +43,7 @@ BEST_EFFORT = interface.STATE_IN
 
 
 class Bench:
-    """A recorder, and what it listens to."""
+    """A recorder, and publishers of its topics."""
 
     def __init__(
         self, probe: Probe, processes: Processes, folder: Path, **parameters: object
@@ -59,20 +59,20 @@ class Bench:
         self.sent = 0
 
     def record(self, on: bool) -> tuple[bool, str]:
-        """Ask for the start or the end of a recording."""
+        """Request the start or the end of a recording."""
         response = self.probe.call(SetBool, interface.RECORD, SetBool.Request(data=on))
         answer = read(response.success, response.message)
         assert answer.success == response.success
         return answer.success, answer.text
 
     def start(self) -> Path:
-        """Begin a recording that must begin."""
+        """Begin a recording; fail if it is refused."""
         done, message = self.record(True)
         assert done, message
         return Path(message)
 
     def stop(self) -> Path:
-        """End a recording that must end well."""
+        """End a recording; fail if it is refused."""
         done, message = self.record(False)
         assert done, message
         return Path(message)
@@ -224,7 +224,7 @@ def test_a_rollout_is_named_after_the_policy_that_came_for_it(
     assert names[:2] == ["rollout_trial-0007", "rollout_trial-0007_2"]
     assert names[2].startswith("demo_")
     with Reader(tmp_path / names[0]) as bag:
-        assert bag.topics["/policy"].msgcount == 1  # as it was at the start
+        assert bag.topics["/policy"].msgcount == 1  # the message latched at the start
 
 
 def test_the_path_of_a_body_is_waited_for_when_its_rollout_has_finished(
@@ -242,7 +242,7 @@ def test_the_path_of_a_body_is_waited_for_when_its_rollout_has_finished(
         timer.cancel()
         paths.publish(NavPath())
 
-    timer = probe.node.create_timer(0.2, once)  # while the recorder is asked to end
+    timer = probe.node.create_timer(0.2, once)  # while the recorder ends
     with Reader(bench.stop()) as bag:
         assert bag.topics["/rollout/pancake"].msgcount == 1
 
@@ -270,7 +270,7 @@ def test_what_is_missing_is_said_in_the_bag_the_log_and_the_diagnostics(
 ) -> None:
     bench = Bench(probe, processes, tmp_path)
     bench.start()
-    bench.status("nothing yet on /joint_states")
+    bench.status("no message on /joint_states yet")
     bench.send(30)
     bench.send(1, step=5)
     bench.send(30)
@@ -312,8 +312,8 @@ def test_a_killed_recorder_loses_a_second_at_most(
     assert len(stamps) >= 1250
     assert information(made)["custom_data"]["joint_names"] == json.dumps(NAMES)
     again = processes.node(NODE, CONFIG, directory=tmp_path)
-    said = f"wam-power recover {path}"
-    probe.until(lambda: said in processes.output(again), "a word on what is left")
+    hint = f"wam-power recover {path}"
+    probe.until(lambda: hint in processes.output(again), "the hint to recover the bag")
 
 
 def test_a_recording_that_cannot_be_is_refused_with_its_reason(
@@ -386,7 +386,7 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(
     # It was noticed long before the 3000th; how many are lost in a second: benchmark/recover.py.
     assert bench.sent - kept <= 1500
     resource.prlimit(bench.node.pid, resource.RLIMIT_FSIZE, (allowed[1], allowed[1]))
-    again = bench.start()  # and the next one is as any other
+    again = bench.start()  # the next recording is complete
     bench.send(100)
     probe.spin(0.2)
     assert bench.stop() == again

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags become candidates where they can be read, fitted and executed; the rest is named."""
+"""Bags that can be read, fitted and executed become candidates; the others are named."""
 
 from __future__ import annotations
 
@@ -76,10 +76,10 @@ def test_a_demonstration_whose_reproduction_ends_in_a_fault_is_no_candidate(
 def test_a_movement_is_simulated_once_whatever_its_id(
     demonstrations: Demonstrations, monkeypatch: pytest.MonkeyPatch, arm: SimulatedArm
 ) -> None:
-    said: list[str] = []
-    monkeypatch.setattr(arm, "_report", said.append)
+    reports: list[str] = []
+    monkeypatch.setattr(arm, "_report", reports.append)
     monkeypatch.setattr(arm, "_verdicts", {})
     for number in (1, 2):
         policy = demonstrations.fit([demonstrations.read(BAG)], BAG, f"demonstration-{number}")
         arm.infeasible(policy)
-    assert len(said) == 1
+    assert len(reports) == 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each driver of an arm we are set up for: a stand-in of its shape, driven by our controller."""
+"""Every driver with a set-up: a stand-in with its topics, under our controller."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from wam_power_ros.ros.answers import read
 from wam_power_ros.ros.stamps import sensor_stamp
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 
-IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # the machine may take its time
+IN_STEP = "wam_sim: {ros__parameters: {pace: lockstep}}"  # at any speed of the machine
 
 
 class Rehearsal:
@@ -51,14 +51,14 @@ class Rehearsal:
         probe.until(lambda: self.states, "a state")
 
     def insist(self, name: str, policy: Policy, policies: Publisher) -> None:
-        """Call a service until it has done it for this policy."""
+        """Call a service until it has succeeded for this policy."""
 
         def done() -> bool:
             policies.publish(String(data=to_json(policy)))
             answer = self.probe.call(Trigger, name)
             self.probe.spin(0.0 if answer.success else 0.1)
-            said = read(answer.success, answer.message)
-            return said.success and said.values.get("policy", said.text) == policy.id
+            result = read(answer.success, answer.message)
+            return result.success and result.values.get("policy", result.text) == policy.id
 
         self.probe.until(done, name)
 
@@ -89,7 +89,7 @@ def test_a_rollout_is_the_same_through_every_driver(
     height = path.position[:, 2] - path.position[0, 2]
     assert 0.02 < height.max() < 0.08
     assert abs(height[-1]) < 0.01
-    # and it looked as that driver does
+    # and its topics were those of that driver
     seen = {tuple(state.name) for state in bench.states}
     others = tuple(bench.setup["wam_sim"]["other_joints"])
     assert seen - {others} == {tuple(arm["joint_names"])}
@@ -109,7 +109,7 @@ def test_a_ros2_control_driver_ends_with_a_command_of_a_wrong_size(
         return diagnosis(bench.diagnostics, "wam_sim").get("message", "")
 
     probe.until(lambda: doing() == "commanded", "the driver at work")
-    torques.publish(Float64MultiArray(data=np.full(7, np.nan)))  # this it only drops
+    torques.publish(Float64MultiArray(data=np.full(7, np.nan)))  # dropped without a fault
     probe.until(
         lambda: diagnosis(bench.diagnostics, "wam_sim").get("torques refused") == "1", "a refusal"
     )
@@ -148,7 +148,7 @@ def test_an_arm_that_was_idled_is_active_again_once_the_fault_is_reset(
 
 
 def led_to(arm: Arm, home: np.ndarray, way: np.ndarray, arc: np.ndarray) -> np.ndarray:
-    """Joints (N, 7) at 500 Hz as a hand leads the tool in 2 s from `home` along a way, level."""
+    """Joints (N, 7) at 500 Hz as a hand guides the level tool in 2 s from `home` along a path."""
     start, level = arm.tool_pose(home)
     q, rows = home.copy(), [home.copy()] * 250
     for u in np.linspace(0.0, 1.0, 1000):

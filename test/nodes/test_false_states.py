@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""False states, ends in mid-motion and foreign commands, over DDS to the node in a process."""
+"""False states, shutdown in motion and a second commander, over DDS with the node in a process."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false
 ) -> None:
     driver = Driver(lab)
     outcomes = []
-    for _ in range(3):  # where others take the processor from it, it brakes late or not at all
+    for _ in range(3):  # on a busy processor it brakes late or not at all
         controller = lab.controller(priority=0)
         outcomes.append(inject(driver, lab, "upwards", FALSE_STATES[kind]()))
         assert outcomes[-1].faulted is not None
@@ -52,10 +52,10 @@ def test_an_arm_that_keeps_the_last_torque_is_stopped_when_its_states_turn_false
 def test_a_controller_that_is_ended_in_a_rollout_stops_the_arm_first(lab: Lab, number: int) -> None:
     driver = Driver(lab)
     seen = []
-    for _ in range(3):  # where others take the processor from it, it brakes late or not at all
+    for _ in range(3):  # on a busy processor it brakes late or not at all
         controller = lab.controller(priority=0)
         driver.begin("upwards")
-        while driver.speeds[-1] < REST_SPEED:  # a busy machine has made a fault
+        while driver.speeds[-1] < REST_SPEED:  # a busy machine has caused a fault
             driver.begin("upwards")
         controller.process.send_signal(number)
         assert driver.play(20.0, lambda: controller.process.poll() is not None)  # noqa: B023
@@ -131,11 +131,11 @@ def test_a_velocity_topic_that_falls_silent_is_a_fault(probe: Probe, processes: 
 
     def held() -> bool:
         label = played(True)
-        if label == "fault":  # a busy machine has held one of us up
+        if label == "fault":  # caused by a delay of a busy machine
             probe.call(Trigger, interface.RESET)
         return label == "hold"
 
     probe.until(held, "the arm is held")
     probe.until(lambda: played(False) == "fault", "the fault")
-    kinds = {FaultKind.VELOCITY.value, FaultKind.STATES_LOST.value}  # or a busy machine was first
+    kinds = {FaultKind.VELOCITY.value, FaultKind.STATES_LOST.value}  # or of a busy machine
     assert arm.diagnosis(lambda d: d["mode"] == "fault", "it")["fault kind"] in kinds

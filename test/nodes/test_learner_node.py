@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learner by itself: what it refuses before it asks anything of an arm."""
+"""The learner without an arm: what it refuses before it calls any service."""
 
 from __future__ import annotations
 
@@ -38,4 +38,4 @@ def test_a_learner_goes_on_with_no_session_of_another_arm(tmp_path: Path, domain
     assert ended.returncode == 2
     assert f"policy {policy.id} belongs to another arm: cobot7" in ended.stderr
     assert "this arm is wam7" in ended.stderr
-    Session.open(folder).close()  # nothing was written, nothing is held
+    Session.open(folder).close()  # nothing was written, no lock is held

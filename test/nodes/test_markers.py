@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Markers show the policy, the last rollout, the body and the obstacle, whole in every message."""
+"""Every message has markers of the policy, the last rollout, the body and the obstacle."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from conftest import Probe, lift
 from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
-from wam_power_ros.nodes.markers import ARROW, Markers
+from wam_power_ros.nodes.markers import ARROW_LENGTH, Markers
 from wam_power_ros.ros import interface, pose_messages
 
 POLICY = lift("trial-0001")
@@ -32,12 +32,12 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
     where = np.array([0.6, 0.0, 0.5])
     still = np.zeros(3)
     state = pose_messages.StateReading(1, "wam_base", where, tilted, still, still, 1e-6)
-    heard = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
+    received = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
 
     def whole() -> list[Marker] | None:
         states.publish(pose_messages.odometry_message(state, "pancake"))
         probe.spin(0.05)
-        last = heard[-1].markers if heard else []
+        last = received[-1].markers if received else []
         return last if {marker.ns for marker in last} - {""} == ALL else None
 
     clear, *drawn = probe.until(whole, "all markers")
@@ -48,7 +48,7 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
     np.testing.assert_array_equal(points(by_name["planned"])[0], START)
     np.testing.assert_array_equal(points(by_name["executed"]), executed)
     normal = points(by_name["normal"]) - where
-    np.testing.assert_allclose(normal[1], ARROW * np.array([0.0, -np.sin(0.4), np.cos(0.4)]))
+    np.testing.assert_allclose(normal[1], ARROW_LENGTH * np.array([0.0, -np.sin(0.4), np.cos(0.4)]))
     assert by_name["obstacle"].scale.x == 0.18
     ellipsoids = [marker for marker in drawn if marker.ns == "stiffness"]
     centres = [[getattr(marker.pose.position, axis) for axis in "xyz"] for marker in ellipsoids]
@@ -56,7 +56,7 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
 
 
 def test_without_a_body_and_an_obstacle_there_is_neither(probe: Probe) -> None:
-    heard = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
+    received = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
     Markers(probe.node, "", (0.0, 0.0, 0.0, 0.0)).plan(POLICY, START)
-    (message,) = probe.until(lambda: heard, "the markers")
+    (message,) = probe.until(lambda: received, "the markers")
     assert {marker.ns for marker in message.markers[1:]} == {"planned", "stiffness"}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each motion capture we are set up for: its driver's habits in, the right pancake out."""
+"""Every motion capture with a set-up: messages as of its driver give the right pancake."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from wam_power_ros.tracking.marker_fit import LAYOUT
 
 PAN = np.array([0.8, 0.1, 0.6])
 MILLISECOND = 1_000_000  # [ns]
-PLACED = [0.5, -0.3, 0.2, 0.0, 0.0, 0.6, 0.8]  # a motion capture away from the arm's base
+PLACED = [0.5, -0.3, 0.2, 0.0, 0.0, 0.6, 0.8]  # pose of the motion-capture frame in the base frame
 HIDDEN = (1.0, 1.08)  # [s] in which the pancake cannot be seen, on its way up
 DURATION = 2.0  # [s]
 
@@ -41,7 +41,7 @@ def of(name: str, *over: FilePath) -> overlay.Setup:
 
 
 class Cameras:
-    """A driver of motion capture by its set-up, looking at a scripted toss at its own pace."""
+    """A motion-capture driver by its set-up that measures a scripted toss at its own rate."""
 
     def __init__(self, probe: Probe, parameters: dict[str, object]) -> None:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
@@ -52,7 +52,7 @@ class Cameras:
         self._mocap.restart(1, np.random.default_rng(3))
 
     def film(self, start_ns: int) -> None:
-        """Show the toss, a millisecond after the other, four times as fast as life."""
+        """Play the toss in steps of a millisecond, at four times real time."""
         begun_ns = time.monotonic_ns()
         for now_ns in range(MILLISECOND, round((DURATION + 0.2) * 1e9), MILLISECOND):
             t = now_ns * 1e-9
@@ -95,7 +95,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     more = tmp_path / "over.yaml"
     more.write_text(over or "{}")
     setup = of(name, more)
-    setup["pancake_tracker"] |= {"clock_offset_max": 10.0, "silence": 60.0}  # take your time
+    setup["pancake_tracker"] |= {"clock_offset_max": 10.0, "silence": 60.0}  # slow is fine
     file = tmp_path / "parameters.yaml"
     file.write_text(overlay.text(setup))
     processes.node("wam_power_ros.nodes.pancake_tracker", file)
@@ -119,7 +119,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     message = probe.until(lambda: paths and paths[-1], "the path", 60.0)
     path = pose_messages.path(message)
 
-    # every frame that was seen is in it, at the time of its exposure, none that was not
+    # the path has every measured frame at its time of exposure, and no other
     wanted = setup["pancake_tracker"]["rate"] * (DURATION - HIDDEN[1] + HIDDEN[0])
     assert 0.8 * wanted < len(path.t) < 1.05 * wanted
     assert not ((path.t > HIDDEN[0] + 0.002) & (path.t < HIDDEN[1] - 0.002)).any()
@@ -128,10 +128,10 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     normals = rotations.matrix(path.quat_xyzw)[:, :, 2]
     cosines = np.einsum("ij,ij->i", normals, [turned[:, 2] for _, turned in true])
     assert cosines.min() > 0.99
-    # and so are the states, while it lies still and while it flies
+    # and so are the states, at rest and in flight
     seen = [pose_messages.odometry(state) for state in states]
     at = [(state.stamp_ns - start_ns) * 1e-9 for state in seen]
-    # (a busy machine holds the film up: what is coasted then says so by its variance)
+    # (on a busy machine frames are late: states predicted meanwhile have a larger variance)
     measured = 1.01 * setup["pancake_tracker"]["noise"] ** 2
     errors = [
         np.linalg.norm(state.position - toss(when)[0])

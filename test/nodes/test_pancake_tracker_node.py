@@ -44,7 +44,7 @@ def pan_path(id: str, duration: float) -> EndEffectorPath:
 
 
 class Bench:
-    """A tracker, and the ends of all its topics."""
+    """A tracker, with publishers and subscriptions for all its topics."""
 
     def __init__(self, probe: Probe, processes: Processes, **parameters: object) -> None:
         self.probe = probe
@@ -64,7 +64,7 @@ class Bench:
         return pose_messages.path(message)
 
     def status(self, text: str) -> dict[str, str]:
-        """The next status that says `text`."""
+        """The next status that contains `text`."""
         found = self.probe.until(
             lambda: next(
                 (item for msg in self.diagnostics for item in msg.status if text in str(item)), None
@@ -106,7 +106,7 @@ def test_a_path_holds_every_valid_frame_of_the_rollout_however_they_come(
         assert len(paths[-1].t) == len(inside)
         np.testing.assert_allclose(paths[-1].position, [poses[i][0] for i in inside], atol=1e-12)
         probe.spin(0.3)
-    np.testing.assert_array_equal(paths[0].t, paths[1].t)  # whenever it was, however fast
+    np.testing.assert_array_equal(paths[0].t, paths[1].t)  # at any time and any speed
     np.testing.assert_array_equal(paths[0].position, paths[1].position)
     assert len(bench.states) > 100
     state = pose_messages.odometry(bench.states[-1])
@@ -122,7 +122,7 @@ def test_a_path_without_an_end_in_view_goes_out_after_silence(
     start_ns = time.time_ns()
     for index, pose in enumerate(toss(np.random.default_rng(1), 10)):
         frames.publish(pose_messages.pose_message(start_ns + index * PERIOD, "world", *pose))
-        probe.spin(PERIOD * 1e-9)  # a camera's stamps are not of the future
+        probe.spin(PERIOD * 1e-9)  # stamps of a camera are in the past
     bench.ends.publish(pose_messages.path_message(pan_path("short", 2.0), start_ns, "wam_base"))
     begun = time.monotonic()
     assert len(bench.path().t) == 10

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process beside the torque controller: what it does holds nothing up, its death no more."""
+"""The process beside the torque controller: neither its work nor its end delays the loop."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ class Worker:
         self.pid = self.find()
 
     def find(self) -> int:
-        """Its process id; 0 when there is none."""
+        """Id of the process; 0 when there is none."""
         of = Path(f"/proc/{self._controller}/task/{self._controller}/children").read_text().split()
         return int(of[-1]) if of else 0
 
     @property
     def blocked(self) -> int:
-        """Mask of the signals that do not reach it."""
+        """Mask of the signals that the process blocks."""
         status = Path(f"/proc/{self.pid}/status").read_text()
         return int(status.partition("SigBlk:")[2].split()[0], 16)
 
     def signal(self, number: int) -> None:
-        """Send it a signal."""
+        """Send a signal to the process."""
         os.kill(self.pid, number)
 
 
@@ -96,7 +96,7 @@ def test_the_loop_waits_neither_for_a_policy_nor_for_a_log_and_stop_is_obeyed_at
     assert read(execute.result().success, execute.result().message).code is Code.STOPPED
     worker.signal(signal.SIGCONT)
     arm.diagnosis(lambda d: d["policy"] == "slow", "the policy is loaded")
-    answered(arm, 1)  # and nothing is executed that was stopped
+    answered(arm, 1)  # a stopped rollout is not executed
     probe.until(lambda: "must be finite" in processes.output(arm.process), "the log")
 
 
@@ -106,7 +106,7 @@ def test_a_request_uses_the_policy_that_was_published_before_it(
 ) -> None:
     policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
     policies.publish(String(data=to_json(lift("before"))))
-    # What is published before publisher and reader have found each other has no order.
+    # Messages from before the discovery of publisher and reader have no order.
     arm.diagnosis(lambda d: d["policy"] == "before", "the publisher has been found")
     for name in ("first", "second", "third"):
         worker.signal(signal.SIGSTOP)
@@ -125,7 +125,7 @@ def test_a_request_uses_the_policy_that_was_published_before_it(
 def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
     probe: Probe, arm: PlayedArm, worker: Worker
 ) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM):  # those of its group are the controller's
+    for number in (signal.SIGINT, signal.SIGTERM):  # only the controller acts on them
         assert worker.blocked >> (number - 1) & 1
     older, newer = (probe.publisher(String, interface.POLICY, interface.LATCHED) for _ in range(2))
     for publisher, name in ((older, "older"), (newer, "newer")):
@@ -146,7 +146,7 @@ def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
         return worker.find() not in (0, worker.pid)
 
     probe.until(again, "another process")
-    report = arm.diagnosis(lambda d: d["preparation processes"] == "2", "it is told")
+    report = arm.diagnosis(lambda d: d["preparation processes"] == "2", "it is reported")
     probe.until(
         lambda: newer.get_subscription_count() and older.get_subscription_count(), "readers"
     )
@@ -205,7 +205,7 @@ def test_a_long_movement_is_replayed_and_one_too_fast_refused_when_it_is_asked_f
         return read(replay.result().success, replay.result().message)
 
     refusal = asked(0.01)
-    while refusal.code is Code.NOTHING:  # publisher and reader have not found each other yet
+    while refusal.code is Code.NOTHING:  # not discovered yet
         refusal = asked(0.01)
     assert refusal.code is Code.TOO_FAST and 0.0 < float(refusal.values["speed"]) < 1.0
     assert asked(1.0) is None  # it is under way

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Execution of a trial over ROS, against a controller made of services that do as they are told."""
+"""Execution of a trial over ROS, with a controller of scripted services."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Cell:
             interface.MOVE_TO_START: [],
             interface.EXECUTE: [],
             interface.RESET: [],
-        }  # what is answered first; then that it was done
+        }  # first answers; later ones are done
         for name in self.answers:
             self.node.create_service(Trigger, name, self._serve(name))
         latched = interface.LATCHED
@@ -73,7 +73,7 @@ class Cell:
         return serve
 
     def publish(self, end: float, policy_id: str = POLICY.id, start_ns: int = 10**9) -> None:
-        """A path of the tool that ends then, and the end of its rollout, as of a controller."""
+        """Publish a path of the tool and the end of its rollout, as a controller does."""
         t = np.arange(0.0, end, 0.01)
         level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
         path = EndEffectorPath(policy_id, t, np.zeros((len(t), 3)), level)
@@ -189,15 +189,15 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
     }
     refused: list[str] = []  # modes since the refusal: a person takes half a second
 
-    def tell() -> None:
+    def publish() -> None:
         waits = not cell.answers[move] and not cell.answers[execute]
         refused.extend(["inactive" if len(refused) < 5 else "hold"] * waits)
         cell.diagnose(refused[-1] if refused else "inactive", "warn", "not active")
 
-    probe.node.create_timer(0.1, tell)
+    probe.node.create_timer(0.1, publish)
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.requests == [*begun, move, move, execute]
-    assert "waiting: the torque controller is active" in capfd.readouterr().err
+    assert "waiting for the torque controller to be active" in capfd.readouterr().err
     probe.until(lambda: len(sent) >= 2, "the policies")
     assert len(sent) == cell.requests.count(move)
 
@@ -242,14 +242,14 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
     topic = interface.body_topic("pancake", "state")
     states, sent = probe.node.create_publisher(Odometry, topic, interface.STATE_OUT), []
 
-    def tell() -> None:  # on the floor, until it has been put back a second time
+    def publish() -> None:  # on the floor until the second reset of the scene
         sent.append(start_ns + len(sent))
         height = 0.0 if cell.requests.count(put_back) < 2 else 1.0
         zero, position = np.zeros(3), np.array([0.0, 0.0, height])
         state = pose_messages.StateReading(sent[-1], "wam_base", position, level, zero, zero, 1e-6)
         states.publish(pose_messages.odometry_message(state, "pancake"))
 
-    probe.node.create_timer(0.02, tell)
+    probe.node.create_timer(0.02, publish)
     params = vars(PARAMS) | {"scene_reset": scene_reset, "patience": 20.0 if scene_reset else 1.0}
     client = RolloutClient(probe.node, probe._executor, SimpleNamespace(**params), "pancake")
     execute = lambda: client.execute(  # noqa: E731
@@ -259,8 +259,8 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
         execute()
         begun = [interface.MOVE_TO_START, put_back]
         assert cell.requests == [*begun, *begun, interface.EXECUTE]
-    else:  # a person puts it back
-        with pytest.raises(RolloutError, match="not within 1 s: the pancake is ready"):
+    else:  # a person places it
+        with pytest.raises(RolloutError, match="the pancake to be ready: on the floor"):
             execute()
         assert cell.requests == [interface.MOVE_TO_START]
 
@@ -287,6 +287,6 @@ def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overd
     if step == 10_000_000:
         client.until(late, "slow", limit)
     else:
-        with pytest.raises(RolloutError, match="not within 1 s: overdue"):
-            client.until(late, "overdue", limit)
+        with pytest.raises(RolloutError, match="waited 1 s in vain for the overdue end"):
+            client.until(late, "the overdue end", limit)
     probe.node.destroy_timer(timer)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The torque controller over real DDS: its arm is played by the test, state by state."""
+"""The torque controller over real DDS: the test plays the arm, state by state."""
 
 from __future__ import annotations
 
@@ -253,7 +253,7 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
     t = np.linspace(0.0, 0.1, 6)
     still = joint_messages.JointMovement(t, np.tile(HOME, (6, 1)))
     movements.publish(joint_messages.movement_message(NAMES[:6], still._replace(q=still.q[:, :6])))
-    arm.diagnosis(lambda d: d.get("refused: replay trajectory") == "1", "the refusal is told")
+    arm.diagnosis(lambda d: d.get("refused: replay trajectory") == "1", "the refusal is reported")
     movements.publish(joint_messages.movement_message(NAMES, still))
     probe.spin(0.2)
     replay = probe.begin(Trigger, interface.REPLAY)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of the controller node over DDS: states, commanders, switch, clock, machine, itself."""
+"""Faults of the controller node over DDS: states, commanders, switch, clock, load, software."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ def test_a_bad_state_is_refused_counted_named_and_never_becomes_a_torque(
     arm.activate()
     count = len(arm.read())
     arm.send(names, q, qd)
-    report = arm.diagnosis(lambda d: d.get("refused: joint state") == "1", "the refusal is told")
+    report = arm.diagnosis(
+        lambda d: d.get("refused: joint state") == "1", "the refusal is reported"
+    )
     assert named in report["last refusal"]
     assert len(arm.read()) == count
     arm.send()
@@ -55,7 +57,7 @@ def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_eac
         (NAMES[:6], HOME[:6]),
         ([*NAMES[:6], "wam_j1"], HOME),
         (NAMES, np.append(HOME[:6], math.nan)),
-        (NAMES, np.append(HOME[:6], 1e9)),  # the reader lets it pass, the controller does not
+        (NAMES, np.append(HOME[:6], 1e9)),  # accepted by the reader, refused by the controller
     ):
         arm.send(names, q)
         arm.send()
@@ -63,12 +65,12 @@ def test_five_states_refused_within_fifty_are_a_fault_whatever_is_wrong_with_eac
     arm.send([*NAMES, "wam_j1"], np.append(HOME, 0.0))
     arm.send()
     assert arm.answer().label == "fault"
-    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
+    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is reported")
     assert report["fault kind"] == FaultKind.STATES_REFUSED.value
 
 
 def idle_service(probe: Probe) -> list[float]:
-    """The driver's service; when it was called [s, steady clock]."""
+    """The driver's service, with the times of its calls [s, steady clock]."""
     called: list[float] = []
 
     def idle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -92,7 +94,7 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
             arm.send(qd=np.full(7, 0.01))
             probe.spin(0.0015)
         label = arm.read()[-1].label if arm.read() else ""
-        if label == "fault":  # a busy machine has kept us from sending for 20 ms
+        if label == "fault":  # a busy machine has delayed the test by 20 ms
             probe.call(Trigger, interface.RESET)
         return label == "hold"
 
@@ -105,15 +107,15 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     probe.spin(0.2)
     stale = arm.read()[-1]
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
-    np.testing.assert_allclose(stale.tau, gravity, atol=0.01)  # braked, and carried
-    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is told")
+    np.testing.assert_allclose(stale.tau, gravity, atol=0.01)  # braked, and held against gravity
+    report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is reported")
     assert (report["level"], report["fault kind"]) == ("2", FaultKind.STATES_LOST.value)
     logged = lambda: processes.output(arm.process)  # noqa: E731
     probe.until(lambda: f"fault ({FaultKind.STATES_LOST.value}): " in logged(), "its log")
     assert "[ERROR]" in next(line for line in logged().splitlines() if "fault (" in line)
     resets = logged().count("the fault was reset")
-    told = lambda: logged().count("the fault was reset") > resets  # noqa: E731
-    probe.until(lambda: held() and told(), "a person resets, and the arm is held again")
+    reset_logged = lambda: logged().count("the fault was reset") > resets  # noqa: E731
+    probe.until(lambda: held() and reset_logged(), "a person resets, and the arm is held again")
     idled.clear()
     probe.until(lambda: idled, "the driver is asked to idle once more")
 
@@ -139,7 +141,7 @@ def test_a_second_commander_is_a_fault_and_keeps_us_from_starting(
         report = diagnosis(second.diagnostics, "torque_controller")
         return report if "refused: activation" in report else {}
 
-    assert probe.until(refused, "the refusal is told")["mode"] == "inactive"
+    assert probe.until(refused, "the refusal is reported")["mode"] == "inactive"
 
 
 @pytest.mark.requirement("S-05")
@@ -188,7 +190,7 @@ def test_a_released_or_silent_switch_ends_teaching(
         return arm.answer().label == "fault"
 
     probe.until(ended, "the fault")
-    arm.diagnosis(lambda d: "enabling switch" in d["message"], "it is told")
+    arm.diagnosis(lambda d: "enabling switch" in d["message"], "the report")
 
 
 @pytest.mark.requirement("S-52")
@@ -210,7 +212,7 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
     def held() -> bool:
         flow(0.05)
         label = arm.read()[-1].label if arm.read() else ""
-        if label == "fault":  # a busy machine has kept us from sending
+        if label == "fault":  # a busy machine has delayed the test
             probe.call(Trigger, interface.RESET)
         return label == "hold"
 
@@ -226,7 +228,7 @@ def test_a_controller_that_was_stopped_faults_and_does_not_have_the_driver_idled
         return arm.read()[-1].label == "fault"
 
     probe.until(faulted, "the fault")
-    assert not idled or max(pauses) > 0.05  # a busy machine has kept us from sending
+    assert not idled or max(pauses) > 0.05  # a busy machine has delayed the test
 
 
 BROKEN = """
@@ -258,7 +260,7 @@ def test_without_real_time_rights_an_arm_is_not_activated_unless_allowed(
             "last refusal", ""
         )
 
-    probe.until(refused, "the refusal is told")
+    probe.until(refused, "the refusal is reported")
     assert not arm.read()
 
 
@@ -271,11 +273,11 @@ def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
         probe,
         processes,
         realtime_priority=60,
-        state_timeout=10.0,  # whatever the machine does, states are only late
+        state_timeout=10.0,  # on a slow machine states are late, not lost
         allow_no_realtime=allowed,
         idle_service='""',
     )
-    told = lambda: diagnosis(arm.diagnostics, "torque_controller")  # noqa: E731
+    status = lambda: diagnosis(arm.diagnostics, "torque_controller")  # noqa: E731
 
     def begun() -> bool:
         arm.send()
@@ -289,13 +291,13 @@ def test_an_overload_is_a_warning_and_a_larger_one_a_fault(
     def late() -> bool:  # every state 6 to 10 ms after the last: two of three periods are missed
         arm.send()
         probe.spin(0.006)
-        text = told().get("message", "")
-        if told().get("mode") == "fault" and "periods" not in text:  # a busy machine held us up
+        text = status().get("message", "")
+        if status().get("mode") == "fault" and "periods" not in text:  # a delay of a busy machine
             probe.call(Trigger, interface.RESET)
         return "of the periods of a second missed" in text
 
-    probe.until(late, "the overload is told")
-    assert told()["mode"] == ("hold" if allowed else "fault")
+    probe.until(late, "the overload is reported")
+    assert status()["mode"] == ("hold" if allowed else "fault")
 
 
 @pytest.mark.requirement("S-51")
@@ -336,13 +338,13 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     else:
         probe.begin(Trigger, interface.STOP)
 
-    def told() -> dict[str, str]:
+    def failure() -> dict[str, str]:
         arm.send()
         probe.spin(0.01)
         report = diagnosis(arm.diagnostics, "torque_controller")
         return report if report.get("mode") == "fault" else {}
 
-    assert "a callback failed" in probe.until(told, "the fault is told")["message"]
+    assert "a callback failed" in probe.until(failure, "the fault is reported")["message"]
     probe.until(lambda: arm.read()[-1].label == "fault", "the arm is carried")
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
     np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)

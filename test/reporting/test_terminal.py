@@ -69,11 +69,11 @@ def test_trouble_is_printed_and_stays(practice: Practice) -> None:
 def test_a_file_that_is_quiet_gets_a_sign_of_life(practice: Practice) -> None:
     text = io.StringIO()
     with terminal.Display(Console(file=text, width=80)) as display:
-        display.show_message("learner: waiting: the pancake is ready", is_problem=False)
+        display.show_message("learner: waiting for the pancake to be ready", is_problem=False)
         for now in (0.0, 4.0, 5.5, 6.0, 11.0):
             display.tick(now)
         assert [line.split()[1] for line in text.getvalue().splitlines()] == ["6", "11"]
-        assert "the pancake is ready" in text.getvalue()
+        assert "the pancake to be ready" in text.getvalue()
         display.show(practice.log[:1], 6, practice.task.outcome)
         display.tick(12.0)
         display.tick(16.0)

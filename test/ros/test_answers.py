@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers of services: machines read the code and the values, people the sentence."""
+"""Answers of services: programs read the code and the values, people the sentence."""
 
 import pytest
 from hypothesis import given

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the 500 Hz loop reads and writes as bytes, against rclpy's own way."""
+"""Messages that the 500 Hz loop reads and writes as bytes, compared with rclpy."""
 
 import math
 from array import array
@@ -35,7 +35,7 @@ def reader() -> cdr.StateReader:
 
 @st.composite
 def states(draw: st.DrawFn) -> bytes:
-    """Our joints in some order, beside others or not, with or without speeds and efforts."""
+    """Our joints in any order, alone or among others, with or without velocities and efforts."""
     names = draw(
         st.permutations(NAMES + draw(st.lists(st.sampled_from(["f1", "finger"]), max_size=1)))
     )
@@ -65,7 +65,7 @@ def test_a_state_of_the_same_shape_is_read_without_rclpy(monkeypatch: pytest.Mon
     monkeypatch.delattr(cdr, "deserialize_message")
     padded = bytearray(state(2_000_000_003, NAMES, [4.0, 5.0, 6.0], [7.0] * 3, frame="arm"))
     at = padded.index(b"elbow\0") + len(b"elbow\0")
-    padded[at : at + 2] = b"\xaa\xbb"  # nobody clears the gaps
+    padded[at : at + 2] = b"\xaa\xbb"  # senders do not clear padding
     reading = read(bytes(padded))
     assert reading.stamp_ns == 2_000_000_003
     assert reading.q.tolist() == [4.0, 5.0, 6.0]
@@ -128,7 +128,7 @@ def test_torques_are_written_as_rclpy_writes_them(
     kind: str, torques: list[tuple[int, str, list[float]]]
 ) -> None:
     writer = joint_messages.TorqueWriter(NAMES, kind)
-    send = cdr.TorqueSender(writer)
+    send = cdr.TorqueSerializer(writer)
     for stamp_ns, label, tau in torques:
         message = deserialize_message(send(stamp_ns, label, np.array(tau)), writer.message_type)
         reading = joint_messages.torque(message, NAMES)

@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A service whose answer comes when the movement it asked for is over."""
+"""A service that answers when the requested movement has ended."""
 
 from __future__ import annotations
 
 from conftest import Probe
 from std_srvs.srv import Trigger
 
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 
 
 def test_every_request_is_answered_when_it_is_finished_and_not_before(probe: Probe) -> None:
-    late = LateTrigger(probe.node, "/late", lambda: None)
+    late = DeferredTrigger(probe.node, "/late", lambda: None)
     first, second = probe.begin(Trigger, "/late"), probe.begin(Trigger, "/late")
     probe.until(lambda: late.pending, "a request")
     probe.spin(0.3)
@@ -23,14 +23,14 @@ def test_every_request_is_answered_when_it_is_finished_and_not_before(probe: Pro
 
 
 def test_a_refusal_is_answered_at_once(probe: Probe) -> None:
-    late = LateTrigger(probe.node, "/never", lambda: "not today")
+    late = DeferredTrigger(probe.node, "/never", lambda: "not today")
     refusal = probe.call(Trigger, "/never")
     assert (refusal.success, refusal.message) == (False, "not today")
     assert not late.pending
 
 
 def test_a_failure_is_answered_as_one(probe: Probe) -> None:
-    late = LateTrigger(probe.node, "/late", lambda: None)
+    late = DeferredTrigger(probe.node, "/late", lambda: None)
     future = probe.begin(Trigger, "/late")
     probe.until(lambda: late.pending, "the request")
     late.finish(False, "a fault came first")
@@ -39,7 +39,7 @@ def test_a_failure_is_answered_as_one(probe: Probe) -> None:
 
 
 def test_finishing_without_a_request_does_nothing_to_the_next_one(probe: Probe) -> None:
-    late = LateTrigger(probe.node, "/late", lambda: None)
+    late = DeferredTrigger(probe.node, "/late", lambda: None)
     late.finish(True, "too early")
     future = probe.begin(Trigger, "/late")
     probe.until(lambda: late.pending, "the request")

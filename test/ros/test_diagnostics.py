@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All arms share /diagnostics: a status says whose it is."""
+"""All arms share /diagnostics: a status names its node and namespace."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from wam_power_ros.ros.diagnostics import FAULT_KIND, diagnostics_message, of_co
         ("left/torque_controller: loop", "/", False),
         ("torque_controller: loop", "/left", False),
         ("left/torque_controller: loop", "/right", False),
-        ("my_controller: loop", "/", True),  # whatever its node is called
+        ("my_controller: loop", "/", True),  # under any node name
     ],
 )
 def test_a_controller_is_known_by_its_namespace(name: str, namespace: str, mine: bool) -> None:

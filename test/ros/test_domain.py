@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DDS domains: one holder each on this machine, never a robot's for a simulation."""
+"""DDS domains: one process of this machine holds each; a simulation never takes a robot's."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ def holder(number: int, *before: str) -> subprocess.Popen[str]:
 
 @pytest.fixture
 def two(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
-    """The two domains that there are for this test."""
+    """The only two private domains in this test."""
     with private_domain() as one, private_domain() as other:
         pass
-    monkeypatch.setattr(domain, "PRIVATE", (one, other))
+    monkeypatch.setattr(domain, "PRIVATE_DOMAINS", (one, other))
     monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
     yield one, other
 
@@ -54,7 +54,7 @@ def two(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
 def test_two_simulations_on_one_machine_get_different_domains(two: tuple[int, int]) -> None:
     with private_domain() as one, private_domain() as other:
         assert {one, other} == set(two)
-        with pytest.raises(DomainError, match="is taken on this machine"), private_domain():
+        with pytest.raises(DomainError, match="is in use on this machine"), private_domain():
             pass
 
 
@@ -90,7 +90,7 @@ def test_a_domain_has_one_holder_and_belongs_to_the_processes_below_it(
     with pytest.raises(DomainError, match=f"domain {two[0]} is in use .* process {other.pid} .*-c"):
         hold(two[0])
     other.communicate("")
-    free = hold(two[0])  # the kernel drops the lock with its process
+    free = hold(two[0])  # the kernel ends the lock with its process
     assert free is not None
     free.close()
 
@@ -109,7 +109,9 @@ def test_a_lock_is_readable_for_other_users_and_one_that_is_not_is_named(
         raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr(domain, "_locked", theirs)
-    with pytest.raises(DomainError, match=re.escape(f"{file} cannot be read: another user")):
+    with pytest.raises(
+        DomainError, match=re.escape(f"{file} cannot be read: it belongs to another user")
+    ):
         hold(two[0])
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names are relative to the arm; those of a tracked body follow its name."""
+"""Names are relative to the arm; those of a tracked body begin with its name."""
 
 from __future__ import annotations
 

@@ -11,7 +11,7 @@ from wam_power_ros.ros import interrupts
 
 
 class Executor:
-    """Does something while it dispatches, and says when it is done."""
+    """Calls a function while it dispatches, and records that it has returned."""
 
     def __init__(self, work: Callable[[], object]) -> None:
         self.done, self._work = False, work

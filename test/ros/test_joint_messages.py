@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Joint messages come back as the arrays they were; what is not acceptable is refused and named."""
+"""Joint messages give back the arrays they were made of; invalid ones are refused by name."""
 
 from __future__ import annotations
 

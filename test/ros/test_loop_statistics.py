@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well a loop keeps its time, told from arrivals that are handed in."""
+"""Timing statistics of a loop, from given arrivals."""
 
 import pytest
 

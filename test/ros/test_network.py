@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nobody reaches a process of ours from another network unless the network is asked for."""
+"""No process is reachable from the network unless the environment asks for it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from conftest import Process, Processes
 
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import network
-from wam_power_ros.ros.network import PROFILE, RANGE, asked, bound, confine
+from wam_power_ros.ros.network import PROFILE, RANGE, bound_addresses, confine, wider_reach
 
 OURS = str(share(network.LOOPBACK))
 SERVE = """
@@ -60,13 +60,13 @@ def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict
     assert confine(environment)
     assert (environment[RANGE], environment[PROFILE]) == ("SYSTEM_DEFAULT", OURS)
     chosen = dict(environment)
-    assert confine(environment)  # a process that this one starts
+    assert confine(environment)  # in a child process
     assert environment == chosen
 
 
 @pytest.mark.requirement("S-56")
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "reason"),
     [
         ({RANGE: "SUBNET"}, "SUBNET"),
         ({RANGE: "SYSTEM_DEFAULT"}, "SYSTEM_DEFAULT"),
@@ -76,14 +76,14 @@ def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict
         ({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, "rmw_zenoh_cpp"),
     ],
 )
-def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], said: str) -> None:
-    above = {RANGE: "SYSTEM_DEFAULT", PROFILE: OURS}  # as a process above this one chose
+def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], reason: str) -> None:
+    above = {RANGE: "SYSTEM_DEFAULT", PROFILE: OURS}  # as set by a parent process
     changed = {RANGE: "SYSTEM_DEFAULT"}.items() <= given.items() or PROFILE in given
     for inherited in ({},) if changed else ({}, above):
         environment = inherited | given
         assert not confine(environment)
         assert environment == {RANGE: "LOCALHOST", **given}
-        assert said in (asked(environment) or "")
+        assert reason in (wider_reach(environment) or "")
 
 
 @pytest.mark.requirement("S-56")
@@ -94,11 +94,11 @@ def test_a_profile_in_the_working_directory_wins_and_is_named(
     (tmp_path / network.PROFILE_HERE).write_text("<dds/>")
     environment: dict[str, str] = {}
     assert not confine(environment)
-    assert network.PROFILE_HERE in (asked(environment) or "")
+    assert network.PROFILE_HERE in (wider_reach(environment) or "")
 
 
 def served(processes: Processes, *before: str, **environment: str) -> Process:
-    """A node of ours that has started, or ended."""
+    """Start a node, and wait until it is ready or has ended."""
     process = processes.start([*before, sys.executable, "-c", SERVE], **environment)
     while "serving" not in processes.output(process) and process.poll() is None:
         pass
@@ -109,11 +109,11 @@ def served(processes: Processes, *before: str, **environment: str) -> Process:
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc")
 def test_every_socket_of_a_node_is_bound_to_the_loopback_interface(processes: Processes) -> None:
     process = served(processes, **{RANGE: "LOCALHOST"})
-    addresses = bound(str(process.pid))
+    addresses = bound_addresses(str(process.pid))
     assert len(addresses) >= 2
     assert [each for each in addresses if not each.startswith("127.")] == []
     asked_for = served(processes, **{RANGE: "SUBNET"})
-    assert any(each.startswith("0.0.0.0") for each in bound(str(asked_for.pid)))
+    assert any(each.startswith("0.0.0.0") for each in bound_addresses(str(asked_for.pid)))
 
 
 @pytest.mark.requirement("S-56")
@@ -186,5 +186,5 @@ def test_from_another_network_nothing_matches_and_no_service_answers(
     confined = served(processes, *here, **{RANGE: "LOCALHOST"})
     assert matched() == "matched 0 False"
     processes.end(confined)
-    served(processes, *here, **{RANGE: "SUBNET"})  # the cable is there
+    served(processes, *here, **{RANGE: "SUBNET"})  # the cable works
     assert matched() == "matched 1 True"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running nodes and scripts: the number among the participants, dispatch, a clean end."""
+"""Running nodes and scripts: participant number, dispatch, clean end."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from std_msgs.msg import String
 
 from wam_power_ros.ros import interface, node_runner
 from wam_power_ros.ros.node_runner import (
-    FIRST,
-    PER_DOMAIN,
-    PER_PARTICIPANT,
-    SPREAD,
+    FIRST_PORT,
+    NUMBER_SPREAD,
+    PORTS_PER_DOMAIN,
+    PORTS_PER_PARTICIPANT,
     number_by_process,
 )
 
@@ -38,13 +38,13 @@ def free(port: int) -> bool:
 
 
 def numbered(process: int, ports: list[int]) -> bool:
-    """Whether a participant takes the first free port from its process's number on, and no other.
+    """True if a participant takes the first free port from its process's number on, and no other.
 
     The fourth port is taken. A program that looks for a free domain may hold one for a moment.
     """
     context = rclpy.Context()
     with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
-        with suppress(OSError):  # another program's already: as good
+        with suppress(OSError):  # already bound by another program, which does as well
             other.bind(("", ports[3]))
         taken = [port for port in ports if not free(port)]
         assert ports[3] in taken
@@ -56,7 +56,7 @@ def numbered(process: int, ports: list[int]) -> bool:
             node.destroy_node()
         finally:
             rclpy.shutdown(context=context)
-    return mine == [next(port for port in ports[process % SPREAD :] if port not in taken)]
+    return mine == [next(port for port in ports[process % NUMBER_SPREAD :] if port not in taken)]
 
 
 @pytest.mark.requirement("S-68")
@@ -64,10 +64,10 @@ def numbered(process: int, ports: list[int]) -> bool:
 def test_a_participant_is_numbered_by_its_process_and_keeps_no_other_port(
     process: int, domain_id: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first = FIRST + PER_DOMAIN * domain_id
+    first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
     monkeypatch.setattr(os, "getpid", lambda: process)
-    ports = [first + PER_PARTICIPANT * k for k in range(32)]
+    ports = [first + PORTS_PER_PARTICIPANT * k for k in range(32)]
     assert any(numbered(process, ports) for _ in range(3))
 
 
@@ -110,7 +110,7 @@ def test_a_script_ends_with_the_status_of_what_ended_it(
     process = processes.start([sys.executable, "-c", SCRIPT, what])
     assert process.wait(60.0) == status
     assert says in processes.output(process)
-    assert ("Traceback" in processes.output(process)) == (what == "break")  # a defect keeps its own
+    assert ("Traceback" in processes.output(process)) == (what == "break")  # only for a defect
 
 
 NODE = """
@@ -119,7 +119,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from wam_power_ros.ros import interface, node_runner, scheduling
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 
 class Talker(Node):
     def __init__(self):
@@ -152,7 +152,7 @@ def test_a_node_can_still_send_when_a_signal_ends_it(
 
 LAST = """
 import os, sys
-class Last:  # its end comes after the handlers of the interpreter have gone
+class Last:  # deleted after the interpreter has removed its handlers
     def __del__(self, kill=os.kill, me=os.getpid(), number=int(sys.argv[1])):
         kill(me, number)
 sys.last = Last()
@@ -190,6 +190,6 @@ def test_an_executor_that_dispatches_nothing_is_replaced(
     monkeypatch.setattr(
         node_runner, "SingleThreadedExecutor", lambda: SingleThreadedExecutor(context=probe.context)
     )
-    executor = node_runner.executor_for(probe.node, patience=0.2)
+    executor = node_runner.executor_for(probe.node, timeout=0.2)
     assert type(executor) is SingleThreadedExecutor
     assert probe.node in executor.get_nodes()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a person types by `docs/hardware.md` is what the enclave of the operator allows."""
+"""The enclave of the operator allows the commands in `docs/hardware.md`, and no others."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_torques_and_policies_are_not() -> None:
 def test_all_that_the_node_of_a_command_does_is_within_them(
     command: str, probe: Probe, processes: Processes
 ) -> None:
-    managed = LifecycleNode("torque_controller", context=probe.context)  # is asked, never answers
+    managed = LifecycleNode("torque_controller", context=probe.context)  # never answers
     words = shlex.split(command)[1:]
     probe.node.create_publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
     direct = ["--no-daemon", "--spin-time", "5"] if words[0] == "lifecycle" else []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pose messages come back as the arrays they were; what is not acceptable is refused and named."""
+"""Pose messages give back the arrays they were made of; invalid ones are refused by name."""
 
 from __future__ import annotations
 

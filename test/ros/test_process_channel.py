@@ -36,7 +36,7 @@ def test_arrays_outlive_their_sender_and_leave_no_descriptor_open() -> None:
     other.close()
     assert received.sum() == 1000.0
     del received
-    assert len(os.listdir("/proc/self/fd")) == before - 1  # that of `other`
+    assert len(os.listdir("/proc/self/fd")) == before - 1  # the descriptor of `other`
 
 
 def test_the_first_end_waits_neither_for_a_message_nor_for_its_reader() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Raw subscriptions take the QoS of the publishers that are there, and follow a weaker one."""
+"""Raw subscriptions take the QoS of the present publishers, and adapt to a weaker one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LATCHED, VOLATILE = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
 
 
 class Recorder:
-    """A node with raw subscriptions, and a publisher's side to drive them."""
+    """A node with raw subscriptions, and publishers to drive them."""
 
     def __init__(self) -> None:
         self.node, self.sender = Node("recorder"), Node("sender")
@@ -60,7 +60,7 @@ def recorder(domain_id: int) -> Iterator[Recorder]:
 
 
 def test_without_a_publisher_there_is_no_subscription(recorder: Recorder) -> None:
-    recorder.topics.look()
+    recorder.topics.discover()
     assert recorder.topics.names == ["/notes"]
     assert recorder.node.count_subscribers("/notes") == 0
 
@@ -75,7 +75,7 @@ def test_what_has_arrived_is_passed_on_before_it_is_dispatched(recorder: Recorde
         time.sleep(0.05)
     else:
         pytest.fail("not passed on")
-    recorder.publish("next", RELIABLE, VOLATILE)  # dispatched as ever
+    recorder.publish("next", RELIABLE, VOLATILE)  # dispatched as usual
     assert [text for _, text in recorder.received].count("last") == 1
 
 

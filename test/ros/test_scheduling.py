@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real-time scheduling: what the machine grants is what the process then has."""
+"""Real-time scheduling: the process has what it was told is granted."""
 
 import subprocess
 import sys
@@ -33,7 +33,7 @@ def test_nothing_is_asked_for_without_a_priority() -> None:
 
 @pytest.mark.parametrize("claim", [REPORT, THREADS], ids=["report", "threads"])
 def test_what_the_machine_grants_is_reported_and_holds_for_every_thread(claim: str) -> None:
-    # In a process of its own: priorities and locked memory are for keeps.
+    # In a separate process, because priorities and locked memory cannot be given back.
     code = textwrap.dedent(claim)
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert ended.returncode == 0, ended.stderr

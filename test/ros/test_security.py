@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may do what on the network: the table is what the nodes do, and the policy is the table."""
+"""Access rights: the table holds what the nodes use, and the policy holds the table."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ NODES = {
     "demonstration_recorder": DemonstrationRecorder,
     "pancake_tracker": PancakeTracker,
     "learner": Learner,
-    "wam_sim": lambda: Simulation().wam,  # it serves once it has its world
+    "wam_sim": lambda: Simulation().wam,  # offers services once its world is built
     "optitrack_sim": OptitrackSim,
     "view": lambda: View(overlay.setup()["torque_controller"], "pancake"),
 }
@@ -144,7 +144,7 @@ def test_a_node_does_what_it_may_and_may_what_it_does(
         everyones = {"/rosout", "/parameter_events", clock}
         own = {
             f"{namespace}/{name}/{service}"
-            for service in (*security.ABOUT_ITSELF, *security.LIFECYCLE)
+            for service in (*security.NODE_SERVICES, *security.LIFECYCLE)
         }
         published = dict(node.get_publisher_names_and_types_by_node(*whose))
         shown = [use for use in uses() if f"{namespace}{use.topic}" in published]
@@ -153,7 +153,9 @@ def test_a_node_does_what_it_may_and_may_what_it_does(
         heard = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(*whose)}
         served = {topic for topic, _ in node.get_service_names_and_types_by_node(*whose)} - own
         called = {topic for topic, _ in node.get_client_names_and_types_by_node(*whose)}
-        events = {f"{namespace}/{name}/transition_event"} if name in security.MANAGED else set()
+        events = (
+            {f"{namespace}/{name}/transition_event"} if name in security.LIFECYCLE_NODES else set()
+        )
         assert published.keys() - everyones - events == set(right.publishes) - everyones
         assert heard - everyones <= set(right.subscribes)
         assert called <= set(right.calls)

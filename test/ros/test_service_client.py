@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One client for the services of other nodes: deadlines, refusals, answers that never come."""
+"""Client for the services of other nodes: timeouts, refusals, lost answers."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.ros import service_client
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
-Serve = Callable[[str, Callable[[], Answer | None]], LateTrigger | None]
+Serve = Callable[[str, Callable[[], Answer | None]], DeferredTrigger | None]
 
 
 @pytest.fixture
 def serve(domain_id: int) -> Iterator[Serve]:
-    """Offers services from a thread: what the function returns is answered, None never is."""
+    """Offers services in a thread: the function returns the answer, or None to never answer."""
     context = rclpy.Context()
     rclpy.init(context=context, domain_id=domain_id)
     node = rclpy.create_node("server", context=context)
     executor = SingleThreadedExecutor(context=context)
     executor.add_node(node)
 
-    def offer(name: str, answer: Callable[[], Answer | None]) -> LateTrigger:
+    def offer(name: str, answer: Callable[[], Answer | None]) -> DeferredTrigger:
         def begin() -> str | None:
             given = answer()
             return None if given is None else str(given)
 
-        return LateTrigger(node, name, begin)
+        return DeferredTrigger(node, name, begin)
 
     over = threading.Event()
 
@@ -63,7 +63,7 @@ def test_a_request_may_carry_something(probe: Probe, domain_id: int) -> None:
         response.success, response.message = request.data, str(Answer(Code.DONE, "on"))
         return response
 
-    probe.node.create_service(SetBool, "/switch", flip)  # its own executor dispatches that too
+    probe.node.create_service(SetBool, "/switch", flip)  # dispatched by the client
     client = ServiceClient(probe.node)
     assert client.call(SetBool, "/switch", SetBool.Request(data=True)) == Answer(Code.DONE, "on")
 
@@ -75,7 +75,7 @@ def test_no_answer_in_time_is_none_and_does_not_answer_the_next_request(
     client = ServiceClient(probe.node)
     assert client.call(Trigger, "/late", timeout=0.3) is None
     (only,) = probe.node.clients
-    assert not only._pending_requests  # nothing is kept of a request that was given up
+    assert not only._pending_requests  # an abandoned request is deleted
     second = client.begin(Trigger, "/late")
     client.until(lambda: len(late._headers) == 2, "both requests")
     late.finish(True, str(Answer(Code.DONE, "now")))
@@ -156,9 +156,9 @@ def test_a_long_wait_is_logged_once_with_what_it_is_for(
 ) -> None:
     monkeypatch.setattr(service_client, "LOG_AFTER", 0.1)
     client = ServiceClient(probe.node)
-    assert not client.until(lambda: False, "the cows come home", 0.4)
+    assert not client.until(lambda: False, "the return of the cows", 0.4)
     assert not client.until(lambda: False, timeout=0.4)
-    assert capfd.readouterr().err.count("waiting: the cows come home") == 1
+    assert capfd.readouterr().err.count("waiting for the return of the cows") == 1
 
 
 def test_a_wait_ends_with_the_process(domain_id: int) -> None:

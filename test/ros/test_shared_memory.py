@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared memory of killed processes is removed, that of living ones is not."""
+"""Shared memory of killed processes is removed, that of living processes is kept."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def test_the_diagnostics_of_every_node_are_in_one_group() -> None:
         text for group in groups.values() if isinstance(group, dict) for text in group["contains"]
     ]
     nodes = {
-        name.removesuffix("_preparation")  # its process beside it publishes for the controller
+        name.removesuffix("_preparation")  # publishes for the controller
         for name, access in RIGHTS.items()
         if interface.DIAGNOSTICS in access.publishes
     }

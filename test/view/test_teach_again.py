@@ -53,7 +53,7 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_gravity_compensation_begins_only_after_the_trial_has_ended() -> None:
-    under_way = Answer(Code.DONE, "waits after the trial under way", {"trial": "under_way"})
+    under_way = Answer(Code.DONE, "pauses after the trial under way", {"trial": "under_way"})
     services = Services(pause=[under_way] * 3)
     begin(services, lambda text: None)
     assert services.asked == [(PAUSE, True)] * 3 + BEGUN

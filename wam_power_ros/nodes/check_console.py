@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The person at the terminal of `check_driver`: lines that are typed, and the table of findings."""
+"""Terminal of `check_driver`: lines typed by a person, and the table of findings."""
 
 from __future__ import annotations
 
@@ -21,14 +21,18 @@ COLOURS = {
 
 
 class Keyboard:
-    """Lines of standard input without waiting; a closed one counts as skipping everything."""
+    """Reads lines of standard input without blocking.
+
+    Attributes:
+        closed: True once standard input has ended.
+    """
 
     def __init__(self) -> None:
         self._text = b""
         self.closed = False
 
     def line(self) -> str | None:
-        """Next line, None when none has been typed."""
+        """Return the next line, None when none has been typed."""
         if b"\n" not in self._text and not self.closed and select.select([0], [], [], 0.0)[0]:
             read = os.read(0, 4096)
             self.closed = not read
@@ -40,7 +44,7 @@ class Keyboard:
 
 
 def table(rows: Sequence[Row]) -> Table:
-    """Table of the findings, with requirement and advice where these differ."""
+    """Table of the findings; those that are not OK come with the requirement, some with advice."""
     table = Table("", "", "found")
     for row in rows:
         verdict, lines = row.verdict, [escape(row.found)]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check of the drivers before anything is activated: prints a table and a verdict.
+"""Check of the drivers before any node is activated: prints a table and a verdict.
 
-Receives what controller and tracker would receive, asks, and sends torques only with consent, none
-that could move the arm. The rows are made by the modules in `conformance`.
+Receives what controller and tracker would receive and asks a person questions. Torques are sent
+only with consent, and none that could move the arm. The modules in `conformance` make the rows.
 """
 
 from __future__ import annotations
@@ -22,10 +22,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
@@ -53,18 +51,15 @@ from wam_power_ros.ros import (
     pose_messages,
     scheduling,
 )
-from wam_power_ros.ros.node_runner import init, number_by_process
+from wam_power_ros.ros.interface import is_latched, is_reliable
 from wam_power_ros.ros.stamps import nanoseconds
 
-RECEIVE_ALL = QoSProfile(
-    depth=5000, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE
-)
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
-OURS = {"torque_controller", "demonstration_recorder", "check_driver"}  # neither driver nor other
-DISCOVERY_TIMEOUT = 5.0  # [s] for the next message, and for discovery
-DROP_ATTEMPTS = 3  # with the stand-in, for a busy machine may miss frames of a fall
-FALL_TIME = 2.0  # [s] within which a body that was let go has fallen
-STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
+OWN_NODES = {"torque_controller", "demonstration_recorder", "check_driver"}  # not to be checked
+DISCOVERY_TIMEOUT = 5.0  # [s] for discovery, and for the next message
+DROP_ATTEMPTS = 3  # with the stand-in: a busy machine may miss frames of a fall
+FALL_TIME = 2.0  # [s] in which a released body falls to the ground
+EXIT_STATUS = {Verdict.OK: 0, Verdict.WARN: 0, Verdict.FAIL: 1}
 
 
 class CheckDriver(Node):
@@ -81,26 +76,26 @@ class CheckDriver(Node):
         self.velocities: list[tuple[int, np.ndarray]] = []
         self.frames: list[FrameSample] = []
         self.clouds: list[CloudSample] = []
-        self._unread: Counter[str] = Counter()  # of the motion capture
+        self._refused_clouds: Counter[str] = Counter()  # by reason
         self._urdf = share(arm.urdf).read_text() if arm.urdf else ""
-        self._torques = 0
-        self._answer: Callable[[StateSample], None] | None = None
+        self._torque_count = 0
+        self._send_torque: Callable[[StateSample], None] | None = None
         self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
         subscribe = self.create_subscription
-        subscribe(JointState, arm.state_topic, self._on_state, RECEIVE_ALL)
+        subscribe(JointState, arm.state_topic, self._on_state, interface.CHECK_IN)
         if arm.velocity_topic:
-            subscribe(JointState, arm.velocity_topic, self._on_velocity, RECEIVE_ALL)
+            subscribe(JointState, arm.velocity_topic, self._on_velocity, interface.CHECK_IN)
         if mocap.markers_topic:
-            subscribe(PointCloud2, mocap.markers_topic, self._on_cloud, RECEIVE_ALL)
+            subscribe(PointCloud2, mocap.markers_topic, self._on_cloud, interface.CHECK_IN)
         else:
-            subscribe(PoseStamped, mocap.pose_topic, self._on_pose, RECEIVE_ALL)
+            subscribe(PoseStamped, mocap.pose_topic, self._on_pose, interface.CHECK_IN)
         if not arm.urdf:
             subscribe(String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED)
         self._listener = subscribe(
-            self._command_type, arm.command_topic, self._on_torque, RECEIVE_ALL
+            self._command_type, arm.command_topic, self._on_torque, interface.CHECK_IN
         )
         self._drop = self.create_client(Trigger, interface.body_topic(mocap.body, "drop"))
-        scheduling.request(arm.realtime_priority)  # to receive as the controller will
+        scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
         self._executor = node_runner.executor_for(self)
 
     # Callbacks
@@ -110,8 +105,8 @@ class CheckDriver(Node):
         stamp_ns = nanoseconds(message.header.stamp)
         sample = StateSample(time.time_ns(), stamp_ns, tuple(message.name), q, qd, tau)
         self.states.append(sample)
-        if self._answer is not None:
-            self._answer(sample)
+        if self._send_torque is not None:
+            self._send_torque(sample)
 
     def _on_velocity(self, message: JointState) -> None:
         try:
@@ -131,7 +126,7 @@ class CheckDriver(Node):
         try:
             stamp_ns, _, points = pose_messages.markers(message)
         except ValueError as error:
-            self._unread[str(error)] += 1
+            self._refused_clouds[str(error)] += 1
             return
         self.clouds.append(CloudSample(time.time_ns(), stamp_ns, points))
 
@@ -139,7 +134,7 @@ class CheckDriver(Node):
         self._urdf = message.data
 
     def _on_torque(self, _: object) -> None:
-        self._torques += 1
+        self._torque_count += 1
 
     # Waiting
 
@@ -150,7 +145,7 @@ class CheckDriver(Node):
             interrupts.spin_once(self._executor, min(left, 0.05))
 
     def ask(self, question: str) -> str | None:
-        """Answer of a person, spinning meanwhile; None when nobody is at the keyboard."""
+        """Ask a person, and spin until the answer; None when standard input has ended."""
         if not self._keyboard.closed:
             self._console.print(question)
         answer = None
@@ -162,23 +157,27 @@ class CheckDriver(Node):
     # Rows
 
     def check(self, seconds: float, active: bool) -> list[Row]:
-        """Make all rows after `seconds` [s]; `active` is the consent to the watchdog test."""
+        """Record for `seconds` [s] and make all rows; `active` is consent to the watchdog test."""
         self.spin(DISCOVERY_TIMEOUT, lambda: bool(self.states and (self.frames or self.clouds)))
         for samples in (self.states, self.velocities, self.frames, self.clouds):
             samples.clear()
-        self._console.print(f"Listening for {seconds:.0f} s. The arm rests, the body lies in view.")
+        self._console.print(
+            f"Recording for {seconds:.0f} s: leave the arm at rest and the body still, in view."
+        )
         self.spin(seconds)
         if not (self.states or self.frames or self.clouds):
-            topics = (self._arm_params.state_topic, self._mocap.pose_topic or "")
-            named = filter(None, (*topics, self._mocap.markers_topic))
-            topics = " nor on ".join(map(self.resolve_topic_name, named))
+            mocap_topic = self._mocap.markers_topic or self._mocap.pose_topic
+            topics = " nor on ".join(
+                map(self.resolve_topic_name, (self._arm_params.state_topic, mocap_topic))
+            )
             raise ValueError(
-                f"no messages on {topics}: start the drivers; ROS_DOMAIN_ID and "
-                "ROS_AUTOMATIC_DISCOVERY_RANGE must be theirs"
+                f"no messages on {topics}: start the drivers, with the same ROS_DOMAIN_ID and "
+                "ROS_AUTOMATIC_DISCOVERY_RANGE as this check"
             )
         if not self._urdf:
+            topic = self.resolve_topic_name(interface.ROBOT_DESCRIPTION)
             raise ValueError(
-                f"no message on {self.resolve_topic_name(interface.ROBOT_DESCRIPTION)}"
+                f"no message on {topic}: publish the URDF there, or set the parameter urdf"
             )
         names, tool = self._arm_params.model_joint_names, self._arm_params.tool_frame
         arm = Arm(self._urdf, names, tool, guarded=())
@@ -221,7 +220,7 @@ class CheckDriver(Node):
         drivers = _ends(self.get_subscriptions_info_by_topic(topic))
         commanders = _ends(self.get_publishers_info_by_topic(topic))
         kind = f"{self._command_type.__module__.split('.')[0]}/msg/{self._command_type.__name__}"
-        return topic_checks.command_path(topic, kind, drivers, commanders, self._torques)
+        return topic_checks.command_path(topic, kind, drivers, commanders, self._torque_count)
 
     def _service(self) -> Row:
         services = {name: types[0] for name, types in self.get_service_names_and_types()}
@@ -255,11 +254,11 @@ class CheckDriver(Node):
         if params.markers_topic:
             frames, layout = mocap_checks.marker_poses(self.clouds)
             found.append(layout)
-        found += mocap_checks.frame_quality(frames, settings, self._unread)
+        found += mocap_checks.frame_quality(frames, settings, self._refused_clouds)
         return [*found, mocap_checks.body_position(frames, settings, pan)]
 
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
-        """Test of the watchdog, if a person agrees."""
+        """Row about the watchdog of the driver, tested if a person agrees."""
 
         def unchecked(why: str) -> Row:
             return Row("watchdog", "the driver ends an old torque", why, Verdict.UNCHECKED)
@@ -276,25 +275,25 @@ class CheckDriver(Node):
             return unchecked(str(error))
         question = f"Watchdog: {check.warning}. Hand on the pendant, then type yes: "
         if not active and self.ask(question) != "yes":
-            return unchecked("asks for consent: --active, or yes at the keyboard")
+            return unchecked("needs consent: --active, or yes at the keyboard")
         self.destroy_subscription(self._listener)
         write = joint_messages.TorqueWriter(names, params.command_type)
         topic = params.command_topic
         publisher = self.create_publisher(write.message_type, topic, interface.COMMAND)
         self.spin(DISCOVERY_TIMEOUT, lambda: publisher.get_subscription_count() > 0)
 
-        def answer(sample: StateSample) -> None:
+        def send_torque(sample: StateSample) -> None:
             state, _ = arm_checks.collect([sample], names)
             if len(state.q) and state.tau is not None:
                 torque = check.step(sample.stamp_ns, state.q[0], state.tau[0])
                 if torque is not None:
                     publisher.publish(write(sample.stamp_ns, "check", torque))
 
-        self._answer = answer
+        self._send_torque = send_torque
         try:
             self.spin(DISCOVERY_TIMEOUT, lambda: check.finished)
         finally:
-            self._answer = None
+            self._send_torque = None
             if not check.finished:
                 publisher.publish(write(record.stamp_ns[-1], "check", check.carrying_torque))
             self.spin(0.1)
@@ -302,14 +301,14 @@ class CheckDriver(Node):
         return check.row
 
     def _fall(self) -> Row:
-        """Row about a fall of the body, which a person or the stand-in drops."""
+        """Row about a fall of the body, dropped by a person or the stand-in."""
         samples = self.clouds if self._mocap.markers_topic else self.frames
         if self._drop.service_is_ready():
             for _ in range(DROP_ATTEMPTS):
                 samples.clear()
                 self._drop.call_async(Trigger.Request())
                 self.spin(0.5 * FALL_TIME)
-                if (row := self._fallen()).verdict is not Verdict.UNCHECKED:
+                if (row := self._fall_row()).verdict is not Verdict.UNCHECKED:
                     break
             return row
         question = "Axes: hold the marker body a metre up, on edge, in view. Press Enter, then let "
@@ -317,9 +316,9 @@ class CheckDriver(Node):
         samples.clear()
         if answer is not None and answer != "s":
             self.spin(2.0 * FALL_TIME)
-        return self._fallen()
+        return self._fall_row()
 
-    def _fallen(self) -> Row:
+    def _fall_row(self) -> Row:
         frames = self.frames
         if self._mocap.markers_topic:
             frames, _ = mocap_checks.marker_poses(self.clouds)
@@ -327,12 +326,13 @@ class CheckDriver(Node):
 
     def _by_hand(self, arm: Arm, record: ArmRecord) -> list[Row]:
         """Rows about each joint moved by a person."""
-        if not len(record.q) or self.ask("Lead each joint by hand? (y, else skip) ") != "y":
-            advice = "answer y at the keyboard, with the arm free to be led"
-            expected = "each joint moves as the one of its name"
-            return [Row("joints by hand", expected, "not asked", Verdict.UNCHECKED, advice)]
+        question = "Move each joint by hand? (y, anything else skips it) "
+        if not len(record.q) or self.ask(question) != "y":
+            advice = "answer y at the keyboard, with an arm that can be moved by hand"
+            expected = "a joint that is moved is reported under its own name"
+            return [Row("joints by hand", expected, "not tested", Verdict.UNCHECKED, advice)]
 
-        def led() -> ArmRecord:
+        def moved() -> ArmRecord:
             return arm_checks.collect(self.states, record.joint_names)[0]
 
         rows: list[Row] = []
@@ -340,27 +340,23 @@ class CheckDriver(Node):
         for joint, name in enumerate(record.joint_names):
             direction = arm_checks.tool_direction(arm, q, joint)
             self.states.clear()
-            if self.ask(f"{name}: lead it alone until {direction}, then Enter (s: skip) ") == "s":
+            question = f"{name}: move only this joint until {direction}, then Enter (s: skip) "
+            if self.ask(question) == "s":
                 continue
-            self.spin(DISCOVERY_TIMEOUT, lambda: len(led().q) > 0)  # Enter may come before any
-            rows.append(arm_checks.hand_movement(led(), joint))
-            if not len(led().q):
+            self.spin(DISCOVERY_TIMEOUT, lambda: len(moved().q) > 0)  # Enter may precede any state
+            rows.append(arm_checks.hand_movement(moved(), joint))
+            if not len(moved().q):
                 break
-            q = led().q[-1]
+            q = moved().q[-1]
         return rows
 
     def _publisher_ends(self, topic: str) -> list[Endpoint]:
         return _ends(self.get_publishers_info_by_topic(self.resolve_topic_name(topic)), ())
 
 
-def _ends(infos: Sequence[TopicEndpointInfo], but: Collection[str] = OURS) -> list[Endpoint]:
+def _ends(infos: Sequence[TopicEndpointInfo], but: Collection[str] = OWN_NODES) -> list[Endpoint]:
     return [
-        Endpoint(
-            info.node_name,
-            info.topic_type,
-            info.qos_profile.reliability == ReliabilityPolicy.RELIABLE,
-            info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
-        )
+        Endpoint(info.node_name, info.topic_type, is_reliable(info), is_latched(info))
         for info in infos
         if info.node_name not in but
     ]
@@ -379,12 +375,14 @@ def _parser() -> argparse.ArgumentParser:
         "--seconds", type=float, default=5.0, help="duration of the check (default 5)"
     )
     parser.add_argument(
-        "--active", action="store_true", help="test the watchdog; a hand is on the pendant"
+        "--active",
+        action="store_true",
+        help="test the watchdog without asking; keep a hand on the pendant",
     )
     parser.add_argument(
-        "--accept", nargs="+", default=[], metavar="ROW", help="failures that you know and accept"
+        "--accept", nargs="+", default=[], metavar="ROW", help="rows whose failure is accepted"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the rows there as well")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the rows to a file")
     return parser
 
 
@@ -392,25 +390,20 @@ def main() -> int:
     """Entry point of `ros2 run wam_power_ros check_driver`; returns the exit status."""
     options = _parser().parse_args(remove_ros_args(sys.argv)[1:])
     console, errors = Console(), Console(stderr=True)
-    node = None
     interrupts.install()
     try:
-        init(sys.argv, SignalHandlerOptions.NO)
         setup = overlay.setup(options.config)
         arm = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
         mocap = PancakeTrackerParams.of_values("pancake_tracker", setup["pancake_tracker"])
-        with number_by_process():
-            node = CheckDriver(arm, mocap, console)
-        rows = topic_checks.accept(node.check(options.seconds, options.active), options.accept)
+        make = lambda: CheckDriver(arm, mocap, console)  # noqa: E731
+        with node_runner.participant(make, SignalHandlerOptions.NO) as node:
+            rows = node.check(options.seconds, options.active)
+        rows = topic_checks.accept(rows, options.accept)
     except (ValueError, OSError) as error:
         errors.print(f"cannot check: {error}", markup=False)
         return 2
     except KeyboardInterrupt:
         return 2
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
     result, sentence = topic_checks.verdict(rows)
     console.print(check_console.table(rows))
     console.print(sentence, style=check_console.COLOURS[result])
@@ -418,4 +411,4 @@ def main() -> int:
         table = [{**asdict(row), "verdict": row.verdict.value} for row in rows]
         text = {"verdict": result.value, "said": sentence, "config": options.config, "rows": table}
         options.json.write_text(json.dumps(text, indent=1) + "\n")
-    return STATUS[result]
+    return EXIT_STATUS[result]

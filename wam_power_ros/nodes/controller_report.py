@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the torque controller logs and reports, by way of its preparation process."""
+"""Log and diagnostics of the torque controller, sent through its preparation process."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from wam_power_ros.ros.scheduling import Granted
 
 @dataclass(frozen=True)
 class Condition:
-    """How far the torque controller is, and what it lacks."""
+    """State of the torque controller node."""
 
     core: Controller | None  # None until the node is configured
-    fault: Fault | None  # that is latched, also in a controller that was cleaned up
+    fault: Fault | None  # latched fault, also after a clean-up
     described: bool  # the robot description is known
-    autostart: bool  # it configures and activates itself
+    autostart: bool  # the node configures and activates itself
     active: bool
-    unfit: str | None  # what the joint states lack; None when the arm can be held
-    granted: Granted  # by the machine
+    missing_state: str | None  # why the joint states do not suffice to hold the arm, else None
+    granted: Granted
 
     @property
     def mode(self) -> str:
-        """Mode of the controller, in words."""
+        """Mode of the controller, "unconfigured" without one."""
         return "unconfigured" if self.core is None else self.core.mode.value
 
 
 class ControllerReport:
-    """Logs what changes, counts what is refused, and publishes both as diagnostics.
+    """Logs changes and refusals, and publishes diagnostics.
 
     Args:
         node: Node of the loop.
@@ -52,28 +52,28 @@ class ControllerReport:
     ) -> None:
         self._node, self._params, self._preparation = node, params, preparation
         self._refused: Counter[str] = Counter()
-        self._last_refusal, self._refused_lately = "", False
-        self._logged: dict[str, object] = {}  # what was logged last of mode, fault and waiting
+        self._last_refusal, self._refused_since_report = "", False
+        self._logged: dict[str, object] = {}  # last logged mode, fault and awaited input
 
     def refuse(self, what: str, reason: object) -> None:
-        """Count and log what was refused."""
+        """Count and log a refusal."""
         self._refused[what] += 1
-        self._last_refusal, self._refused_lately = f"{what} refused: {reason}", True
+        self._last_refusal, self._refused_since_report = f"{what} refused: {reason}", True
         self._preparation.log("warning", self._last_refusal)
 
     def failed(self, error: Exception) -> None:
-        """Count and log a callback that has failed."""
-        where = " < ".join(  # innermost first; to read the lines of the source would take long
+        """Count and log an exception that a callback did not catch."""
+        where = " < ".join(  # innermost first; without source lines, which take long to read
             f"{frame.f_code.co_filename}:{line} {frame.f_code.co_name}"
             for frame, line in reversed([*traceback.walk_tb(error.__traceback__)])
         )
         self.refuse("callback", f"{error!r} at {where}")
 
     def log_changes(self, now: Condition) -> None:
-        """Log once each: modes, faults, their reset, and what the node waits for."""
-        changes = {"mode": now.mode, "fault": now.fault, "waiting": self._awaited(now)}
-        changed = {key: value for key, value in changes.items() if value != self._logged.get(key)}
-        self._logged = changes
+        """Log every change of the mode, the fault and the input that the node waits for."""
+        values = {"mode": now.mode, "fault": now.fault, "waiting": self._awaited(now)}
+        changed = {key: value for key, value in values.items() if value != self._logged.get(key)}
+        self._logged = values
         if isinstance(fault := changed.get("fault"), Fault):
             self._preparation.log("error", f"fault ({fault.kind.value}): {fault.text}")
         elif "fault" in changed:
@@ -84,7 +84,7 @@ class ControllerReport:
             self._preparation.log("info", f"waiting for {changed['waiting']}")
 
     def _awaited(self, now: Condition) -> str:
-        """What the node waits for before it is active, in words; empty when it is."""
+        """What the node waits for before it can be active, as text; empty if nothing."""
         if now.active:
             return ""
         node = self._node.get_fully_qualified_name()
@@ -93,12 +93,13 @@ class ControllerReport:
             return f"the robot description on {topic}"
         if now.core is None:
             return "" if now.autostart else f"ros2 lifecycle set {node} configure"
-        if now.unfit:
-            return f"joint states on {self._node.resolve_topic_name(self._params.state_topic)}"
+        if now.missing_state:
+            topic = self._node.resolve_topic_name(self._params.state_topic)
+            return f"joint states on {topic} ({now.missing_state})"
         return "" if now.autostart else f"ros2 lifecycle set {node} activate"
 
     def publish(self, now: Condition, figures: Mapping[str, str], overload: str) -> None:
-        """Publish the figures of the last second, with a warning of overload or an empty one."""
+        """Publish the figures of the last second; `overload` is a warning, empty for none."""
         core = now.core
         values = {
             "mode": now.mode,
@@ -113,7 +114,7 @@ class ControllerReport:
             "preparation processes": self._preparation.starts,
         }
         level, text = self._summary(now, overload)
-        self._refused_lately = False
+        self._refused_since_report = False
         stamp_ns = self._node.get_clock().now().nanoseconds
         name, device = component(self._node, "loop"), self._params.hardware_id
         self._preparation.report(stamp_ns, name, device, level, text, values)
@@ -122,12 +123,12 @@ class ControllerReport:
         """Level and text of the diagnostics."""
         if now.core is not None and now.core.mode is Mode.FAULT:
             return "error", now.fault.text if now.fault else "fault"
-        if not now.active or now.unfit:
-            return "warn", now.unfit or "not active"
+        if not now.active or now.missing_state:
+            return "warn", now.missing_state or "not active"
         if overload:
             return "warn", overload
         if self._params.realtime_priority and not now.granted.complete:
             return "warn", f"{now.mode}; no real-time scheduling"
-        if self._refused_lately:
+        if self._refused_since_report:
             return "warn", self._last_refusal
         return "ok", now.mode

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Demonstration recorder: `recorder/record` true and false in, a bag each time out.
+"""Demonstration recorder: `recorder/record` true begins a bag, false ends it.
 
-Messages are taken as they come and written by another thread, never decoded. The bag is
-`rollout_<id>` when a policy has come since the last recording began, else `<stem>_<date>_<time>`.
+Messages are received serialised and written by another thread, never decoded. A bag is named
+`rollout_<id>` if a policy has come since the last recording began, else `<stem>_<date>_<time>`.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
-PATH_TIMEOUT = 1.0  # longest wait for the path of a body whose rollout has finished [s]
-LOOK_PERIOD = 0.1  # [s] between checks of the writing and of the free space
+PATH_TIMEOUT = 1.0  # longest wait for the path of the body in a finished rollout [s]
+DISK_CHECK_PERIOD = 0.1  # [s] between checks for write errors and free space
 
 
 Megabytes = Annotated[
-    float, Field(ge=0.0, le=1e9, description="in MB: none is asked for, or a petabyte")
+    float, Field(ge=0.0, le=1e9, description="in MB: 0 requires none; at most a petabyte")
 ]
 
 
@@ -67,7 +67,7 @@ class DemonstrationRecorderParams(Params):
     latched_topics: Names
     joint_names: Names
     model_joint_names: Names  # the same in the URDF
-    urdf: str  # path, or a file of our share folder; empty: the bag does not say of which arm it is
+    urdf: str  # path, or a file of our share folder; empty: bags do not name their arm
     tool_frame: str
     source: Literal["sim", "hardware"]
     free_to_start: Megabytes
@@ -81,33 +81,33 @@ class DemonstrationRecorder(Node):
         name = "demonstration_recorder"
         super().__init__(name, automatically_declare_parameters_from_overrides=True)
         self._params = params = DemonstrationRecorderParams.of(self)
-        self._arm = ""  # its identity, as text
+        self._arm = ""  # identity of the arm, as JSON
         if params.urdf:
             urdf = share(params.urdf).read_text()
             arm = Arm(urdf, params.model_joint_names, params.tool_frame, guarded=())
             self._arm = arm_identity.to_json(arm.identity())
         self._directory = Path(params.directory).expanduser().absolute()
         self._recording: Recording | None = None
-        self._last: dict[str, bytes] = {}  # message of the latched topics
+        self._latched_messages: dict[str, bytes] = {}  # by topic
         self._policy_id = ""  # of a policy that came since the last recording began
-        self._trouble = ""  # what ended a recording
-        self._note = ""  # on the last bag
+        self._error = ""  # why a recording ended early
+        self._warning = ""  # about the last bag
 
         self._state_topic = self.resolve_topic_name(params.state_topic)
         self._latched = {self.resolve_topic_name(topic) for topic in params.latched_topics}
         devices = (params.state_topic, *params.driver_topics, *params.mocap_topics)
-        of_body: tuple[str, ...] = ()
-        self._body_path = ""  # topic; empty for no body
+        body_topics: tuple[str, ...] = ()
+        self._body_path_topic = ""  # empty without a body
         if params.body:
-            of_body = (
+            body_topics = (
                 interface.body_topic(params.body, "state"),
                 interface.rollout_topic(params.body),
             )
-            self._body_path = self.resolve_topic_name(of_body[-1])
-        topics = dict.fromkeys((*devices, *params.topics, *of_body, *params.latched_topics))
-        topics.pop("", None)  # how ROS writes an empty list
+            self._body_path_topic = self.resolve_topic_name(body_topics[-1])
+        topics = dict.fromkeys((*devices, *params.topics, *body_topics, *params.latched_topics))
+        topics.pop("", None)  # an empty list in ROS parameters is [""]
         self._sim_time = self.get_parameter("use_sim_time").value
-        self._sim_ns = 0  # stamp of the newest state, in lockstep
+        self._state_ns = 0  # stamp of the newest state, in lockstep
         if self._sim_time:
             topics[interface.CLOCK] = None
         self._topics = RawTopics(self, topics, self._on_message)
@@ -117,37 +117,36 @@ class DemonstrationRecorder(Node):
         )
         self.create_service(SetBool, interface.RECORD, self._on_record)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(LOOK_PERIOD, self._look_at_disk, clock=steady)
+        self.create_timer(DISK_CHECK_PERIOD, self._check_disk, clock=steady)
         self.create_timer(1.0, self._report, clock=steady)
-        wanted = ", ".join(self._topics.names)
         self.get_logger().info(
             f"waiting for {self.resolve_service_name(interface.RECORD)}; bags go to "
-            f"{self._directory}; topics: {wanted}"
+            f"{self._directory}; topics: {', '.join(self._topics.names)}"
         )
-        # A driver keeps ten states for a reader that is late, no more; in lockstep all are kept.
+        # A driver queues only ten states for a late reader; in lockstep all are queued.
         self._granted = scheduling.request(0 if self._sim_time else params.realtime_priority)
-        for left in sorted(self._directory.glob(f"*{layout.UNFINISHED}")):
-            name = left.name.removesuffix(layout.UNFINISHED)
+        for bag in sorted(self._directory.glob(f"*{layout.UNFINISHED}")):
+            name = bag.name.removesuffix(layout.UNFINISHED)
             self.get_logger().warning(
-                f"{left} was never closed; to recover it: wam-power recover {left.with_name(name)}"
+                f"{bag} was never closed; to recover it: wam-power recover {bag.with_name(name)}"
             )
 
     def _now(self) -> int:
-        """Time of reception [ns]: the system's, or in lockstep that of the newest state.
+        """Time of reception [ns]: system time, in lockstep the stamp of the newest state.
 
-        The simulation runs ahead of a recorder that is late, and /clock with it; states come in
-        order. A bag of a simulation is thus played at the speed of the arm.
+        In lockstep the simulation and /clock run ahead of a late recorder, but states come in
+        order, so that a bag is played at the speed of the arm.
         """
         if not self._sim_time:
             return time.time_ns()
-        return self._sim_ns or self.get_clock().now().nanoseconds
+        return self._state_ns or self.get_clock().now().nanoseconds
 
     def _on_message(self, topic: str, cdr: bytes) -> None:
         if self._sim_time and topic == self._state_topic:
             with suppress(ValueError):
-                self._sim_ns = header_stamp(cdr)
+                self._state_ns = header_stamp(cdr)
         if topic in self._latched:
-            self._last[topic] = cdr
+            self._latched_messages[topic] = cdr
         if self._recording is not None:
             self._write(topic, cdr)
 
@@ -163,7 +162,7 @@ class DemonstrationRecorder(Node):
         except (OSError, ValueError) as error:
             answer = Answer(Code.REFUSED, str(error))
         if not answer.success:
-            self.get_logger().warning(f"refused: {answer.text}")
+            self.get_logger().warning(f"request refused: {answer.text}")
         response.success, response.message = answer.success, str(answer)
         return response
 
@@ -176,13 +175,13 @@ class DemonstrationRecorder(Node):
             needed = self._params.free_to_start
             text = f"{free:.0f} MB free in {self._directory}, {needed:.0f} MB needed"
             return Answer(Code.REFUSED, text)
-        self._topics.look()
+        self._topics.discover()
         kind = "rollout" if self._policy_id else self._params.stem
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
         path = layout.free_path(self._directory, f"{kind}_{stem}")
         self._recording = Recording(path, kind, self._notes, self._now)
-        self._policy_id = self._trouble = self._note = ""
-        for topic, cdr in self._last.items():
+        self._policy_id = self._error = self._warning = ""
+        for topic, cdr in self._latched_messages.items():
             self._write(topic, cdr)
         self.get_logger().info(f"recording {path}")
         return Answer(Code.DONE, str(path))
@@ -192,32 +191,32 @@ class DemonstrationRecorder(Node):
         recording = self._recording
         if recording is None:
             return Answer(Code.NOTHING, "not recording")
-        self._take_the_rest(recording)
+        self._take_pending(recording)
         try:
             states = recording.close(reason, self._notes, self._state_topic)
         except OSError as error:
-            self._give_up(error)
+            self._abandon(error)
             raise
         self._recording = None
         count = sum(recording.counts.values())
         self.get_logger().info(f"recorded {recording.path}: {count} messages")
         if states is not None and states.missing:
             longest = f"longest gap {states.longest:.3f} s"
-            self._note = f"{states.missing} messages missing on {self._state_topic}, {longest}"
-            self.get_logger().warning(self._note)
+            self._warning = f"{states.missing} messages missing on {self._state_topic}, {longest}"
+            self.get_logger().warning(self._warning)
         return Answer(Code.DONE, str(recording.path))
 
-    def _take_the_rest(self, recording: Recording) -> None:
-        """Take what has arrived and was not dispatched yet.
+    def _take_pending(self, recording: Recording) -> None:
+        """Write the messages that have arrived but were not dispatched yet.
 
-        The path of a body whose rollout has finished is waited for: the tracker sends it to one
-        reader after another, and the learner, who ends the recording, may have had it before.
+        Waits for the path of the body in a finished rollout: the learner, which ends the recording,
+        may have received it from the tracker before this node does.
         """
-        late = time.monotonic() + PATH_TIMEOUT
-        finished = self.resolve_topic_name(interface.ROLLOUT_FINISHED)
+        deadline = time.monotonic() + PATH_TIMEOUT
+        path, finished = self._body_path_topic, self.resolve_topic_name(interface.ROLLOUT_FINISHED)
         self._topics.take()
-        while self._body_path and finished in recording and self._body_path not in recording:
-            if time.monotonic() > late:
+        while path and finished in recording and path not in recording:
+            if time.monotonic() > deadline:
                 return
             time.sleep(0.01)
             self._topics.take()
@@ -229,7 +228,7 @@ class DemonstrationRecorder(Node):
 
     @property
     def _notes(self) -> dict[str, str]:
-        """Notes for the metadata that are known beforehand."""
+        """Notes for the metadata that are known before the recording."""
         return {
             "joint_names": json.dumps(self._params.joint_names),
             **({"arm": self._arm} if self._arm else {}),
@@ -241,42 +240,41 @@ class DemonstrationRecorder(Node):
     def _free(self) -> float:
         return shutil.disk_usage(self._directory).free / MEGABYTE
 
-    def _give_up(self, error: OSError) -> None:
-        """Leave the bag unfinished and go on: nothing else depends on the disk."""
+    def _abandon(self, error: OSError) -> None:
+        """Leave the bag unfinished; the node goes on, since nothing else depends on the disk."""
         path, self._recording = self._recording.path, None
-        self._trouble = f"{path} left unfinished: {error}"
-        self.get_logger().error(self._trouble)
+        self._error = f"{path} left unfinished: {error}; to recover it: wam-power recover {path}"
+        self.get_logger().error(self._error)
         self._report()
 
-    def _look_at_disk(self) -> None:
-        """End a recording whose writing has failed, or for which the disk is nearly full."""
+    def _check_disk(self) -> None:
+        """End the recording after a write error, or when the disk is nearly full."""
         recording = self._recording
         if recording is None:
             return
         free = math.inf
         try:
             free = self._free()
-        except OSError as error:  # the folder has gone, as that of a disk pulled out
+        except OSError as error:  # the folder is gone, as on a disk that was unplugged
             recording.error = recording.error or error
         if recording.error is not None:
-            self._give_up(recording.error)
+            self._abandon(recording.error)
         elif free < self._params.free_to_continue:
-            try:
+            with suppress(OSError):  # logged already
                 self._stop("disk nearly full")
-                self._trouble = f"stopped below {self._params.free_to_continue:.0f} MB free"
-            except OSError:
-                pass  # logged already
+                needed = self._params.free_to_continue
+                self._error = f"stopped below {needed:.0f} MB free in {self._directory}"
 
     def _report(self) -> None:
         recording = self._recording
         counts = recording.counts if recording else {}
         level, text = "ok", f"recording {recording.path}" if recording else "idle"
-        if self._trouble:
-            level, text = "error", self._trouble
-        elif self._note:
-            level, text = "warn", self._note
+        if self._error:
+            level, text = "error", self._error
+        elif self._warning:
+            level, text = "warn", self._warning
         elif recording and self._state_topic not in recording:
-            level, text = "warn", f"nothing yet on {self._state_topic}"
+            level, text = "warn", f"no message on {self._state_topic} yet"
         silent = [topic for topic in self._topics.names if topic not in counts]
         values = {**counts, "without a message": silent}
         values["waiting for the disk"] = recording.waiting if recording else 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From bags to policies: what is read of a demonstration, fitted to it and feasible."""
+"""From bags to feasible policies: read demonstrations and fit policies to them."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Demonstrations:
     def __init__(
         self, kind: type[Task], arm: SimulatedArm, joint_names: Sequence[str], log: Logger
     ) -> None:
-        """Fit for a task and an arm.
+        """Read and fit for a task and an arm.
 
         Args:
             kind: Class of the task.
-            arm: Model that tells which policies are feasible.
+            arm: Model to check the feasibility of policies.
             joint_names: Names of the joints in the bags.
-            log: Receives what is remarked and left out.
+            log: Logger for remarks on bags, and for demonstrations that are left out.
         """
         self._kind, self._arm, self._joint_names, self._log = kind, arm, joint_names, log
 
@@ -41,7 +41,7 @@ class Demonstrations:
 
         Args:
             settings: Settings of the session.
-            bags: Bags that were named.
+            bags: Paths of the bags.
 
         Raises:
             ValueError: Nothing can be learnt from any of them.
@@ -85,10 +85,10 @@ class Demonstrations:
     def _candidate(
         self, settings: SessionSettings, group: list[Demonstration], bags: str, number: int
     ) -> Policy:
-        """Policy of some demonstrations whose reproduction is feasible.
+        """Fit a policy to some demonstrations and check that its reproduction is feasible.
 
         Raises:
-            ValueError: There is none; names the bags and the reason.
+            ValueError: It cannot be fitted or is not feasible; names the bags and the reason.
         """
         policy = self.fit(group, bags, f"demonstration-{number}")
         task = settings.make_task(self._kind.context_of(group, self._arm.obstacle))
@@ -97,18 +97,18 @@ class Demonstrations:
         return policy
 
     def read(self, bag: str) -> Demonstration:
-        """Movement in a bag; ValueError names the bag and the reason why there is none."""
+        """Read the movement in a bag; if there is none, a ValueError names the bag and reason."""
         try:
-            ours = self._arm.identity
-            stamps_ns, q = read_demonstration(Path(bag), self._joint_names, arm=ours)
-            if said := remark(noted_arm(Path(bag)), ours):
-                self._log.info(f"{bag} {said}")
+            identity = self._arm.identity
+            stamps_ns, q = read_demonstration(Path(bag), self._joint_names, arm=identity)
+            if note := remark(noted_arm(Path(bag)), identity):
+                self._log.info(f"{bag} {note}")
             return from_joint_samples(self._arm.kinematics, stamps_ns, q)
         except (ValueError, OSError) as error:
             raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
 
     def fit(self, demonstrations: list[Demonstration], bag: str, policy_id: str) -> Policy:
-        """Policy of demonstrations; ValueError names the bags and the reason why there is none."""
+        """Fit a policy to demonstrations; on failure, a ValueError names the bags and reason."""
         try:
             policy = self._kind.policy_of(demonstrations, policy_id)
             return replace(policy, arm=self._arm.identity)

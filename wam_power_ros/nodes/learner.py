@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Learner: demonstrations and finished rollouts in, policies to try out; all of it logged.
+"""Learner: demonstrations and finished rollouts in, policies to try out; everything is logged.
 
-The course of a session is `Practice`, its folder is `Session`, the execution of a trial is
-`RolloutClient`; this node joins them. Meanwhile a person may reward or punish the last finished
-rollout, add a demonstration, or pause to record one: on disk before it is answered.
+`Practice` chooses the trials of a session, `Session` keeps its folder, `RolloutClient` executes a
+trial; this node connects them. Meanwhile a person may reward or punish the last finished rollout,
+add a demonstration, or pause to record one: this is on disk before it is answered.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ from wam_power_ros.ros.node_runner import (
     executor_for,
     init,
     number_by_process,
-    without_file,
+    parameter_file_hint,
 )
 from wam_power_ros.tasks.task import Pose, Task
 
 Timeout = Annotated[
-    float, Field(ge=0.1, le=86_400.0, description="in s: a service's answer takes 0.1 s; a day")
+    float, Field(ge=0.1, le=86_400.0, description="in s: an answer takes 0.1 s; at most a day")
 ]
 
 
@@ -63,47 +63,48 @@ class LearnerParams(Params):
 
     file = "learner.yaml"
 
-    joint_names: Names  # as the driver has them in the bags
+    joint_names: Names  # as in the bags, from the driver
     model_joint_names: Names  # the same in the URDF
     urdf: str  # path, or a file of our share folder
     tool_frame: str
     controller: tuple[str, ...] = Field(
         min_length=1, max_length=20
-    )  # files of its parameters, to simulate with
+    )  # parameter files of the controller, for the simulation
     session: str  # folder
     demonstrations: tuple[str, ...] = Field(max_length=1000)  # bags; not needed to resume
     task: str
     preset: str  # of the task; empty: its first
     learner: str  # empty: the preset's
     trials: int = Field(ge=0, le=100_000, description="a year of practice")  # 0: the preset's
-    changes: str  # of the preset, a JSON object of settings by name
+    changes: str  # to settings of the preset, a JSON object by name
     seed: int = Field(ge=0, le=2**63 - 1, description="an integer of ROS")
     scene_reset: bool  # a service of the stand-in puts the scene back; otherwise a person does
     reset_faults: bool  # stand-in only: in the lab a person resets the controller
     record_rollouts: bool
     service_timeout: Timeout  # [s of wall time]
     rollout_timeout: Timeout  # [s of wall time]
-    patience: Timeout  # for the arm at its start and the body [s of wall time]
-    rating: float = Field(gt=0.0, le=RATING_MAX)  # of a reward or a punishment [return]
+    patience: Timeout  # for the arm to reach its start, and for the body [s of wall time]
+    rating: float = Field(gt=0.0, le=RATING_MAX)  # size of a reward or a punishment [return]
     unusable_max: int = Field(
-        ge=1, le=1000, description="rollouts in a row; a person looks after the arm before"
+        ge=1, le=1000, description="rollouts in a row; after fewer, a person must check the arm"
     )
 
     @model_validator(mode="after")
     def _together(self) -> Self:
         if len(self.model_joint_names) != len(self.joint_names):
             raise ValueError(
-                f"model_joint_names {self.model_joint_names} must be as many as joint_names"
+                f"model_joint_names {self.model_joint_names} must be as many as joint_names "
+                f"{self.joint_names}"
             )
         return self
 
 
 class SessionFailed(RuntimeError):
-    """The session cannot go on; what was acknowledged is on disk."""
+    """The session cannot go on; acknowledged trials and requests are on disk."""
 
 
 class Learner(Node):
-    """Practises one task, one rollout at a time."""
+    """Runs a session of one task, one rollout at a time."""
 
     def __init__(self) -> None:
         super().__init__("learner", automatically_declare_parameters_from_overrides=True)
@@ -115,7 +116,7 @@ class Learner(Node):
         self._session: Session | None = None
         self._practice: Practice | None = None
         self._paused = self._under_way = False
-        self._bag = ""  # named last on LEARNER_BAG
+        self._bag = ""  # last path on LEARNER_BAG
         self.create_subscription(String, interface.LEARNER_BAG, self._on_bag, interface.LATCHED)
         rating = self.params.rating
         for kind, name, answer in (
@@ -130,7 +131,7 @@ class Learner(Node):
         self._rollouts = RolloutClient(self, executor_for(self), params, self._kind.body)
         self._markers = Markers(self, self._kind.body, self._arm.obstacle)
 
-    # A person's part
+    # Requests of a person
 
     def _on_bag(self, message: String) -> None:
         self._bag = message.data
@@ -138,15 +139,17 @@ class Learner(Node):
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._paused = request.data
         response.success = True
-        waits = "waits after the trial under way" if self._under_way else "waits"
+        text = "continues"
+        if request.data:
+            text = "pauses after the trial under way" if self._under_way else "paused"
         trial = {"trial": "under_way" if self._under_way else "over"}
-        response.message = str(Answer(Code.DONE, waits if request.data else "goes on", trial))
+        response.message = str(Answer(Code.DONE, text, trial))
         return response
 
     def _serve(
         self, make: Callable[[], Event]
     ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        """A service that makes a line of the log durable, or answers why there is none."""
+        """Service callback that appends an event to the log, or answers why it cannot."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
@@ -158,7 +161,7 @@ class Learner(Node):
                 return response
             except ValueError as error:
                 response.message = str(Answer(Code.REFUSED, str(error)))
-                self.get_logger().warning(f"refused: {error}")
+                self.get_logger().warning(f"request refused: {error}")
                 return response
             self._session.append(event)
             self.get_logger().info(event.note)
@@ -173,7 +176,7 @@ class Learner(Node):
 
     def _add_demonstration(self) -> Event:
         practice, bag, self._bag = self._practice, self._bag, ""
-        if not bag:  # topics and services are not ordered: its name may still come
+        if not bag:  # topics and services are not ordered: the path may still come
             raise LookupError(f"no bag was named on {interface.LEARNER_BAG}")
         taken = [candidate.id for candidate in practice.candidates]
         number = len(taken) + 1
@@ -186,31 +189,32 @@ class Learner(Node):
     # A session
 
     def practise(self) -> None:
-        """Run the session of the parameters to its end, or take it up where it was left.
+        """Begin or resume the session of the parameters, and run it to its end.
 
         Raises:
             SessionFailed, RolloutError: It cannot go on.
-            ValueError, OSError: Its folder or a parameter is not acceptable.
+            ValueError, OSError: Its folder or a parameter is not valid.
         """
         session, practice = self._open()
         log = self.get_logger()
         with session:
             self._session, self._practice = session, practice
-            self._save_best(session, practice)  # this may be where the last learner was killed
+            self._save_best(session, practice)  # a killed learner may have missed it
             while True:
                 self._under_way = False
-                self._rollouts.until(lambda: not self._paused, "the pause is over", math.inf)
+                self._rollouts.until(lambda: not self._paused, "the end of the pause", math.inf)
                 self._under_way = True
                 if (trial := practice.next_trial()) is None:
                     break
                 record = self._perform(practice, trial)
-                session.append(record)  # on disk before anything else is tried
+                session.append(record)  # on disk before the next trial
                 self._save_best(session, practice)
                 log.info(f"{_line(record)} {record.note}")
                 if practice.unusable_in_a_row >= self.params.unusable_max:
                     raise SessionFailed(
                         f"{practice.unusable_in_a_row} rollouts in a row could not be learnt "
-                        f"from, the last one: {record.why}"
+                        f"from, the last one: {record.why}. Check arm and motion capture, then "
+                        "resume the session"
                     )
         best = practice.best
         log.info(f"session finished: {practice.stopped}. {'' if best is None else best.why}")
@@ -220,7 +224,7 @@ class Learner(Node):
             session.save_policy(best.policy)
 
     def _task_type(self) -> type[Task]:
-        """The task of the session, if it was begun, else of the parameters."""
+        """Task of the session if it exists, else of the parameters."""
         folder = FilePath(self.params.session)
         if Session.exists(folder):
             return plugins.task_type(Session.task_of(folder))
@@ -249,33 +253,28 @@ class Learner(Node):
             bags, demonstrations, candidates = self._demonstrations.candidates(settings, named)
             context = self._kind.context_of(demonstrations, self._arm.obstacle)
             session = Session.begin(
-                folder,
-                settings,
-                params.seed,
-                candidates,
-                context=context,
-                demonstrations=bags,
+                folder, settings, params.seed, candidates, context=context, demonstrations=bags
             )
         practice = session.practice(self._arm)
         self.get_logger().info(f"session {folder}: {len(session.records)} rollouts on record")
         return session, practice
 
     def _check_arm(self, session: Session) -> None:
-        """Refuse a session of another arm, also one whose demonstrations were added later."""
+        """Refuse a session with policies of another arm, including demonstrations added later."""
         _, candidates, _ = read(session.folder)
         for policy in candidates:
             if why := refusal(policy.arm, self._arm.identity):
                 session.close()
                 raise SessionFailed(f"{session.folder}: policy {policy.id} {why}")
-            if said := remark(policy.arm, self._arm.identity):
-                self.get_logger().info(f"{session.folder}: policy {policy.id} {said}")
+            if note := remark(policy.arm, self._arm.identity):
+                self.get_logger().info(f"{session.folder}: policy {policy.id} {note}")
 
     def _perform(self, practice: Practice, trial: Trial) -> Record:
         """Execute one trial and learn from it."""
-        if fault := self._arm.infeasible(trial.policy):  # a session of other limits goes on here
+        if fault := self._arm.infeasible(trial.policy):  # if begun with other limits
             raise SessionFailed(
-                f"{trial.id} ({trial.purpose}) was not sent: by these limits it would end in a "
-                f"fault: {fault.text}"
+                f"{trial.id} ({trial.purpose}) was not sent: with the present limits it would end "
+                f"in a fault: {fault.text}"
             )
         begun, task = time.time(), practice.task
         tool = Pose(*self._arm.kinematics.tool_pose(trial.policy.q_start))
@@ -305,13 +304,13 @@ def main() -> int:
     node = None
     interrupts.install()
     try:
-        init(signals=SignalHandlerOptions.NO)
+        init(SignalHandlerOptions.NO)
         with number_by_process():
             node = Learner()
         node.practise()
     except (SessionFailed, RolloutError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")
-        log.fatal(str(error) if node else f"{error}{without_file()}")
+        log.fatal(str(error) if node else f"{error}{parameter_file_hint()}")
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Markers of the learner: what it wants to do and what the arm has done, for RViz and Foxglove.
+"""Markers of the learner for RViz and Foxglove: the planned and the executed movement.
 
 Published with every policy and at the end of every rollout, and twice a second while the body
-moves; latched, each message whole.
+moves; latched, and every message has all markers.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.policy_shapes import ellipsoids, plan
 from wam_power_ros.ros import interface, pose_messages
 
-PLANNED, EXECUTED, STIFFNESS = (0.15, 0.39, 0.92, 1.0), (0.92, 0.35, 0.05, 1.0), (0.05, 0.58, 0.53)
-NORMAL, OBSTACLE = (0.98, 0.79, 0.43, 1.0), (0.86, 0.15, 0.15, 0.5)
-LINE = 0.006  # thickness of a path [m]
-ARROW = 0.15  # length of the normal of a body [m]
+# Colours, RGBA
+PLANNED, EXECUTED = (0.15, 0.39, 0.92, 1.0), (0.92, 0.35, 0.05, 1.0)
+STIFFNESS, NORMAL = (0.05, 0.58, 0.53, 0.4), (0.98, 0.79, 0.43, 1.0)
+OBSTACLE = (0.86, 0.15, 0.15, 0.5)
+LINE_WIDTH = 0.006  # of a path [m]
+ARROW_LENGTH = 0.15  # of the normal of a body [m]
 BODY_PERIOD = 0.5  # between two messages for the body alone [s of wall time]
 
 
@@ -32,9 +34,9 @@ class Markers:
     """Publishes the markers of one arm.
 
     Args:
-        node: Node that they belong to.
+        node: Node that publishes them.
         body: Name of the tracked body, "" for none.
-        obstacle: Centre in the base frame and radius [m]; a radius of 0 is none. Shape (4,).
+        obstacle: Centre in the base frame and radius [m]; radius 0 for none. Shape (4,).
     """
 
     def __init__(self, node: Node, body: str, obstacle: Sequence[float]) -> None:
@@ -57,8 +59,7 @@ class Markers:
         self._drawn["planned"] = [self._path("planned", plan(policy, start), PLANNED)]
         self._drawn["stiffness"] = drawn = []
         for number, (centre, semi_axes, wxyz) in enumerate(zip(*ellipsoids(policy), strict=True)):
-            alpha = (*STIFFNESS, 0.4)
-            marker = self._marker("stiffness", Marker.SPHERE, alpha, 2.0 * semi_axes, number)
+            marker = self._marker("stiffness", Marker.SPHERE, STIFFNESS, 2.0 * semi_axes, number)
             marker.pose.position = _point(centre)
             turn = marker.pose.orientation
             turn.w, turn.x, turn.y, turn.z = wxyz.tolist()
@@ -76,23 +77,23 @@ class Markers:
         try:
             state = pose_messages.odometry(message)
         except ValueError:
-            return  # whoever needs the state says so
+            return  # reported by nodes that depend on the state
         x, y, z, w = state.quat_xyzw
         normal = np.array([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)])
         arrow = self._marker("normal", Marker.ARROW, NORMAL, [0.01, 0.02, 0.03])
-        arrow.points = [_point(state.position), _point(state.position + ARROW * normal)]
+        arrow.points = [_point(state.position), _point(state.position + ARROW_LENGTH * normal)]
         self._drawn["normal"] = [arrow]
         self._publish()
 
     def _path(self, name: str, points: np.ndarray, colour: Sequence[float]) -> Marker:
-        marker = self._marker(name, Marker.LINE_STRIP, colour, [LINE, 0.0, 0.0])
+        marker = self._marker(name, Marker.LINE_STRIP, colour, [LINE_WIDTH, 0.0, 0.0])
         marker.points = [_point(point) for point in points]
         return marker
 
     def _marker(
         self, name: str, kind: int, colour: Sequence[float], scale: Sequence[float], number: int = 0
     ) -> Marker:
-        """A marker without a stamp: RViz takes the newest transform."""
+        """Marker without a stamp, for which RViz takes the newest transform."""
         marker = Marker(ns=name, id=number, type=kind, action=Marker.ADD)
         marker.header.frame_id = self._frame
         marker.pose.orientation.w = 1.0

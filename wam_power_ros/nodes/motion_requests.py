@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services that move the arm: begun when what was published before is read, answered at rest."""
+"""Services that move the arm: carried out after earlier messages are read, answered at rest."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.deferred_service import LateTrigger
+from wam_power_ros.ros.deferred_service import DeferredTrigger
 
 NOT_ACTIVE = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
 
 
 def attempt(core: Controller | None, request: Callable[[Controller], None]) -> Answer:
-    """Answer to a request: the id of the loaded policy, or why it was refused.
+    """Make a request; the answer has the id of the loaded policy, or the reason for a refusal.
 
     Args:
         core: Controller, None when it is not active.
@@ -35,27 +35,27 @@ def attempt(core: Controller | None, request: Callable[[Controller], None]) -> A
 
 
 def done(policy_id: str | None) -> Answer:
-    """Answer to what was done, with the id of the policy that is loaded."""
+    """Answer to a request that was done, with the id of the loaded policy."""
     return Answer(Code.DONE, values={"policy": policy_id} if policy_id else {})
 
 
 def fill(response: Trigger.Response, answer: Answer) -> Trigger.Response:
-    """The response with this answer."""
+    """Write an answer into a response."""
     response.success, response.message = answer.success, str(answer)
     return response
 
 
 class MotionRequests:
-    """Rollouts, moves to the start and replays that were asked for, and their answers.
+    """Requests for rollouts, moves to the start and replays, and their answers.
 
     Attributes:
-        movement: Movement to be replayed, or why it cannot be; None when none has come.
+        movement: Movement to replay, or why it cannot be replayed; None when none has come.
 
     Args:
         node: Node that offers the services.
         joint_names: Names of the joints, for the summary of a replay.
         active: Returns the controller, None when it is not active.
-        when_read: Calls a function once all that was published before has been read, see
+        when_read: Calls a function once all messages published before have been read, see
             `Preparation.when_read`.
     """
 
@@ -69,15 +69,15 @@ class MotionRequests:
         self._node, self._joint_names = node, joint_names
         self._active, self._when_read = active, when_read
         self.movement: Sampled | ControllerError | None = None
-        self._moved_for = ""  # policy to whose start the arm was sent last
-        self._under_way: list[LateTrigger] = []  # those whose movement has begun
+        self._move_policy = ""  # id of the policy to whose start the arm was last sent
+        self._moving: list[DeferredTrigger] = []  # services whose movement has begun
         self._execute = self._serve_in_order(interface.EXECUTE, self._begin_rollout)
         self._move = self._serve_in_order(interface.MOVE_TO_START, self._begin_move)
         self._replay = self._serve_in_order(interface.REPLAY, self._begin_replay)
 
     def answer(self, core: Controller) -> None:
-        """Answer the requests for a movement, once the arm rests or the movement was aborted."""
-        if not self._under_way:
+        """Answer the requests for a movement once the arm rests or the movement was aborted."""
+        if not self._moving:
             return
         mode = core.mode
         if mode in (Mode.MOVE_TO_START, Mode.REPLAY) or (mode is Mode.HOLD and not core.at_rest):
@@ -86,53 +86,52 @@ class MotionRequests:
             failed = Answer(Code.FAULT, f"failed: {core.latched.text}")
         else:
             failed = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
-        # Another policy may have come since; its start is near, but nobody has moved there.
-        if self._move in self._under_way:
-            answer = done(self._moved_for) if core.ready else failed
+        # The id of the move's policy: another one, with a start nearby, may have come since.
+        if self._move in self._moving:
+            answer = done(self._move_policy) if core.ready else failed
             self._move.finish(answer.success, str(answer))
-        if self._replay in self._under_way:
+        if self._replay in self._moving:
             answer = Answer(Code.DONE, self._summary(core)) if mode is Mode.HOLD else failed
             self._replay.finish(answer.success, str(answer))
-        self._under_way.clear()
+        self._moving.clear()
 
     def stop(self, core: Controller | None) -> None:
-        """Answer all that wait: a person has stopped the arm."""
-        replayed = self._replay in self._under_way
-        for service in (self._execute, self._move, self._replay):
-            summary = self._summary(core) if replayed and service is self._replay else ""
-            text = f"stopped\n{summary}".rstrip()
-            service.finish(False, str(Answer(Code.STOPPED, text)))
-        self._under_way.clear()
+        """Answer all pending requests: a person has stopped the arm."""
+        summary = self._summary(core) if self._replay in self._moving else ""
+        self._replay.finish(False, str(Answer(Code.STOPPED, f"stopped\n{summary}".rstrip())))
+        for service in (self._execute, self._move):
+            service.finish(False, str(Answer(Code.STOPPED, "stopped")))
+        self._moving.clear()
 
     def refuse(self) -> None:
-        """Answer all that wait: the controller is not active any more."""
+        """Answer all pending requests: the controller is not active any more."""
         for service in (self._execute, self._move, self._replay):
             service.finish(False, str(NOT_ACTIVE))
 
-    def _serve_in_order(self, name: str, begin: Callable[[], Answer | None]) -> LateTrigger:
-        """Service whose request is made once the policies and movements before it have been read.
+    def _serve_in_order(self, name: str, begin: Callable[[], Answer | None]) -> DeferredTrigger:
+        """Service whose request is made once earlier policies and movements have been read.
 
         Args:
             name: Name of the service.
-            begin: Makes the request; returns the answer, or None when `answer` will.
+            begin: Makes the request; returns the answer, or None when `answer` will give it.
         """
 
         def called() -> str | None:
             if self._active() is None:
                 return str(NOT_ACTIVE)
             if service.pending:
-                return str(Answer(Code.BUSY, "refused: the request before it is under way"))
+                return str(Answer(Code.BUSY, "refused: the previous request is under way"))
             self._when_read(ready)
             return None
 
-        def ready(unread: str | None) -> None:
-            answer = begin() if unread is None else Answer(Code.BUSY, f"refused: {unread}")
+        def ready(problem: str | None) -> None:
+            answer = begin() if problem is None else Answer(Code.BUSY, f"refused: {problem}")
             if answer is None:
-                self._under_way.append(service)
+                self._moving.append(service)
             else:
                 service.finish(answer.success, str(answer))
 
-        service = LateTrigger(self._node, name, called)
+        service = DeferredTrigger(self._node, name, called)
         return service
 
     def _begin_rollout(self) -> Answer:
@@ -140,13 +139,13 @@ class MotionRequests:
 
     def _begin_move(self) -> Answer | None:
         answer = attempt(self._active(), Controller.move_to_start)
-        self._moved_for = answer.values.get("policy", "")
+        self._move_policy = answer.values.get("policy", "")
         return None if answer.success else answer
 
     def _begin_replay(self) -> Answer | None:
         movement = self.movement
         if movement is None:
-            text = f"refused: nothing valid has come on {interface.REPLAY_TRAJECTORY}"
+            text = f"refused: no valid trajectory has come on {interface.REPLAY_TRAJECTORY}"
             return Answer(Code.NOTHING, text)
 
         def start(core: Controller) -> None:

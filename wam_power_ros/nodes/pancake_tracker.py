@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pancake tracker: motion capture in; the pancake's state, and its path through a rollout, out.
 
-Thin over `tracker.Tracker`. A rollout's path is the frames between its stamps, whatever arrived
-when; it goes out when a frame of the rollout's end or later has come, or none for a while.
+Wraps `tracker.Tracker`. The path of a rollout has the frames whose stamps lie within it, whenever
+they arrived. It is published once a frame at or after its end has come, or none for a while.
 """
 
 from __future__ import annotations
@@ -29,47 +29,42 @@ from wam_power_ros.ros import interface, node_runner, pose_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 from wam_power_ros.tracking.clock_offset import ClockOffset
 from wam_power_ros.tracking.free_fall import free_fall_acceleration
-from wam_power_ros.tracking.tracker import (
-    FrameFault,
-    TrackedState,
-    Tracker,
-    Validity,
-)
+from wam_power_ros.tracking.tracker import FrameFault, TrackedState, Tracker, Validity
 
-LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # every other is an error
+LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # any other validity is an error
 
 
 class _Rollout(NamedTuple):
-    """A finished rollout whose path is owed."""
+    """A finished rollout whose path has not been published yet."""
 
     start_ns: int
     end_ns: int
-    asked_ns: int  # when, on the watch
+    received_ns: int  # when its end was received, by `PancakeTracker._timeout_clock`
 
 
 class PancakeTracker(Node):
-    """One state per frame of the motion capture, one path per rollout."""
+    """Publishes a state for each frame of the motion capture and a path for each rollout."""
 
     def __init__(self) -> None:
         super().__init__("pancake_tracker", automatically_declare_parameters_from_overrides=True)
         self._params = params = PancakeTrackerParams.of(self)
         if bool(params.pose_topic) == bool(params.markers_topic):
             raise ValueError(
-                f"give pose_topic or markers_topic, not {params.pose_topic!r} and "
+                f"set either pose_topic or markers_topic, not {params.pose_topic!r} and "
                 f"{params.markers_topic!r}"
             )
         self._tracker = Tracker(params.settings())
         namespace = self.get_namespace()
         self._frame = interface.frame(namespace, interface.BASE_FRAME)
         self._body_frame = interface.frame(namespace, params.body)
-        self._owed: _Rollout | None = None
-        self._offset = ClockOffset()
-        self._trouble = ""  # the last thing refused, or wrong with a path
+        self._pending: _Rollout | None = None
+        self._clock_offset = ClockOffset()
+        self._problem = ""  # with the last refused message or path
         self._sim_time = self.get_parameter("use_sim_time").value
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._watch = self.get_clock() if self._sim_time else steady
-        self._waiting = True  # for the first frame
-        self._heard_ns = self._watch.now().nanoseconds
+        self._timeout_clock = self.get_clock() if self._sim_time else steady
+        self._first_frame_received = False
+        self._frame_ns = self._timeout_clock.now().nanoseconds  # when the last frame came
 
         publish, subscribe = self.create_publisher, self.create_subscription
         self._states = publish(
@@ -86,109 +81,113 @@ class PancakeTracker(Node):
             self._read, self._add = pose_messages.pose, self._tracker.add
             subscribe(PoseStamped, params.pose_topic, self._on_frame, interface.MOCAP_IN)
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
-        self.create_timer(0.5 / params.rate, self._look, clock=steady)
+        self.create_timer(0.5 / params.rate, self._check_silence, clock=steady)
         source = self.resolve_topic_name(params.markers_topic or params.pose_topic)
         self.get_logger().info(f"waiting for frames of the {params.body} on {source}")
         self.create_timer(1.0, self._report, clock=steady)
 
     def _on_frame(self, message: PoseStamped | PointCloud2) -> None:
         try:
-            stamp_ns, _, *seen = self._read(message)
+            stamp_ns, _, *measured = self._read(message)
         except ValueError as error:
             self._refuse(error)
             return
-        self._heard_ns = self._watch.now().nanoseconds
-        if self._waiting:  # the logger's own `once` looks for its caller at every frame
-            self._waiting = False
-            self.get_logger().info("the first frame has come")
+        self._frame_ns = self._timeout_clock.now().nanoseconds
+        if not self._first_frame_received:  # logging with `once` would be slow at every frame
+            self._first_frame_received = True
+            self.get_logger().info("first frame received")
         if not self._sim_time:
-            self._offset.add(stamp_ns, self.get_clock().now().nanoseconds)
-        state = self._add(stamp_ns, *seen)
+            self._clock_offset.add(stamp_ns, self.get_clock().now().nanoseconds)
+        state = self._add(stamp_ns, *measured)
         if state is not None:
             self._publish(state)
-        elif self._tracker.fault:
-            self._trouble = self._tracker.fault.value
-            if (
-                self._tracker.fault is FrameFault.POSE_REPEATED
-            ):  # a habit of some drivers; diagnostics count them
-                self.get_logger().warning("repeated poses are refused; said once", once=True)
+        elif fault := self._tracker.fault:
+            self._problem = fault.value
+            if fault is FrameFault.POSE_REPEATED:  # usual with some drivers; diagnostics count them
+                self.get_logger().warning("repeated poses are refused; logged once", once=True)
             else:
-                self.get_logger().warning(f"refused: {self._trouble}", throttle_duration_sec=1.0)
-        self._answer_if_complete()
+                text = f"frame refused: {fault.value}"
+                self.get_logger().warning(text, throttle_duration_sec=1.0)
+        self._publish_path_if_complete()
 
     def _on_end_effector(self, message: Path) -> None:
         try:
             tool = pose_messages.path(message)
             if not len(tool.t):
-                raise ValueError("path of the tool without a pose")
+                raise ValueError("path of the tool has no pose")
         except ValueError as error:
             self._refuse(error)
             return
-        if self._owed is not None:
-            self._answer()  # its frames will not come any more
+        if self._pending is not None:
+            self._publish_path()  # its missing frames will not come any more
         end_ns = tool.start_ns + round(float(tool.t[-1]) * 1e9)
-        self._owed = _Rollout(tool.start_ns, end_ns, self._watch.now().nanoseconds)
-        self._answer_if_complete()
+        self._pending = _Rollout(tool.start_ns, end_ns, self._timeout_clock.now().nanoseconds)
+        self._publish_path_if_complete()
 
     def _refuse(self, error: ValueError) -> None:
         self._tracker.refuse(FrameFault.MESSAGE)
-        self._trouble = str(error)
-        self.get_logger().warning(f"refused: {error}", throttle_duration_sec=1.0)
+        self._problem = str(error)
+        self.get_logger().warning(f"message refused: {error}", throttle_duration_sec=1.0)
 
     def _publish(self, state: TrackedState) -> None:
         reading = pose_messages.StateReading(state.stamp_ns, self._frame, *state[1:6])
         self._states.publish(pose_messages.odometry_message(reading, self._body_frame))
 
-    def _look(self) -> None:
-        """Coast through an occlusion; give up waiting for frames that do not come."""
-        now_ns = self._watch.now().nanoseconds
-        silent_ns = max(now_ns - self._heard_ns, 0)
+    def _check_silence(self) -> None:
+        """Publish predicted states in an occlusion; stop waiting for frames of a path in time."""
+        now_ns = self._timeout_clock.now().nanoseconds
+        silent_ns = max(now_ns - self._frame_ns, 0)
         state = self._tracker.at(self._tracker.latest_ns + silent_ns)
         if state is not None and state.validity is Validity.OCCLUDED:
             self._publish(state)
-        if self._owed is not None:
-            waited_ns = min(silent_ns, now_ns - self._owed.asked_ns)
+        if self._pending is not None:
+            waited_ns = min(silent_ns, now_ns - self._pending.received_ns)
             if waited_ns > self._params.silence * 1e9:
-                self._answer()
+                self._publish_path()
 
-    def _answer_if_complete(self) -> None:
-        if self._owed is not None and self._tracker.latest_ns >= self._owed.end_ns:
-            self._answer()
+    def _publish_path_if_complete(self) -> None:
+        if self._pending is not None and self._tracker.latest_ns >= self._pending.end_ns:
+            self._publish_path()
 
-    def _answer(self) -> None:
-        """Publish the path that is owed."""
-        rollout, self._owed = self._owed, None
+    def _publish_path(self) -> None:
+        """Publish the path of the pending rollout."""
+        rollout, self._pending = self._pending, None
         name = f"rollout-{rollout.start_ns}"
         path = self._tracker.path(name, rollout.start_ns, rollout.end_ns)
         down = free_fall_acceleration(path)
         if down is not None and down[2] > -0.87 * math.hypot(*down):  # 30 degrees
-            self._complain(
-                f"the {self._params.body} falls along {down.round(1)}: up_axis or world_to_base?"
+            self._log_error(
+                f"the {self._params.body} falls with {down.round(1)} m/s^2 in the base frame, not "
+                "along -z: correct up_axis or world_to_base"
             )
-        if abs(self._offset.seconds) > self._params.clock_offset_max:
-            self._complain(f"{name} not scored: stamps {self._offset.seconds:.3f} s off")
+        offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
+        if abs(offset) > offset_max:
+            self._log_error(
+                f"{name} not scored: stamps {offset:.3f} s off, at most {offset_max:.3f} s "
+                "allowed: synchronise the clocks or set latency_offset"
+            )
             nothing = np.zeros(0)
             path = BodyPath(name, nothing, nothing.reshape(0, 3), nothing.reshape(0, 4))
         message = pose_messages.path_message(path, rollout.start_ns, self._frame)
         self._paths.publish(message)
 
-    def _complain(self, text: str) -> None:
-        self._trouble = text
+    def _log_error(self, text: str) -> None:
+        self._problem = text
         self.get_logger().error(text)
 
     def _report(self) -> None:
         tracker = self._tracker
         level, text = LEVELS.get(tracker.validity, "error"), tracker.validity.value
-        offset, worst = self._offset.seconds, self._params.clock_offset_max
+        offset, offset_max = self._clock_offset.seconds, self._params.clock_offset_max
         if not tracker.latest_ns:
             level, text = "stale", "no frame yet"
-        elif abs(offset) > 0.5 * worst:
-            level = "error" if abs(offset) > worst else "warn"
+        elif abs(offset) > 0.5 * offset_max:
+            level = "error" if abs(offset) > offset_max else "warn"
             text = f"stamps {offset:.3f} s off: synchronise the clocks or set latency_offset"
         values = {
             **tracker.counts,
             "clock offset [s]": f"{offset:.4f}",
-            "last trouble": self._trouble,
+            "last trouble": self._problem,
         }
         self._diagnostics.publish(
             diagnostics_message(

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The torque controller's side of its preparation process.
 
-What takes long is done in a process beside the 500 Hz loop (`preparation_worker`): it receives the
-policies and the movements to replay, reads, checks and tabulates them, and publishes and logs what
-the loop hands it. A thread would not do: C code that parses keeps the interpreter's lock. Nor would
-receiving the bytes here: taking a message of 17 MB from the middleware holds the loop up for 30 ms.
+Slow work is done in a process beside the 500 Hz loop (`preparation_worker`): it receives policies
+and movements to replay, reads, checks and tabulates them, and publishes and logs for the loop.
+docs/architecture.md says why this is a process and not a thread.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ from wam_power_ros.ros.process_channel import Channel, Message, pair
 NAME = "torque_controller_preparation"  # node of the process
 MODULE = "wam_power_ros.nodes.preparation_worker"
 CHANNEL = 3  # file descriptor of its end of the channel
-POLICY, MOVEMENT = "policy", "replay trajectory"  # what is read, as refusals name it
-READ_TIMEOUT = 5.0  # after which a request does not wait any longer for what came before it [s]
+POLICY, MOVEMENT = "policy", "replay trajectory"  # kinds of messages, as refusals name them
+READ_TIMEOUT = 5.0  # longest wait of a request until earlier messages are read [s]
 RESTART_PERIOD = 1.0  # [s] between two starts of the process
-SEEN = 16  # messages that a process started again does not read a second time
-UNSENT = 200  # messages that wait for the process at most; the oldest are dropped
+SEEN_MAX = 16  # last messages, which a restarted process must not read again
+UNSENT_MAX = 200  # messages that wait for the process; the oldest are dropped
 LOG_PERIOD_NS = 1_000_000_000  # [ns] between two warnings
 
 
 class Preparation:
-    """Starts the process, and again when it has ended; nothing here waits for it.
+    """Starts the process, restarts it when it has ended, and never waits for it.
 
     Attributes:
         starts: Number of processes started so far.
@@ -52,8 +51,9 @@ class Preparation:
     Args:
         domain: DDS domain of the node.
         on_policy: Called by `poll` with every policy that fits the arm.
-        on_movement: Called by `poll` with every movement that can be replayed, or why it cannot.
-        on_refusal: Called by `poll` with what was refused, POLICY or MOVEMENT, and the reason.
+        on_movement: Called by `poll` with every movement to replay, or the error if it cannot be.
+        on_refusal: Called by `poll` with the kind of a refused message, POLICY or MOVEMENT, and the
+            reason.
     """
 
     def __init__(
@@ -70,14 +70,14 @@ class Preparation:
         self._started = -RESTART_PERIOD  # [s, steady clock]
         self._channel: Channel | None = None
         self._settings: dict[str, object] | None = None
-        self._configuration = 0  # number of `configure`s: what was prepared before is dropped
+        self._configuration = 0  # count of `configure`; results of earlier ones are dropped
         self._path: tuple[dict[str, object], dict[str, np.ndarray]] | None = None  # the last
         self._unsent: deque[tuple[dict[str, object], dict[str, np.ndarray] | None]] = deque(
-            maxlen=UNSENT
+            maxlen=UNSENT_MAX
         )
-        self._reading: tuple[str, int] | None = None  # a message that is being read: kind, stamp
-        self._seen: deque[tuple[str, int]] = deque(maxlen=SEEN)
-        self._waiting: dict[int, tuple[Callable[[str | None], None], float]] = {}
+        self._reading: tuple[str, int] | None = None  # the message being read: kind, stamp
+        self._seen: deque[tuple[str, int]] = deque(maxlen=SEEN_MAX)
+        self._waiting: dict[int, tuple[Callable[[str | None], None], float]] = {}  # by mark
         self._marks = 0
         self._warned_ns = -LOG_PERIOD_NS
         self.tend()
@@ -85,10 +85,10 @@ class Preparation:
     # To the process
 
     def configure(self, settings: ControllerSettings | None, joint_names: Sequence[str]) -> None:
-        """Let what comes be prepared for this arm.
+        """Set the arm for which policies and movements are prepared.
 
         Args:
-            settings: Settings of the controller, with limits; None to refuse what comes.
+            settings: Settings of the controller, with limits; None to refuse all messages.
             joint_names: Names of the joints in trajectories.
         """
         self._configuration += 1
@@ -102,17 +102,17 @@ class Preparation:
             self._send({**self._settings, "seen": list(self._seen)})
 
     def when_read(self, then: Callable[[str | None], None]) -> None:
-        """Call `then` from `poll` once all that was published before has been read.
+        """Call `then` from `poll` once all messages published before have been read.
 
         Args:
-            then: Function of None, or of the reason why that is not known.
+            then: Called with None, or with the reason why this is not known.
         """
         self._marks += 1
         self._waiting[self._marks] = then, time.monotonic() + READ_TIMEOUT
         self._send({"what": "mark", "number": self._marks})
 
     def forget_requests(self) -> None:
-        """Call none of those that wait for `when_read`."""
+        """Drop all pending calls of `when_read`."""
         self._waiting.clear()
 
     def publish_path(
@@ -121,10 +121,7 @@ class Preparation:
         """Publish the path of a rollout that began at `start_ns` [ns], and the fault at its end."""
         values: dict[str, object] = {"what": "path", "id": path.id, "start_ns": start_ns}
         values |= {"frame": frame, "fault": fault and [fault.kind.value, fault.text]}
-        self._path = (
-            values,
-            {"t": path.t, "position": path.position, "quat_xyzw": path.quat_xyzw},
-        )
+        self._path = (values, {"t": path.t, "position": path.position, "quat_xyzw": path.quat_xyzw})
         self._send(*self._path)
 
     def report(
@@ -143,7 +140,7 @@ class Preparation:
             self._send({"what": "report", "stamp_ns": stamp_ns, "name": name, **diagnosis})
 
     def log(self, severity: str, text: str) -> None:
-        """Log a text as "info" or "error", or as "warning" at most once a second."""
+        """Log a text as "info" or "error", or at most once a second as "warning"."""
         now = time.monotonic_ns()
         if severity == "warning":
             if now - self._warned_ns < LOG_PERIOD_NS:
@@ -159,11 +156,11 @@ class Preparation:
         while self._unsent and self._channel is not None:
             try:
                 self._channel.send(*self._unsent[0])
-            except (BlockingIOError, ConnectionError):  # it is busy; or has ended: see `poll`
+            except (BlockingIOError, ConnectionError):  # busy, or ended: see `poll`
                 return
             except (OSError, ValueError) as error:
                 self._unsent.popleft()
-                self.log("error", f"not handed to {NAME}: {error}")
+                self.log("error", f"message not sent to {NAME}: {error}")
             else:
                 self._unsent.popleft()
 
@@ -171,11 +168,11 @@ class Preparation:
 
     @property
     def waiting(self) -> bool:
-        """Whether something is expected of the process."""
+        """True while calls of `when_read` are pending."""
         return bool(self._waiting)
 
     def poll(self) -> None:
-        """Take what the process has sent, a message at a time; between two states."""
+        """Handle at most one message from the process; called between two states."""
         if self._channel is not None:
             self._flush()
             try:
@@ -188,9 +185,10 @@ class Preparation:
                 if message is not None:
                     self._take(message)
         if self._waiting:
-            now, reason = time.monotonic(), f"not read within {READ_TIMEOUT:.0f} s"
+            now = time.monotonic()
+            reason = f"messages published before were not read within {READ_TIMEOUT:.0f} s"
             for mark in [mark for mark, (_, late) in self._waiting.items() if now > late]:
-                self._waiting.pop(mark)[0](f"what was published before was {reason}")
+                self._waiting.pop(mark)[0](reason)
 
     def _take(self, message: Message) -> None:
         values, arrays = message
@@ -203,7 +201,7 @@ class Preparation:
         elif what == "refused":
             self._refused(values["kind"], values["text"])
         else:
-            self._read()
+            self._finish_reading()
             if values["configuration"] != self._configuration:
                 return
             if what == "policy":
@@ -217,29 +215,26 @@ class Preparation:
                 self._on_movement(ControllerError(refusal, values["text"], values["values"]))
 
     def _refused(self, kind: str, text: str) -> None:
-        self._read()
+        self._finish_reading()
         self._on_refusal(kind, text)
 
-    def _read(self) -> None:
+    def _finish_reading(self) -> None:
         if self._reading is not None:
             self._seen.append(self._reading)
         self._reading = None
 
     def _ended(self) -> None:
-        """Refuse what the process was reading, and let `tend` start another."""
-        reading = self._reading
-        if self._channel is not None:
-            self._channel.close()
-        self._channel = None
-        reason = "the process that reads policies and trajectories has ended; it is started again"
-        if reading is not None:
-            self._refused(reading[0], reason)
+        """Refuse the message that the process was reading, and let `tend` start another."""
+        self.close()
+        reason = "the process that reads policies and trajectories has ended and is restarted"
+        if self._reading is not None:
+            self._refused(self._reading[0], reason)
         self.log("warning", reason)
         waiting, self._waiting = self._waiting, {}
         for then, _ in waiting.values():
             then(reason)
 
-    # Its life
+    # Start and end of the process
 
     def tend(self) -> None:
         """Start the process if it has ended; takes a few ms, so not while the arm moves."""
@@ -256,7 +251,7 @@ class Preparation:
             command,
             {**os.environ, "ROS_DOMAIN_ID": str(self._domain)},
             file_actions=[(os.POSIX_SPAWN_DUP2, theirs.fileno(), CHANNEL)],
-            setsigmask=(signal.SIGINT, signal.SIGTERM),  # those of its group are the controller's
+            setsigmask=(signal.SIGINT, signal.SIGTERM),  # only the controller acts on them
             scheduler=(os.SCHED_OTHER, os.sched_param(0)),
         )
         theirs.close()
@@ -268,7 +263,7 @@ class Preparation:
         self._flush()
 
     def close(self) -> None:
-        """Let the process log what it was handed, and end."""
+        """Close the channel; the process handles the messages already sent, then ends."""
         if self._channel is not None:
             self._channel.close()
         self._channel = None
@@ -278,7 +273,7 @@ TABLES = ("a", "b", "rotation_b")  # arrays of `dmp.Tables`
 
 
 def settings_values(settings: ControllerSettings) -> dict[str, Any]:
-    """Settings, with limits, as values that JSON has; floats survive it bit for bit."""
+    """Settings, with limits, as JSON values, which keep floats bit for bit."""
 
     def plain(of: ControllerSettings | Limits) -> dict[str, Any]:
         values = {each.name: getattr(of, each.name) for each in dataclasses.fields(of) if each.init}
@@ -293,14 +288,14 @@ def settings_values(settings: ControllerSettings) -> dict[str, Any]:
 
 
 def settings_of(values: Mapping[str, Any]) -> ControllerSettings:
-    """The settings of which these are the values."""
+    """Inverse of `settings_values`."""
     arm = values["arm"]
-    if arm is not None:  # JSON makes lists of it
+    if arm is not None:  # a list of lists in JSON
         name, joint_names, *digests = arm
         arm = ArmIdentity(name, tuple(joint_names), *digests)
     return ControllerSettings(**{**values, "limits": Limits(**values["limits"]), "arm": arm})
 
 
 def channel_of_process() -> Channel:
-    """The end of the channel that this process, started by `tend`, was given."""
+    """Channel of this process, which `tend` has started, to the torque controller."""
     return Channel(socket.socket(fileno=CHANNEL))

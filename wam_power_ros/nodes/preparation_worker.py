@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Process beside the torque controller: reads and prepares, publishes and logs, in its own time.
+"""Process beside the torque controller: prepares policies and movements, publishes and logs.
 
-Started by `preparation.Preparation`, with plain scheduling and a node of its own; ends with the
-controller. It hands over policies with their tables and movements on the control grid, complete.
+Started by `preparation.Preparation`, with plain scheduling and its own node; ends with the
+controller. It hands over policies with their tables, and movements sampled on the control grid.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ from wam_power_ros.ros.stamps import time_message
 # seven joints with positions alone, where the 600 s that may be replayed have 60 000 points.
 SIZE_MAX = {POLICY: policies.SIZE_MAX + 64, MOVEMENT: 20_000_000}
 POINTS_MAX = 200_000
-TEXT_MAX = 2000  # characters of a reason
-SETTLE_TIME = 1.0  # [s] in which threads of the middleware come to rest, at most
+TEXT_MAX = 2000  # characters of a refusal
+SETTLE_TIMEOUT = 1.0  # [s] longest wait until the threads of the middleware are idle
 
 
 class PreparationWorker(Node):
-    """The node of the process.
+    """Node of the process.
 
     Attributes:
         ended: True once the torque controller has ended or closed its end of the channel.
@@ -68,11 +68,11 @@ class PreparationWorker(Node):
         self.ended = False
         self._channel = channel
         self._inbox: deque[Message | None] = deque()
-        self._number = 0  # of the configuration
+        self._configuration = 0  # number of the last `configure`
         self._settings: ControllerSettings | None = None
         self._joint_names: tuple[str, ...] = ()
         self._seen: set[tuple[str, int]] = set()
-        # The last two of each kind: when the loop lets one go, its memory is given back here.
+        # Arrays of the last two of each kind: when the loop releases one, its memory is freed here.
         self._shared: dict[str, deque[object]] = {what: deque(maxlen=2) for what in SIZE_MAX}
         self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self._finished = self.create_publisher(
@@ -82,14 +82,14 @@ class PreparationWorker(Node):
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self._callbacks: dict[Subscription, Callable[[bytes, dict[str, int]], None]] = {}
-        # Not Executor.wake(): that only makes it wait anew.
-        self._arrived = self.create_guard_condition(self._attend)
+        # Not Executor.wake(), after which the executor waits again without calling anything.
+        self._arrived = self.create_guard_condition(self._handle_messages)
         threading.Thread(target=self._listen, daemon=True).start()
 
     # From the torque controller
 
     def _listen(self) -> None:
-        """Receive into `_inbox`, for the executor can wait only for the middleware."""
+        """Receive into `_inbox`, because the executor can wait only for the middleware."""
         try:
             while True:
                 self._inbox.append(self._channel.receive())
@@ -98,8 +98,8 @@ class PreparationWorker(Node):
             self._inbox.append(None)
             self._arrived.trigger()
 
-    def _attend(self) -> None:
-        """Do what the torque controller has asked for."""
+    def _handle_messages(self) -> None:
+        """Handle all messages from the torque controller."""
         while self._inbox:
             message = self._inbox.popleft()
             if message is None:
@@ -108,7 +108,7 @@ class PreparationWorker(Node):
             getattr(self, f"_do_{message.values['what']}")(*message)
 
     def _do_configure(self, values: dict[str, Any], _: object) -> None:
-        self._number = values["number"]
+        self._configuration = values["number"]
         settings = values["settings"]
         self._settings = None if settings is None else settings_of(settings)
         self._joint_names = tuple(values["joint_names"])
@@ -118,18 +118,18 @@ class PreparationWorker(Node):
             self._subscribe(JointTrajectory, interface.REPLAY_TRAJECTORY, MOVEMENT, self._movement)
 
     def _do_mark(self, values: dict[str, Any], _: object) -> None:
-        """Answer once all that had come by now has been read.
+        """Answer once all messages that had arrived by now have been read.
 
-        The request came another way than the messages before it, and may have overtaken those that
-        a thread of the middleware has not taken from its socket yet. Such a thread does not wait.
+        The request came over the channel and may have overtaken messages that a thread of the
+        middleware has not taken from its socket yet; such a thread is running.
         """
-        late = time.monotonic() + SETTLE_TIME
-        while not others_wait() and time.monotonic() < late:
+        deadline = time.monotonic() + SETTLE_TIMEOUT
+        while not other_threads_idle() and time.monotonic() < deadline:
             time.sleep(0.001)
         for each, callback in self._callbacks.items():
             while (taken := each.handle.take_message(each.msg_type, each.raw)) is not None:
                 callback(*taken)
-        self._send(values)
+        self._channel.send(values)
 
     def _do_path(self, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
         path = EndEffectorPath(values["id"], **arrays)
@@ -141,12 +141,12 @@ class PreparationWorker(Node):
 
     def _do_report(self, values: dict[str, Any], _: object) -> None:
         if any(later is not None and later.values["what"] == "report" for later in self._inbox):
-            return  # those that waited while this process was started are out of date
+            return  # reports that waited for the start of this process are out of date
         parts = (values[key] for key in ("name", "hardware_id", "level", "text", "values"))
         self._diagnostics.publish(diagnostics_message(time_message(values["stamp_ns"]), *parts))
 
     def _do_log(self, values: dict[str, Any], _: object) -> None:
-        log = self.get_logger()  # rclpy wants one line of the source for each severity
+        log = self.get_logger()  # rclpy requires a separate line of code for each severity
         if values["severity"] == "error":
             log.error(values["text"])
         elif values["severity"] == "warning":
@@ -166,24 +166,22 @@ class PreparationWorker(Node):
         self._callbacks[subscription] = callback
 
     def _read(self, what: str, data: bytes, stamp: int, prepare: Callable[[bytes], None]) -> None:
-        """Prepare a message, or say why it is refused.
+        """Prepare a message, or send the reason why it is refused.
 
-        A message that comes again, because this process was started again, is left out: what came
-        before the one in force must not replace it.
+        Messages that are received again because this process was restarted are skipped: an older
+        one must not replace the one in use.
         """
         if (what, stamp) in self._seen:
             return
         self._seen.add((what, stamp))
-        self._send({"what": "reading", "kind": what, "stamp": stamp})
+        self._channel.send({"what": "reading", "kind": what, "stamp": stamp})
         try:
             if (size := len(data)) > SIZE_MAX[what]:
                 raise ValueError(f"{size} bytes; at most {SIZE_MAX[what]} allowed")
-            if self._settings is None:
-                raise ValueError("the controller is not configured")
             prepare(data)
-        except Exception as error:  # whatever is wrong with it; the loop has the last one still
+        except Exception as error:  # of any kind; the loop keeps the last valid message
             text = str(error) if isinstance(error, (ValueError, ControllerError)) else repr(error)
-            self._send({"what": "refused", "kind": what, "text": text[:TEXT_MAX]})
+            self._channel.send({"what": "refused", "kind": what, "text": text[:TEXT_MAX]})
 
     def _policy(self, data: bytes) -> None:
         settings, limits = self._arm()
@@ -208,7 +206,7 @@ class PreparationWorker(Node):
         movement = joint_messages.movement(message, self._joint_names)
         try:
             sampled = replay_trajectory.sampled(movement, 1.0, settings.period, limits)
-        except ControllerError as error:  # told when its replay is asked for
+        except ControllerError as error:  # reported when its replay is requested
             values = {"refusal": error.refusal.value, "text": str(error), "values": error.values}
             self._hand_over(MOVEMENT, {"what": "no movement", **values}, {})
             return
@@ -217,21 +215,19 @@ class PreparationWorker(Node):
         self._hand_over(MOVEMENT, {"what": "movement", "movement": values}, arrays)
 
     def _arm(self) -> tuple[ControllerSettings, Limits]:
+        """Settings and limits of the arm; ValueError when the controller is not configured."""
         settings = self._settings
         if settings is None or settings.limits is None:
             raise ValueError("the controller is not configured")
         return settings, settings.limits
 
     def _hand_over(self, what: str, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
-        shared = self._channel.send({**values, "configuration": self._number}, arrays)
+        shared = self._channel.send({**values, "configuration": self._configuration}, arrays)
         self._shared[what].append(shared)
 
-    def _send(self, values: dict[str, Any]) -> None:
-        self._channel.send(values)
 
-
-def others_wait() -> bool:
-    """Whether all other threads of this process wait for something."""
+def other_threads_idle() -> bool:
+    """Return True if no other thread of this process is running."""
     tasks = FilePath("/proc/self/task")
     mine = threading.get_native_id()
     states = [
@@ -243,7 +239,7 @@ def others_wait() -> bool:
 
 
 def main() -> int:
-    """Run until the torque controller has ended; it has blocked the signals to its group here."""
+    """Run until the torque controller has ended; SIGINT and SIGTERM are blocked in this process."""
     channel = channel_of_process()
     make = lambda: PreparationWorker(channel)  # noqa: E731
     with node_runner.participant(make, SignalHandlerOptions.NO) as node:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Execution of a trial over ROS: policy out, services called, paths of the finished rollout in.
 
-Publish the policy, bring the arm to its start, see the body at rest where the task wants it, begin
-a recording, execute, and collect the paths, the fault and the recording. Questions and answers can
-be lost and nodes can be started again: nothing waits long for one answer, and what may have begun
-is begun again from its start.
+Publish the policy, move the arm to its start, wait until the body is ready, begin a recording,
+execute, and collect the paths, the fault and the recording. Requests and answers can be lost and
+nodes can be restarted: no single answer is awaited for long, and what may have begun is repeated
+from the start of the trial.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 T = TypeVar("T")
 STARTS_MAX = 5  # attempts to begin one rollout
 ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
-RECEIPT_TIMEOUT = 2.0  # longest wait until all readers have a policy; one that hangs never has [s]
-CLOCKS_APART = 0.2  # clocks of arm and motion capture at most; the tracker allows no more [s]
-END_TOLERANCE = 0.05  # by which a whole rollout may be shorter: no fault cut it short [s]
-READY_TIMEOUT = 10.0  # after which a body that can be put back is put back again [s of wall time]
-WAITING_PERIOD = 5.0  # between two lines that say what a person is waited for [s]
-READY_STATES = 3  # states of the body in a row that must be ready
-NOT_ACTIVE = ("", "unconfigured", Mode.INACTIVE.value)  # modes, the first before any is known
-Ready = Callable[[StateReading | None], str]  # what is missing before a rollout; empty for nothing
+RECEIPT_TIMEOUT = 2.0  # longest wait until all readers have a policy; a hung one never has [s]
+CLOCK_OFFSET_MAX = 0.2  # between arm and motion capture; the tracker allows no more [s]
+END_TOLERANCE = 0.05  # a rollout shorter by less is complete: no fault has cut it short [s]
+READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
+SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
+READY_STATES = 3  # number of successive states in which the body must be ready
+INACTIVE_MODES = ("", "unconfigured", Mode.INACTIVE.value)  # the first before any is known
+Ready = Callable[[StateReading | None], str]  # what is missing before a rollout, empty if nothing
 
 
 class RolloutError(RuntimeError):
-    """The rollout cannot be executed; the message says what was waited for or refused."""
+    """The rollout cannot be executed; the message names what did not happen or was refused."""
 
 
 class NotBegunError(RolloutError):
-    """The rollout has not begun, as far as is known: a fault came first, or no answer."""
+    """As far as is known, the rollout has not begun: a fault came first, or no answer."""
 
 
 class RolloutParams(Protocol):
@@ -68,17 +68,11 @@ class RolloutParams(Protocol):
 
 @dataclass(frozen=True)
 class Executed:
-    """A rollout that has been executed.
-
-    Attributes:
-        rollout: Paths, and the fault if any.
-        bag: Name of its recording, empty when there is none.
-        truth: Ground truth of the simulator, None on hardware.
-    """
+    """A rollout that has been executed."""
 
     rollout: Rollout
-    bag: str
-    truth: dict[str, Any] | None
+    bag: str  # name of its recording, empty without one
+    truth: dict[str, Any] | None  # ground truth of the simulator, None on hardware
 
 
 class RolloutClient:
@@ -88,8 +82,8 @@ class RolloutClient:
         """Create the publishers, subscriptions and clients on `node`.
 
         Args:
-            node: Node that they belong to.
-            executor: Dispatches its callbacks while something is waited for.
+            node: Node that executes rollouts.
+            executor: Executor of the node, used while waiting.
             params: Parameters of the node.
             body: Name of the tracked body, "" for none.
         """
@@ -104,10 +98,10 @@ class RolloutClient:
         self._truth: dict[str, Any] | None = None
         self._fault: Fault | None = None
         self._mode = ""  # of the controller, published once a second
-        self._ready: Ready = lambda state: "nothing is awaited"
+        self._ready: Ready = lambda state: "no rollout is prepared"
         self._missing = ""
-        self._ready_states = 0  # in a row
-        self._ready_ns = 0  # stamp of the last of them
+        self._ready_states = 0  # successive states in which the body was ready
+        self._ready_ns = 0  # stamp of the last one
         self._policies = node.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._reset = interface.body_topic(body, "reset")
         self._truth_topic = interface.body_topic(body, "truth")
@@ -122,18 +116,17 @@ class RolloutClient:
             path, state = interface.rollout_topic(body), interface.body_topic(body, "state")
             subscribe(Path, path, self._on_body_path, interface.LATCHED)
             subscribe(Odometry, state, self._on_state, interface.STATE_OUT)
-        names = (interface.MOVE_TO_START, interface.EXECUTE, interface.RESET, self._reset)
-        for name in names:
+        for name in (interface.MOVE_TO_START, interface.EXECUTE, interface.RESET, self._reset):
             self._services.prepare(Trigger, name)
         self._services.prepare(SetBool, interface.RECORD)
 
-    def execute(self, policy: Policy, whole: float, ready: Ready) -> Executed:
+    def execute(self, policy: Policy, duration: float, ready: Ready) -> Executed:
         """Execute a policy once.
 
         Args:
             policy: Policy to execute.
-            whole: Duration of its complete rollout [s].
-            ready: Says what is missing before it may begin.
+            duration: Duration of its complete rollout [s].
+            ready: Returns what is missing before it may begin, empty if nothing.
 
         Raises:
             RolloutError: It could not be begun, or its end did not come in time.
@@ -143,8 +136,8 @@ class RolloutClient:
             try:
                 ready_ns = self._start(policy)
                 break
-            except NotBegunError as why:  # nothing was tried, or is not counted: no trial is spent
-                self._log.warning(f"{policy.id} from its start again: {why}")
+            except NotBegunError as error:  # the trial is not counted
+                self._log.warning(f"{policy.id} is started again: {error}")
                 if attempt == STARTS_MAX - 1:
                     raise
         finished = self._end(policy.id, ready_ns)
@@ -153,16 +146,19 @@ class RolloutClient:
         if self._node.count_publishers(self._truth_topic):
             self.until(
                 lambda: self._truth_of(policy.id) is not None,
-                f"ground truth of {policy.id}",
+                f"the ground truth of {policy.id}",
                 self._params.rollout_timeout,
             )
-        fault = finished.fault if tool.t[-1] <= whole - END_TOLERANCE else None
+        fault = finished.fault if tool.t[-1] <= duration - END_TOLERANCE else None
         return Executed(Rollout(tool, body, fault), bag, self._truth_of(policy.id))
 
-    def until(self, condition: Callable[[], object], what: str, timeout: float) -> None:
-        """Spin until `condition()`; logs what it waits for.
+    def until(
+        self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float
+    ) -> None:
+        """Spin until `condition()`; logs what it waits for, see `ServiceClient.until`.
 
-        A simulation that goes on slowly has as long in its own time: a busy machine is no fault.
+        While simulated time advances, the timeout must have passed in it, too: a busy machine is
+        not an error.
 
         Raises:
             RolloutError: It did not come true within `timeout` [s of wall time].
@@ -172,9 +168,10 @@ class RolloutClient:
         begun = last = clock.now()
         while not self._services.until(condition, what, timeout):
             now = clock.now()
-            goes_on = clock.ros_time_is_active and now > last
-            if not goes_on or (now - begun).nanoseconds > timeout * 1e9:
-                raise RolloutError(f"not within {timeout:.0f} s: {what}")
+            advances = clock.ros_time_is_active and now > last
+            if not advances or (now - begun).nanoseconds > timeout * 1e9:
+                awaited = what() if callable(what) else what
+                raise RolloutError(f"waited {timeout:.0f} s in vain for {awaited}")
             last = now
 
     # Messages in
@@ -219,17 +216,16 @@ class RolloutClient:
     # Services
 
     def _call(self, name: str, request: SetBool.Request | None = None) -> Answer | None:
-        """Answer of a service; None if none has come.
+        """Call a service; returns None if no answer came.
 
         Raises:
             RolloutError: The service is not offered in time.
         """
-        late = time.monotonic() + ANSWER_TIMEOUT
-        moving = Mode.MOVE_TO_START.value
+        deadline = time.monotonic() + ANSWER_TIMEOUT
 
         def lost() -> bool:  # a move is answered when the arm has arrived
-            under_way = name == interface.MOVE_TO_START and self._mode == moving
-            return time.monotonic() > late and not under_way
+            moving = name == interface.MOVE_TO_START and self._mode == Mode.MOVE_TO_START.value
+            return time.monotonic() > deadline and not moving
 
         try:
             answer = self._services.call(
@@ -242,7 +238,7 @@ class RolloutClient:
         except ServiceError as error:
             raise RolloutError(str(error)) from error
         if answer is None:
-            self._log.warning(f"{self._node.resolve_service_name(name)} does not answer")
+            self._log.warning(f"no answer from {self._node.resolve_service_name(name)}")
         return answer
 
     def _record(self, begin: bool) -> Answer | None:
@@ -250,13 +246,13 @@ class RolloutClient:
 
     def _begin_bag(self, policy_id: str) -> None:
         answer = self._record(True)
-        if (answer is None or not answer.success) and self._end_bag():  # left open by a kill
+        if (answer is None or not answer.success) and self._end_bag():  # of a killed learner
             answer = self._record(True)
         if answer is None or not answer.success:
             self._log.warning(f"{policy_id} is not recorded: {answer or 'no answer'}")
 
     def _end_bag(self) -> str:
-        """Name of the bag that was being recorded, or nothing."""
+        """End the recording; returns the name of the bag, empty without one."""
         answer = self._record(False)
         return FilePath(answer.text).name if answer is not None and answer.success else ""
 
@@ -269,7 +265,7 @@ class RolloutClient:
             Stamp of a state at which the body was ready before it [ns], 0 without a body.
 
         Raises:
-            NotBegunError: The controller came to a fault before, or nothing was answered.
+            NotBegunError: The controller had a fault before, or did not answer.
         """
         self._await_body(policy)
         ready_ns = self._ready_ns
@@ -280,42 +276,43 @@ class RolloutClient:
         return ready_ns
 
     def _await_body(self, policy: Policy) -> None:
-        """Bring the arm to the start of the policy, and wait until the body is ready there.
+        """Move the arm to the start of the policy, and wait until the body is ready there.
 
-        A simulation puts the body back, again and again: a request that was given up as lost may
-        be served late and throw it off. Otherwise a person does, within the patience.
+        In simulation the scene is reset, repeatedly if needed: a request that was given up as lost
+        may be served late and throw the body off. On hardware a person has `patience` for it.
         """
         end = time.monotonic() + self._params.patience
+        scene_reset = self._params.scene_reset
         while True:
             self._reach_start(policy)
-            put_back = self._params.scene_reset
-            if put_back:
+            if scene_reset:
                 self._insist(self._reset, policy.id)
             self._ready_states = self._ready_ns = 0
+            self._missing = f"no state of the {self._body} received"
             if not self._body:
                 return
             try:
                 self.until(
                     lambda: self._ready_states >= READY_STATES,
-                    f"the {self._body} is ready ({self._missing or 'not seen yet'})",
-                    READY_TIMEOUT if put_back else self._params.patience,
+                    lambda: f"the {self._body} to be ready: {self._missing}",
+                    READY_TIMEOUT if scene_reset else self._params.patience,
                 )
                 return
             except RolloutError:
-                if not put_back or time.monotonic() > end:
+                if not scene_reset or time.monotonic() > end:
                     raise
-                self._log.warning(f"put back again: the {self._body} {self._missing or 'is lost'}")
+                self._log.warning(f"the scene is reset again: {self._missing}")
 
     def _reach_start(self, policy: Policy) -> None:
-        """Bring the arm to the start of the policy, out of a fault if need be.
+        """Move the arm to the start of the policy, after a reset of a fault if needed.
 
-        A person may activate the controller at any time: this is waited for without a limit.
+        Waits without limit for a person to activate the controller.
         """
         end = time.monotonic() + self._params.patience
-        while True:  # the policy each time: during a rollout, a killed learner's, it is refused
+        while True:  # publish each time: a policy is refused in a rollout, as of a killed learner
             self._services.wait_for(Trigger, interface.MOVE_TO_START)
             self._policies.publish(String(data=policies.to_json(policy)))
-            # Not ordered with services: asked earlier, the arm moves to the last policy's start.
+            # Topics and services are not ordered: the move could be to the last policy's start.
             self._policies.wait_for_all_acked(Duration(seconds=RECEIPT_TIMEOUT))
             answer = self._call(interface.MOVE_TO_START)
             if answer is not None and answer.success and _is_about(answer, policy.id):
@@ -325,32 +322,36 @@ class RolloutClient:
                 end = time.monotonic() + self._params.patience
                 continue
             if time.monotonic() > end:
-                raise RolloutError(f"{interface.MOVE_TO_START} refused: {answer or 'no answer'}")
+                raise RolloutError(
+                    f"{interface.MOVE_TO_START} for {policy.id} failed: {answer or 'no answer'}"
+                )
             if answer is not None and answer.code is Code.FAULT and self._params.reset_faults:
                 self._call(interface.RESET)
             else:
                 self._log.warning(
-                    f"the arm is not at its start: {answer or 'no answer'}", once=True
+                    f"the arm cannot move to its start yet: {answer or 'no answer'}", once=True
                 )
             self._services.until(lambda: False, timeout=0.1)
 
     def _await_activation(self) -> None:
         """Wait until the diagnostics say that the controller is active."""
-        self._mode = ""  # the last one may be from before
-        active = lambda: self._mode not in NOT_ACTIVE  # noqa: E731
-        self.until(active, "the torque controller is active (ros2 lifecycle)", math.inf)
+        self._mode = ""  # the last one may be out of date
+        self.until(
+            lambda: self._mode not in INACTIVE_MODES,
+            "the torque controller to be active (ros2 lifecycle set)",
+            math.inf,
+        )
 
     def _insist(self, name: str, policy_id: str) -> None:
-        """Call a service until it has done it for this policy.
+        """Call a service until it has succeeded for this policy.
 
-        Topics and services are not ordered: it may be asked before the policy has come, and then
-        refuses, or answers for the last one. A person may hold the enabling switch at any time:
-        this is waited for without a limit.
+        Topics and services are not ordered: a request that arrives before the policy is refused, or
+        answered for the last one. Waits without limit for a person to hold the enabling switch.
         """
         end = time.monotonic() + self._params.service_timeout
         while True:
             answer = self._call(name)
-            if answer is None:  # it may have begun: from the start again, rather than twice
+            if answer is None:  # it may have been done: start again rather than do it twice
                 raise NotBegunError(f"{name}: no answer")
             if answer.success and _is_about(answer, policy_id):
                 return
@@ -360,37 +361,41 @@ class RolloutClient:
             if answer.code is Code.NOT_ACTIVE:
                 raise NotBegunError(f"{name}: {answer.text}")
             if answer.code is Code.NOT_AT_START and _is_about(answer, policy_id):
-                raise NotBegunError(f"{name}: {answer.text}")  # a call that seemed lost moved it
+                raise NotBegunError(f"{name}: {answer.text}")  # a call given up as lost was done
             if answer.code is Code.SWITCH:
-                text = f"waiting for the enabling switch to be held: first run of {policy_id}"
-                self._log.info(text, throttle_duration_sec=WAITING_PERIOD)
+                text = f"waiting for the enabling switch to be held, for {policy_id}"
+                self._log.info(text, throttle_duration_sec=SWITCH_LOG_PERIOD)
             elif time.monotonic() > end:
-                raise RolloutError(f"{name} for {policy_id} refused: {answer}")
+                raise RolloutError(f"{name} for {policy_id} failed: {answer}")
             self._services.until(lambda: False, timeout=0.05)
 
     def _end(self, policy_id: str, ready_ns: int) -> Finished:
-        """The end of the rollout that began after the body was ready.
+        """Wait for the end of the rollout that began after the body was ready.
 
-        A rollout of the same trial whose learner was killed has left its end and its paths on the
-        latched topics: it began earlier.
+        The latched topics may still have end and paths of an earlier rollout of the same trial,
+        whose learner was killed.
         """
-        earliest_ns = ready_ns - round(CLOCKS_APART * 1e9)
+        earliest_ns = ready_ns - round(CLOCK_OFFSET_MAX * 1e9)
 
         def ended() -> bool:
             last = self._finished
             return last is not None and last.id == policy_id and last.start_ns >= earliest_ns
 
-        self.until(ended, f"end of {policy_id}", self._params.rollout_timeout)
+        self.until(ended, f"the end of {policy_id}", self._params.rollout_timeout)
         return self._finished
 
     def _paths(self, finished: Finished) -> tuple[EndEffectorPath, BodyPath | None]:
-        """The paths that begin with the stamp of a finished rollout."""
-        of, timeout = f"in {finished.id}", self._params.rollout_timeout
-        self.until(lambda: _begins(self._tool_path, finished), f"path of the tool {of}", timeout)
+        """Wait for the paths of a finished rollout, which have its start stamp."""
+        timeout = self._params.rollout_timeout
+        self.until(
+            lambda: _belongs_to(self._tool_path, finished),
+            f"the path of the tool in {finished.id}",
+            timeout,
+        )
         if self._body:
             self.until(
-                lambda: _begins(self._body_path, finished),
-                f"path of the {self._body} {of}",
+                lambda: _belongs_to(self._body_path, finished),
+                f"the path of the {self._body} in {finished.id}",
                 timeout,
             )
         try:
@@ -408,5 +413,5 @@ def _is_about(answer: Answer, policy_id: str) -> bool:
     return answer.values.get("policy") == policy_id
 
 
-def _begins(path: PathReading | None, finished: Finished) -> bool:
+def _belongs_to(path: PathReading | None, finished: Finished) -> bool:
     return path is not None and path.start_ns == finished.start_ns

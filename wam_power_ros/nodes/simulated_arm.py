@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The arm as a session simulates it before a policy is sent: model, controller, its limits."""
+"""Model of the arm and its controller, to simulate policies before they are sent."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
 
 class SimulatedArm:
-    """The model of the arm that the practice asks (`practice.ArmModel`); it remembers verdicts."""
+    """Simulates policies for the practice (`practice.ArmModel`); keeps the results."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class SimulatedArm:
             report: Receives a line per simulation.
 
         Raises:
-            ValueError: A parameter is not acceptable.
+            ValueError: A parameter is not valid.
         """
         urdf = share(urdf).read_text()
         self.kinematics = Arm(urdf, joint_names, tool_frame, guarded=())
@@ -46,7 +46,7 @@ class SimulatedArm:
         self._controller = controller_params.controller(urdf)
         self.obstacle = controller_params.obstacle
         self._report = report
-        # movement and number of overruns -> fault that ends it
+        # movement and number of overruns -> fault that ends it, None if it is feasible
         self._verdicts: dict[tuple[str, int], Fault | None] = {}
 
     def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:

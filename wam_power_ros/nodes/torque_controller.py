@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Torque controller: joint states in, one torque each out; policies in, finished rollouts out.
 
-A managed (lifecycle) node, thin over `control.controller.Controller`. The arm sets the pace: there
-is no clock beside its states, but a watchdog on the steady clock for when they stay away. Nothing
-that takes long happens here: policies and movements come finished from the process beside it (see
-`preparation`), which also publishes paths and diagnostics and logs.
+A managed (lifecycle) node that wraps `control.controller.Controller`. Each state triggers a control
+step; a watchdog on the steady clock acts when no states come. All slow work is done in a process
+beside it (see `preparation`), which prepares policies and movements, publishes paths and
+diagnostics, and logs.
 """
 
 from __future__ import annotations
@@ -39,28 +39,21 @@ from wam_power_ros.nodes.motion_requests import MotionRequests, attempt, fill
 from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
-from wam_power_ros.ros import (
-    cdr,
-    interface,
-    joint_messages,
-    node_runner,
-    scheduling,
-    security,
-)
-from wam_power_ros.ros.command_guard import SoleCommander
+from wam_power_ros.ros import cdr, interface, joint_messages, node_runner, scheduling, security
+from wam_power_ros.ros.command_guard import CommandGuard
 from wam_power_ros.ros.loop_statistics import LoopStatistics
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-FRESH_NS = 1_000_000_000  # [ns] age of a joint state with which the arm may be activated
-VELOCITY_NS = 10_000_000  # [ns] age of a velocity of its own topic that is used
-REST_WITHIN = 0.5  # [s] in which the arm is brought to rest when this node ends
-RESTED = 0.05  # [s] at rest, before that: slower than REST_SPEED the arm still coasts
-RELEASE_WITHIN = 0.05  # [s] after it, in which the torque becomes the one that carries the arm
-ENABLE_NS = 100_000_000  # [ns] after which the enabling switch counts as released
+STATE_AGE_MAX_NS = 1_000_000_000  # [ns] of the last joint state at activation
+VELOCITY_AGE_MAX_NS = 10_000_000  # [ns] of a velocity from a separate topic
+STOP_TIMEOUT = 0.5  # [s] to bring the arm to rest when this node ends
+REST_TIME = 0.05  # [s] at rest that suffices: slower than REST_SPEED the arm still coasts
+RELEASE_TIME = 0.05  # [s] after that, to change to the torque that holds the arm
+ENABLE_TIMEOUT_NS = 100_000_000  # [ns] after which the enabling switch counts as released
 
 
 class TorqueController(LifecycleNode):
-    """One torque per joint state."""
+    """Answers each joint state with one torque."""
 
     def __init__(self) -> None:
         super().__init__("torque_controller", automatically_declare_parameters_from_overrides=True)
@@ -74,11 +67,11 @@ class TorqueController(LifecycleNode):
         self._active = False
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
-        self._latched: Fault | None = None  # in a controller that was cleaned up
+        self._latched: Fault | None = None  # of a controller that was cleaned up
         self._stamp_clock = StampClock()
         self._stamp_ns = 0  # of the last state
-        self._enabled_ns = -ENABLE_NS  # steady clock
-        sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may stay away
+        self._enabled_ns = -ENABLE_TIMEOUT_NS  # when the switch was last held, steady clock
+        sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may pause
         self._watchdog = Watchdog(0.0 if sim_time else params.state_timeout, params.period)
         self._statistics = LoopStatistics(round(params.period * 1e9))
         self._granted = scheduling.Granted()
@@ -86,7 +79,7 @@ class TorqueController(LifecycleNode):
         self._reader = joint_messages.JointStateReader(params.joint_names)
         self._read = cdr.StateReader(self._reader)
         writer = joint_messages.TorqueWriter(params.joint_names, params.command_type)
-        self._write = cdr.TorqueSender(writer)
+        self._write = cdr.TorqueSerializer(writer)
         self._commands = self.create_publisher(
             writer.message_type, params.command_topic, interface.COMMAND
         )
@@ -97,7 +90,7 @@ class TorqueController(LifecycleNode):
             lambda what, reason: self._report.refuse(what, reason),
         )
         self._report = ControllerReport(self, params, self._preparation)
-        self._guard = SoleCommander(self, self._commands)
+        self._guard = CommandGuard(self, self._commands)
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = self.create_client(Trigger, idle, qos_profile=interface.IDLE_QOS)
         subscribe = self.create_subscription
@@ -116,25 +109,25 @@ class TorqueController(LifecycleNode):
         switch = self._answering(lambda core, asked: core.set_gravity_compensation(asked.data))
         serve(SetBool, interface.GRAVITY_COMPENSATION, switch)
         self._requests = MotionRequests(
-            self, params.joint_names, self._commanded, self._preparation.when_read
+            self, params.joint_names, self._active_controller, self._preparation.when_read
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.1, self._look_after, clock=steady)
+        self.create_timer(0.1, self._supervise, clock=steady)
         self.create_timer(1.0, self._publish_report, clock=steady)
 
     # Life cycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Build the controller; everything that takes long happens here."""
+        """Build the controller, which takes long."""
         try:
             if not self._urdf:
                 topic = self.resolve_topic_name(interface.ROBOT_DESCRIPTION)
-                raise ValueError(f"nothing has come on {topic} yet")
+                raise ValueError(f"no robot description on {topic} yet")
             self._controller = self._params.controller(self._urdf, self._latched)
         except ValueError as error:
             self._report.refuse("configuration", error)
             return FAILURE
-        if self._descriptions is not None:  # taking a large one would hold the loop up
+        if self._descriptions is not None:  # a large message would block the loop
             self.destroy_subscription(self._descriptions)
             self._descriptions = None
         settings = dataclasses.replace(self._controller.settings, limits=self._controller.limits)
@@ -143,8 +136,8 @@ class TorqueController(LifecycleNode):
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Hold the arm where it is; needs fresh states and nobody else commanding."""
-        reason = self._unfit() or self._unscheduled() or self._guard.begin()
+        """Hold the arm where it is; requires recent states and no other commander."""
+        reason = self._missing_state() or self._missing_realtime() or self._guard.begin()
         if reason is None and self._controller.mode is not Mode.FAULT:
             try:
                 self._controller.hold()
@@ -160,14 +153,14 @@ class TorqueController(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Send the torque that carries the arm a last time, then nothing."""
+        """Stop the arm, send the torque that holds it a last time, then nothing."""
         self.close()
         self._guard.listen()
         self._report.log_changes(self._condition())
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the arm and the policy; a fault stays latched."""
+        """Delete the controller and its policy; a fault stays latched."""
         self._latched = None if self._controller is None else self._controller.latched
         self._controller = None
         self._requests.movement = None
@@ -176,15 +169,15 @@ class TorqueController(LifecycleNode):
         return SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """As for deactivation, for good."""
+        """Stop the arm and send a last torque, as for deactivation."""
         self.close()
         return SUCCESS
 
     def close(self) -> None:
-        """Bring the arm to rest, then end with a torque that a driver may hold.
+        """Bring the arm to rest, then end with a torque that a driver may keep.
 
-        That is g(q), or zero for a driver that adds g(q). It works without an executor, because
-        this is called from a callback, and when the executor has ended.
+        That is g(q), or zero for a driver that adds g(q). Needs no executor: it is called from a
+        callback, or after the executor has ended.
         """
         self._autostart = False
         if not self._active:
@@ -192,13 +185,13 @@ class TorqueController(LifecycleNode):
         core = self._controller
         core.stop()
         begun = moved = time.monotonic()
-        while moved - begun < REST_WITHIN and time.monotonic() - moved < RESTED:
+        while moved - begun < STOP_TIMEOUT and time.monotonic() - moved < REST_TIME:
             self._answer_next()
             if not core.at_rest:
                 moved = time.monotonic()
         core.release()
         begun = time.monotonic()
-        while time.monotonic() - begun < RELEASE_WITHIN:
+        while time.monotonic() - begun < RELEASE_TIME:
             self._answer_next()
         self._send(core.stale_torque(), "inactive")
         self._active = False
@@ -208,7 +201,7 @@ class TorqueController(LifecycleNode):
         self._requests.refuse()
 
     def _answer_next(self) -> None:
-        """Answer the next state without an executor, or do without one."""
+        """Answer the next state if it has come, without an executor."""
         with self._states.handle:
             taken = self._states.handle.take_message(JointState, True)
         if taken is not None:
@@ -218,28 +211,28 @@ class TorqueController(LifecycleNode):
             time.sleep(0.1 * self._params.period)
 
     def destroy_node(self) -> None:
-        """End the process beside this one, too."""
+        """End the preparation process, too."""
         self._preparation.close()
         super().destroy_node()
 
-    def _unfit(self) -> str | None:
+    def _missing_state(self) -> str | None:
         now_ns = time.monotonic_ns()
-        if now_ns - self._watchdog.arrived_ns >= FRESH_NS:
+        if now_ns - self._watchdog.arrived_ns >= STATE_AGE_MAX_NS:
             return "no joint state within the last second"
-        if self._params.velocity_topic and now_ns - self._qd_ns >= FRESH_NS:
+        if self._params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
             return f"no joint velocity on {self._params.velocity_topic} within the last second"
         return None
 
-    def _unscheduled(self) -> str | None:
+    def _missing_realtime(self) -> str | None:
         if self._params.allow_no_realtime or self._granted.complete:
             return None
         granted = self._granted
         return (
             f"no real-time scheduling (SCHED_FIFO {granted.scheduling}; locked memory "
-            f"{granted.memory}); allow_no_realtime is false"
+            f"{granted.memory}): grant both, or set allow_no_realtime"
         )
 
-    # Every state
+    # Joint states
 
     def _on_state(self, message: bytes) -> None:
         try:
@@ -260,13 +253,14 @@ class TorqueController(LifecycleNode):
             return None
         stamp_ns, q, qd = reading
         if self._params.hold_to_run:
-            controller.enabled = arrived_ns - self._enabled_ns < ENABLE_NS
+            controller.enabled = arrived_ns - self._enabled_ns < ENABLE_TIMEOUT_NS
         if qd is None and self._params.velocity_topic:
             qd = self._qd
-            if self._watchdog.enabled and arrived_ns - self._qd_ns > VELOCITY_NS:
-                qd = None  # it is differenced from the positions
+            if self._watchdog.enabled and arrived_ns - self._qd_ns > VELOCITY_AGE_MAX_NS:
+                qd = None  # the controller differentiates the positions instead
                 age = (arrived_ns - self._qd_ns) * 1e-6
-                controller.fault(Fault(FaultKind.VELOCITY, f"no joint velocity for {age:.0f} ms"))
+                text = f"no joint velocity on {self._params.velocity_topic} for {age:.0f} ms"
+                controller.fault(Fault(FaultKind.VELOCITY, text))
         elapsed = (arrived_ns - self._watchdog.arrived_ns) * 1e-9
         tau = controller.step(stamp_ns, q, qd, elapsed if self._watchdog.enabled else None)
         if controller.fresh:
@@ -275,11 +269,11 @@ class TorqueController(LifecycleNode):
             if self._watchdog.enabled and (fault := self._stamp_clock.check(stamp_ns, arrived_ns)):
                 controller.fault(fault)
         elif controller.stamp_ns != stamp_ns or self._watchdog.silent(arrived_ns):
-            return None  # refused, or repeated for long; `watch` sends when no good one comes
+            return None  # refused, or repeated for long; `watch` sends until a valid one comes
         if not self._active:
             return None
         if self._guard.foreign:
-            text = "another publisher sends commands, silent until now"
+            text = "another publisher, which was silent at activation, sends commands"
             controller.fault(Fault(FaultKind.SECOND_COMMANDER, text))
         self._send(tau, controller.label)
         self._statistics.add(arrived_ns, self._watchdog.sent_ns)
@@ -291,10 +285,10 @@ class TorqueController(LifecycleNode):
         return None
 
     def _on_enable(self, message: Bool) -> None:
-        self._enabled_ns = time.monotonic_ns() if message.data else -ENABLE_NS
+        self._enabled_ns = time.monotonic_ns() if message.data else -ENABLE_TIMEOUT_NS
 
     def failed(self, error: Exception) -> None:
-        """Latch a fault: a callback has failed and cannot be trusted; the arm is carried."""
+        """Latch a fault after an exception in a callback, and hold the arm."""
         if self._active:
             self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
             self._send(self._controller.stale_torque(), Mode.FAULT.value)
@@ -310,13 +304,13 @@ class TorqueController(LifecycleNode):
         return None
 
     def patience(self) -> float:
-        """Time for which `watch` need not be called if no state comes [s]."""
+        """Longest time until the next call of `watch` if no state comes [s]."""
         if not self._active or not self._watchdog.enabled:
             return 0.01 if self._preparation.waiting else 0.1
         return self._watchdog.patience(time.monotonic_ns())
 
     def watch(self) -> None:
-        """Between callbacks: carry the arm when its states stay away (not in lockstep)."""
+        """Between callbacks: hold the arm if no states come (not in lockstep)."""
         if not self._active or not self._watchdog.enabled:
             return
         now_ns = time.monotonic_ns()
@@ -339,7 +333,7 @@ class TorqueController(LifecycleNode):
     # Policies and requests
 
     def attend(self) -> None:
-        """Between callbacks: take what has been prepared, and `watch`."""
+        """Between callbacks: handle a message of the preparation process, then `watch`."""
         self._preparation.poll()
         self.watch()
 
@@ -362,29 +356,29 @@ class TorqueController(LifecycleNode):
     def _on_description(self, message: String) -> None:
         self._urdf = message.data
 
-    def _commanded(self) -> Controller | None:
-        """The controller while it is active."""
+    def _active_controller(self) -> Controller | None:
+        """The controller while it is active, else None."""
         return self._controller if self._active else None
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._preparation.forget_requests()
         self._requests.stop(self._controller)
-        return fill(response, attempt(self._commanded(), Controller.stop))
+        return fill(response, attempt(self._active_controller(), Controller.stop))
 
     def _answering(
         self, request: Callable[[Controller, Any], None]
     ) -> Callable[[Any, Trigger.Response], Trigger.Response]:
         """Service callback that makes a request to the controller."""
         return lambda asked, response: fill(
-            response, attempt(self._commanded(), lambda core: request(core, asked))
+            response, attempt(self._active_controller(), lambda core: request(core, asked))
         )
 
-    # Ten times and once a second
+    # Timers
 
-    def _look_after(self) -> None:
+    def _supervise(self) -> None:
         if self._autostart and self._controller is None and self._urdf:
             self._autostart = self.trigger_configure() is SUCCESS
-        if self._autostart and self._controller is not None and self._unfit() is None:
+        if self._autostart and self._controller is not None and self._missing_state() is None:
             self._autostart = self.trigger_activate() is not SUCCESS
         if self._active and (intruder := self._guard.intruder()):
             self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
@@ -411,7 +405,7 @@ class TorqueController(LifecycleNode):
             described=bool(self._urdf),
             autostart=self._autostart,
             active=self._active,
-            unfit=self._unfit(),
+            missing_state=self._missing_state(),
             granted=self._granted,
         )
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a service answers: a code and values for machines, a sentence for people.
+"""Answers of services: a code and values for programs, a sentence for people.
 
-std_srvs has only `success` and `message`. A message of ours reads
+A response of std_srvs has only `success` and `message`. The messages of these nodes read
 
     [code key=value ...] Sentence.
 
-so that nothing has to be decided by the words of the sentence.
+so that no program depends on the words of the sentence.
 """
 
 from __future__ import annotations
@@ -22,40 +22,36 @@ class Code(str, enum.Enum):
     """Outcome of a request."""
 
     DONE = "done"
-    REFUSED = "refused"  # for a reason that only a person needs to know
+    REFUSED = "refused"  # for a reason that only the sentence gives
     NOT_ACTIVE = "not_active"  # the node is not configured or not active
-    FAULT = "fault"  # a fault is latched, or came before the request was done
-    BUSY = "busy"  # something else is under way
-    NOTHING = "nothing"  # what the request is about has not come yet: a policy, a bag, ...
-    NOT_AT_START = "not_at_start"  # value `policy`: the arm is not where a rollout of it begins
+    FAULT = "fault"  # a fault is latched, or occurred before the request was done
+    BUSY = "busy"  # another request is in progress
+    NOTHING = "nothing"  # an input has not been received yet: a policy, a bag, ...
+    NOT_AT_START = "not_at_start"  # the arm is not at the start of the policy in value `policy`
     SWITCH = "switch"  # the enabling switch is not held
     TOO_FAST = "too_fast"  # value `speed`: at which the replay would be possible
-    STOPPED = "stopped"  # a person, or another request, ended it
-    UNKNOWN = "unknown"  # an answer that is not of this form: another package's service
+    STOPPED = "stopped"  # ended by a person or by another request
+    UNKNOWN = "unknown"  # the message is not of this form: another package's service
 
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer of a service.
-
-    Attributes:
-        code: Outcome of the request.
-        text: Sentence for a person; may be empty.
-        values: Values by name, without spaces, such as the id of the policy.
-    """
+    """An answer of a service."""
 
     code: Code
-    text: str = ""
-    values: Mapping[str, str] = field(default_factory=dict)
+    text: str = ""  # sentence for a person
+    values: Mapping[str, str] = field(default_factory=dict)  # such as the id of the policy
 
     def __post_init__(self) -> None:
         for key, value in self.values.items():
             if not re.fullmatch(r"\w+", key) or not re.fullmatch(r"[^\s\]]+", value):
-                raise ValueError(f"value {key}={value!r} of an answer must be words without spaces")
+                raise ValueError(
+                    f"{key}={value!r} in an answer: key must be a word, value without space or ']'"
+                )
 
     @property
     def success(self) -> bool:
-        """Whether the request was done."""
+        """True if the request was done."""
         return self.code is Code.DONE
 
     def __str__(self) -> str:
@@ -67,19 +63,18 @@ class Answer:
 
 
 def read(success: bool, message: str) -> Answer:
-    """Answer in a response of std_srvs.
+    """Read the answer in a response of std_srvs.
 
     Args:
         success: Field of the response.
         message: Field of the response.
 
     Returns:
-        The answer; of a message that is not of our form, DONE or UNKNOWN by `success`, with the
-        message as its text.
+        The answer; for a message of another form, DONE or UNKNOWN by `success` and the message as
+        text.
     """
     form = _FORM.fullmatch(message)
-    code = form.group(1) if form else ""
-    if form is None or code not in {known.value for known in Code}:
+    if form is None or form.group(1) not in [code.value for code in Code]:
         return Answer(Code.DONE if success else Code.UNKNOWN, message)
     pairs = (pair.partition("=") for pair in form.group(2).split())
-    return Answer(Code(code), form.group(3) or "", {key: value for key, _, value in pairs})
+    return Answer(Code(form.group(1)), form.group(3) or "", {key: value for key, _, value in pairs})

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serialised messages of the 500 Hz loop, read and written in place.
 
-rclpy takes longer to deserialise a JointState than the control step, and half of that to serialise
-a torque. So the loop works on the bytes (CDR), and assumes nothing of the format that it has not
-checked: rclpy reads the first message of every layout and writes the first with every label; the
-numbers are read and written in place only while all other bytes stay the same.
+Deserialising a JointState with rclpy takes longer than the control step, and serialising a torque
+half as long. So the loop works on the bytes (CDR) and checks what it assumes of their format: rclpy
+reads the first message of every layout and writes the first with every label; the numbers are read
+and written in place only while all other bytes stay the same.
 """
 
 from __future__ import annotations
@@ -19,83 +19,81 @@ from wam_power_ros.ros.joint_messages import JointReading, JointStateReader, Tor
 
 _ORIGIN = 4  # offset of the message, after two bytes of encoding and two of options
 _STAMP = struct.Struct("=iI")
-_DIGITS = _ORIGIN + 8  # offset of a torque's label, which begins with the stamp in digits
+_LABEL_OFFSET = _ORIGIN + 8  # of a torque, whose label begins with the stamp in digits
 
 
 class StateReader:
-    """Serialised JointState -> reading of a `JointStateReader`, which reads every new layout."""
+    """Serialised JointState -> reading; a `JointStateReader` reads the first of every layout."""
 
     def __init__(self, reader: JointStateReader) -> None:
         self._reader = reader
-        self._layout: _Layout | None = None  # of the last message that held our joints
+        self._layout: _Layout | None = None  # of the last message with our joints
 
     def __call__(self, data: bytes) -> JointReading | None:
-        """Read one message; see `JointStateReader`.
+        """Read one message like `JointStateReader`.
 
         Raises:
-            ValueError: As there, and for bytes that are not a JointState.
+            ValueError: When that raises it, or the bytes are not a JointState.
         """
         numbers = None if self._layout is None else self._layout.numbers(data)
         if numbers is not None:
             return self._reader.reading(*numbers)
         try:
             message = deserialize_message(data, JointState)
-        except Exception as error:  # of a kind that rclpy does not export
+        except Exception as error:  # of a type that rclpy does not export
             raise ValueError(f"{len(data)} bytes are not a JointState: {error}") from None
-        known, self._layout = (
-            self._layout,
-            None,
-        )  # None if this one is refused: its names may be new
+        previous = self._layout
+        self._layout = None  # stays None if the message is refused: its names may be new
         reading = self._reader(message)
         if reading is None:
-            self._layout = known
-        elif (layout := _Layout(message, data)).reads(data, message):
+            self._layout = previous
+        elif (layout := _Layout(message, data)).matches(data, message):
             self._layout = layout
         return reading
 
 
 class _Layout:
-    """Offsets of the numbers in messages that equal this one, of bytes `data`, in all else."""
+    """Offsets of the numbers in all messages whose other bytes equal those of one message."""
 
     def __init__(self, message: JointState, data: bytes) -> None:
         self._format, self._size = "=2s2xiI", _ORIGIN + _STAMP.size
-        self._fixed: list[object] = [data[:2]]  # all that is neither stamp nor numbers
-        self._text(message.header.frame_id)
-        self._count(len(message.name))
+        self._fixed: list[object] = [data[:2]]  # all values but the stamp and the numbers
+        self._add_text(message.header.frame_id)
+        self._add_count(len(message.name))
         for name in message.name:
-            self._text(name)
-        self._q = self._doubles(len(message.position))
-        self._qd = self._doubles(len(message.velocity))
-        self._doubles(len(message.effort))
+            self._add_text(name)
+        self._q = self._add_doubles(len(message.position))
+        self._qd = self._add_doubles(len(message.velocity))
+        self._add_doubles(len(message.effort))
         self._struct = struct.Struct(self._format)
 
-    def _count(self, count: int) -> None:
+    def _add_count(self, count: int) -> None:
         self._pad(4)
         self._format, self._size = self._format + "I", self._size + 4
         self._fixed.append(count)
 
-    def _text(self, text: str) -> None:
-        coded = text.encode() + b"\0"
-        self._count(len(coded))
-        self._format, self._size = f"{self._format}{len(coded)}s", self._size + len(coded)
-        self._fixed.append(coded)
+    def _add_text(self, text: str) -> None:
+        encoded = text.encode() + b"\0"
+        self._add_count(len(encoded))
+        self._format, self._size = f"{self._format}{len(encoded)}s", self._size + len(encoded)
+        self._fixed.append(encoded)
 
-    def _doubles(self, count: int) -> tuple[int, int]:
+    def _add_doubles(self, count: int) -> tuple[int, int]:
         """Append an array of doubles; returns its length and offset."""
-        self._count(count)
+        self._add_count(count)
         if count:
             self._pad(8)
-        at = self._size
-        self._format, self._size = f"{self._format}{8 * count}x", at + 8 * count
-        return count, at
+        offset = self._size
+        self._format, self._size = f"{self._format}{8 * count}x", offset + 8 * count
+        return count, offset
 
     def _pad(self, alignment: int) -> None:
-        gap = (_ORIGIN - self._size) % alignment  # padding is not cleared by senders
+        gap = (_ORIGIN - self._size) % alignment  # of any content: senders do not clear it
         self._format, self._size = f"{self._format}{gap}x", self._size + gap
 
     def numbers(self, data: bytes) -> tuple[int, np.ndarray, np.ndarray | None] | None:
         """Stamp [ns], positions, and velocities or None; None when the layout differs."""
-        if len(data) < self._size:  # it may be longer, for senders do not trim it
+        if len(data) < self._size:  # longer is allowed: senders do not trim messages
             return None
         encoding, sec, nanosec, *fixed = self._struct.unpack_from(data)
         if [encoding, *fixed] != self._fixed:
@@ -103,8 +101,8 @@ class _Layout:
         q, qd = (np.frombuffer(data, float, *where) for where in (self._q, self._qd))
         return sec * 1_000_000_000 + nanosec, q, qd if len(qd) else None
 
-    def reads(self, data: bytes, message: JointState) -> bool:
-        """Whether the numbers equal those that rclpy has read."""
+    def matches(self, data: bytes, message: JointState) -> bool:
+        """Return True if the numbers equal those that rclpy has read."""
         numbers = self.numbers(data)
         if numbers is None:
             return False
@@ -113,27 +111,27 @@ class _Layout:
         return found == [message.position.tobytes(), message.velocity.tobytes()]
 
 
-class TorqueSender:
-    """Torques -> serialised message of a `TorqueWriter`, which writes the first of every label."""
+class TorqueSerializer:
+    """Torques -> serialised message; a `TorqueWriter` writes the first with every label."""
 
     def __init__(self, writer: TorqueWriter) -> None:
         self._writer = writer
         self._in_header = writer.message_type is JointState
-        self._bytes = bytearray()  # of the last message
-        self._at = 0  # offset of its torques
-        self._label, self._digits = "", 0  # number of digits of its stamp
+        self._bytes = bytearray()  # the last message
+        self._tau_offset = 0
+        self._label, self._digit_count = "", 0  # of the stamp in the last message
 
     def __call__(self, stamp_ns: int, label: str, tau: np.ndarray) -> bytes:
         """Serialise one message with tau (nj,) [N m]; see `TorqueWriter`."""
         data, digits, numbers = self._bytes, str(stamp_ns).encode(), tau.tobytes()
-        if label != self._label or len(digits) != self._digits:
-            found = np.arange(1.0, len(tau) + 1.0)  # numbers that occur nowhere else
-            data[:] = serialize_message(self._writer(stamp_ns, label, found))
-            self._at = data.index(found.tobytes())
-            self._label, self._digits = label, len(digits)
+        if label != self._label or len(digits) != self._digit_count:
+            pattern = np.arange(1.0, len(tau) + 1.0)  # bytes that occur nowhere else
+            data[:] = serialize_message(self._writer(stamp_ns, label, pattern))
+            self._tau_offset = data.index(pattern.tobytes())
+            self._label, self._digit_count = label, len(digits)
         if self._in_header:
             _STAMP.pack_into(data, _ORIGIN, *divmod(stamp_ns, 1_000_000_000))
         else:
-            data[_DIGITS : _DIGITS + len(digits)] = digits
-        data[self._at : self._at + len(numbers)] = numbers
+            data[_LABEL_OFFSET : _LABEL_OFFSET + len(digits)] = digits
+        data[self._tau_offset : self._tau_offset + len(numbers)] = numbers
         return bytes(data)

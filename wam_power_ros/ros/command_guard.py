@@ -12,18 +12,18 @@ from rclpy.subscription import Subscription
 
 from wam_power_ros.ros import interface
 
-SILENCE = 0.5  # [s] without a command after which an announced commander counts as gone
-_OWN = 100  # own commands that may come back
+SILENCE_TIMEOUT = 0.5  # [s] after its last command, another commander counts as gone
+_OWN_MAX = 100  # own commands to recognise when they are received
 
 
-class SoleCommander:
-    """Listens to the topic while we send nothing, and counts its publishers while we send.
+class CommandGuard:
+    """Subscribes to the topic while the node sends nothing; counts its publishers while it sends.
 
-    A commander that was killed stays announced for 20 s: one that does not send does not keep us
-    from starting, but is listened to until it is gone. One that appears later is a fault.
+    A killed commander stays announced for 20 s. If it sends nothing, the node may begin to send,
+    but stays subscribed until the other is gone. A commander that appears later is a fault.
 
     Attributes:
-        foreign: True once another publisher has sent a command since we began to send.
+        foreign: True if another publisher has sent a command since the last `begin`.
 
     Args:
         node: Node that sends.
@@ -32,15 +32,15 @@ class SoleCommander:
 
     def __init__(self, node: Node, publisher: Publisher) -> None:
         self._node, self._publisher = node, publisher
-        self._received = -SILENCE  # when the last command of another came [s, steady clock]
-        self._known = 0  # other publishers
-        self._own: deque[bytes] = deque(maxlen=_OWN)  # commands that were sent while we listen
+        self._foreign_time = -SILENCE_TIMEOUT  # of another's last command [s, steady clock]
+        self._others = 0  # publishers at the last count
+        self._own: deque[bytes] = deque(maxlen=_OWN_MAX)  # commands sent while subscribed
         self._subscription: Subscription | None = None
         self.foreign = False
         self.listen()
 
     def listen(self) -> None:
-        """Listen for commands of others."""
+        """Subscribe to the commands of others."""
         if self._subscription is None:
             self._subscription = self._node.create_subscription(
                 self._publisher.msg_type,
@@ -51,12 +51,12 @@ class SoleCommander:
             )
 
     def begin(self) -> str | None:
-        """Begin to send; returns why that is not possible yet, or None."""
-        if time.monotonic() - self._received < SILENCE:
-            return f"another publisher commands on {self._publisher.topic_name}"
+        """Begin to send; returns the reason why this is not possible yet, or None."""
+        if time.monotonic() - self._foreign_time < SILENCE_TIMEOUT:
+            return f"another publisher sends commands on {self._publisher.topic_name}; end it first"
         self.foreign = False
-        self._known = self._others()
-        self._forget()
+        self._others = self._count_others()
+        self._unsubscribe_if_alone()
         return None
 
     def publish(self, command: bytes) -> None:
@@ -66,22 +66,23 @@ class SoleCommander:
         self._publisher.publish(command)
 
     def intruder(self) -> str | None:
-        """Text about a publisher that has appeared since the last call, or None; while we send."""
-        others, known = self._others(), self._known
-        self._known = others
-        self._forget()
-        return None if others <= known else f"{others} other publishers on the command topic"
+        """Text for a fault if publishers have appeared since the last call, else None."""
+        others, before = self._count_others(), self._others
+        self._others = others
+        self._unsubscribe_if_alone()
+        if others <= before:
+            return None
+        return f"{others} other publishers on the command topic {self._publisher.topic_name}"
 
-    def _forget(self) -> None:
-        """End listening when there is nobody to be heard."""
-        if self._known == 0 and self._subscription is not None:
+    def _unsubscribe_if_alone(self) -> None:
+        if self._others == 0 and self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
             self._subscription = None
             self._own.clear()
 
-    def _others(self) -> int:
+    def _count_others(self) -> int:
         return self._node.count_publishers(self._publisher.topic_name) - 1
 
     def _on_command(self, command: bytes) -> None:
         if not any(command.startswith(own) for own in reversed(self._own)):
-            self._received, self.foreign = time.monotonic(), True
+            self._foreign_time, self.foreign = time.monotonic(), True

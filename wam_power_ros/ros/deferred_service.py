@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A Trigger service whose answer comes when the movement it asked for is over.
+"""Trigger service that is answered when the requested movement has ended.
 
-The events executor of Jazzy awaits no coroutine, and a callback that waits would stop the 500 Hz
+The events executor of Jazzy awaits no coroutine, and a callback that waits would block the 500 Hz
 loop; so the request's header is kept and answered later, from another callback of the same thread.
 """
 
@@ -13,8 +13,8 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 
-class LateTrigger:
-    """Calls `begin` on a request; a text it returns is a refusal, answered at once."""
+class DeferredTrigger:
+    """Calls `begin` at each request; if it returns a text, that refuses the request at once."""
 
     def __init__(self, node: Node, name: str, begin: Callable[[], str | None]) -> None:
         self._begin = begin
@@ -25,11 +25,11 @@ class LateTrigger:
 
     @property
     def pending(self) -> bool:
-        """Whether a request waits for `finish`."""
+        """True while a request waits for `finish`."""
         return bool(self._headers)
 
     def finish(self, success: bool, text: str) -> None:
-        """Answer every request that waits."""
+        """Answer all pending requests."""
         headers, self._headers = self._headers, []
         for header in headers:
             self._send_response(Trigger.Response(success=success, message=text), header)

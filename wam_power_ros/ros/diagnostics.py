@@ -17,20 +17,20 @@ LEVELS = {
 }
 
 
-FAULT_KIND = "fault kind"  # value that the status of a controller has, and no other
+FAULT_KIND = "fault kind"  # key that only the status of a controller has
 
 
 def component(node: Node, part: str) -> str:
-    """Name of a status on /diagnostics, which all arms share: `left/wam_sim: loop`."""
+    """Name of a status with the namespace, as all arms share /diagnostics: `left/wam_sim: loop`."""
     return f"{node.get_fully_qualified_name().lstrip('/')}: {part}"
 
 
 def of_controller(namespace: str, status: DiagnosticStatus) -> dict[str, str] | None:
-    """Values of a status if it is that of the controller in a namespace, else None."""
+    """Values of the status of the controller in a namespace; None for any other status."""
     values = {each.key: each.value for each in status.values}
-    above, _, node = status.name.partition(":")[0].rpartition("/")
-    mine = FAULT_KIND in values and above == namespace.strip("/") and bool(node)
-    return values if mine else None
+    parent, _, node = status.name.partition(":")[0].rpartition("/")
+    matches = FAULT_KIND in values and parent == namespace.strip("/") and bool(node)
+    return values if matches else None
 
 
 def diagnostics_message(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DDS domains of this machine: one holder each, by a lock that the kernel drops with its process.
+"""DDS domains of this machine: one process holds each, by a lock that ends with the process.
 
-A session holds the domain it works in, and a stand-in the one it was started in. Nodes that the
-holder has started belong to it. Simulations in namespaces share a domain. No rclpy is imported.
+A session holds the domain it works in, a stand-in the domain it was started in; nodes that they
+start share it. Simulations in namespaces may share a domain. This module imports no rclpy.
 """
 
 from __future__ import annotations
@@ -18,38 +18,39 @@ from typing import IO
 
 from wam_power_ros.ros import network, shared_memory
 
-FIRST, PER_DOMAIN, PER_PARTICIPANT = 7410, 250, 2  # ports of discovery (RTPS 2.2, 9.6.1.1)
-LAST = 232  # above it there are no ports
-PRIVATE = range(1, 102)  # above these, ports meet those the kernel hands out
+FIRST_PORT = 7410  # of a participant of domain 0 (RTPS 2.2, 9.6.1.1)
+PORTS_PER_DOMAIN, PORTS_PER_PARTICIPANT = 250, 2
+DOMAIN_MAX = 232  # ports of higher domains do not exist
+PRIVATE_DOMAINS = range(1, 102)  # ports of higher domains are also assigned by the kernel
 
 
 class DomainError(ValueError):
-    """A domain that is not one, or that is somebody else's."""
+    """The domain does not exist, or another process holds it."""
 
 
 def exported(environment: Mapping[str, str]) -> int:
-    """The domain that an environment names, 0 if none.
+    """Domain in ROS_DOMAIN_ID, 0 if it is not set.
 
     Raises:
-        DomainError: It is not a number from 0 to LAST.
+        DomainError: It is not a number from 0 to DOMAIN_MAX.
     """
     text = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not (text.isascii() and text.isdigit() and int(text) <= LAST):
-        raise DomainError(f"ROS_DOMAIN_ID={text!r} is not a whole number from 0 to {LAST}")
+    if not (text.isascii() and text.isdigit() and int(text) <= DOMAIN_MAX):
+        raise DomainError(f"ROS_DOMAIN_ID={text!r} is not a whole number from 0 to {DOMAIN_MAX}")
     return int(text)
 
 
 @contextmanager
 def private_domain() -> Iterator[int]:
-    """A domain for a simulation: nobody on this machine holds it, and nobody is in it.
+    """Hold a domain for a simulation, which no other process on this machine holds or uses.
 
-    It is never the one that ROS_DOMAIN_ID names, which may be a robot's.
+    It is never the domain in ROS_DOMAIN_ID, which may be a robot's.
 
     Raises:
-        DomainError: All are taken.
+        DomainError: All are in use.
     """
     used, named = network.ports_in_use(), os.environ.get("ROS_DOMAIN_ID", "").strip()
-    domains = [domain for domain in PRIVATE if str(domain) != named]
+    domains = [domain for domain in PRIVATE_DOMAINS if str(domain) != named]
     random.SystemRandom().shuffle(domains)
     for domain in domains:
         if not used.isdisjoint(ports(domain)):
@@ -57,25 +58,26 @@ def private_domain() -> Iterator[int]:
         with ExitStack() as held:
             try:
                 held.enter_context(_locked(_lock_file(domain)))
-            except OSError:  # taken, or made by another user
+            except OSError:  # held, or another user's
                 continue
             shared_memory.remove_ports(ports(domain))
             yield domain
             return
+    first, last = PRIVATE_DOMAINS[0], PRIVATE_DOMAINS[-1]
     raise DomainError(
-        f"every DDS domain from {PRIVATE[0]} to {PRIVATE[-1]} is taken on this machine"
+        f"every DDS domain from {first} to {last} is in use on this machine; end a simulation"
     )
 
 
 def hold(domain: int, namespace: str = "") -> ExitStack | None:
-    """Hold a domain until the result is closed or the process ends.
+    """Hold a domain until the returned locks are closed or the process ends.
 
     Args:
         domain: Number of the domain.
-        namespace: Namespace that is held, beside those that others hold; empty for all of it.
+        namespace: Namespace to hold beside those of other processes; empty for the whole domain.
 
     Returns:
-        The locks; None when a process above this one holds it already.
+        The locks; None when a parent process of this one holds the domain already.
 
     Raises:
         DomainError: Another process holds it, or its lock cannot be read.
@@ -85,13 +87,13 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
     if name:
         files.append((_lock_file(f"{domain}_{name}"), fcntl.LOCK_EX))
     with ExitStack() as held:
-        for file, how in files:
+        for file, operation in files:
             try:
-                held.enter_context(_locked(file, how))
+                held.enter_context(_locked(file, operation))
             except PermissionError:
                 raise DomainError(
-                    f"{file} cannot be read: another user made it; it must be readable for all, "
-                    "or removed while nobody uses the domain"
+                    f"{file} cannot be read: it belongs to another user; make it readable for all, "
+                    "or remove it while nobody uses the domain"
                 ) from None
             except BlockingIOError:
                 holder = _holder(file)
@@ -100,7 +102,7 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
                 who = _command(holder) if holder else "another process"
                 where = f"namespace {namespace} of DDS domain" if name else "DDS domain"
                 raise DomainError(
-                    f"{where} {domain} is in use on this machine by {who}; end that, or choose "
+                    f"{where} {domain} is in use on this machine by {who}; end it, or choose "
                     "another domain: export ROS_DOMAIN_ID=N"
                 ) from None
         return held.pop_all()
@@ -108,15 +110,16 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
 
 def ports(domain: int) -> range:
     """UDP ports of a domain."""
-    return range(FIRST - 10 + PER_DOMAIN * domain, FIRST - 10 + PER_DOMAIN * (domain + 1))
+    first = FIRST_PORT - 10 + PORTS_PER_DOMAIN * domain
+    return range(first, first + PORTS_PER_DOMAIN)
 
 
 def _lock_file(domain: int | str) -> Path:
     return Path(tempfile.gettempdir()) / f"ros_domain_{domain}.lock"
 
 
-def _locked(path: Path, how: int = fcntl.LOCK_EX) -> IO[str]:
-    """A locked file.
+def _locked(path: Path, operation: int = fcntl.LOCK_EX) -> IO[str]:
+    """Open and lock a file.
 
     Raises:
         BlockingIOError: Another process holds it.
@@ -125,11 +128,11 @@ def _locked(path: Path, how: int = fcntl.LOCK_EX) -> IO[str]:
     try:
         file = path.open("a")
         if os.fstat(file.fileno()).st_uid == os.getuid():
-            os.fchmod(file.fileno(), 0o644)  # whatever the umask: others must see who holds it
-    except PermissionError:  # another user made it: to be read is enough for a lock
+            os.fchmod(file.fileno(), 0o644)  # whatever the umask: other users must be able to lock
+    except PermissionError:  # another user's: a file open for reading can be locked, too
         file = path.open()
     try:
-        fcntl.flock(file, how | fcntl.LOCK_NB)
+        fcntl.flock(file, operation | fcntl.LOCK_NB)
     except OSError:
         file.close()
         raise
@@ -137,7 +140,7 @@ def _locked(path: Path, how: int = fcntl.LOCK_EX) -> IO[str]:
 
 
 def _holder(path: Path) -> int:
-    """Process that holds a file, as the kernel lists it; 0 where it does not tell."""
+    """Id of the process that holds the lock on a file, from /proc/locks; 0 if not listed."""
     with suppress(OSError):
         inode = path.stat().st_ino
         for line in Path("/proc/locks").read_text().splitlines():
@@ -148,7 +151,7 @@ def _holder(path: Path) -> int:
 
 
 def _ancestors() -> set[int]:
-    """This process and those above it."""
+    """Ids of this process and its parents."""
     found, process = set(), os.getpid()
     while process > 0 and process not in found:
         found.add(process)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names and QoS of all topics and services, and the frames.
 
-What belongs to one arm has a relative name, which follows the namespace of its nodes. What a graph
-has once for all arms is absolute, as everywhere in ROS.
+Names that belong to one arm are relative and follow the namespace of its nodes. Names that all arms
+of a graph share are absolute, as usual in ROS.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 # Topics
 JOINT_STATES = "joint_states"
@@ -19,9 +20,9 @@ MARKERS = "pointCloud"
 POLICY = "policy"
 REPLAY_TRAJECTORY = "replay/trajectory"
 ROLLOUT_END_EFFECTOR = "rollout/end_effector"
-ROLLOUT_FINISHED = "rollout/finished"  # whose the paths are that begin with the same stamp
+ROLLOUT_FINISHED = "rollout/finished"  # policy and fault; paths with its start stamp belong to it
 LEARNER_MARKERS = "learner/markers"
-LEARNER_BAG = "learner/bag"  # path of a demonstration to be given to the learner
+LEARNER_BAG = "learner/bag"  # path of the bag that LEARNER_DEMONSTRATION adds
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
@@ -46,7 +47,7 @@ WAM_IDLE = "wam/idle"
 DEMONSTRATE = "demonstrator/demonstrate"  # stand-in only
 
 
-# Topics and services of a tracked body, which follow its name; its frame is the name itself
+# Topics and services of a tracked body begin with its name; its frame is the name itself
 BODY_LEAVES = ("pose", "state", "truth", "reset", "drop")  # the last three: stand-in only
 SCENE_LEAVES = ("truth", "reset")  # of a task without a body
 SCENE = "scene"
@@ -106,21 +107,32 @@ def _qos(depth: int, reliability: str = "RELIABLE", durability: str = "VOLATILE"
     )
 
 
-# QoS: publish reliable, subscribe best effort, except what is latched
+# QoS: publish reliable, subscribe best effort, except for latched topics
 STATE_OUT = _qos(10)
-# Of the stand-in, whose states may come in a row: in lockstep, and when it catches up with its
-# clock. A recorder that could not run for seconds is sent again what it has missed.
+# For the stand-in, whose states may come in bursts: in lockstep, and when it catches up with its
+# clock. A recorder that could not run for seconds still gets the states that it missed.
 STATE_OUT_DEEP = _qos(4000)
 STATE_IN = _qos(10, "BEST_EFFORT")
-STATE_RECORD = _qos(4000, "BEST_AVAILABLE")  # a recorder may fall behind, it may not lose
+CHECK_IN = _qos(5000, "BEST_EFFORT")  # a check of drivers must not drop any message
+STATE_RECORD = _qos(4000, "BEST_AVAILABLE")  # a recorder may lag behind but must not lose states
 COMMAND = _qos(1)
 MOCAP_OUT = _qos(10)
-MOCAP_OUT_BEST_EFFORT = _qos(10, "BEST_EFFORT")  # of some drivers
-MOCAP_IN = _qos(500, "BEST_EFFORT")  # every frame counts for a path: a burst pushes none out
+MOCAP_OUT_BEST_EFFORT = _qos(10, "BEST_EFFORT")  # as of some drivers
+MOCAP_IN = _qos(500, "BEST_EFFORT")  # a path needs every frame: a burst must not drop any
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
 DIAGNOSTICS_QOS = _qos(10)
 CLOCK_QOS = _qos(1, "BEST_EFFORT")
 ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")
-# A request to idle that a cut network has kept back would drop an arm that is carried again.
+# A request to idle that is delayed by a cut network would drop an arm that is held again by then.
 IDLE_QOS = _qos(1)
 IDLE_QOS.lifespan = Duration(seconds=0.2)
+
+
+def is_reliable(info: TopicEndpointInfo) -> bool:
+    """Return True if an endpoint is reliable."""
+    return info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+
+
+def is_latched(info: TopicEndpointInfo) -> bool:
+    """Return True if an endpoint is transient local."""
+    return info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL

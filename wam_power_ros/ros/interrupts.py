@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """SIGINT and SIGTERM as KeyboardInterrupt, but never from within the middleware.
 
-An exception that a signal handler raises while the events executor calls Python from C++ comes out
-of it as a RuntimeError, or not at all. So the middleware is left first.
+An exception that a signal handler raises while the events executor calls Python from C++ becomes a
+RuntimeError or is lost. So it is raised only after the executor has returned.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class _Process:
-    """What belongs to the process, as its signal handlers do."""
+    """State of the process; its signal handlers are global, too."""
 
     dispatching = False
     interrupted = False
@@ -37,8 +37,8 @@ def spin_once(executor: Executor, timeout: float) -> None:
         timeout: Longest wait for it [s].
 
     Raises:
-        KeyboardInterrupt: A signal came meanwhile. It is raised once: what is cleaned up after it
-            may dispatch again.
+        KeyboardInterrupt: A signal came meanwhile. Raised once, so that the clean-up may dispatch
+            again.
     """
     _Process.dispatching = True
     try:

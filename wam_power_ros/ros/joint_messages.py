@@ -17,7 +17,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from wam_power_ros.ros.stamps import nanoseconds, set_stamp, time_message
+from wam_power_ros.ros.stamps import checked_stamp, nanoseconds, time_message
 
 COMMAND_TYPES = {"multiarray": Float64MultiArray, "joint_state": JointState}
 
@@ -37,8 +37,8 @@ class JointStateReader:
         if not joint_names or len(set(joint_names)) != len(joint_names):
             raise ValueError(f"joint_names {list(joint_names)} must be distinct and not empty")
         self.joint_names = tuple(joint_names)
-        self._seen: list[str] | None = None  # names of the last good message
-        # (nj,) our joints in that message; None when it holds them and no others, in our order
+        self._last_names: list[str] | None = None
+        # (nj,) indices of our joints in `_last_names`; None when these are our joints in our order
         self._index: np.ndarray | None = None
 
     def __call__(self, message: JointState) -> JointReading | None:
@@ -52,12 +52,12 @@ class JointStateReader:
                 acceptable.
         """
         names = message.name
-        if names != self._seen:
+        if names != self._last_names:
             index = self.lookup(names)
             if index is None:
                 return None
             same = np.array_equal(index, np.arange(len(names)))
-            self._seen, self._index = list(names), None if same else index
+            self._last_names, self._index = list(names), None if same else index
         q = _joint_values("position", message.position, len(names))
         qd = None
         if len(message.velocity):
@@ -65,7 +65,7 @@ class JointStateReader:
         return self.reading(nanoseconds(message.header.stamp), q, qd)
 
     def reading(self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None) -> JointReading:
-        """Reading of the numbers of a message that has the names of the last one.
+        """Check and order the numbers of a message that has the joint names of the last one.
 
         Raises:
             ValueError: When a value is not acceptable.
@@ -79,10 +79,10 @@ class JointStateReader:
             if np.isinf(qd).any():
                 raise ValueError(f"velocity {qd.tolist()} must be finite, NaN or left out")
             qd = None
-        return JointReading(set_stamp(stamp_ns), q, qd)
+        return JointReading(checked_stamp(stamp_ns), q, qd)
 
     def velocity(self, message: JointState) -> np.ndarray | None:
-        """Read joint velocities from a topic of their own; without names they are in our order.
+        """Read a message of a separate velocity topic; without names, values are in our order.
 
         Returns:
             Velocities (nj,) [rad/s], or None when the message holds none of our joints.
@@ -103,7 +103,7 @@ class JointStateReader:
         return qd
 
     def lookup(self, names: Sequence[str]) -> np.ndarray | None:
-        """Indices of our joints in `names` (nj,), None when it has none; ValueError as above."""
+        """Indices of our joints in `names` (nj,), None if it has none; raises like `__call__`."""
         place = {name: i for i, name in enumerate(names)}
         missing = [name for name in self.joint_names if name not in place]
         if len(missing) == len(self.joint_names):
@@ -116,7 +116,7 @@ class JointStateReader:
 
 
 def _finite(values: np.ndarray) -> bool:
-    """Whether all are finite; a sum of floats is several times faster than NumPy."""
+    """Return True if every value is finite; a sum of floats is several times faster than NumPy."""
     return math.isfinite(sum(values.tolist())) or bool(np.isfinite(values).all())
 
 
@@ -136,7 +136,7 @@ class JointStateWriter:
     def __call__(
         self, stamp_ns: int, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, frame: str = ""
     ) -> JointState:
-        """Fill the message: q (nj,) [rad], qd (nj,) [rad/s], tau (nj,) [N m]; empty leaves out."""
+        """Fill the message: q (nj,) [rad], qd (nj,) [rad/s], tau (nj,) [N m]; each may be empty."""
         message = self._message
         message.header.stamp = time_message(stamp_ns)
         message.header.frame_id = frame
@@ -158,14 +158,14 @@ def _plain(values: np.ndarray | Sequence[float]) -> Sequence[float]:
 
 
 class JointMovement(NamedTuple):
-    """Recorded joint movement, to be replayed."""
+    """Recorded joint movement to replay."""
 
     t: np.ndarray  # (N,) [s]
     q: np.ndarray  # (N, nj) [rad]
 
 
 def movement(message: JointTrajectory, joint_names: Sequence[str]) -> JointMovement:
-    """Read a movement; only its times and positions count, matched by name.
+    """Read times and positions of a movement, matched by joint name.
 
     Raises:
         ValueError: When joints are missing or doubled, a length does not fit or a value is not
@@ -240,13 +240,13 @@ def torque(message: Float64MultiArray | JointState, joint_names: Sequence[str]) 
         if message.name != list(joint_names):
             raise ValueError(f"names {message.name} must be {list(joint_names)}")
         values, label = message.effort, message.header.frame_id
-        answered = nanoseconds(message.header.stamp) or None
+        stamp_ns = nanoseconds(message.header.stamp) or None
     else:
         values = message.data
         labels = [dimension.label for dimension in message.layout.dim] or [""]
         number, _, label = labels[0].partition(" ")
-        answered = int(number) if number.isascii() and number.isdigit() else None
+        stamp_ns = int(number) if number.isascii() and number.isdigit() else None
     tau = _joint_values("torque", values, len(joint_names)).copy()
     if not np.isfinite(tau).all():
         raise ValueError(f"torque {tau.tolist()} must be finite")
-    return TorqueReading(answered, label, tau)
+    return TorqueReading(stamp_ns, label, tau)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the middleware reaches: to the loopback interface, unless the network is asked for.
+"""Network interfaces of the middleware: loopback only, unless the environment asks for more.
 
-ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST says whom a process looks for, not who may speak to it: its
-sockets are bound to every interface, and who names this machine in ROS_STATIC_PEERS is answered
-(tried from another network namespace). A profile of Fast DDS binds them to 127.0.0.1. It describes
-discovery as LOCALHOST does; SYSTEM_DEFAULT goes with it because under LOCALHOST rmw_fastrtps adds
-transports of its own, on every interface. This module imports no rclpy.
+ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST limits which processes are looked for, not who may connect:
+the sockets are bound to every interface, and a machine with this one in ROS_STATIC_PEERS gets
+answers (tested from another network namespace). A profile of Fast DDS binds them to 127.0.0.1. It
+sets up discovery as LOCALHOST does and needs SYSTEM_DEFAULT, because under LOCALHOST rmw_fastrtps
+adds its own transports on every interface. This module imports no rclpy.
 """
 
 from __future__ import annotations
@@ -19,60 +19,60 @@ from pathlib import Path
 from wam_power_ros.params.resources import share
 
 RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
-PROFILE_HERE = "DEFAULT_FASTRTPS_PROFILES.xml"  # Fast DDS reads it in the working directory, too
+PROFILE_HERE = "DEFAULT_FASTRTPS_PROFILES.xml"  # also read by Fast DDS, in the working directory
 LOOPBACK = "security/loopback.xml"
 
 
 def confine(environment: MutableMapping[str, str]) -> bool:
-    """Choose the loopback interface by environment variables, where nothing else is asked for.
+    """Set the variables that bind sockets to loopback, unless the environment asks for more.
 
     Args:
         environment: Variables of a process that has not initialised rclpy yet; changed.
 
     Returns:
-        Whether the sockets are to be those of the loopback interface.
+        True if sockets will be bound to the loopback interface only.
     """
     profile = str(share(LOOPBACK))
-    if environment.get(PROFILE) == profile:  # as a parent process chose
+    if environment.get(PROFILE) == profile:  # set by a parent process
         del environment[PROFILE]
         if environment.get(RANGE) == "SYSTEM_DEFAULT":
             environment[RANGE] = "LOCALHOST"
     if not environment.get(RANGE):
         environment[RANGE] = "LOCALHOST"
-    if asked(environment):
+    if wider_reach(environment):
         return False
     environment |= {RANGE: "SYSTEM_DEFAULT", PROFILE: profile}
     return True
 
 
-def asked(environment: Mapping[str, str]) -> str | None:
-    """What asks for more than the loopback interface, in words; None if nothing does."""
+def wider_reach(environment: Mapping[str, str]) -> str | None:
+    """Setting that opens more than the loopback interface, as text; None without one."""
     if environment.get(PROFILE) == str(share(LOOPBACK)):
         return None
     reach = environment.get(RANGE) or "SUBNET"
     if reach != "LOCALHOST":
         return f"discovery range {reach}"
     for name in ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER"):
-        places = [place for place in environment.get(name, "").split(";") if place]
-        if not all(place.startswith(("127.", "localhost")) for place in places):
+        addresses = [address for address in environment.get(name, "").split(";") if address]
+        if not all(address.startswith(("127.", "localhost")) for address in addresses):
             return f"{name}={environment[name]}"
     profile = environment.get(PROFILE) or (PROFILE_HERE if Path(PROFILE_HERE).exists() else "")
     if profile:
-        return f"sockets as {profile} sets them"
+        return f"sockets set by the profile {profile}"
     middleware = environment.get("RMW_IMPLEMENTATION") or "rmw_fastrtps_cpp"
     if middleware != "rmw_fastrtps_cpp":
-        return f"{middleware}, which no profile here keeps to the loopback interface"
+        return f"{middleware}, for which there is no profile of the loopback interface here"
     return None
 
 
-def bound(processes: str = "self") -> list[str]:
-    """Addresses `ip:port` to which UDP sockets of this process are bound; none where not Linux.
+def bound_addresses(process: str = "self") -> list[str]:
+    """Addresses `ip:port` to which UDP sockets of a process are bound; empty if not on Linux.
 
     Args:
-        processes: "self", or "*" for every process that may be looked into.
+        process: Process id, or "self".
     """
     inodes = set()
-    for file in Path("/proc").glob(f"{processes}/fd/*"):
+    for file in Path("/proc").glob(f"{process}/fd/*"):
         with suppress(OSError):
             inodes.add(str(file.readlink()))
     return [address for address, inode in _udp_sockets() if f"socket:[{inode}]" in inodes]
@@ -84,7 +84,7 @@ def ports_in_use() -> set[int]:
 
 
 def _udp_sockets() -> list[tuple[str, str]]:
-    """Address and inode of the UDP sockets (IPv4) of this network namespace."""
+    """Addresses and inodes of the UDP sockets (IPv4) of this network namespace."""
     found = []
     with suppress(OSError):
         for line in Path("/proc/self/net/udp").read_text().splitlines()[1:]:

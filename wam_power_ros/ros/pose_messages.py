@@ -85,9 +85,13 @@ def markers(message: PointCloud2) -> tuple[int, str, np.ndarray]:
     count = message.width * message.height
     ends = max(fields[name].offset + 4 for name in "xyz")
     if message.row_step != message.width * message.point_step or message.point_step < ends:
-        raise ValueError(f"point_step {message.point_step}, row_step {message.row_step} do not fit")
+        raise ValueError(
+            f"point_step {message.point_step}, row_step {message.row_step} do not fit rows of "
+            f"{message.width} points of at least {ends} bytes"
+        )
     if len(message.data) != count * message.point_step:
-        raise ValueError(f"{len(message.data)} bytes for {count} points of {message.point_step}")
+        text = f"{len(message.data)} bytes for {count} points of {message.point_step} bytes each"
+        raise ValueError(text)
     layout = np.dtype(
         {
             "names": list("xyz"),
@@ -125,7 +129,7 @@ class StateReading(NamedTuple):
     quat_xyzw: np.ndarray  # (4,)
     velocity: np.ndarray  # (3,) [m/s]
     angular_velocity: np.ndarray  # (3,) [rad/s]
-    variance: float  # of the position along each axis [m^2]
+    variance: float  # position variance along each axis [m^2]
 
 
 def odometry_message(state: StateReading, child_frame: str) -> Odometry:
@@ -171,19 +175,12 @@ def _rotation(quat_xyzw: np.ndarray) -> np.ndarray:
 
 
 class PathReading(NamedTuple):
-    """Path of a tool or a body through a rollout.
+    """Path of a tool or a body through a rollout."""
 
-    Attributes:
-        start_ns: Stamp of the start of the rollout [ns], which tells rollouts apart.
-        t: Time since then [s]. Shape (M,).
-        position: Positions [m]. Shape (M, 3).
-        quat_xyzw: Orientations. Shape (M, 4).
-    """
-
-    start_ns: int
-    t: np.ndarray
-    position: np.ndarray
-    quat_xyzw: np.ndarray
+    start_ns: int  # stamp of the start, which identifies the rollout
+    t: np.ndarray  # (M,), time since the start [s]
+    position: np.ndarray  # (M, 3) [m]
+    quat_xyzw: np.ndarray  # (M, 4)
 
 
 def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) -> Path:
@@ -199,7 +196,7 @@ def path_message(path: EndEffectorPath | BodyPath, start_ns: int, frame: str) ->
 
 
 def path(message: Path) -> PathReading:
-    """Read a rollout's path, whose values `EndEffectorPath` and `BodyPath` check.
+    """Read a rollout's path; its values are checked by `EndEffectorPath` and `BodyPath`.
 
     Raises:
         ValueError: When the stamp is not set, or those of the poses do not increase.
@@ -215,21 +212,15 @@ def path(message: Path) -> PathReading:
 
 
 class Finished(NamedTuple):
-    """A rollout that has ended.
+    """A rollout that has ended."""
 
-    Attributes:
-        id: Id of the policy that was executed.
-        start_ns: Stamp of its start [ns], which is that of its paths.
-        fault: Fault that is latched at its end, None without.
-    """
-
-    id: str
-    start_ns: int
-    fault: Fault | None
+    id: str  # of the policy that was executed
+    start_ns: int  # stamp of its start and of its paths
+    fault: Fault | None  # latched at its end
 
 
 def finished_message(finished: Finished) -> String:
-    """Message of the end of a rollout: a JSON object."""
+    """Message about the end of a rollout: a JSON object."""
     fault = finished.fault
     sec, nanosec = divmod(finished.start_ns, 1_000_000_000)
     values = {
@@ -241,10 +232,10 @@ def finished_message(finished: Finished) -> String:
 
 
 def finished(message: String) -> Finished:
-    """Read the end of a rollout.
+    """Read a message about the end of a rollout.
 
     Raises:
-        ValueError: When it is no such JSON object.
+        ValueError: When it is not such a JSON object.
     """
     try:
         values = json.loads(message.data)
@@ -254,4 +245,5 @@ def finished(message: String) -> Finished:
             fault = Fault(FaultKind(fault["kind"]), str(fault["text"]))
         return Finished(str(values["id"]), start_ns, fault)
     except (KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"end of a rollout {message.data[:200]!r}: {error!r}") from error
+        text = f"{message.data[:200]!r} must describe the end of a rollout: {error!r}"
+        raise ValueError(text) from error

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages between two processes of one machine: a few values as JSON, and arrays of any size.
 
-The arrays lie in shared memory whose descriptor travels with the message: who receives maps them,
-which takes the same short time for any size and copies nothing.
+The arrays are in shared memory whose file descriptor is sent with the message. The receiver maps
+them, which takes the same short time for any size and copies nothing.
 """
 
 from __future__ import annotations
@@ -18,26 +18,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 MESSAGE_MAX = 65536  # size of a message without its arrays [byte]
-_ALIGNMENT = 64  # of an array in the shared memory [byte]
+_ALIGNMENT = 64  # of each array in the shared memory [byte]
 
 
 class Message(NamedTuple):
-    """A message.
-
-    Attributes:
-        values: Values by name, as JSON has them.
-        arrays: Arrays by name, float64 and read-only.
-    """
+    """A message; its values are those of JSON."""
 
     values: dict[str, Any]
-    arrays: dict[str, np.ndarray]
+    arrays: dict[str, np.ndarray]  # float64, read-only
 
 
 class Channel:
-    """One end of a connection between two processes; the ends are made by `pair`.
+    """One end of a connection between two processes; `pair` makes both ends.
 
     Args:
-        end: Its socket. Where it does not block, neither `send` nor `receive` does.
+        end: Socket; if it is non-blocking, so are `send` and `receive`.
     """
 
     def __init__(self, end: socket.socket) -> None:
@@ -49,13 +44,13 @@ class Channel:
         """Send a message.
 
         Returns:
-            The shared memory of its arrays, if it has any. Who keeps it until the other process
-            has let the arrays go has their memory given back here, not there.
+            Shared memory of the arrays, None without any. If the caller keeps it until the receiver
+            has released the arrays, the memory is freed in this process, not in the receiver.
 
         Raises:
-            BlockingIOError: The other process has not read what was sent before.
+            BlockingIOError: The other process has not read the messages before.
             OSError: The other process has ended; or there is no memory for the arrays.
-            ValueError: The values are too long.
+            ValueError: The values take more than MESSAGE_MAX bytes.
         """
         layout: dict[str, tuple[int, tuple[int, ...]]] = {}
         shared, size = None, 0
@@ -77,17 +72,17 @@ class Channel:
         return shared
 
     def receive(self) -> Message | None:
-        """The next message; None when there is none yet and the socket does not block.
+        """Receive the next message; None if there is none yet and the socket is non-blocking.
 
         Raises:
-            EOFError: The other process has ended, and all it sent has been received.
+            EOFError: The other process has ended, and all its messages have been received.
             MemoryError: The arrays cannot be mapped; the message is lost.
         """
         try:
             data, descriptors, _, _ = socket.recv_fds(self._socket, MESSAGE_MAX, 1)
         except BlockingIOError:
             return None
-        except ConnectionResetError:  # told once, when it ended with messages of ours unread
+        except ConnectionResetError:  # raised once, if it ended without reading all messages
             return self.receive()
         if not data:
             raise EOFError("the other process has ended")

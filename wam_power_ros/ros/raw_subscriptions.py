@@ -17,6 +17,7 @@ from rosbags.interfaces import Qos
 
 from wam_power_ros.bags import layout
 from wam_power_ros.ros import interface
+from wam_power_ros.ros.interface import is_latched, is_reliable
 
 DISCOVERY_PERIOD = 0.25  # [s] between looks at the graph
 
@@ -29,53 +30,52 @@ class _Subscribed(NamedTuple):
 
 
 class RawTopics:
-    """Subscribes once a publisher is discovered, with the QoS of all: reliable if all are.
+    """Subscribes to a topic once a publisher is discovered, reliably if all its publishers are.
 
-    A subscription made earlier would have to guess, and a reliable one receives nothing from a
-    best-effort driver. Losses are not asked of the middleware: the event of a lost message, in
-    rmw_fastrtps of Jazzy, takes two locks in the wrong order, and a process that loses messages
-    may stand still for ever.
+    An earlier subscription would have to guess the QoS, and a reliable one receives nothing from a
+    best-effort driver. The event for lost messages is not used: in rmw_fastrtps of Jazzy it takes
+    two locks in the wrong order, and a process that loses messages may be blocked for ever.
     """
 
     def __init__(
         self, node: Node, topics: Iterable[str], on_message: Callable[[str, bytes], None]
     ) -> None:
-        """Call `on_message` with the resolved topic and the bytes of each message."""
+        """Subscribe to `topics`; `on_message` gets the resolved topic and bytes of each message."""
         self._node, self._on_message = node, on_message
         self._topics = {node.resolve_topic_name(topic): topic for topic in topics}
         self._subscribed: dict[str, _Subscribed] = {}
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(DISCOVERY_PERIOD, self.look, clock=steady)
+        node.create_timer(DISCOVERY_PERIOD, self.discover, clock=steady)
 
     @property
     def names(self) -> list[str]:
-        """Topics, resolved."""
+        """Resolved names of the topics."""
         return list(self._topics)
 
     def msgtype(self, name: str) -> str:
-        """Message type of a topic that is subscribed."""
+        """Message type of a subscribed topic."""
         return self._subscribed[name].msgtype
 
     def offered(self, name: str) -> list[Qos]:
-        """QoS of the publishers of a topic that is subscribed, for the metadata of a bag."""
+        """QoS of the publishers of a subscribed topic, for the metadata of a bag."""
         infos = self._node.get_publishers_info_by_topic(name)
         known = self._subscribed[name]
         return [
-            layout.qos(_is_reliable(info), _is_latched(info), info.qos_profile.depth)
+            layout.qos(is_reliable(info), is_latched(info), info.qos_profile.depth)
             for info in infos
         ] or [layout.qos(known.reliable, known.latched)]
 
-    def look(self) -> None:
+    def discover(self) -> None:
         """Subscribe to every topic that has a publisher."""
         for name in self._topics:
             infos = self._node.get_publishers_info_by_topic(name)
             if infos:
-                self._fit(name, infos)
+                self._subscribe(name, infos)
 
     def take(self) -> None:
-        """Pass on what has arrived and was not dispatched yet.
+        """Pass on the messages that have arrived but were not dispatched yet.
 
-        No more than a queue of each: a reader that is slower than its publisher would never end.
+        At most one queue of each topic: if messages arrived faster, this would never end.
         """
         for name, known in self._subscribed.items():
             handle = known.subscription.handle
@@ -85,16 +85,18 @@ class RawTopics:
                         break
                     self._on_message(name, taken[0])
 
-    def _fit(self, name: str, infos: list[TopicEndpointInfo]) -> None:
+    def _subscribe(self, name: str, infos: list[TopicEndpointInfo]) -> None:
         msgtype = infos[0].topic_type
-        reliable, latched = all(map(_is_reliable, infos)), all(map(_is_latched, infos))
+        reliable, latched = all(map(is_reliable, infos)), all(map(is_latched, infos))
         known = self._subscribed.get(name)
         if known is not None:
             if (reliable or not known.reliable) and (latched or not known.latched):
                 return
             self._node.destroy_subscription(known.subscription)  # a new publisher offers less
         elif msgtype not in layout.TYPES.fielddefs:
-            self._node.get_logger().error(f"{name}: cannot record type {msgtype}", once=True)
+            self._node.get_logger().error(
+                f"{name}: cannot record message type {msgtype}", once=True
+            )
             return
         qos = QoSProfile(
             depth=interface.STATE_RECORD.depth,
@@ -110,11 +112,3 @@ class RawTopics:
             raw=True,
         )
         self._subscribed[name] = _Subscribed(msgtype, reliable, latched, subscription)
-
-
-def _is_reliable(info: TopicEndpointInfo) -> bool:
-    return info.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-
-
-def _is_latched(info: TopicEndpointInfo) -> bool:
-    return info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL

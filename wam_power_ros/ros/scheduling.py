@@ -14,35 +14,30 @@ MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 
 @dataclass(frozen=True)
 class Granted:
-    """What the machine allowed; each text is "granted" or the reason why not.
+    """Outcome of a request; each text is "granted" or the reason why not."""
 
-    Attributes:
-        scheduling: Real-time scheduling.
-        memory: Locked memory.
-    """
-
-    scheduling: str = "not asked for"
-    memory: str = "not asked for"
+    scheduling: str = "not requested"  # real-time scheduling
+    memory: str = "not requested"  # locked memory
 
     @property
     def complete(self) -> bool:
-        """Whether scheduling and memory are as a 500 Hz loop wants them."""
+        """True if both were granted."""
         return self.scheduling == self.memory == "granted"
 
 
 def request(priority: int) -> Granted:
-    """Ask for SCHED_FIFO in every thread of the process, locked memory and a frozen heap.
+    """Request SCHED_FIFO in every thread of the process, locked memory and a frozen heap.
 
     Args:
-        priority: Real-time priority, 1 to 99; 0 asks for nothing.
+        priority: Real-time priority, 1 to 99; 0 requests nothing.
 
     Returns:
-        What was granted; nothing is raised when the machine says no.
+        What was granted; a refusal raises nothing.
     """
     if priority == 0:
         return Granted()
     gc.collect()
-    gc.freeze()  # what was built at start is never walked again
+    gc.freeze()  # the collector never scans the objects made at the start again
     return Granted(_schedule(priority), _lock_memory())
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Access rights on the network: one table, and the SROS2 policy generated from it.
 
-Least privilege: a node has an enclave (a key) of its own and may do there what the table allows and
-nothing else. Only the controller publishes torques.
+Least privilege: a node has its own enclave (a key) and may do only what the table allows. Only the
+controller publishes torques.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from wam_power_ros.ros import interface, network
 if TYPE_CHECKING:
     from wam_power_ros.params.overlay import Setup
 
-ABOUT_ITSELF = (  # services that every node offers about itself; nobody may call them
+NODE_SERVICES = (  # services that every node offers; nobody may call them
     "describe_parameters",
     "get_parameter_types",
     "get_parameters",
@@ -39,8 +39,8 @@ LIFECYCLE = (
 
 CONTROLLER = "EXECUTE STOP RESET MOVE_TO_START REPLAY GRAVITY_COMPENSATION"
 FEEDBACK = "LEARNER_REWARD LEARNER_PUNISH LEARNER_DEMONSTRATION LEARNER_PAUSE"
-# Node -> rights -> names: constants of `interface`, and in small letters what `_names` derives from
-# the set-up. The controller subscribes to its own command topic to detect another commander.
+# Node -> rights -> names: constants of `interface`; names in lower case are derived from the set-up
+# by `_names`. The controller subscribes to its own command topic to detect another commander.
 TABLE: dict[str, dict[str, str]] = {
     "torque_controller": {
         "publishes": "command",
@@ -89,10 +89,10 @@ TABLE: dict[str, dict[str, str]] = {
     },
     "optitrack_sim": {"publishes": "mocap pose MARKERS"},
 }
-NODE_NAMES = {"operator": "_ros2cli*"}  # of its nodes, where that is another: each command has one
-MANAGED = {"torque_controller"}  # nodes with a life cycle
-OF_BODY = {"pancake_tracker", "optitrack_sim"}  # nodes that only run for a task with a tracked body
-PROCESSES = {  # node -> process whose enclave it shares; every other node has one of its own
+NODE_NAMES = {"operator": "_ros2cli*"}  # names that differ: each `ros2` command has its own
+LIFECYCLE_NODES = {"torque_controller"}
+BODY_NODES = {"pancake_tracker", "optitrack_sim"}  # run only for a task with a tracked body
+PROCESSES = {  # node -> process whose enclave it shares; every other node has its own
     **dict.fromkeys(("teaching", "replaying", "enabling_switch", "feedback", "view"), "operator"),
     "optitrack_sim": "wam_sim",
     "torque_controller_preparation": "torque_controller",  # its two processes
@@ -126,12 +126,12 @@ def table(setup: Setup, namespace: str = "") -> dict[str, Access]:
     return {
         node: Access(**{right: resolved(words) for right, words in rights.items()})
         for node, rights in TABLE.items()
-        if setup["pancake_tracker"]["body"] or node not in OF_BODY
+        if setup["pancake_tracker"]["body"] or node not in BODY_NODES
     }
 
 
 def _names(setup: Setup) -> dict[str, tuple[str, ...]]:
-    """Topics and services that depend on the set-up, by their words in `TABLE`."""
+    """Topics and services that depend on the set-up, by their names in `TABLE`."""
     nodes = ("torque_controller", "pancake_tracker", "demonstration_recorder")
     arm, mocap, recorder = (setup[node] for node in nodes)
     body = mocap["body"]
@@ -152,7 +152,7 @@ def _names(setup: Setup) -> dict[str, tuple[str, ...]]:
 
 
 def resolved_name(name: str, namespace: str) -> str:
-    """Full name of a topic or service; in a namespace each arm has a /clock of its own."""
+    """Full name of a topic or service; in a namespace each arm has its own /clock."""
     inside = f"/{namespace.strip('/')}".rstrip("/")
     if name == interface.CLOCK:
         return f"{inside}{name}"
@@ -160,7 +160,7 @@ def resolved_name(name: str, namespace: str) -> str:
 
 
 def policy(rights: Mapping[str, Access], namespace: str = "") -> str:
-    """SROS2 policy of a table, one enclave a process, for `ros2 security generate_artifacts`.
+    """SROS2 policy of a table, one enclave per process, for `ros2 security generate_artifacts`.
 
     Args:
         rights: Rights by node, of `table` with the same namespace.
@@ -175,12 +175,12 @@ def policy(rights: Mapping[str, Access], namespace: str = "") -> str:
         if process not in profiles:
             enclave = ElementTree.SubElement(enclaves, "enclave", path=f"{inside}/{process}")
             profiles[process] = ElementTree.SubElement(enclave, "profiles")
-        own_namespace = "" if node in NODE_NAMES else inside  # `ros2` itself is in none
+        own_namespace = "" if node in NODE_NAMES else inside  # nodes of `ros2` are in none
         profile = ElementTree.SubElement(
             profiles[process], "profile", ns=own_namespace or "/", node=node
         )
-        managed = node in MANAGED
-        own = {f"~/{name}" for name in ABOUT_ITSELF + (LIFECYCLE if managed else ())}
+        managed = node in LIFECYCLE_NODES
+        own = {f"~/{name}" for name in NODE_SERVICES + (LIFECYCLE if managed else ())}
         topics = {"/rosout", "/parameter_events"} | ({"~/transition_event"} if managed else set())
         for kind, right, names in (
             ("topic", "publish", topics.union(access.publishes)),
@@ -198,14 +198,14 @@ def policy(rights: Mapping[str, Access], namespace: str = "") -> str:
 
 
 def check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> None:
-    """Check that security, where it is enforced, has the keys of a process.
+    """Check that a process has its keys if security is enforced.
 
     Args:
         environment: Environment of the process.
         arguments: Its command line, which names its enclave.
 
     Raises:
-        ValueError: There are none; says where they were looked for.
+        ValueError: The keystore or the enclave is missing; the message names it.
     """
     enforced = environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
     if environment.get("ROS_SECURITY_ENABLE") != "true" or not enforced:
@@ -224,14 +224,15 @@ def check_keystore(environment: Mapping[str, str], arguments: Sequence[str]) -> 
 
 
 def exposed(environment: Mapping[str, str]) -> str | None:
-    """Why others on the network could command this arm by these variables; None if not."""
+    """Reason why others on the network can command this arm; None if they cannot."""
     enforced = environment.get("ROS_SECURITY_STRATEGY") == "Enforce"
     if environment.get("ROS_SECURITY_ENABLE") == "true" and enforced:
         return None
-    if environment.get(network.RANGE) == "OFF" or (reason := network.asked(environment)) is None:
+    reason = network.wider_reach(environment)
+    if environment.get(network.RANGE) == "OFF" or reason is None:
         return None
     return (
-        f"anybody on the network can command this arm: {reason}, security not enforced; without "
-        f"it, and with {network.RANGE}=LOCALHOST, sockets are bound to this machine's loopback "
-        "interface. See SECURITY.md"
+        f"anybody on the network can command this arm: {reason}, security not enforced. Remove "
+        f"that setting and set {network.RANGE}=LOCALHOST to bind sockets to this machine's "
+        "loopback interface, or enforce security: see SECURITY.md"
     )

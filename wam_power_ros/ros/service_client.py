@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Calls of other nodes' services, with deadlines; the caller's callbacks go on while it waits."""
+"""Calls of other nodes' services with timeouts; callbacks are dispatched during the wait."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rclpy.task import Future
 from wam_power_ros.ros import answers, interrupts
 from wam_power_ros.ros.answers import Answer
 
-TIMEOUT = 60.0  # [s of wall time] for a service to appear, to answer and to agree
-# A client knows that it sees the service, not that the service sees it: the middleware drops an
+TIMEOUT = 60.0  # [s of wall time] for a service to appear, to answer and to succeed
+# A client that has discovered a service may not be discovered by it yet: the middleware drops an
 # answer to a client that it has not discovered within 0.1 s.
 DISCOVERY = 0.3  # [s of wall time]
-LOG_AFTER = 5.0  # [s of wall time] of waiting, after which it is logged, and again ...
-LOG_PERIOD = 60.0  # ... as often
+LOG_AFTER = 5.0  # [s of wall time] of waiting before it is logged
+LOG_PERIOD = 60.0  # [s of wall time] between log entries about one wait
 RETRY_PERIOD = 0.2  # [s of wall time] between a refusal and the next request
 
 
@@ -56,22 +56,26 @@ class ServiceClient:
         self._pending: dict[Future, Client] = {}
 
     def prepare(self, kind: type, name: str) -> None:
-        """Make the client of a service ahead of its first call, so that it is discovered early."""
+        """Make the client of a service before its first call, so that it is discovered early."""
         if name not in self._clients:
             self._clients[name] = self._node.create_client(kind, name)
 
     def until(
-        self, condition: Callable[[], object], what: str = "", timeout: float = TIMEOUT
+        self,
+        condition: Callable[[], object],
+        what: str | Callable[[], str] = "",
+        timeout: float = TIMEOUT,
     ) -> bool:
         """Dispatch callbacks until a condition holds or the timeout is over.
 
         Args:
             condition: Condition, checked after every callback and at least every 0.05 s.
-            what: What is waited for, for the log; nothing is logged if empty.
+            what: Noun phrase for the log, or a function that returns it at the time of logging;
+                nothing is logged if empty.
             timeout: Longest wait [s of wall time].
 
         Returns:
-            Whether the condition holds.
+            True if the condition holds, False after the timeout.
 
         Raises:
             ExternalShutdownException: When the process is being ended.
@@ -84,7 +88,8 @@ class ServiceClient:
             if waited > timeout:
                 return False
             if waited > log_at:
-                self._node.get_logger().info(f"waiting: {what}, since {waited:.0f} s")
+                awaited = what() if callable(what) else what
+                self._node.get_logger().info(f"waiting for {awaited}, {waited:.0f} s so far")
                 log_at = waited + self._log_period
             interrupts.spin_once(self._executor, min(0.05, timeout - waited))
         return True
@@ -99,7 +104,7 @@ class ServiceClient:
         self.until(self._clients[name].service_is_ready, f"service {self._full(name)}", math.inf)
 
     def _full(self, name: str) -> str:
-        """Name of a service with its namespace, for people."""
+        """Name of a service with its namespace, for messages."""
         return self._node.resolve_service_name(name)
 
     def begin(self, kind: type, name: str, request: object = None) -> Future:
@@ -113,7 +118,7 @@ class ServiceClient:
         known = name in self._called and client.service_is_ready()
         if not self.until(client.service_is_ready, f"service {full}", self._appear_timeout):
             raise ServiceError(f"{full} did not appear in {self._appear_timeout:.0f} s")
-        if not known:  # called for the first time, or its node has just been started again
+        if not known:  # the first call, or the node of the service has just been restarted
             self._called.add(name)
             self.until(lambda: False, timeout=DISCOVERY)
         future = client.call_async(kind.Request() if request is None else request)
@@ -121,7 +126,7 @@ class ServiceClient:
         return future
 
     def answer(self, future: Future) -> Answer | None:
-        """Answer that has come, or None; the request is then given up and its answer ignored."""
+        """Answer received so far; if None, the request is abandoned and its answer ignored."""
         client = self._pending.pop(future)
         if not future.done():
             client.remove_pending_request(future)
@@ -144,11 +149,11 @@ class ServiceClient:
             name: Name of the service.
             request: Request; an empty one if omitted.
             timeout: Longest wait for the answer [s of wall time].
-            abandon: Whether to stop waiting earlier, asked after every callback.
+            abandon: Returns True to stop waiting earlier; checked after every callback.
 
         Returns:
-            The answer, which may be a refusal; None when none has come: it may be lost, for a node
-            may be started again while it works on a request, which may have been done.
+            The answer, which may be a refusal; None if none came. The request may have been done
+            even so: the answer is lost if the node is restarted while it works on the request.
 
         Raises:
             ServiceError: When the service does not appear in time.
@@ -158,11 +163,11 @@ class ServiceClient:
         return self.answer(future)
 
     def insist(self, kind: type, name: str, request: object = None) -> Answer:
-        """Call a service until it agrees; a node that has just started may lack its inputs yet.
+        """Call a service until it succeeds; a node that has just started may lack inputs.
 
         Raises:
-            ServiceError: When the service does not appear, does not answer or refuses until the
-                time is up.
+            ServiceError: When the service does not appear, does not answer or still refuses after
+                TIMEOUT.
         """
         end = time.monotonic() + TIMEOUT
         while True:

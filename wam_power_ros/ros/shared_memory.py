@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared memory that killed processes left behind.
+"""Removal of the shared memory of killed processes.
 
-Fast DDS keeps a segment for every participant in /dev/shm, beside a lock file that its process
-holds, and removes both when it ends. After a kill (-9) both stay, half a megabyte each, until the
-machine is started again. A free lock proves that the owner is dead, as for `fastdds shm clean`.
+Fast DDS keeps a segment for every participant in /dev/shm, with a lock file that its process holds,
+and removes both when it ends. After a kill (-9) both stay, half a megabyte each, until the machine
+is rebooted. A free lock proves that the owner is dead, as for `fastdds shm clean`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SEGMENT_LOCK = re.compile(r"fastrtps_[0-9a-f]{16}_el")
 
 
 def remove_dead_segments(folder: Path = FOLDER) -> int:
-    """Remove the segments whose owner is dead; returns how many there were."""
+    """Remove the segments whose owner is dead; returns their number."""
     removed = 0
     with suppress(OSError):
         for lock in list(folder.iterdir()):
@@ -29,9 +29,9 @@ def remove_dead_segments(folder: Path = FOLDER) -> int:
 
 
 def remove_ports(numbers: Iterable[int], folder: Path = FOLDER) -> None:
-    """Remove the queues of ports at which nobody listens; for a domain in which nobody is.
+    """Remove the queues of ports without a listener, in a domain without participants.
 
-    In a domain where somebody is they stay: who sends to such a queue would lose its listener.
+    In a domain with participants they must stay: a sender to such a queue would lose its listener.
     """
     for number in numbers:
         queue = folder / f"fastrtps_port{number}"
@@ -41,7 +41,7 @@ def remove_ports(numbers: Iterable[int], folder: Path = FOLDER) -> None:
 
 
 def _remove_if_free(lock: Path, files: list[Path]) -> bool:
-    """Remove files and their lock file unless a process holds it; returns whether they went."""
+    """Remove files and their lock file unless a process holds it; returns True if removed."""
     try:
         with lock.open("a") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -23,14 +23,14 @@ def sensor_stamp(message: object) -> int:
     Raises:
         ValueError: When the stamp is not set: such messages cannot be put in order.
     """
-    return set_stamp(nanoseconds(message.header.stamp))
+    return checked_stamp(nanoseconds(message.header.stamp))
 
 
-def set_stamp(stamp_ns: int) -> int:
+def checked_stamp(stamp_ns: int) -> int:
     """Return the stamp of a sensor message [ns] if it is set.
 
     Raises:
-        ValueError: When it is not.
+        ValueError: When it is not set.
     """
     if stamp_ns <= 0:
         raise ValueError(f"stamp is {stamp_ns} ns; the driver must stamp its messages")
