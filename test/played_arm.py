@@ -48,7 +48,7 @@ class PlayedArm:
         )
         self.stamp_ns = TICK
         simulated = parameters.get("use_sim_time", False)
-        self._sent_ns, self._real_time = 0, bool(parameters.get("state_timeout")) and not simulated
+        self.sent_ns, self._real_time = 0, bool(parameters.get("state_timeout")) and not simulated
         self._publisher = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
 
     def send(
@@ -56,8 +56,8 @@ class PlayedArm:
     ) -> None:
         """One state, a tick after the last; as long after it as it was sent, in real time."""
         now_ns = time.monotonic_ns()
-        self.stamp_ns += now_ns - self._sent_ns if self._real_time and self._sent_ns else TICK
-        self._sent_ns = now_ns
+        self.stamp_ns += now_ns - self.sent_ns if self._real_time and self.sent_ns else TICK
+        self.sent_ns = now_ns
         self.again(names, q, np.zeros(len(names)) if qd is None else qd)
 
     def again(self, names: list[str], q: np.ndarray, qd: np.ndarray) -> None:
