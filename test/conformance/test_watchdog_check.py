@@ -23,13 +23,14 @@ def model() -> Arm:
     return Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES)
 
 
-def tested(
+def run_check(
     adds: bool = False,
     configured: bool | None = None,
     watchdog: int | None = 5,
     delay: int = 3,
     slip: float = 0.0,
     ignores: bool = False,
+    period_ns: int = TICK,
 ) -> tuple[Row, list[np.ndarray]]:
     """Run the test on a simulated driver; returns the row and the torques sent.
 
@@ -48,7 +49,7 @@ def tested(
         own = command is None or ignores or (watchdog is not None and silent > watchdog)
         tau = gravity if own else command + (gravity if adds else 0.0)
         q = q + (0.0 if own else slip)
-        torque = check.step(tick * TICK, q, tau)
+        torque = check.step(tick * period_ns, q, tau)
         in_transit.append(torque)
         if torque is not None:
             sent.append(torque.copy())
@@ -62,7 +63,7 @@ def tested(
 def test_a_driver_with_a_watchdog_passes_and_gets_no_offset_above_friction(
     adds: bool,
 ) -> None:
-    row, sent = tested(adds)
+    row, sent = run_check(adds)
     assert row.verdict is Verdict.OK
     carrier = np.zeros(7) if adds else model().gravity(Q)
     extra = np.abs(np.array(sent) - carrier)
@@ -75,38 +76,43 @@ def test_a_driver_with_a_watchdog_passes_and_gets_no_offset_above_friction(
 def test_a_driver_that_holds_the_last_torque_fails_and_ends_with_the_torque_that_carries_the_arm(
     adds: bool,
 ) -> None:
-    row, sent = tested(adds, watchdog=None)
+    row, sent = run_check(adds, watchdog=None)
     assert (row.verdict, "no watchdog" in row.found) == (Verdict.FAIL, True)
     np.testing.assert_array_equal(sent[-1], np.zeros(7) if adds else model().gravity(Q))
 
 
 def test_a_slow_watchdog_is_a_warning() -> None:
-    row, _ = tested(watchdog=100)
+    row, _ = run_check(watchdog=100)
     assert (row.verdict, "206 ms" in row.found) == (Verdict.WARN, True)
 
 
+def test_a_driver_that_a_busy_machine_slows_down_is_not_said_to_have_no_watchdog() -> None:
+    row, _ = run_check(watchdog=40, period_ns=10 * TICK)
+    assert (row.verdict, "860 ms" in row.found) == (Verdict.WARN, True)
+
+
 def test_gravity_sent_to_a_driver_that_adds_it_ends_the_test_at_once() -> None:
-    row, sent = tested(adds=True, configured=False)
+    row, sent = run_check(adds=True, configured=False)
     assert (row.verdict, "driver_compensates_gravity: true" in row.advice) == (Verdict.FAIL, True)
     assert len(sent) <= 5
     np.testing.assert_array_equal(sent[-1], np.zeros(7))
 
 
 def test_zero_sent_to_a_driver_that_adds_nothing_ends_the_test_at_once() -> None:
-    row, sent = tested(adds=False, configured=True)
+    row, sent = run_check(adds=False, configured=True)
     assert (row.verdict, "driver_compensates_gravity: false" in row.advice) == (Verdict.FAIL, True)
     assert len(sent) <= 5
     np.testing.assert_array_equal(sent[-1], model().gravity(Q))
 
 
 def test_an_arm_that_moves_ends_the_test() -> None:
-    row, sent = tested(slip=0.2 * MOTION_MAX)
+    row, sent = run_check(slip=0.2 * MOTION_MAX)
     assert (row.verdict, "moved by" in row.found) == (Verdict.FAIL, True)
     assert len(sent) < 15
 
 
 def test_a_driver_that_does_not_report_commands_cannot_be_checked() -> None:
-    row, _ = tested(ignores=True)
+    row, _ = run_check(ignores=True)
     assert row.verdict is Verdict.UNCHECKED
 
 

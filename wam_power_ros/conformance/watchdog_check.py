@@ -17,6 +17,7 @@ from wam_power_ros.conformance.topic_checks import FAIL, OK, UNCHECKED, WARN, Ro
 from wam_power_ros.control.arm import Arm
 
 CARRY_NS, OFFSET_NS, SILENCE_NS = 100_000_000, 200_000_000, 500_000_000  # phases, by stamps
+HELD_STATES_MIN = 100  # before a torque counts as held: an overloaded driver skips time, not states
 OFFSET_END_NS = 1_000_000_000  # from the start, until which the driver must report the offset
 FRICTION_SHARE = 0.25  # offset as a share of the joint's Coulomb friction
 WATCHDOG_TIMEOUT = 0.05  # [s] in which a driver should return to its own torque
@@ -68,6 +69,7 @@ class CommandCheck:
             np.zeros(arm.n) if driver_compensates_gravity else self._gravity.copy()
         )
         self.finished = self._silent = self._reported = False
+        self._silent_states = 0  # since the last command
         self._start_ns = self._last_ns = 0  # stamps of the first state and of the last command
         self.row = _row("states stopped arriving", UNCHECKED)
 
@@ -105,11 +107,12 @@ class CommandCheck:
                 return self._end(_row(text, UNCHECKED, f"{advice}torques?"))
             self._silent = True
         silence = (stamp_ns - self._last_ns) * 1e-9  # [s]
+        self._silent_states += 1
         if abs(offset) < 0.5 * self._offset:
             late = silence > WATCHDOG_TIMEOUT
             result = (WARN, "the last torque acts for a long time") if late else (OK,)
             return self._end(_row(f"back at its own torque after {1e3 * silence:.0f} ms", *result))
-        if stamp_ns - self._last_ns > SILENCE_NS:
+        if stamp_ns - self._last_ns > SILENCE_NS and self._silent_states > HELD_STATES_MIN:
             text = f"no watchdog: the last torque is still held after {silence:.1f} s"
             advice = "the driver must return to its own torque when commands stop: if the "
             advice += "controller dies, this one holds the last torque until somebody stops it"
