@@ -55,12 +55,24 @@ class Bench:
     ) -> dict[str, Any]:
         """Report of check_driver under a fault, with its exit status and output.
 
+        The check is repeated if this machine was too busy to receive camera frames in time.
+
         Args:
             arguments: Of the command.
             fault: The fault from the start.
             typed: What a person types.
             by_hand: Fault from the question whether joints are led, before anything is typed.
         """
+        for _ in range(3):
+            table = self._check(arguments, fault, typed, by_hand)
+            late = "mocap latency" in failing(table)
+            if not late or table["rows"]["mocap jitter"]["verdict"] == "ok":
+                break
+        return table
+
+    def _check(
+        self, arguments: tuple[str, ...], fault: str, typed: str, by_hand: str | None
+    ) -> dict[str, Any]:
         self.set(fault)
         file = self._folder / "rows.json"
         file.unlink(missing_ok=True)

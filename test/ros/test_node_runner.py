@@ -3,72 +3,32 @@
 
 from __future__ import annotations
 
-import os
+import json
 import signal
-import socket
 import sys
 import time
-from contextlib import closing, suppress
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-import rclpy
 from std_msgs.msg import String
 
 from wam_power_ros.ros import interface, node_runner
-from wam_power_ros.ros.node_runner import (
-    FIRST_PORT,
-    NUMBER_SPREAD,
-    PORTS_PER_DOMAIN,
-    PORTS_PER_PARTICIPANT,
-    number_by_process,
-)
 
 if TYPE_CHECKING:
     from conftest import Probe, Processes
 
 
-def free(port: int) -> bool:
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as tried:
-        try:
-            tried.bind(("", port))
-        except OSError:
-            return False
-        return True
-
-
-def numbered(process: int, ports: list[int]) -> bool:
-    """True if a participant takes the first free port from its process's number on, and no other.
-
-    The fourth port is taken. A program that looks for a free domain may hold one for a moment.
-    """
-    context = rclpy.Context()
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as other:
-        with suppress(OSError):  # already bound by another program, which does as well
-            other.bind(("", ports[3]))
-        taken = [port for port in ports if not free(port)]
-        assert ports[3] in taken
-        rclpy.init(context=context)
-        try:
-            with number_by_process():
-                node = rclpy.create_node("numbered", context=context)
-            mine = [port for port in ports if not free(port) and port not in taken]
-            node.destroy_node()
-        finally:
-            rclpy.shutdown(context=context)
-    return mine == [next(port for port in ports[process % NUMBER_SPREAD :] if port not in taken)]
-
-
 @pytest.mark.requirement("S-68")
 @pytest.mark.parametrize("process", [1600, 1603, 1605, 1622])
 def test_a_participant_is_numbered_by_its_process_and_keeps_no_other_port(
-    process: int, domain_id: int, monkeypatch: pytest.MonkeyPatch
+    process: int, processes: Processes
 ) -> None:
-    first = FIRST_PORT + PORTS_PER_DOMAIN * domain_id
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain_id))
-    monkeypatch.setattr(os, "getpid", lambda: process)
-    ports = [first + PORTS_PER_PARTICIPANT * k for k in range(32)]
-    assert any(numbered(process, ports) for _ in range(3))
+    command = [sys.executable, str(Path(__file__).with_name("numbered_participant.py"))]
+    made = processes.start([*command, str(process)])
+    assert made.wait(60.0) == 0
+    expected, found = json.loads(processes.output(made))
+    assert found == [expected]
 
 
 SCRIPT = """
