@@ -168,7 +168,8 @@ class Robot:
         Raises:
             ServiceError: A service refuses or does not answer.
         """
-        self._calls.until(self._recorder_subscribed, f"discovery by {RECORDER}")
+        if not self._calls.until(self._recorder_subscribed, f"discovery by {RECORDER}"):
+            raise ServiceError(f"{RECORDER} did not subscribe to the joint states")
         insist = self._calls.insist
         insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
         try:

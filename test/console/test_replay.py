@@ -78,7 +78,13 @@ def test_an_invalid_bag_or_speed_is_refused_before_any_node_starts(
 
 
 @pytest.mark.parametrize(
-    ("code", "kept"), [(Code.TOO_FAST, False), (Code.REFUSED, False), (Code.FAULT, True)]
+    ("code", "kept"),
+    [
+        (Code.TOO_FAST, False),
+        (Code.REFUSED, False),
+        (Code.NOTHING, False),  # the movement never arrives
+        (Code.FAULT, True),
+    ],
 )
 def test_a_replay_that_is_refused_leaves_no_bag(
     probe: Probe, processes: Processes, tmp_path: Path, code: Code, kept: bool

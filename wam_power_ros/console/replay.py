@@ -14,6 +14,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
 import shutil
 import signal
+import time
 from pathlib import Path
 
 from pydantic import Field
@@ -34,7 +35,14 @@ from wam_power_ros.ros.node_runner import run_script
 from wam_power_ros.ros.service_client import LOG_AFTER, ServiceClient, ServiceError
 
 STOPPED_STATUS = 130  # exit status
-NO_MOTION_CODES = (Code.REFUSED, Code.TOO_FAST, Code.NOT_ACTIVE, Code.BUSY)
+NO_MOTION_CODES = (
+    Code.REFUSED,
+    Code.TOO_FAST,
+    Code.NOT_ACTIVE,
+    Code.BUSY,
+    Code.NOTHING,
+)
+RECEIPT_TIMEOUT = 10.0  # [s of wall time] in which the controller must have received the movement
 REPLAY_TIMEOUT = 3600.0  # [s of wall time]
 SETTLE_TIME = 1.0  # [s of wall time] recorded after a stop, while the arm comes to rest
 
@@ -117,6 +125,7 @@ class Replay(Node):
     def _follow(self) -> Answer:
         """Answer of the controller once the movement has ended or was stopped."""
         calls = self._calls
+        late = time.monotonic() + RECEIPT_TIMEOUT
         while True:
             future = calls.begin(Trigger, interface.REPLAY)
             ended = lambda f=future: f.done() or self._signals  # noqa: E731
@@ -124,8 +133,9 @@ class Replay(Node):
             if not future.done():
                 self._stop(future)
             answer = calls.answer(future)
-            if self._signals or answer.code is not Code.NOTHING:  # movement not received yet
+            if self._signals or answer.code is not Code.NOTHING or time.monotonic() > late:
                 return answer
+            calls.until(lambda: False, timeout=0.05)  # the movement has not been received yet
 
     def _stop(self, future: Future) -> None:
         self._calls.insist(Trigger, interface.STOP)

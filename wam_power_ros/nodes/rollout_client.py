@@ -309,6 +309,7 @@ class RolloutClient:
         Waits without limit for a person to activate the controller.
         """
         end = time.monotonic() + self._params.patience
+        late = time.monotonic() + RECEIPT_TIMEOUT  # readers not discovered yet have no policy
         while True:  # publish each time: a policy is refused in a rollout, as of a killed learner
             self._services.wait_for(Trigger, interface.MOVE_TO_START)
             self._policies.publish(String(data=policies.to_json(policy)))
@@ -327,7 +328,7 @@ class RolloutClient:
                 )
             if answer is not None and answer.code is Code.FAULT and self._params.reset_faults:
                 self._call(interface.RESET)
-            else:
+            elif answer is None or answer.code is not Code.NOTHING or time.monotonic() > late:
                 self._log.warning(
                     f"the arm cannot move to its start yet: {answer or 'no answer'}", once=True
                 )
