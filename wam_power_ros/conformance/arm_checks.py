@@ -98,8 +98,11 @@ def collect(samples: Sequence[StateSample], joint_names: Sequence[str]) -> tuple
 
     empty = np.empty((0, len(joint_names)))
     q, qd, tau = map(values, ("q", "qd", "tau")) if complete else (empty, None, None)
-    times = np.array([sample[:2] for sample in complete], dtype=np.int64).reshape(-1, 2).T
-    record = ArmRecord(tuple(joint_names), *times, empty if q is None else q, qd, tau)
+    received_ns, stamp_ns = (
+        np.array([sample[:2] for sample in complete], dtype=np.int64).reshape(-1, 2).T
+    )
+    q = empty if q is None else q
+    record = ArmRecord(tuple(joint_names), received_ns, stamp_ns, q, qd, tau)
     return record, _names(joint_names, complete, wrong, list(others))
 
 
@@ -175,7 +178,7 @@ def velocity(record: ArmRecord, topic: str = "") -> Row:
     if record.still:
         advice = "the arm is at rest: other units, other joints or another quantity"
         return row(f"up to {worst:.2f} at rest", FAIL, advice)
-    slopes = _slopes(record)
+    slopes = _slopes(record, qd)
     text = ", ".join(f"{record.joint_names[i]} x {slope:.2f}" for i, slope in slopes.items())
     wrong = [slope for slope in slopes.values() if abs(slope - 1.0) > 0.3]
     if not wrong:
@@ -188,13 +191,13 @@ def velocity(record: ArmRecord, topic: str = "") -> Row:
     return row(f"against positions: {text}", FAIL, advice)
 
 
-def _slopes(record: ArmRecord) -> dict[int, float]:
+def _slopes(record: ArmRecord, qd: np.ndarray) -> dict[int, float]:
     """Ratio of velocity to derivative of position, by index of the joints that moved; ideally 1."""
     t = (record.stamp_ns - record.stamp_ns[0]) * 1e-9
     step = max(1, int(np.searchsorted(t, SLOPE_WINDOW)))
     dq = record.q[step:] - record.q[:-step]  # (k, n)
     dt = np.maximum(t[step:] - t[:-step], 1e-9)
-    sums = np.cumsum(np.vstack([np.zeros(record.q.shape[1]), record.qd]), axis=0)
+    sums = np.cumsum(np.vstack([np.zeros(qd.shape[1]), qd]), axis=0)
     mean = (sums[step + 1 :] - sums[1:-step]) / step  # (k, n) over the same intervals
     rate = dq / dt[:, None]
     moved = np.flatnonzero(np.ptp(record.q, axis=0) >= STILL_RANGE)

@@ -65,13 +65,33 @@ class BodyState(Protocol):
 class LoggedRollout(Protocol):
     """Logged rollout as far as a task may use it; see `session_log.Record`."""
 
-    kind: str
-    ret: float | None
-    observation: Mapping[str, Any] | None
-    success: bool
-    why: str
-    fault: str
-    truth: Mapping[str, Any] | None
+    @property
+    def kind(self) -> str:
+        """Kind: "reproduction", "explore", "mean" or "retest"."""
+
+    @property
+    def ret(self) -> float | None:
+        """Return; None if the rollout is not scored."""
+
+    @property
+    def observation(self) -> Mapping[str, Any] | None:
+        """Observation of its assessment."""
+
+    @property
+    def success(self) -> bool:
+        """True if it met the criterion of success."""
+
+    @property
+    def why(self) -> str:
+        """Reason why it was not learnt from; "" if it was."""
+
+    @property
+    def fault(self) -> str:
+        """Fault that ended it; "" without."""
+
+    @property
+    def truth(self) -> Mapping[str, Any] | None:
+        """Ground truth of the simulator; None on a real arm."""
 
 
 class Task(Protocol):
