@@ -31,6 +31,8 @@ from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.service_client import DISCOVERY
 
 network.confine(os.environ)  # this process, too
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # tests interrupt processes
 settings.register_profile("any machine", deadline=None)  # however busy it is
 settings.load_profile("any machine")
 T = TypeVar("T")
