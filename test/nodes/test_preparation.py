@@ -133,7 +133,7 @@ def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
         arm.diagnosis(lambda d, n=name: d["policy"] == n, f"policy {name}")
     worker.signal(signal.SIGSTOP)
     move = probe.begin(Trigger, interface.MOVE_TO_START)
-    probe.spin(0.1)
+    probe.spin(1.0)  # until the controller has received the request, on a busy machine too
     worker.signal(signal.SIGKILL)
     probe.until(move.done, "the answer")
     refusal = read(move.result().success, move.result().message)

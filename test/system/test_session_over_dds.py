@@ -243,7 +243,7 @@ def test_a_session_taken_up_under_lower_limits_sends_nothing_that_breaks_them(
     arguments = ("--session", "session", "--config", str(low), "--simulate")
     status, output = ended(wam_power(tmp_path, "learn", *arguments))
     assert status != 0
-    assert "trial-0001 (reproduces demonstration-1) was not sent: by these limits" in output
+    assert "trial-0001 (reproduces demonstration-1) was not sent: with the present limits" in output
     assert lines(folder) == []
 
 
