@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -102,6 +103,24 @@ def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
     arm.answer()
     response = probe.call(Trigger, interface.EXECUTE)
     assert read(response.success, response.message) == Answer(Code.DONE, values={"policy": "good"})
+
+
+def test_a_state_that_is_repeated_in_lockstep_is_recent_at_a_late_activation(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes, autostart=False)
+
+    def change(transition: int) -> bool:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        return probe.call(ChangeState, "/torque_controller/change_state", request).success
+
+    assert change(Transition.TRANSITION_CONFIGURE)
+    arm.send()
+    end = time.monotonic() + 1.5
+    while time.monotonic() < end:  # the stand-in waits for a torque before it steps
+        arm.again(NAMES, HOME, np.zeros(7))
+        probe.spin(0.05)
+    assert change(Transition.TRANSITION_ACTIVATE)
 
 
 def test_the_life_cycle_decides_whether_torques_are_sent(
