@@ -270,10 +270,8 @@ class TorqueController(LifecycleNode):
                 controller.fault(fault)
         elif controller.stamp_ns != stamp_ns or self._watchdog.silent(arrived_ns):
             return None  # refused, or repeated for long; `watch` sends until a valid one comes
-        elif (
-            not self._watchdog.enabled
-        ):  # lockstep: repeated until it is answered, as at activation
-            self._watchdog.arrived(arrived_ns)
+        elif not self._watchdog.enabled:
+            self._watchdog.arrived(arrived_ns)  # lockstep: repeated until a torque answers it
         if not self._active:
             return None
         if self._guard.foreign:
