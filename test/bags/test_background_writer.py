@@ -69,6 +69,7 @@ def test_a_disk_that_hangs_for_too_long_is_given_up(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(background_writer, "WAITING_MAX", 500)
+    monkeypatch.setattr(background_writer, "WRITE_PERIOD", 1.0)  # the first write has states
     recorded, q = begun(tmp_path), random_q(1000)
     feed(recorded, q[:100])
     assert disk.asked.wait(60.0)

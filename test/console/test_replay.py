@@ -83,6 +83,7 @@ def test_an_invalid_bag_or_speed_is_refused_before_any_node_starts(
         (Code.TOO_FAST, False),
         (Code.REFUSED, False),
         (Code.NOTHING, False),  # the movement never arrives
+        (Code.BUSY, False),  # or is never read
         (Code.FAULT, True),
     ],
 )

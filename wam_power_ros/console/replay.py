@@ -42,7 +42,8 @@ NO_MOTION_CODES = (
     Code.BUSY,
     Code.NOTHING,
 )
-RECEIPT_TIMEOUT = 10.0  # [s of wall time] in which the controller must have received the movement
+RETRY_CODES = (Code.NOTHING, Code.BUSY)  # the movement was not received, or not read, yet
+RECEIPT_TIMEOUT = 15.0  # [s of wall time] in which the controller must have read the movement
 REPLAY_TIMEOUT = 3600.0  # [s of wall time]
 SETTLE_TIME = 1.0  # [s of wall time] recorded after a stop, while the arm comes to rest
 
@@ -133,9 +134,9 @@ class Replay(Node):
             if not future.done():
                 self._stop(future)
             answer = calls.answer(future)
-            if self._signals or answer.code is not Code.NOTHING or time.monotonic() > late:
+            if self._signals or answer.code not in RETRY_CODES or time.monotonic() > late:
                 return answer
-            calls.until(lambda: False, timeout=0.05)  # the movement has not been received yet
+            calls.until(lambda: False, timeout=0.05)
 
     def _stop(self, future: Future) -> None:
         self._calls.insist(Trigger, interface.STOP)
