@@ -7,7 +7,6 @@ truth of a rollout is published when it ends.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator
 
@@ -23,6 +22,7 @@ from wam_power_ros.learning import policy as policies
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.deferred_service import DeferredTrigger
+from wam_power_ros.ros.pose_messages import GroundTruth, ground_truth_message
 
 WAIT_TICKS = 50  # from a reset to its answer, and from a demonstration request to its refusal
 START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
@@ -74,14 +74,19 @@ class SceneServices:
         if body:
             node.create_service(Trigger, interface.body_topic(body, "drop"), self._on_drop)
 
-    def change(self, label: str) -> None:
-        """Change the activity of the controller; a rollout begins or ends with this tick."""
+    def change(self, label: str, stamp_ns: int) -> None:
+        """Change the activity of the controller; a rollout begins or ends with this tick.
+
+        Args:
+            label: What the controller does from now on.
+            stamp_ns: Stamp of the last state [ns].
+        """
         previous, self.label = self.label, label
         world = self._world
         if world.frozen and self._resetting is None and label not in ("hold", "inactive"):
             world.release()
         if previous.startswith("rollout "):
-            self._truths.publish(String(data=json.dumps(world.truth())))
+            self._truths.publish(ground_truth_message(GroundTruth(stamp_ns, world.truth())))
 
     def update(self) -> None:
         """Advance a pending reset or demonstration; called every tick."""

@@ -186,7 +186,7 @@ class WamSim(Node):
         if reading is not None and reading.label != self._scene.label:
             if (self._scene.label, reading.label) == ("fault", "hold"):
                 world.idle = False  # the controller was reset: the arm is active again
-            self._scene.change(reading.label)
+            self._scene.change(reading.label, self.stamp_ns)
         tau = None if reading is None else reading.tau
         if self._barrett.deactivated:
             tau = np.zeros(N)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 from conftest import ROOT, Probe, Processes, diagnosis
 from diagnostic_msgs.msg import DiagnosticArray
@@ -17,7 +15,7 @@ from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.params import overlay
-from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.answers import Answer, Code, read
 
 TICK = 2_000_000  # [ns]
@@ -151,4 +149,4 @@ class Hardware:
         self.probe.spin(pauses[1])
         assert self.insist(interface.EXECUTE) == policy.id
         self.probe.until(lambda: self.paths and self.truths, "path and truth", deadline=60.0)
-        return self.paths[0], json.loads(self.truths[0].data)
+        return self.paths[0], pose_messages.ground_truth(self.truths[0]).values

@@ -27,6 +27,7 @@ MILLISECOND = 1_000_000  # [ns]
 PLACED = [0.5, -0.3, 0.2, 0.0, 0.0, 0.6, 0.8]  # pose of the motion-capture frame in the base frame
 HIDDEN = (1.0, 1.08)  # [s] in which the pancake cannot be seen, on its way up
 DURATION = 2.0  # [s]
+SLOW_MAX = 10.0  # largest age of frames that a tracker can be set to allow [s]
 
 
 def toss(t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +96,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     more = tmp_path / "over.yaml"
     more.write_text(over or "{}")
     setup = of(name, more)
-    setup["pancake_tracker"] |= {"clock_offset_max": 10.0, "silence": 60.0}  # slow is fine
+    setup["pancake_tracker"] |= {"clock_offset_max": SLOW_MAX, "silence": 60.0}
     file = tmp_path / "parameters.yaml"
     file.write_text(overlay.text(setup))
     processes.node("wam_power_ros.nodes.pancake_tracker", file)
@@ -112,6 +113,9 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
 
     start_ns = time.time_ns()
     camera.film(start_ns)
+    while time.time_ns() - start_ns > 0.8e9 * SLOW_MAX:  # on a busy machine
+        start_ns = time.time_ns()
+        camera.film(start_ns)
     t = np.arange(0.0, DURATION, 0.01)
     still = np.tile([*PAN, 0.0, 0.0, 0.0, 1.0], (len(t), 1))
     pan = EndEffectorPath("trial-1", t, still[:, :3], still[:, 3:])

@@ -140,6 +140,26 @@ def test_the_path_of_another_rollout_is_not_taken(client: RolloutClient, cell: C
     assert executed.rollout.tool.t[-1] > 0.4
 
 
+def test_the_ground_truth_of_an_earlier_rollout_of_the_same_trial_is_not_taken_however_late(
+    client: RolloutClient, cell: Cell, probe: Probe, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truths = probe.publisher(String, interface.body_topic("", "truth"), interface.LATCHED)
+    before, now = (
+        pose_messages.GroundTruth(end_ns, {"id": POLICY.id, "caught": caught})
+        for end_ns, caught in ((9 * 10**8, False), (15 * 10**8, True))
+    )
+    rollout = cell.publish
+
+    def publish(end: float) -> None:
+        rollout(end)  # at 1 s
+        truths.publish(pose_messages.ground_truth_message(before))
+        timer = probe.node.create_timer(0.3, lambda: (timer.cancel(), truths.publish(after)))
+
+    after = pose_messages.ground_truth_message(now)
+    monkeypatch.setattr(cell, "publish", publish)
+    assert client.execute(POLICY, WHOLE, lambda state: "").truth == now.values
+
+
 @pytest.mark.parametrize("kind", [FaultKind.TOOL_SPEED, FaultKind.STATES_LOST])
 def test_the_fault_of_a_rollout_that_was_cut_short_keeps_its_kind(
     client: RolloutClient, cell: Cell, kind: FaultKind
@@ -170,14 +190,26 @@ def test_a_fault_before_the_rollout_is_reset_and_it_begins_again(
 @pytest.mark.parametrize("service", [interface.MOVE_TO_START, interface.EXECUTE])
 def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_and_again(
     service: str,
-    client: RolloutClient,
     cell: Cell,
     probe: Probe,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(service_client, "LOG_AFTER", 0.1)
-    monkeypatch.setattr(PARAMS, "patience", 0.1)
+    refused: list[str] = []  # modes since the refusal: a person takes half a second
+
+    def waits() -> bool:
+        return not cell.answers[move] and not cell.answers[execute]
+
+    class Params(SimpleNamespace):
+        """Patient, but not while a person is to activate the controller: that has no limit."""
+
+        @property
+        def patience(self) -> float:
+            return 0.1 if waits() and "hold" not in refused else 20.0
+
+    params = Params(**{name: value for name, value in vars(PARAMS).items() if name != "patience"})
+    client = RolloutClient(probe.node, probe._executor, params, "")
     sent = probe.listen(String, interface.POLICY, interface.LATCHED)
     inactive = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
     move, execute = interface.MOVE_TO_START, interface.EXECUTE
@@ -187,11 +219,9 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
         move: [done, inactive] if begun else [inactive],
         execute: [inactive][: len(begun)],
     }
-    refused: list[str] = []  # modes since the refusal: a person takes half a second
 
     def publish() -> None:
-        waits = not cell.answers[move] and not cell.answers[execute]
-        refused.extend(["inactive" if len(refused) < 5 else "hold"] * waits)
+        refused.extend(["inactive" if len(refused) < 5 else "hold"] * waits())
         cell.diagnose(refused[-1] if refused else "inactive", "warn", "not active")
 
     probe.node.create_timer(0.1, publish)

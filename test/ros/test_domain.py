@@ -41,13 +41,14 @@ def holder(number: int, *before: str) -> subprocess.Popen[str]:
 
 
 @pytest.fixture
-def two(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
-    """The only two private domains in this test."""
+def two(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[tuple[int, int]]:
+    """The only two private domains in this test: held against the machine, free for the test."""
     with private_domain() as one, private_domain() as other:
-        pass
-    monkeypatch.setattr(domain, "PRIVATE_DOMAINS", (one, other))
-    monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
-    yield one, other
+        monkeypatch.setenv("TMPDIR", str(tmp_path))  # of the locks, also in the processes below
+        monkeypatch.setattr(tempfile, "tempdir", None)
+        monkeypatch.setattr(domain, "PRIVATE_DOMAINS", (one, other))
+        monkeypatch.delenv("ROS_DOMAIN_ID", raising=False)
+        yield one, other
 
 
 @pytest.mark.requirement("S-55")
@@ -99,7 +100,7 @@ def test_a_lock_is_readable_for_other_users_and_one_that_is_not_is_named(
     two: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = Path(tempfile.gettempdir()) / f"ros_domain_{two[0]}.lock"
-    file.chmod(0o600)  # as of a user with umask 077
+    file.touch(0o600)  # as of a user with umask 077
     held = hold(two[0])
     assert held is not None
     held.close()

@@ -128,3 +128,15 @@ def test_the_end_of_a_rollout_keeps_its_id_start_and_fault(
 def test_what_is_no_end_of_a_rollout_is_refused(text: str) -> None:
     with pytest.raises(ValueError):
         pose_messages.finished(String(data=text))
+
+
+@given(st.integers(1, 10**18))
+def test_the_ground_truth_of_a_rollout_keeps_its_end_and_values(end_ns: int) -> None:
+    there = pose_messages.GroundTruth(end_ns, {"id": "trial-0007", "caught": False, "apex": 0.4})
+    assert pose_messages.ground_truth(pose_messages.ground_truth_message(there)) == there
+
+
+@pytest.mark.parametrize("text", ["", "[]", "7", '{"id": "a"}', '{"id": "a", "end": {"sec": 1}}'])
+def test_what_is_no_ground_truth_is_refused(text: str) -> None:
+    with pytest.raises(ValueError):
+        pose_messages.ground_truth(String(data=text))

@@ -37,8 +37,10 @@ def test_only_this_machine_reaches_the_server_and_the_public_relay_is_off() -> N
     server = open_server("127.0.0.1", 0)
     try:
         assert _messages.ShareUrlRequest not in server._websock_server._incoming_handlers
-        with socket.create_connection(("127.0.0.1", server.get_port())):
-            pass
+        with socket.create_connection(("127.0.0.1", server.get_port())) as asking:
+            asking.shutdown(socket.SHUT_WR)
+            while asking.recv(4096):  # until the server has closed it, too
+                pass
         with socket.socket() as other, pytest.raises(OSError, match="refused"):
             other.connect(("127.0.0.2", server.get_port()))
     finally:

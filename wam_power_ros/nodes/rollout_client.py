@@ -9,7 +9,6 @@ from the start of the trial.
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable
@@ -31,7 +30,7 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind, Rollout
 from wam_power_ros.ros import diagnostics, interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.pose_messages import Finished, PathReading, StateReading
+from wam_power_ros.ros.pose_messages import Finished, GroundTruth, PathReading, StateReading
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
 T = TypeVar("T")
@@ -95,7 +94,7 @@ class RolloutClient:
         self._finished: Finished | None = None
         self._tool_path: PathReading | None = None
         self._body_path: PathReading | None = None
-        self._truth: dict[str, Any] | None = None
+        self._truth: GroundTruth | None = None
         self._fault: Fault | None = None
         self._mode = ""  # of the controller, published once a second
         self._ready: Ready = lambda state: "no rollout is prepared"
@@ -143,14 +142,16 @@ class RolloutClient:
         finished = self._end(policy.id, ready_ns)
         tool, body = self._paths(finished)
         bag = self._end_bag() if self._params.record_rollouts else ""
+        truth = None
         if self._node.count_publishers(self._truth_topic):
             self.until(
-                lambda: self._truth_of(policy.id) is not None,
+                lambda: self._truth_of(finished) is not None,
                 f"the ground truth of {policy.id}",
                 self._params.rollout_timeout,
             )
+            truth = self._truth_of(finished)
         fault = finished.fault if tool.t[-1] <= duration - END_TOLERANCE else None
-        return Executed(Rollout(tool, body, fault), bag, self._truth_of(policy.id))
+        return Executed(Rollout(tool, body, fault), bag, truth)
 
     def until(
         self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float
@@ -193,7 +194,7 @@ class RolloutClient:
             self._ready_ns = state.stamp_ns
 
     def _on_truth(self, message: String) -> None:
-        self._truth = self._read(lambda: json.loads(message.data))
+        self._truth = self._read(lambda: pose_messages.ground_truth(message))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -271,7 +272,7 @@ class RolloutClient:
         ready_ns = self._ready_ns
         if self._params.record_rollouts:
             self._begin_bag(policy.id)
-        self._truth = self._fault = None
+        self._fault = None
         self._insist(interface.EXECUTE, policy.id)
         return ready_ns
 
@@ -405,9 +406,11 @@ class RolloutClient:
         except ValueError as error:
             raise RolloutError(str(error)) from error
 
-    def _truth_of(self, policy_id: str) -> dict[str, Any] | None:
+    def _truth_of(self, finished: Finished) -> dict[str, Any] | None:
         truth = self._truth
-        return truth if truth is not None and truth.get("id") == policy_id else None
+        if truth is None or truth.values.get("id") != finished.id:
+            return None
+        return truth.values if truth.end_ns >= finished.start_ns else None
 
 
 def _is_about(answer: Answer, policy_id: str) -> bool:

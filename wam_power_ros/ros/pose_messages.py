@@ -8,7 +8,7 @@ are `int` nanoseconds, quaternions xyzw, all else SI.
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -246,4 +246,32 @@ def finished(message: String) -> Finished:
         return Finished(str(values["id"]), start_ns, fault)
     except (KeyError, TypeError, RecursionError) as error:
         text = f"{message.data[:200]!r} must describe the end of a rollout: {error!r}"
+        raise ValueError(text) from error
+
+
+class GroundTruth(NamedTuple):
+    """What a simulator knows of a rollout that has ended there."""
+
+    end_ns: int  # stamp of its end
+    values: dict[str, Any]  # "id" of the policy, and values of the scene
+
+
+def ground_truth_message(truth: GroundTruth) -> String:
+    """Message about the ground truth of a rollout: a JSON object."""
+    sec, nanosec = divmod(truth.end_ns, 1_000_000_000)
+    return String(data=json.dumps({"end": {"sec": sec, "nanosec": nanosec}, **truth.values}))
+
+
+def ground_truth(message: String) -> GroundTruth:
+    """Read a message about the ground truth of a rollout.
+
+    Raises:
+        ValueError: When it is not such a JSON object.
+    """
+    try:
+        values = json.loads(message.data)
+        end = values.pop("end")
+        return GroundTruth(int(end["sec"]) * 1_000_000_000 + int(end["nanosec"]), dict(values))
+    except (AttributeError, KeyError, TypeError, RecursionError) as error:
+        text = f"{message.data[:200]!r} must describe the ground truth of a rollout: {error!r}"
         raise ValueError(text) from error
