@@ -225,8 +225,8 @@ class WamSim(Node):
         except ValueError as error:
             self.counters["torques refused"] += 1
             self.get_logger().warning(f"torque refused: {error}", throttle_duration_sec=1.0)
-            size = len(getattr(message, "data", self.params.joint_names))
-            if self.params.deactivates and size != N:
+            torques = message.effort if isinstance(message, JointState) else message.data
+            if self.params.deactivates and len(torques) != N:
                 self._barrett.deactivated = True
                 self.get_logger().error("deactivated: the arm receives zero torques from now on")
             return

@@ -106,7 +106,7 @@ def test_the_same_session_gives_the_same_report(folder: Path) -> None:
 def test_a_shown_rollout_without_a_film_gives_the_reason(folder: Path) -> None:
     shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
     html = session_report.write(folder, shown, "no <OpenGL> here").read_text()
-    assert "The answer, trial-0006" in html
+    assert "The final policy, trial-0006" in html
     assert "no &lt;OpenGL&gt; here" in html
 
 
@@ -146,7 +146,7 @@ def test_a_report_of_a_reach_speaks_of_the_obstacle_and_of_no_pancake(reach: Pat
     assert "obstacle was touched, the observation agreed with the simulator in 3 of 3" in html
     assert (
         html.count("data:image/svg+xml;base64,") == 4
-    )  # the answer, learning curve, terms, stiffness
+    )  # the final policy, learning curve, terms, stiffness
 
 
 def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:

@@ -32,13 +32,13 @@ from wam_power_ros.ros import diagnostics, interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.pose_messages import Finished, GroundTruth, PathReading, StateReading
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
+from wam_power_ros.tasks.task import MISSING_MAX
 
 T = TypeVar("T")
 STARTS_MAX = 5  # attempts to begin one rollout
 ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
 RECEIPT_TIMEOUT = 2.0  # longest wait until all readers have a policy; a hung one never has [s]
 CLOCK_OFFSET_MAX = 0.2  # between arm and motion capture; the tracker allows no more [s]
-END_TOLERANCE = 0.05  # a rollout shorter by less is complete: no fault has cut it short [s]
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
 READY_STATES = 3  # number of successive states in which the body must be ready
@@ -150,7 +150,7 @@ class RolloutClient:
                 self._params.rollout_timeout,
             )
             truth = self._truth_of(finished)
-        fault = finished.fault if tool.t[-1] <= duration - END_TOLERANCE else None
+        fault = finished.fault if tool.t[-1] < duration - MISSING_MAX else None
         return Executed(Rollout(tool, body, fault), bag, truth)
 
     def until(

@@ -51,8 +51,8 @@ def equation_5(record: Record) -> float:
     return math.nan if flight is None else pancake_return(flight).total
 
 
-def answer(task: Flip, rollout: Rollout) -> Figure:
-    """Figure of the answer's rollout in the report of its session.
+def final_rollout(task: Flip, rollout: Rollout) -> Figure:
+    """Figure of a rollout of the final policy in the report of its session.
 
     Raises:
         ValueError: The rollout has no path of the pancake.

@@ -94,8 +94,8 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     return figure
 
 
-def answer(task: Reach, rollout: Rollout) -> Figure:
-    """Figure of the answer's rollout in the report of its session."""
+def final_rollout(task: Reach, rollout: Rollout) -> Figure:
+    """Figure of a rollout of the final policy in the report of its session."""
     panel = Panel([task.demonstrated], task.obstacle, task.radius, learnt=rollout.tool.position)
     return paths({f"{rollout.tool.id}, executed": panel})
 

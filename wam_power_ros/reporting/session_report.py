@@ -32,7 +32,7 @@ from wam_power_ros.reporting.terminal import before_and_after, counted, number, 
 from wam_power_ros.tasks.task import Task
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
-ANSWER_FIGURES = {"flip": flip_figures.answer, "reach": reach_figures.answer}
+ROLLOUT_FIGURES = {"flip": flip_figures.final_rollout, "reach": reach_figures.final_rollout}
 AGREEMENT = {  # task -> question, and the key of the answer in ground truth and observation
     "flip": ("whether the pancake was caught", "caught", "resting"),
     "reach": ("whether the obstacle was touched", "touched", "touched"),
@@ -41,7 +41,7 @@ AGREEMENT = {  # task -> question, and the key of the answer in ground truth and
 
 @dataclass(frozen=True)
 class ShownRollout:
-    """The answer's rollout, shown in detail.
+    """A rollout of the final policy, shown in detail.
 
     Attributes:
         caption: Outcome of the rollout.
@@ -200,9 +200,9 @@ def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
             " Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the paper; dots "
             "are camera frames."
         )
-    if task.name in ANSWER_FIGURES:
-        content += _svg(ANSWER_FIGURES[task.name](task, rollout))
-    return html_page.section(f"The answer, {rollout.tool.id}", [text], content)
+    if task.name in ROLLOUT_FIGURES:
+        content += _svg(ROLLOUT_FIGURES[task.name](task, rollout))
+    return html_page.section(f"The final policy, {rollout.tool.id}", [text], content)
 
 
 def _curves(task: Task, records: Sequence[Record]) -> str:

@@ -125,7 +125,7 @@ def wrapped(text: str) -> str:
 
 
 def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
-    """Comparison of the reproduction with the re-tests of the answer; empty before the choice."""
+    """Reproduction beside re-tests of the final policy; empty before it is chosen."""
     first = reproduction_learnt_from(records)
     if first is None:
         return []

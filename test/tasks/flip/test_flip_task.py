@@ -129,6 +129,6 @@ def test_a_summary_counts_the_re_tests_and_the_truth_of_those_that_have_one() ->
     records = [judged(caught, truth=truth), judged(dropped, truth={**truth, "caught": False})]
     records += [judged(caught, kind="trial", truth=truth), judged(None)]
     seen, true = FLIP.summary(records)
-    assert seen.startswith("re-tests of the answer: 1 of 3 flipped and caught")
+    assert seen.startswith("re-tests of the final policy: 1 of 3 flipped and caught")
     assert "1 of 2 flipped and caught, 0 by a true flip" in true
     assert FLIP.summary(records[2:3]) == []

@@ -128,5 +128,5 @@ def test_a_table_names_the_distance_and_the_contact() -> None:
     unseen.fault = "stopped"
     assert task().outcome(unseen) == "fault: stopped"
     assert task().summary([row, unseen]) == [
-        "re-tests of the answer: 1 of 1 passed the obstacle, smallest clearance -10 mm"
+        "re-tests of the final policy: 1 of 1 passed the obstacle, smallest clearance -10 mm"
     ]

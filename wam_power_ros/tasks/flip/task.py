@@ -118,7 +118,9 @@ class Flip:
         flights = [flight for each in seen if (flight := flip_assessment.flight_of(each))]
         returns = [flip_assessment.pancake_return(flight).total for flight in flights]
         eq5 = f"; Eq. 5 {np.mean(returns):.3f}, at least {min(returns):.3f}" if returns else ""
-        lines = [f"re-tests of the answer: {caught} of {len(retests)} flipped and caught{eq5}"]
+        lines = [
+            f"re-tests of the final policy: {caught} of {len(retests)} flipped and caught{eq5}"
+        ]
         truths = [record.truth for record in retests if record.truth]
         if truths:
             landed = sum(bool(t.get("caught") and t.get("flipped")) for t in truths)

@@ -143,7 +143,7 @@ class Reach:
         clear = sum(not each["touched"] for each in seen)
         clearance = min(each["clearance"] for each in seen)
         return [
-            f"re-tests of the answer: {clear} of {len(seen)} passed the obstacle, "
+            f"re-tests of the final policy: {clear} of {len(seen)} passed the obstacle, "
             f"smallest clearance {1000 * clearance:.0f} mm"
         ]
 
