@@ -90,11 +90,12 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     refused = probe.call(Trigger, interface.LEARNER_DEMONSTRATION, deadline=300.0)
     assert answers.read(refused.success, refused.message).code is Code.NOTHING
     status, answer = tell("demonstration", LATER.parent)  # no bag, but a folder of them
-    assert status == 2 and answer.startswith("refused: ") and str(LATER.parent) in answer, answer
+    # the middleware may write lines, too
+    assert status == 2 and f"\nrefused: {LATER.parent}" in f"\n{answer}", answer
     status, answer = tell("demonstration", LATER)
     assert status == 0 and str(LATER) in answer, answer
     notes = [line.note for line in read_log(folder) if not isinstance(line, Record)]
-    assert notes[-1] == answer.splitlines()[-1]  # what it waits for may stand before it
+    assert notes[-1] in answer.splitlines()  # what it waits for may stand before it
     assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
     kept = lines(folder)
 
