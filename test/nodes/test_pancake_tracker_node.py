@@ -177,7 +177,7 @@ def test_stamps_of_another_clock_are_reported_and_no_path_is_made_of_them(
     assert len(bench.path().t) == 0
     status = bench.status("synchronise the clocks")
     assert status["level"] == 2
-    assert f"rollout-{start_ns} not scored" in status["last trouble"]
+    assert f"rollout-{start_ns} not scored" in status["last problem"]
 
 
 def test_a_cloud_of_markers_in_a_y_up_world_gives_the_state_in_the_base(

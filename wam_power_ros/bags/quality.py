@@ -14,7 +14,7 @@ from wam_power_ros.bags import layout
 # Spectral arc length [Balasubramanian2012]
 CUTOFF_MAX = 10.0  # [Hz]
 AMPLITUDE_MIN = 0.05  # share of the largest amplitude at which the spectrum is cut off
-PADDING = 4  # zero padding, as a power of two of the length
+PADDING = 4  # zero padding: next power of two of the length, times 2**PADDING
 SMOOTHNESS_MIN = -2.5  # a single smooth movement has about -1.6
 RANGE_MIN = 0.05  # range of the joint that moves most [rad]
 SPEED_SHARE_MAX = 0.9  # of a speed limit; a rollout may be faster than its demonstration

@@ -51,7 +51,7 @@ SHARED_ARGUMENTS = {  # launch argument -> default and description
     "learner": ("", "learning algorithm; '': the preset's"),
     "preset": ("", "settings of the task; '': its first"),
     "trials": ("", "budget of rollouts; '': the preset's"),
-    "seed": ("", "seed of a new session and its simulation; '': the session's, or 0"),
+    "seed": ("", "seed of a new session and of the simulation; '': the session's, or 0"),
 }
 SECURE_TEXT = "run each node in its enclave of ROS_SECURITY_KEYSTORE, see SECURITY.md"
 

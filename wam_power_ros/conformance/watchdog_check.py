@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Test of the driver's watchdog that cannot move the arm: a torque offset, then no commands.
 
-The test sends the torque that carries the arm for 0.3 s, at last with an offset well below Coulomb
-friction on the joint with the most friction. Then it sends nothing. A driver with a watchdog
-returns to its own torque; one without holds the offset.
+The test sends the torque that carries the arm: 0.1 s alone, then 0.2 s, or until the driver reports
+it (1 s after the start at the latest), with an offset well below Coulomb friction on the joint with
+the most friction. Then it sends nothing. A driver with a watchdog returns to its own torque; one
+without holds the offset.
 """
 
 from __future__ import annotations

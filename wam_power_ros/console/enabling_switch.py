@@ -45,7 +45,7 @@ class HeldKey:
 def main() -> int:
     """Run `wam-power enable`: publish until Ctrl-C or until the terminal is closed."""
     if not sys.stdin.isatty():
-        raise ValueError("enable reads keys from a terminal, but standard input is none")
+        raise ValueError("enable reads keys from a terminal, but standard input is not one")
     with participant(lambda: rclpy.create_node("enabling_switch")) as node:
         switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
         key, terminal = HeldKey(), sys.stdin.fileno()

@@ -235,15 +235,15 @@ class CheckDriver(Node):
         ends = self._publisher_ends(topic)
         kind = "sensor_msgs/msg/PointCloud2" if params.markers_topic else POSE_TYPE
         samples = self.clouds or self.frames
-        heard = topic_checks.reception("mocap", topic, len(samples), seconds, ends)
+        reception = topic_checks.reception("mocap", topic, len(samples), seconds, ends)
         if not samples:
-            return [heard]
+            return [reception]
         received, stamp_ns = (np.array([sample[i] for sample in samples]) for i in (0, 1))
         age = float(np.median(record.received_ns - record.stamp_ns)) if len(record.q) else 0.0
         pan = arm.tool_pose(record.q[-1])[0] if len(record.q) else None
         offsets = params.latency_offset, params.clock_offset_max
         found = [
-            heard,
+            reception,
             topic_checks.publishers("mocap QoS", kind, ends),
             topic_checks.rate("mocap rate", stamp_ns, params.rate),
             topic_checks.jitter("mocap jitter", received, 1.0 / params.rate),

@@ -134,7 +134,7 @@ class PancakeTracker(Node):
         self._states.publish(pose_messages.odometry_message(reading, self._body_frame))
 
     def _check_silence(self) -> None:
-        """Publish predicted states in an occlusion; stop waiting for frames of a path in time."""
+        """Publish predicted states in an occlusion; end the wait for a path after `silence`."""
         now_ns = self._timeout_clock.now().nanoseconds
         silent_ns = max(now_ns - self._frame_ns, 0)
         state = self._tracker.at(self._tracker.latest_ns + silent_ns)
@@ -187,7 +187,7 @@ class PancakeTracker(Node):
         values = {
             **tracker.counts,
             "clock offset [s]": f"{offset:.4f}",
-            "last trouble": self._problem,
+            "last problem": self._problem,
         }
         self._diagnostics.publish(
             diagnostics_message(

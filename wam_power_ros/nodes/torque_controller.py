@@ -290,7 +290,7 @@ class TorqueController(LifecycleNode):
         self._enabled_ns = time.monotonic_ns() if message.data else -ENABLE_TIMEOUT_NS
 
     def failed(self, error: Exception) -> None:
-        """Latch a fault after an exception in a callback, and hold the arm."""
+        """Latch a fault after an exception in a callback; brake and carry the arm."""
         if self._active:
             self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
             self._send(self._controller.stale_torque(), Mode.FAULT.value)
@@ -312,7 +312,7 @@ class TorqueController(LifecycleNode):
         return self._watchdog.patience(time.monotonic_ns())
 
     def watch(self) -> None:
-        """Between callbacks: hold the arm if no states come (not in lockstep)."""
+        """Between callbacks: brake and carry the arm if no states come (not in lockstep)."""
         if not self._active or not self._watchdog.enabled:
             return
         now_ns = time.monotonic_ns()

@@ -75,7 +75,7 @@ class RawTopics:
     def take(self) -> None:
         """Pass on the messages that have arrived but were not dispatched yet.
 
-        At most one queue of each topic: if messages arrived faster, this would never end.
+        At most one queue of each topic: without this limit, a slow reader would never finish.
         """
         for name, known in self._subscribed.items():
             handle = known.subscription.handle

@@ -23,7 +23,7 @@ class Player:
     Attributes:
         movement: Shown movement, None before the first.
         playing: True while it plays.
-        stale: True if something else has been drawn since.
+        stale: True before the first movement, and if something else was drawn over it.
         on_choice: Called when a person chooses or plays a movement.
 
     Args:

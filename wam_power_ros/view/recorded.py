@@ -19,7 +19,7 @@ from wam_power_ros.view.skeleton import Skeleton
 DESCRIPTION, POLICY = "/robot_description", "/policy"  # topics below the arm's namespace
 STATE, ODOMETRY = "/state", "nav_msgs/msg/Odometry"  # topic of a body below its name; its type
 URDFS = ("urdf/wam7.urdf", "urdf/cobot7.urdf")  # tried for a bag without a robot description
-BODY_LEAD_MAX = 0.05  # [s] of body states before the first joint state, else dropped
+BODY_LEAD_MAX = 0.05  # [s] before the first joint state; earlier body states are dropped
 
 
 @dataclass(frozen=True, eq=False)
