@@ -138,7 +138,7 @@ class Push:
 
 
 class Wall:
-    """An elastic half space at the tool's position, perpendicular to its motion.
+    """An elastic half space whose surface is at the tool's position, across its motion.
 
     Attributes:
         peak: Largest force so far [N].

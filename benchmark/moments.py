@@ -55,7 +55,7 @@ class Loop:
     """The arm and its controller, connected by calls.
 
     Attributes:
-        falsify: Changes a state before the controller receives it; None for silence.
+        falsify: Changes a state before the controller receives it; returns None for silence.
         speeds: Speed of the tool in every period [m/s].
     """
 

@@ -23,7 +23,7 @@ from wam_power_ros.tasks.flip.task import Flip
 
 
 def start(processes: Processes, folder: Path, domain: int, joints: list[str]) -> IO[str]:
-    """Start the page of a session in `folder` and its reader; return the lock that holds it."""
+    """Start the page of a session in `folder` and its reader; return the running session's lock."""
     arm = Arm(share("urdf/wam7.urdf").read_text(), joints)
     bag = min(share("bags").glob("demo_*"))
     samples = reader.read_demonstration(bag, joints)

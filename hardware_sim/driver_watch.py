@@ -72,7 +72,7 @@ class DriverWatch:
         """Wait until discovery is complete.
 
         Raises:
-            ValueError: A robot, or another stand-in, is in this domain.
+            ValueError: A robot, or a stand-in in the same namespace, is in this domain.
         """
         domain = exported(os.environ)
         loopback_only = network.wider_reach(os.environ) is None

@@ -42,7 +42,8 @@ LAG_MAX_NS = 100_000_000  # [ns] behind the clock; beyond, the time of the simul
 class Simulation:
     """The two nodes on one world; only that of the WAM if the scene has no tracked body.
 
-    Nothing is published in a domain with a robot or another simulation.
+    Nothing is published in a domain with a robot, or with another simulation unless both are in
+    namespaces of their own.
 
     Attributes:
         intruder: Robot whose appearance ended the simulation, described; "" for none.

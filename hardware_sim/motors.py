@@ -28,7 +28,8 @@ from hardware_sim.wam import (
     TORQUE_CONSTANT,
 )
 
-_FULL_TORQUE_SHARE = 0.9  # most of the no-load speed with full torque: motor 7 has drag
+# Upper bound of the full-torque speed, as a share of the no-load speed: motor 7 has drag.
+_FULL_TORQUE_SHARE = 0.9
 
 
 def motor_motion(joints: Sequence[float]) -> tuple[float, ...]:

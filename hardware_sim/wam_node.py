@@ -34,7 +34,7 @@ from wam_power_ros.ros.diagnostics import component, diagnostics_message
 Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: beyond the reach of the arm")]
 Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: beyond any joint limit")]
 Delay = Annotated[float, Field(ge=0.0, le=1.0, description="in s: more is a broken link")]
-Spread = Annotated[float, Field(ge=0.0, le=10.0, description="up to ten times the nominal value")]
+Spread = Annotated[float, Field(ge=0.0, le=10.0, description="far above any real value")]
 
 
 class WamSimParams(Params):
@@ -76,7 +76,7 @@ class WamSimParams(Params):
     torque_scale_sd: Spread
     friction_sd: Spread
     scene: str
-    pitch_rate: float = Field(ge=0.1, le=10.0, description="in rad/s: up to faster than any wrist")
+    pitch_rate: float = Field(ge=0.1, le=10.0, description="in rad/s: 10 is faster than any wrist")
     unknown: Literal["", "session", "rollout"]
     friction: Spread
     body_offset_sd: Spread

@@ -117,7 +117,8 @@ class World:
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Put the arm and the bodies of the scene to rest at the start of a rollout; freeze them.
 
-        After the release the world depends on the seed and `rollout_id` alone.
+        After the release the world depends only on the seed, `rollout_id`, `q_start` and the
+        torques.
 
         Args:
             rollout_id: Id of the rollout; with suffix `QUIET` only the cameras are noisy.

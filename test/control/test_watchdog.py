@@ -73,12 +73,12 @@ def test_a_process_that_was_stopped_reads_the_queued_states_first() -> None:
 
 def test_the_time_to_the_next_check_ends_when_a_torque_is_due() -> None:
     watchdog = fresh()
-    assert watchdog.patience(2 * MS) == pytest.approx(0.003)
+    assert watchdog.time_to_check(2 * MS) == pytest.approx(0.003)
     watchdog.sent_ns = 4 * MS
-    assert watchdog.patience(5 * MS) == pytest.approx(0.001)
-    assert watchdog.patience(9 * MS) == 0.0
+    assert watchdog.time_to_check(5 * MS) == pytest.approx(0.001)
+    assert watchdog.time_to_check(9 * MS) == 0.0
     watchdog.arrived(1000 * MS)
-    assert watchdog.patience(10 * MS) == 0.01  # the longest time between two checks
+    assert watchdog.time_to_check(10 * MS) == 0.01  # the longest time between two checks
 
 
 def test_in_lockstep_the_watchdog_is_disabled() -> None:

@@ -106,7 +106,7 @@ def test_the_same_session_gives_the_same_report(folder: Path) -> None:
 def test_a_shown_rollout_without_a_film_gives_the_reason(folder: Path) -> None:
     shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
     html = session_report.write(folder, shown, "no <OpenGL> here").read_text()
-    assert "The final policy, trial-0006" in html
+    assert "The session&#x27;s policy, trial-0006" in html
     assert "no &lt;OpenGL&gt; here" in html
 
 

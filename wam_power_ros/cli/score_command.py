@@ -94,7 +94,7 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
                 outcome = str(error)
             else:
                 outcome = _outcome(assessed)
-                if name == header.settings.task:  # by its return alone, a drop may look like a success
+                if name == header.settings.task:  # a drop may have a high return
                     outcome += f"; {task.outcome(record)}"
                 if record.ret is not None and assessed.ret is not None:
                     by_kind.setdefault(record.kind, []).append((record.ret, assessed.ret))

@@ -120,7 +120,7 @@ class Controller:
 
     @property
     def rollout_stamp_ns(self) -> int | None:
-        """Stamp of the first state of the last finished rollout [ns], None before the first."""
+        """Stamp of the first state of the last ended rollout [ns]; None during one."""
         return self._rollouts.start_ns
 
     @property
@@ -262,7 +262,7 @@ class Controller:
         self._supervision.begin()
 
     def deactivate(self) -> None:
-        """Abort any motion; send no torque from now on. A fault stays latched."""
+        """Abort any motion; the caller must send no torque from now on. A fault stays latched."""
         if self._mode not in PASSIVE_MODES:
             self._enter(Mode.INACTIVE)
 

@@ -39,7 +39,7 @@ class Estimate:
         arm: Model of the arm.
         q: Positions to begin with [rad]. Shape (n,).
         qd: Speeds to begin with [rad/s]. Shape (n,).
-        sent: Torques sent that do not act yet [N m], oldest first. Shapes (n,).
+        sent: Motor torques commanded that do not act yet [N m], oldest first. Shapes (n,).
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class Estimate:
         self._rates: deque[np.ndarray] = deque(maxlen=RATE_COUNT)  # of positions [rad/s]
 
     def advance(self, tau: np.ndarray, dt: float) -> None:
-        """Integrate over a time [s] in which a torque (n,) [N m] was sent; it acts later."""
+        """Integrate over a time [s] with a commanded motor torque (n,) [N m]; it acts later."""
         self._sent.append(tau)
         self.predict(self._sent[0], dt)
 
@@ -74,7 +74,7 @@ class Estimate:
 
         Args:
             state: Next state.
-            tau: Torque that was sent before it [N m]. Shape (n,).
+            tau: Motor torque commanded before it [N m]. Shape (n,).
             plausible: Whether the state passed the plausibility checks: then the positions of
                 moving joints are corrected, in addition to their speeds.
         """

@@ -264,7 +264,7 @@ class Plausibility:
 
 
 class _PastState(NamedTuple):
-    """A joint state, and the torque that was sent for a time [s] after it."""
+    """A joint state, and the motor torque commanded for a time [s] after it."""
 
     q: np.ndarray
     qd: np.ndarray

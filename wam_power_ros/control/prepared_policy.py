@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Check a policy against the arm, and compute the tables that its rollouts need.
-
-Imports neither Pinocchio nor SciPy, so that the process that prepares policies starts in half the
-time.
-"""
+"""Check a policy against the arm, and compute the tables that its rollouts need."""
 
 import hashlib
 from dataclasses import dataclass

@@ -16,7 +16,7 @@ from wam_power_ros.learning.demonstration import smooth_joints
 
 EASE_TIME = 0.3  # [s] in which a replay accelerates to its speed, and decelerates at the end
 SPEED_MIN, SPEED_MAX = 0.01, 5.0  # bounds of the speed relative to the recording
-KNOT_PERIOD = 0.01  # [s] sampling period of a replay
+KNOT_PERIOD = 0.01  # [s] between two postures of a movement
 
 
 def movement(

@@ -17,7 +17,8 @@ class Rollouts:
 
     Attributes:
         policy: Loaded policy, None before the first.
-        start_ns: Stamp of the first state of the last finished rollout [ns], None before it.
+        start_ns: Stamp of the first state of the last finished or aborted rollout [ns]; None before
+            the first and during a rollout.
 
     Args:
         arm: Model of the arm.

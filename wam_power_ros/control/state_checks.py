@@ -24,7 +24,7 @@ class JointState(NamedTuple):
         stamp_ns: Stamp of the driver's header [ns].
         q: Joint positions [rad]. Shape (n,).
         qd: Joint speeds [rad/s]. Shape (n,).
-        dt: Time since the previous state, by the controller's clock if it has one, else by the
+        dt: Time since the previous state, by the caller's clock if it gives one, else by the
             stamps; at most twice the period [s].
         span: Time of the arm's motion since the previous state: the longer of both, because stamps
             may be too slow and delayed states arrive in a burst; at most twice the period [s].
@@ -87,7 +87,7 @@ class StateChecks:
             q: Joint positions [rad]. Shape (n,).
             qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
             restart: Whether an older stamp means that the driver has restarted.
-            elapsed: Time since the last accepted state by the controller's clock, None to use the
+            elapsed: Time since the last accepted state by the caller's clock, None to use the
                 stamps [s].
         """
         self._count += 1

@@ -46,7 +46,7 @@ class StationaryJoints:
         self._overdue = [0] * n  # states under more torque than friction can hold
 
     def joints(self, q: np.ndarray, q_ref: np.ndarray) -> list[int]:
-        """Joints that stand still while their reference moves; q, q_ref (n,) [rad] are new."""
+        """Stationary joints whose reference moves, at a new state: q, q_ref (n,) [rad]."""
         found = []
         for i, (position, reference) in enumerate(zip(q.tolist(), q_ref.tolist(), strict=True)):
             if position != self._q[i]:

@@ -17,8 +17,8 @@ from wam_power_ros.control.plausibility import Bound, Plausibility
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import Fault
 
-INERTIAL_SHARE = 0.3  # share of the accelerating torque that may be unexplained: motors lag
-STANDING_SHARE = 0.05  # bound at a joint that stands still in a rollout, as a share of its torque
+INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors and motors lag
+STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 
 MotorTorque = Callable[[np.ndarray], np.ndarray]  # posture (n,) [rad] -> motor torque (n,) [N m]
@@ -46,8 +46,8 @@ class Supervision:
         self._plausibility = Plausibility(arm)
         self._estimate: Estimate | None = None
         self._rest_since_ns: int | None = None  # stamp since which an arm in a fault is at rest
-        share = settings.contact_share * arm.tau_max
-        contact = Bound(share, share, INERTIAL_SHARE)
+        bound = settings.contact_share * arm.tau_max
+        contact = Bound(bound, bound, INERTIAL_SHARE)
         in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
         self._bounds: dict[Mode, Bound | None] = {
             Mode.GRAVITY_COMPENSATION: None,

@@ -39,7 +39,7 @@ def operational_space(motion: Motion, dynamics: Dynamics, acceleration: np.ndarr
     jacobian = dynamics.jacobian
     apparent = jacobian.dot(dynamics.inverse_mass).dot(jacobian.T)
     apparent += DAMPING
-    _, wrench, info = dposv(apparent, acceleration - motion.drift)  # Cholesky, without SciPy's cost
+    _, wrench, info = dposv(apparent, acceleration - motion.drift)  # Cholesky, unchecked
     if info:
         raise np.linalg.LinAlgError("the arm is singular")
     return dynamics.bias + wrench.dot(jacobian)

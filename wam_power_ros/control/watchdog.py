@@ -66,7 +66,7 @@ class Watchdog:
         """Register the activation of the controller; the driver may be asked to idle again."""
         self._idle_asked = False
 
-    def patience(self, now_ns: int) -> float:
+    def time_to_check(self, now_ns: int) -> float:
         """Time until `check` must be called if no state arrives [s]."""
         wait_ns = max(self._due_ns(), self._grace_ns) - now_ns
         return min(max(wait_ns * 1e-9, 0.0), _CHECK_PERIOD)

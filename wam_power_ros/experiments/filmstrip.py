@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Images of a traced rollout, rendered by a child process if this machine has OpenGL.
 
-MuJoCo selects its OpenGL library when it is first imported, which is too late in a process that has
-simulated, and a missing library may end the process that loads it.
+MuJoCo selects its OpenGL library when it is first imported: a process that has simulated can no
+longer choose. And a missing library may end the process that loads it.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ STUDIES = {  # name -> modules of its jobs and its chapter, in the order of the 
     "reaching": ("studies.reaching", "chapters.reaching_chapter"),
     "comparison": ("studies.comparison", "chapters.comparison_chapter"),
     "pancake": ("studies.flip_sessions", "chapters.flip_chapter"),
-    "wishes": ("studies.extensions", "chapters.extensions_chapter"),
+    "extensions": ("studies.extensions", "chapters.extensions_chapter"),
 }
 PAPER = (
     "P. Kormushev, S. Calinon, D. G. Caldwell: Robot Motor Skill Coordination with EM-based "

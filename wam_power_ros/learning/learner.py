@@ -139,7 +139,8 @@ class Rollouts:
 class GaussianLearner(ABC):
     """Base class of the learners: Gaussian exploration about the mean.
 
-    A subclass defines its `Settings` and `_update`, which computes the mean from past rollouts.
+    A subclass defines `_update`, which computes the mean from past rollouts, and `Settings` if it
+    has any of its own.
 
     Attributes:
         size: Number of parameters.

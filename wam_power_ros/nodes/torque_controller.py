@@ -309,7 +309,7 @@ class TorqueController(LifecycleNode):
         """Longest time until the next call of `watch` if no state comes [s]."""
         if not self._active or not self._watchdog.enabled:
             return 0.01 if self._preparation.waiting else 0.1
-        return self._watchdog.patience(time.monotonic_ns())
+        return self._watchdog.time_to_check(time.monotonic_ns())
 
     def watch(self) -> None:
         """Between callbacks: brake and carry the arm if no states come (not in lockstep)."""

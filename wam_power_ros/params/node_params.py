@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # in-process simulations read the same parameters without ROS
     from rclpy.node import Node
 
 P = TypeVar("P", bound="Params")
-Names = Annotated[tuple[str, ...], Field(max_length=64, description="a readable list of names")]
+Names = Annotated[tuple[str, ...], Field(max_length=64, description="at most 64 names")]
 SHOWN_LENGTH_MAX = 80  # characters of a refused value in its message
 ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
 

@@ -36,13 +36,15 @@ class PancakeTrackerParams(Params):
         ge=1.0, le=50.0, description="in m/s: a toss has 4; 50 is 0.5 m between frames at 100 Hz"
     )
     noise: float = Field(
-        ge=1e-6, le=0.05, description="in m: resolution of cameras, and radius of a pancake"
+        ge=1e-6,
+        le=0.05,
+        description="in m: above any camera's resolution; 0.05 is half a pancake's radius",
     )
     silence: float = Field(
         ge=0.05, le=60.0, description="in s: above the period of 30 Hz, and at most a minute"
     )
     clock_offset_max: float = Field(
-        ge=0.001, le=10.0, description="in s: above the jitter, and below an unset clock"
+        ge=0.001, le=10.0, description="in s: above the jitter; a clock never set is farther off"
     )
 
     def settings(self) -> TrackerSettings:

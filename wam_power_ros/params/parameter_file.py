@@ -106,7 +106,7 @@ def of_nodes(file: Path) -> dict[str, dict[str, Any]]:
 
 
 def namespace(file: Path) -> str:
-    """Namespace of the nodes in a file, such as `/left`; empty without a single one or a file.
+    """Namespace of the nodes in a file, such as `/left`; empty for none, several, or no file.
 
     Raises:
         ValueError: As for `read`.

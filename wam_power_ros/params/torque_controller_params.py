@@ -83,7 +83,9 @@ class TorqueControllerParams(Params):
         tuple[Length, ...], Field(min_length=1, max_length=24, description=REACH)
     ]
     elbow_speed_max: float = Field(
-        ge=0.05, le=3.0, description="in m/s: below, no skill is possible; the WAM's board allows 2"
+        ge=0.05,
+        le=3.0,
+        description="in m/s: below, no skill is possible; a toss needs 2, no task here needs 3",
     )
     tool_speed_max: Speed = Field(
         description="in m/s: below, no skill is possible; a toss needs 2.7, no task here needs 6"

@@ -96,7 +96,7 @@ def choose_best(
         return None
     answers = [runs for runs in known if answer is not None and (runs.z == answer).all()]
     if answers:
-        best, rule = answers[0], f"the answer: {stopped}"
+        best, rule = answers[0], f"the final policy: {stopped}"
     else:
         best = max(reversed(known), key=lambda runs: runs.lower_bound(return_noise))
         rule = f"lower bound {best.lower_bound(return_noise):.3f}, highest of {len(known)} policies"

@@ -116,8 +116,8 @@ def preset(
     Args:
         task: Name of the task.
         name: Name of the preset; the task's first when empty.
-        learner: Changes of the learner's settings. If `name` is not the preset's learner, changes
-            of the defaults of that learner.
+        learner: Changes of the learner's settings. If its key `name` is another learner than
+            the preset's, changes of that learner's defaults.
         **changes: Fields of `PracticeSettings` or of the task's settings; a mapping for a field
             that is a mapping changes only the keys it contains.
 

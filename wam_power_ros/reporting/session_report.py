@@ -33,7 +33,7 @@ from wam_power_ros.tasks.task import Task
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
 ROLLOUT_FIGURES = {"flip": flip_figures.final_rollout, "reach": reach_figures.final_rollout}
-AGREEMENT = {  # task -> question, and the key of the answer in ground truth and observation
+AGREEMENT = {  # task -> question, and the keys of its answer in ground truth and in the observation
     "flip": ("whether the pancake was caught", "caught", "resting"),
     "reach": ("whether the obstacle was touched", "touched", "touched"),
 }
@@ -41,7 +41,7 @@ AGREEMENT = {  # task -> question, and the key of the answer in ground truth and
 
 @dataclass(frozen=True)
 class ShownRollout:
-    """A rollout of the final policy, shown in detail.
+    """A rollout of the session's policy, shown in detail.
 
     Attributes:
         caption: Outcome of the rollout.
@@ -202,7 +202,7 @@ def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
         )
     if task.name in ROLLOUT_FIGURES:
         content += _svg(ROLLOUT_FIGURES[task.name](task, rollout))
-    return html_page.section(f"The final policy, {rollout.tool.id}", [text], content)
+    return html_page.section(f"The session's policy, {rollout.tool.id}", [text], content)
 
 
 def _curves(task: Task, records: Sequence[Record]) -> str:
@@ -215,7 +215,7 @@ def _curves(task: Task, records: Sequence[Record]) -> str:
     learnt_eq5 = own == eq5
     paper = " The paper's curve is the mean of six sessions; it has no re-tests."
     drawn = figures.learning_curve(own, kinds, marks, paper=learnt_eq5)
-    text = f"Return of every rollout, as learnt from.{paper if learnt_eq5 else ''}"
+    text = f"The session's return of every rollout, without ratings.{paper if learnt_eq5 else ''}"
     html = html_page.section("Learning curve", [text], _svg(drawn))
     if eq5 is not None and not learnt_eq5:
         drawn = figures.learning_curve(eq5, kinds, marks, paper=True)

@@ -125,7 +125,7 @@ def wrapped(text: str) -> str:
 
 
 def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
-    """Reproduction beside re-tests of the final policy; empty before it is chosen."""
+    """Reproduction and, if any, re-tests; empty before a demonstration is chosen."""
     first = reproduction_learnt_from(records)
     if first is None:
         return []

@@ -83,7 +83,7 @@ class LoggedRollout(Protocol):
 
     @property
     def why(self) -> str:
-        """Reason why it was not learnt from; "" if it was."""
+        """Reason why it was not learnt from, or a remark; may be empty."""
 
     @property
     def fault(self) -> str:
@@ -167,7 +167,7 @@ class Task(Protocol):
 
         Returns:
             Shifts of z, shape (size,) each, one for each error, empty for no correction; if the sum
-            is not feasible, each is applied in turn as far as it is.
+            is not feasible, they are applied one after another, each as far as is feasible.
         """
 
     def confirms(self, record: LoggedRollout) -> bool:
@@ -201,7 +201,7 @@ def fault_assessment(fault: Fault) -> Assessment:
 def cut_short(policy: Policy, rollout: Rollout, settle_time: float) -> str:
     """Return why the tool path of a rollout is incomplete; empty if it is complete.
 
-    A rollout lasts as long as its policy and `settle_time` [s].
+    The duration of a rollout is that of its policy plus `settle_time` [s].
     """
     duration = policy.basis.duration + settle_time
     t = rollout.tool.t

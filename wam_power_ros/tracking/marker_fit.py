@@ -16,7 +16,7 @@ import numpy as np
 
 from wam_power_ros import rotations
 
-# Markers in the body frame, whose origin is the centre [m]; their distances differ by 18 mm. (4, 3)
+# Markers in the body frame, the body's centre at 0 [m]. Distances differ by >= 18 mm. Shape (4, 3).
 LAYOUT = np.array(
     [
         [-0.056, -0.037, 0.0],

@@ -78,7 +78,7 @@ def test_a_rollout_that_cannot_be_judged_says_why() -> None:
     gap = frames[(frames < 0.5) | (frames > 0.9)]
     assert why(seen=gap).startswith("the pancake was lost from view for 0.43 s from 0.48 s")
     assert why(seen=frames[frames < 1.0]) == (
-        "the pancake was lost from view at 0.98 s, before it fell"
+        "the pancake was lost from view at 0.98 s and had not fallen until then"
     )
     assert (
         why(fault=Fault(FaultKind.STATES_LOST, "no joint state for 12 ms"))

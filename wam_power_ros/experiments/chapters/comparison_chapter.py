@@ -121,7 +121,7 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
         TASKS[task],
         [
             f"{over} unless the table says fewer. PoWER's median final policy returns "
-            f"{level:.3f}; the first rollout with that return came after "
+            f"{level:.3f}; a rollout with at least that return took "
             f"{power.needed(level)} rollouts with PoWER and {ours.needed(level)} with ours "
             "(median)."
         ],

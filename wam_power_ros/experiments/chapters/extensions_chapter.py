@@ -84,7 +84,7 @@ def _sigma(results: Results) -> Chapter:
         "Automatic size of the elite",
         [
             "After every rollout the elite gets the size of highest expected return, estimated by "
-            "leaving rollouts out of the elite in turn. Sizes chosen in a run: "
+            "leaving rollouts out of the elite in turn. Median sizes of the runs: "
             f"{'; '.join(sentences)}."
         ],
         claims,
@@ -123,7 +123,7 @@ def _demonstration(results: Results) -> Chapter:
         "A demonstration in the middle of learning",
         [
             "Sessions of the shipped default begin with a weak demonstrator who hardly turns the "
-            "pancake; in half of them the usual one gives another demonstration after some "
+            "pancake; in half of them a practised one gives another demonstration after some "
             f"rollouts. It was learnt from in {taken} of {counted(len(helped), 'session')} "
             f"and refused in {refused}."
         ],

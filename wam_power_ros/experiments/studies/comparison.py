@@ -4,7 +4,8 @@
     python -m wam_power_ros.experiments.studies.comparison pancake [pi2]
 
 tunes one learner or all of them on a task: all settings in GRID with all exploration scales in
-NOISE on a few tuning seeds, then the best of these on more seeds. TUNED has the results.
+NOISE on a few tuning seeds, then the best of these on more seeds. The best choices are printed;
+TUNED is then edited by hand.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Choice(NamedTuple):
 
 
 class Effort(NamedTuple):
-    """Tuning seeds of a learner: `few` for all choices, then `many` for the best `kept`."""
+    """Tuning seeds of a learner: `few` for all choices; `many` for the best `kept`, if any."""
 
     few: Sequence[int]
     many: Sequence[int]

@@ -57,7 +57,7 @@ def pancake_run(
     """Run a learner on a toss with one demonstration, Eq. 5 and noisy rollouts.
 
     The first rollout reproduces the demonstration. A rollout that ends in a fault, or in which the
-    pancake is not tracked to the end, returns 0. Arguments are as in `comparison.Choice`.
+    pancake is lost from view, returns 0. Arguments are as in `comparison.Choice`.
 
     Returns:
         "returns" of the rollouts, "repeats" of the final mean, number of "faults" of the rollouts.

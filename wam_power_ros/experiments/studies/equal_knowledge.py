@@ -37,7 +37,7 @@ from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 HELD_OUT = range(481, 493)  # seeds not used for tuning
 ROLLOUTS = 50
 NOISE = 0.02  # standard deviation of noise on a return; Eq. 4 is at most 1
-CONTACT_SIGMAS = 3.0  # deviation from the free path's return that counts as contact [NOISE]
+CONTACT_SIGMAS = 3.0  # standard deviations from the free path's return that count as contact
 CANDIDATES, HALF_LIFE = 200, 16.0  # of the screening, as in screened PoWER on this task
 GENERATIONS, POPULATION, STEP = 8, 25, 0.5  # of the planner: 200 predictions per rollout
 BLIND, MODEL = "return", "return, model"  # information of a learner
@@ -186,7 +186,7 @@ def main() -> None:
             final, early = np.array(one["final"]), np.mean(one["early"])
             spread = f"{final.mean():.3f} (sd {final.std(ddof=1):.3f}; {early:.3f} after 5)"
             cells.append(f"noise {noise}: {spread}")
-        sys.stdout.write(f"{row:13} told {ROWS[row]:27} {'; '.join(cells)}\n")
+        sys.stdout.write(f"{row:13} learns from {ROWS[row]:27} {'; '.join(cells)}\n")
 
 
 if __name__ == "__main__":

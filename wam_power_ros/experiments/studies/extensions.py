@@ -23,8 +23,9 @@ from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 
-REACHING, REACHING_NOISY = "wishes-sigma-reaching", "wishes-sigma-reaching-noisy"  # studies
-SIGMA, PERSON, DEMONSTRATION = "wishes-sigma-pancake-", "wishes-person", "wishes-demonstration-"
+REACHING, REACHING_NOISY = "extensions-sigma-reaching", "extensions-sigma-reaching-noisy"  # studies
+SIGMA, PERSON = "extensions-sigma-pancake-", "extensions-person"
+DEMONSTRATION = "extensions-demonstration-"
 AUTO = "auto"
 LATER = "demonstration-later"  # id of the policy of a demonstration given while learning
 HELD_OUT = range(501, 509)  # seeds not used for tuning
@@ -81,7 +82,7 @@ def session(
         pitch_rate: Pitch rate of their demonstrator, see `wrist_flick` [rad/s].
         ratings: Largest number of rollouts that the person rates: rewards true flips and punishes
             drops, by the simulator's ground truth.
-        given_after: Rollout after which the usual demonstrator gives a demonstration; 0 for none.
+        given_after: Rollout after which the practised demonstrator demonstrates; 0 for none.
     """
     environment = stand_in(seed)
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)

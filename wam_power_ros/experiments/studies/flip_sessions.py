@@ -185,7 +185,7 @@ def session(
         "used": practice.used,
         "trials": [_kept(record) for record in trials],
         "retests": [_kept(record) for record in records if record.kind == "retest"],
-        "curve": curve,  # returns from the reproduction of the chosen demonstration on
+        "curve": curve,  # returns with the chosen demonstration, its reproduction first
         "fires": _fires(curve),
         "carried": {},
         "k33": {},
@@ -260,7 +260,7 @@ def _fires(returns: Sequence[float | None]) -> int | None:
 
 
 def _k33(policy: Policy) -> list[float]:
-    """Vertical stiffness sum_i h_i K_i,33 at PROFILE even times of the movement [1/s^2]."""
+    """Vertical stiffness sum_i h_i K_i,33 at PROFILE evenly spaced times [1/s^2]."""
     t = np.linspace(0.0, policy.basis.duration, PROFILE)
     return (activations(policy.basis, t) @ policy.stiffness[:, 2, 2]).tolist()
 
@@ -268,7 +268,7 @@ def _k33(policy: Policy) -> list[float]:
 def _figure_paths(
     environment: Environment, seed: int, pitch_rate: float, demonstrated: Policy, answer: Policy
 ) -> dict[str, Any]:
-    """Paths of demonstration, reproduction and final policy, and the world's trace."""
+    """Paths of demonstration, reproduction and final policy, and the trace of the last."""
     number = int(demonstrated.id.rpartition("-")[2]) - 1  # as `teach` named it
     world = environment.world
     script = _script(environment, seed, number, pitch_rate)

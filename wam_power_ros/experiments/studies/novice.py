@@ -24,7 +24,7 @@ from wam_power_ros.practice.settings import preset
 
 BUDGET = 60  # rollouts
 RETESTS = 30  # of the final policy
-SOLVED = 27  # true flips among the re-tests of a solved session
+SOLVED = 27  # or more true flips among the re-tests of a solved session
 CONFIRM = preset("flip", "flip").practice.confirm  # successes in a row that end a session
 HELD_OUT = range(7001, 7031)  # seeds not used for tuning
 _NO_CORRECTIONS = dict.fromkeys(("landing_gain", "turn_gain", "vigour_gain", "tempo_gain"), 0.0)
@@ -98,10 +98,10 @@ def line(sessions: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     Returns:
         "sessions": their number; "reproduced": those whose first reproduction was a true flip;
-        "solved": those with SOLVED true flips in the re-tests; "confirmed": those that a streak of
-        successes ended; "to_streak": median number of rollouts before that streak; "true": mean
-        and lowest decile of the share of true flips in the re-tests; "elsewhere": the same for the
-        runs in other worlds, None without such runs.
+        "solved": those with at least SOLVED true flips in the re-tests; "confirmed": those that a
+        streak of successes ended; "to_streak": median number of rollouts before that streak;
+        "true": mean and lowest decile of the share of true flips in the re-tests; "elsewhere":
+        the same for the runs in other worlds, None without such runs.
     """
     true = np.array([_true_flips(s["retests"]) for s in sessions])
     elsewhere = np.array([_true_flips(s["carried"].get("elsewhere")) for s in sessions])
@@ -140,7 +140,7 @@ def main() -> None:
     results = job_cache.run(wanted, args.folder, workers=args.workers)
     for name in args.only:
         found = line(list(results[study(name, args.case)].values()))
-        sys.stdout.write(f"{name} (told {ROWS[name].told}): {found}\n")
+        sys.stdout.write(f"{name} (learns from {ROWS[name].told}): {found}\n")
 
 
 if __name__ == "__main__":

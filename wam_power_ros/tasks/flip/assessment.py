@@ -46,7 +46,7 @@ def assess(policy: Policy, rollout: Rollout, settings: FlipSettings) -> Assessme
 
 
 def flight_of(observation: Mapping[str, Any]) -> Flight | None:
-    """Flight from an observation of `assess`; None if fields are missing."""
+    """Flight from an observation of `assess`; None if its fields are not those of `Flight`."""
     if set(observation) != {field.name for field in dataclasses.fields(Flight)}:
         return None
     fields: dict[str, Any] = {
@@ -79,5 +79,7 @@ def _lost_from_view(pan: EndEffectorPath, pancake: BodyPath, flight: Flight) -> 
     if end - seen[-1] > _GAP_MAX:
         height = pancake.position[-1, 2] - np.interp(seen[-1], pan.t, pan.position[:, 2])
         if height > -_FALLEN_DEPTH:
-            return f"the pancake was lost from view at {seen[-1]:.2f} s, before it fell"
+            return (
+                f"the pancake was lost from view at {seen[-1]:.2f} s and had not fallen until then"
+            )
     return ""
