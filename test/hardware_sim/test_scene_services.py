@@ -57,11 +57,11 @@ def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
     hardware.control()
     policy = lift("put-back")
     hardware.policies.publish(String(data=to_json(policy)))
-    probe.until(lambda: hardware.insist(interface.MOVE_TO_START) == policy.id, "at the start")
-    # A reset takes at least 50 states; all of them would be missing if it blocked the process.
-    # A busy machine may hold the stand-in's clock in one reset, but not in all.
-    longest: list[int] = []  # [ns] longest gap between states in each reset
-    while min(longest, default=50 * TICK) >= 25 * TICK and len(longest) < 3:
+    # A reset takes at least 50 states; all of them would be missing if it blocked the process, and
+    # the controller would latch a fault. A busy machine may do so in one reset, but not in all.
+    outcomes: list[tuple[str, bool]] = []  # of each reset: mode after it, short gaps in between
+    while ("hold", True) not in outcomes and len(outcomes) < 5:
+        probe.until(lambda: hardware.insist(interface.MOVE_TO_START) == policy.id, "at the start")
         hardware.messages.clear()
         probe.until(lambda: hardware.insist(hardware.reset_service) == policy.id, "the reset")
         # on a busy machine they arrive after the answer
@@ -69,10 +69,9 @@ def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
         stamps = [hardware.state(i).stamp_ns for i in range(len(hardware.messages))]
         apart = np.diff(stamps)
         assert (apart > 0).all() and (apart % TICK == 0).all()
-        longest.append(apart.max())
-    assert min(longest) < 25 * TICK
-    hardware.diagnostics.clear()
-    assert probe.until(hardware.label, "its mode") == "hold"  # no fault by missing states
+        hardware.diagnostics.clear()
+        outcomes.append((probe.until(hardware.label, "its mode"), bool(apart.max() < 25 * TICK)))
+    assert ("hold", True) in outcomes, outcomes
 
 
 def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
