@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -196,12 +197,13 @@ class Processes:
             return process.wait(10.0)
         except subprocess.TimeoutExpired:
             process.kill()
-            return process.wait(10.0)
+            return process.wait(60.0)  # on a busy machine
 
     def close(self) -> None:
         """End everything and show what it printed (pytest prints this for a failed test)."""
-        for process, _ in reversed(self.started):
-            self.end(process)
+        with ExitStack() as ends:  # the last first, and every one even if one does not end
+            for process, _ in self.started:
+                ends.callback(self.end, process)
         for process, log in self.started:
             name = " ".join(process.args[1:5])
             sys.stdout.write(f"--- {name}: {process.returncode}\n{log.read_text()}\n")
