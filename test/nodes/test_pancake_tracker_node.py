@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pancake tracker over real DDS: frames in, states and paths of rollouts out."""
 
+import signal
 import time
 
 import numpy as np
@@ -218,6 +219,30 @@ def test_in_lockstep_a_standing_clock_is_no_silence(probe: Probe, processes: Pro
     assert not bench.paths
     send(20, 40)
     assert len(bench.path().t) == 31
+
+
+def test_in_lockstep_a_tracker_that_stood_still_loses_no_frame(
+    probe: Probe, processes: Processes
+) -> None:
+    bench = Bench(probe, processes, use_sim_time=True)
+    frames = probe.publisher(
+        PoseStamped, interface.body_topic("pancake", "pose"), interface.MOCAP_OUT
+    )
+    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS)
+    poses = toss(np.random.default_rng(1), 300)
+    second = 1_000_000_000
+    bench.node.send_signal(signal.SIGSTOP)
+    try:
+        for index in range(300):  # more than the middleware keeps for a process that does not read
+            stamp_ns = second + index * PERIOD
+            for _ in range(5):
+                clock.publish(Clock(clock=time_message(stamp_ns)))
+            frames.publish(pose_messages.pose_message(stamp_ns, "world", *poses[index]))
+            probe.spin(0.002)
+    finally:
+        bench.node.send_signal(signal.SIGCONT)
+    bench.ends.publish(pose_messages.path_message(pan_path("held", 9.9), second, "wam_base"))
+    assert len(bench.path().t) == 298  # within 9.9 s
 
 
 @pytest.mark.parametrize(

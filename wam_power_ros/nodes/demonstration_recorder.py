@@ -176,6 +176,7 @@ class DemonstrationRecorder(Node):
             text = f"{free:.0f} MB free in {self._directory}, {needed:.0f} MB needed"
             return Answer(Code.REFUSED, text)
         self._topics.discover()
+        self._topics.take()  # what came before the request does not belong into the bag
         kind = "rollout" if self._policy_id else self._params.stem
         stem = self._policy_id or f"{datetime.now():%Y%m%d_%H%M%S}"
         path = layout.free_path(self._directory, f"{kind}_{stem}")

@@ -21,6 +21,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 
 from wam_power_ros.learning.rollout import BodyPath
@@ -31,6 +32,7 @@ from wam_power_ros.tracking.clock_offset import ClockOffset
 from wam_power_ros.tracking.free_fall import free_fall_acceleration
 from wam_power_ros.tracking.tracker import FrameFault, TrackedState, Tracker, Validity
 
+DISCOVERY_PERIOD = 0.1  # [s] between two looks for the publisher of the frames in lockstep
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # any other validity is an error
 
 
@@ -74,17 +76,33 @@ class PancakeTracker(Node):
         self._diagnostics = publish(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
+        self._source = self.resolve_topic_name(params.markers_topic or params.pose_topic)
+        self._read, self._add = pose_messages.pose, self._tracker.add
         if params.markers_topic:
             self._read, self._add = pose_messages.markers, self._tracker.add_markers
-            subscribe(PointCloud2, params.markers_topic, self._on_frame, interface.MOCAP_IN)
-        else:
-            self._read, self._add = pose_messages.pose, self._tracker.add
-            subscribe(PoseStamped, params.pose_topic, self._on_frame, interface.MOCAP_IN)
+        self._discovery = self.create_timer(DISCOVERY_PERIOD, self._discover, clock=steady)
+        if not self._sim_time:
+            self._subscribe_frames(interface.MOCAP_IN)
         subscribe(Path, interface.ROLLOUT_END_EFFECTOR, self._on_end_effector, interface.LATCHED)
         self.create_timer(0.5 / params.rate, self._check_silence, clock=steady)
-        source = self.resolve_topic_name(params.markers_topic or params.pose_topic)
-        self.get_logger().info(f"waiting for frames of the {params.body} on {source}")
+        self.get_logger().info(f"waiting for frames of the {params.body} on {self._source}")
         self.create_timer(1.0, self._report, clock=steady)
+
+    def _discover(self) -> None:
+        """In lockstep, subscribe to the frames once their publisher is known: reliably if it is.
+
+        A best-effort reader of an overloaded process loses frames, and the rollout would not be the
+        same as on a quiet machine.
+        """
+        infos = self.get_publishers_info_by_topic(self._source)
+        if infos:
+            reliable = all(map(interface.is_reliable, infos))
+            self._subscribe_frames(interface.MOCAP_IN_RELIABLE if reliable else interface.MOCAP_IN)
+
+    def _subscribe_frames(self, qos: QoSProfile) -> None:
+        self._discovery.cancel()
+        message_type = PointCloud2 if self._params.markers_topic else PoseStamped
+        self.create_subscription(message_type, self._source, self._on_frame, qos)
 
     def _on_frame(self, message: PoseStamped | PointCloud2) -> None:
         try:
