@@ -78,7 +78,7 @@ class SceneServices:
         """Change the activity of the controller; a rollout begins or ends with this tick.
 
         Args:
-            label: What the controller does from now on.
+            label: New activity of the controller, such as "rollout trial-0001".
             stamp_ns: Stamp of the last state [ns].
         """
         previous, self.label = self.label, label

@@ -123,6 +123,7 @@ def test_the_end_of_a_rollout_keeps_its_id_start_and_fault(
         '{"id": "a", "start": {"sec": 1}, "fault": null}',
         '{"id": "a", "start": {"sec": 1, "nanosec": 0}, "fault": {"kind": "luck", "text": ""}}',
         '{"id": "a", "start": {"sec": 1, "nanosec": 0}, "fault": 7}',
+        '{"id": "a", "start": {"sec": Infinity, "nanosec": 0}, "fault": null}',
     ],
 )
 def test_what_is_no_end_of_a_rollout_is_refused(text: str) -> None:
@@ -136,7 +137,17 @@ def test_the_ground_truth_of_a_rollout_keeps_its_end_and_values(end_ns: int) -> 
     assert pose_messages.ground_truth(pose_messages.ground_truth_message(there)) == there
 
 
-@pytest.mark.parametrize("text", ["", "[]", "7", '{"id": "a"}', '{"id": "a", "end": {"sec": 1}}'])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "7",
+        '{"id": "a"}',
+        '{"id": "a", "end": {"sec": 1}}',
+        '{"id": "a", "end": {"sec": Infinity, "nanosec": 0}}',
+    ],
+)
 def test_what_is_no_ground_truth_is_refused(text: str) -> None:
     with pytest.raises(ValueError):
         pose_messages.ground_truth(String(data=text))

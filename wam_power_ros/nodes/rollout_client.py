@@ -42,7 +42,7 @@ CLOCK_OFFSET_MAX = 0.2  # between arm and motion capture; the tracker allows no 
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
 READY_STATES = 3  # number of successive states in which the body must be ready
-TOO_FEW = f"fewer than {READY_STATES} states in a row"
+TOO_FEW_STATES = f"fewer than {READY_STATES} states in a row"
 INACTIVE_MODES = ("", "unconfigured", Mode.INACTIVE.value)  # the first before any is known
 Ready = Callable[[StateReading | None], str]  # what is missing before a rollout, empty if nothing
 
@@ -296,14 +296,14 @@ class RolloutClient:
             try:
                 self.until(
                     lambda: self._ready_states >= READY_STATES,
-                    lambda: f"the {self._body} to be ready: {self._missing or TOO_FEW}",
+                    lambda: f"the {self._body} to be ready: {self._missing or TOO_FEW_STATES}",
                     READY_TIMEOUT if scene_reset else self._params.patience,
                 )
                 return
             except RolloutError:
                 if not scene_reset or time.monotonic() > end:
                     raise
-                self._log.warning(f"the scene is reset again: {self._missing or TOO_FEW}")
+                self._log.warning(f"the scene is reset again: {self._missing or TOO_FEW_STATES}")
 
     def _reach_start(self, policy: Policy) -> None:
         """Move the arm to the start of the policy, after a reset of a fault if needed.

@@ -244,7 +244,7 @@ def finished(message: String) -> Finished:
         if fault is not None:
             fault = Fault(FaultKind(fault["kind"]), str(fault["text"]))
         return Finished(str(values["id"]), start_ns, fault)
-    except (KeyError, TypeError, RecursionError) as error:
+    except (KeyError, TypeError, OverflowError, RecursionError) as error:
         text = f"{message.data[:200]!r} must describe the end of a rollout: {error!r}"
         raise ValueError(text) from error
 
@@ -272,6 +272,6 @@ def ground_truth(message: String) -> GroundTruth:
         values = json.loads(message.data)
         end = values.pop("end")
         return GroundTruth(int(end["sec"]) * 1_000_000_000 + int(end["nanosec"]), dict(values))
-    except (AttributeError, KeyError, TypeError, RecursionError) as error:
+    except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
         text = f"{message.data[:200]!r} must describe the ground truth of a rollout: {error!r}"
         raise ValueError(text) from error
