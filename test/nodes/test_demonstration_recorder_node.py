@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 import yaml
 from conftest import Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
@@ -30,6 +31,7 @@ from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy, to_json
+from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorder
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 from wam_power_ros.ros.answers import Code, read
@@ -93,6 +95,35 @@ class Bench:
         return self.probe.until(
             lambda: next((msg for msg in self.diagnostics if text in str(msg)), None), text
         )
+
+
+def test_messages_that_wait_in_the_queue_at_a_request_are_not_recorded(
+    probe: Probe, domain_id: int, tmp_path: Path
+) -> None:
+    states = probe.node.create_publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+    write = joint_messages.JointStateWriter(NAMES)
+
+    def send(first: int, last: int) -> None:
+        for number in range(first, last):
+            states.publish(write(START + number, np.full(7, number), np.zeros(7), np.ones(7)))
+            probe.spin(0.01)
+        probe.spin(0.3)  # the node does not spin: they wait
+
+    config = ["--params-file", str(share("config") / CONFIG), "-p", f"directory:={tmp_path}"]
+    rclpy.init(args=["--ros-args", *config], domain_id=domain_id)
+    try:
+        node = DemonstrationRecorder()
+        probe.until(lambda: node._topics.discover() or states.get_subscription_count(), "a reader")
+        send(0, 5)
+        for begins in (True, False):
+            response = node._on_record(SetBool.Request(data=begins), SetBool.Response())
+            assert response.success, response.message
+            send(5, 9)
+        node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    stamps_ns, _ = reader.read_demonstration(Path(read(True, response.message).text), NAMES)
+    assert (stamps_ns - START).tolist() == [5, 6, 7, 8]
 
 
 @pytest.mark.parametrize("slower", [3.0, 0.5])
