@@ -7,6 +7,7 @@ that it costs the 500 Hz path no more than a best-effort reader.
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -115,8 +116,11 @@ class View(Node):
     # Called from the threads of the buttons
 
     def is_offered(self, name: str) -> bool:
-        """Whether a service is available now."""
-        return bool(self._service_clients[name].service_is_ready())
+        """Whether a service is available now; none is once the session has ended."""
+        try:
+            return bool(self._service_clients[name].service_is_ready())
+        except rclpy_implementation.InvalidHandle:
+            return False
 
     def call(self, name: str, on: bool | None = None) -> Answer:
         """Call a service and wait for its answer, while another thread calls `update`.
@@ -140,8 +144,9 @@ class View(Node):
         return answers.read(response.success, response.message)
 
     def publish_bag(self, bag: FilePath) -> None:
-        """Publish the path of the next demonstration for the learner."""
-        self._bags.publish(String(data=str(bag)))
+        """Publish the path of the next demonstration for the learner, unless the session ended."""
+        with contextlib.suppress(rclpy_implementation.InvalidHandle):
+            self._bags.publish(String(data=str(bag)))
 
     # Subscriptions
 
