@@ -61,6 +61,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: rank.get(Path(item.path).parent.name, len(SLOW)))
 
 
+@pytest.fixture(autouse=True)
+def plain_scheduling() -> Iterator[None]:
+    """Fail a test after which this process has real-time priority: it would starve the others."""
+    yield
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+
+
 @pytest.fixture
 def domain_id() -> Iterator[int]:
     """A DDS domain nobody else on this machine uses, for as long as the test runs."""

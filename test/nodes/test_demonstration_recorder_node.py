@@ -110,6 +110,7 @@ def test_messages_that_wait_in_the_queue_at_a_request_are_not_recorded(
         probe.spin(0.3)  # the node does not spin: they wait
 
     config = ["--params-file", str(share("config") / CONFIG), "-p", f"directory:={tmp_path}"]
+    config += ["-p", "realtime_priority:=0"]  # the node is in this process
     rclpy.init(args=["--ros-args", *config], domain_id=domain_id)
     try:
         node = DemonstrationRecorder()
