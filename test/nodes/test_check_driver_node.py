@@ -119,8 +119,11 @@ def failing(table: dict[str, Any]) -> list[str]:
 
 
 def test_the_stand_in_conforms(bench: Bench) -> None:
-    table = bench.check("--active", typed="y\n" + 7 * "\n")  # y, but no joint is moved
-    assert (table["status"], failing(table)) == (0, [])
+    for _ in range(3):  # a busy machine shows the torque too late
+        table = bench.check("--active", typed="y\n" + 7 * "\n")  # y, but no joint is moved
+        assert (table["status"], failing(table)) == (0, [])
+        if table["rows"]["watchdog"]["verdict"] == "ok":
+            break
     assert table["rows"]["wam_j7 by hand"]["found"] == "no joint moved"
     assert "CONFORMS" in table["output"]
     for name in ("joint names", "gravity", "command path", "mocap axes"):

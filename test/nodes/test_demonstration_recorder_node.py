@@ -127,6 +127,24 @@ def test_messages_that_wait_in_the_queue_at_a_request_are_not_recorded(
     assert (stamps_ns - START).tolist() == [5, 6, 7, 8]
 
 
+def test_in_lockstep_states_that_arrive_after_the_request_to_end_are_waited_for(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    bench = Bench(probe, processes, tmp_path / "bags", use_sim_time=True)
+    clock = probe.publisher(Clock, interface.CLOCK, interface.CLOCK_QOS, readers=2)  # one records
+    bench.start()
+    bench.send(20)
+    clock.publish(Clock(clock=time_message(START + 2_000_000 * 29)))
+    probe.spin(0.3)
+    ended = probe.begin(SetBool, interface.RECORD, SetBool.Request(data=False))
+    probe.spin(0.3)
+    assert not ended.done()
+    bench.send(10)
+    probe.until(ended.done, "the end of the recording")
+    stamps_ns, _ = reader.read_demonstration(Path(read(True, ended.result().message).text), NAMES)
+    assert ((stamps_ns - START) // 2_000_000).tolist() == [*range(30)]
+
+
 @pytest.mark.parametrize("slower", [3.0, 0.5])
 def test_a_bag_of_a_simulation_is_stamped_by_its_time_whatever_its_pace(
     slower: float, probe: Probe, processes: Processes, tmp_path: Path
@@ -139,7 +157,7 @@ def test_a_bag_of_a_simulation_is_stamped_by_its_time_whatever_its_pace(
     for _ in range(300):
         begun = time.monotonic()
         bench.send(1)
-        clock.publish(Clock(clock=time_message(START + 2_000_000 * bench.sent)))
+        clock.publish(Clock(clock=time_message(START + 2_000_000 * (bench.sent - 1))))
         torques.publish(Float64MultiArray(data=[0.5] * 7))
         probe.spin(max(0.0, 0.002 * slower - (time.monotonic() - begun)))
     path = bench.stop()

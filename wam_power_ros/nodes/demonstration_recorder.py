@@ -43,6 +43,7 @@ from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
 PATH_TIMEOUT = 1.0  # longest wait for the path of the body in a finished rollout [s]
+STATES_TIMEOUT = 10.0  # longest wait for states in lockstep, where they are sent again [s]
 DISK_CHECK_PERIOD = 0.1  # [s] between checks for write errors and free space
 
 
@@ -211,13 +212,19 @@ class DemonstrationRecorder(Node):
         """Write the messages that have arrived but were not dispatched yet.
 
         Waits for the path of the body in a finished rollout: the learner, which ends the recording,
-        may have received it from the tracker before this node does.
+        may have received it from the tracker before this node does. In lockstep, it also waits for
+        all states up to the time of the request.
         """
-        deadline = time.monotonic() + PATH_TIMEOUT
+        begun, now_ns = time.monotonic(), self.get_clock().now().nanoseconds
         path, finished = self._body_path_topic, self.resolve_topic_name(interface.ROLLOUT_FINISHED)
         self._topics.take()
+        while self._sim_time and 0 < self._state_ns < now_ns:
+            if time.monotonic() - begun > STATES_TIMEOUT:
+                break
+            time.sleep(0.01)
+            self._topics.take()
         while path and finished in recording and path not in recording:
-            if time.monotonic() > deadline:
+            if time.monotonic() - begun > PATH_TIMEOUT:
                 return
             time.sleep(0.01)
             self._topics.take()

@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Protocol, TypeVar
 
@@ -37,7 +38,7 @@ from wam_power_ros.tasks.task import MISSING_MAX
 T = TypeVar("T")
 STARTS_MAX = 5  # attempts to begin one rollout
 ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
-RECEIPT_TIMEOUT = 2.0  # longest wait until all readers have a policy; a hung one never has [s]
+RECEIPT_TIMEOUT = 20.0  # longest wait until all readers have a policy; a hung one never has [s]
 CLOCK_OFFSET_MAX = 0.2  # between arm and motion capture; the tracker allows no more [s]
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
@@ -316,7 +317,8 @@ class RolloutClient:
             self._services.wait_for(Trigger, interface.MOVE_TO_START)
             self._policies.publish(String(data=policies.to_json(policy)))
             # Topics and services are not ordered: the move could be to the last policy's start.
-            self._policies.wait_for_all_acked(Duration(seconds=RECEIPT_TIMEOUT))
+            received = partial(self._policies.wait_for_all_acked, Duration(nanoseconds=1))
+            self._services.until(received, "all readers to have the policy", RECEIPT_TIMEOUT)
             answer = self._call(interface.MOVE_TO_START)
             if answer is not None and answer.success and _is_about(answer, policy.id):
                 return

@@ -80,9 +80,8 @@ class TorqueController(LifecycleNode):
         self._read = cdr.StateReader(self._reader)
         writer = joint_messages.TorqueWriter(params.joint_names, params.command_type)
         self._write = cdr.TorqueSerializer(writer)
-        self._commands = self.create_publisher(
-            writer.message_type, params.command_topic, interface.COMMAND
-        )
+        qos = interface.COMMAND_DEEP if sim_time else interface.COMMAND
+        self._commands = self.create_publisher(writer.message_type, params.command_topic, qos)
         self._preparation = Preparation(
             self.context.get_domain_id(),
             self._on_policy,

@@ -116,6 +116,7 @@ STATE_IN = _qos(10, "BEST_EFFORT")
 CHECK_IN = _qos(5000, "BEST_EFFORT")  # a check of drivers must not drop any message
 STATE_RECORD = _qos(4000, "BEST_AVAILABLE")  # a recorder may lag behind but must not lose states
 COMMAND = _qos(1)
+COMMAND_DEEP = _qos(4000)  # in lockstep: a recorder that lags behind loses none
 MOCAP_OUT = _qos(1000)  # a late reliable reader is sent what it missed
 MOCAP_OUT_BEST_EFFORT = _qos(10, "BEST_EFFORT")  # as of some drivers
 MOCAP_IN = _qos(500, "BEST_EFFORT")  # a path needs every frame: a burst must not drop any
