@@ -13,6 +13,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
     raise SystemExit(start("wam_power_ros.nodes.pancake_tracker"))
 
 import math
+import time
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from wam_power_ros.tracking.free_fall import free_fall_acceleration
 from wam_power_ros.tracking.tracker import FrameFault, TrackedState, Tracker, Validity
 
 DISCOVERY_PERIOD = 0.1  # [s] between two looks for the publisher of the frames in lockstep
+REPAIR_TIME = 5.0  # [s of wall time] in lockstep: Fast DDS sends what was lost again within 3 s
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # any other validity is an error
 
 
@@ -67,6 +69,7 @@ class PancakeTracker(Node):
         self._timeout_clock = self.get_clock() if self._sim_time else steady
         self._first_frame_received = False
         self._frame_ns = self._timeout_clock.now().nanoseconds  # when the last frame came
+        self._arrived = time.monotonic()  # when a frame or the end of a rollout last came [s]
 
         publish, subscribe = self.create_publisher, self.create_subscription
         self._states = publish(
@@ -111,6 +114,7 @@ class PancakeTracker(Node):
             self._refuse(error)
             return
         self._frame_ns = self._timeout_clock.now().nanoseconds
+        self._arrived = time.monotonic()
         if not self._first_frame_received:  # logging with `once` would be slow at every frame
             self._first_frame_received = True
             self.get_logger().info("first frame received")
@@ -140,6 +144,7 @@ class PancakeTracker(Node):
             self._publish_path()  # its missing frames will not come any more
         end_ns = tool.start_ns + round(float(tool.t[-1]) * 1e9)
         self._pending = _Rollout(tool.start_ns, end_ns, self._timeout_clock.now().nanoseconds)
+        self._arrived = time.monotonic()
         self._publish_path_if_complete()
 
     def _refuse(self, error: ValueError) -> None:
@@ -152,7 +157,10 @@ class PancakeTracker(Node):
         self._states.publish(pose_messages.odometry_message(reading, self._body_frame))
 
     def _check_silence(self) -> None:
-        """Publish predicted states in an occlusion; end the wait for a path after `silence`."""
+        """Publish predicted states in an occlusion; end the wait for a path after `silence`.
+
+        In lockstep, simulated time goes on while frames that were lost are sent again.
+        """
         now_ns = self._timeout_clock.now().nanoseconds
         silent_ns = max(now_ns - self._frame_ns, 0)
         state = self._tracker.at(self._tracker.latest_ns + silent_ns)
@@ -160,7 +168,8 @@ class PancakeTracker(Node):
             self._publish(state)
         if self._pending is not None:
             waited_ns = min(silent_ns, now_ns - self._pending.received_ns)
-            if waited_ns > self._params.silence * 1e9:
+            repaired = not self._sim_time or time.monotonic() - self._arrived > REPAIR_TIME
+            if repaired and waited_ns > self._params.silence * 1e9:
                 self._publish_path()
 
     def _publish_path_if_complete(self) -> None:
