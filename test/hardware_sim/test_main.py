@@ -60,6 +60,11 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
         poses.clear()
         message, truth = hardware.rollout(policy, pauses)
         start_ns, *path = pose_messages.path(message)
+        end_ns = start_ns + 1_000_000_000
+        probe.until(  # frames that were lost are sent again
+            lambda: any(pose_messages.pose(pose).stamp_ns >= end_ns for pose in poses),  # noqa: B023
+            "the last frame",
+        )
         seen = [pose_messages.pose(pose) for pose in poses]
         at = {reading.stamp_ns - start_ns: reading.position.tolist() for reading in seen}
         frames.append({stamp: place for stamp, place in at.items() if 0 <= stamp < 1_000_000_000})
@@ -67,10 +72,8 @@ def test_a_rollout_in_lockstep_is_the_same_whenever_its_services_are_called(
         probe.until(lambda: hardware.label() == "hold", "hold again")
     assert results[0] == results[1]
     assert results[0] == results[2]
-    for other in frames[1:]:  # a busy test may miss some frames
-        both = frames[0].keys() & other.keys()
-        assert len(both) >= 5
-        assert {at: frames[0][at] for at in both} == {at: other[at] for at in both}
+    assert len(frames[0]) >= 25
+    assert frames[0] == frames[1] == frames[2]
     assert truth["id"] == policy.id
     assert truth["caught"]
     other = hardware.rollout(lift("trial-0002"), (0.0, 0.0))[0]  # other noise
