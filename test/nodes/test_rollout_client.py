@@ -124,7 +124,7 @@ def test_the_arm_is_not_asked_to_move_before_all_readers_have_the_policy(
         asked.extend(cell.requests)
         reader.send_signal(signal.SIGCONT)
 
-    waking = threading.Timer(1.0, go_on)
+    waking = threading.Timer(4.0, go_on)  # what was lost is sent again within 3 s
     waking.start()
     client.execute(POLICY, WHOLE, lambda state: "")
     waking.join()
