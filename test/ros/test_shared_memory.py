@@ -13,8 +13,7 @@ import pytest
 from conftest import Probe, Processes
 from std_msgs.msg import String
 
-from wam_power_ros.params.resources import share
-from wam_power_ros.ros import interface, network, shared_memory
+from wam_power_ros.ros import interface, shared_memory
 from wam_power_ros.ros.shared_memory import remove_dead_segments, remove_ports
 
 SEGMENT = "fastrtps_0123456789abcdef"
@@ -61,23 +60,10 @@ def test_the_queue_of_a_port_is_removed_when_nobody_listens_there(tmp_path: Path
 
 @pytest.mark.skipif(not shared_memory.FOLDER.is_dir(), reason="no /dev/shm")
 def test_a_killed_node_s_segment_is_gone_when_another_node_starts(
-    probe: Probe, processes: Processes, tmp_path: Path
+    probe: Probe, processes: Processes
 ) -> None:
-    profile = tmp_path / "shared_memory.xml"  # as without a profile, but on loopback
-    text = share(network.LOOPBACK).read_text()
-    memory = "<transport_id>memory</transport_id>"
-    for before, new in (
-        (
-            "<transport_descriptors>",
-            f"<transport_descriptor>{memory}<type>SHM</type></transport_descriptor>",
-        ),
-        ("<userTransports>", memory),
-    ):
-        text = text.replace(before, before + new)
-    profile.write_text(text)
-    asked = {network.RANGE: "SYSTEM_DEFAULT", network.PROFILE: str(profile)}
     words = probe.listen(String, "/words", interface.LATCHED)
-    killed = processes.start([sys.executable, "-c", TALK], **asked)
+    killed = processes.start([sys.executable, "-c", TALK])
     probe.until(lambda: words, "the first talker")
     locks = []
     for file in Path(f"/proc/{killed.pid}/fd").iterdir():
@@ -87,6 +73,6 @@ def test_a_killed_node_s_segment_is_gone_when_another_node_starts(
     assert locks
     processes.end(killed, signal.SIGKILL)
     words.clear()
-    processes.start([sys.executable, "-c", TALK], **asked)
+    processes.start([sys.executable, "-c", TALK])
     probe.until(lambda: words, "the second talker")
     assert not any(lock.exists() for lock in locks)
