@@ -38,7 +38,7 @@ from wam_power_ros.tasks.task import MISSING_MAX
 T = TypeVar("T")
 STARTS_MAX = 5  # attempts to begin one rollout
 ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
-RECEIPT_TIMEOUT = 20.0  # longest wait until all readers have a policy; a hung one never has [s]
+RECEIPT_TIMEOUT = 20.0  # longest wait until all readers have a policy; DDS drops a dead one [s]
 CLOCK_OFFSET_MAX = 0.2  # between arm and motion capture; the tracker allows no more [s]
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]

@@ -28,9 +28,7 @@ _DECAY_STD = 0.8  # prior standard deviation of d [1/s]
 # apart to count the turns.
 _SPIN_STD = 12.0
 _PRECESSION_STD = 3.0  # prior standard deviation of the spin about the disc's own normal [rad/s]
-_RELEASE_STD = (
-    0.35  # prior standard deviation of the pancake's normal from the pan's at release [rad]
-)
+_RELEASE_STD = 0.35  # prior: normal of the pancake from the pan's at release [rad]
 _SLOWING_MIN = 0.2  # smallest 1 + d s to which the spin is extrapolated [1]
 _SPARSE_INTERVAL = 0.07  # time between frames from which on the number of turns is ambiguous [s]
 _AXIS_ANGLE_MIN = 0.2  # smallest rotation in flight that defines the spin axis [rad]
