@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import reprlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -73,21 +74,27 @@ def read(file: Path) -> dict[str, dict[str, Any]]:
         return dict(_sections(nodes))
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from None
-    except (yaml.YAMLError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (yaml.YAMLError, TypeError, AttributeError, RecursionError) as error:
         text = re.sub(r"\s+", " ", str(error))
         raise ValueError(f"{file} is not a file of ROS parameters: {text}") from None
 
 
-def _sections(nodes: dict[str, Any], parent: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+def _sections(nodes: object, parent: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
     """Nodes and their parameters; a namespace may be a separate level."""
-    for name, section in nodes.items():
+    for name, section in _mapping(nodes, parent or "the file").items():
         path = f"{parent}/{name.lstrip('/')}" if parent else name
-        if "ros__parameters" in section:
-            yield path, dict(section["ros__parameters"])
+        if "ros__parameters" in _mapping(section, path):
+            yield path, _mapping(section["ros__parameters"], f"ros__parameters of {path}")
         elif not section or not all(isinstance(child, dict) for child in section.values()):
-            raise KeyError(f"ros__parameters of {path}")
+            raise ValueError(f"{path} has no ros__parameters")
         else:
             yield from _sections(section, path)
+
+
+def _mapping(value: object, where: str) -> dict[Any, Any]:
+    if not isinstance(value, dict):
+        raise ValueError(f"{where} is {reprlib.repr(value)}; allowed are names with values")
+    return value
 
 
 def of_nodes(file: Path) -> dict[str, dict[str, Any]]:
