@@ -3,6 +3,7 @@
 
 import os
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -24,17 +25,24 @@ class Disk:
         self._fsync = os.fsync
 
     def __call__(self, handle: int) -> None:
-        """Wait for the release, then flush or raise."""
-        self.asked.set()
-        assert self.free.wait(60.0)
+        """Wait for the release, then flush or raise; `asked` is set while it waits."""
+        if not self.free.is_set():
+            self.asked.set()
+            assert self.free.wait(60.0)
         if self.error is not None:
             raise self.error
         self._fsync(handle)
 
+    def hang(self) -> None:
+        """Block from now on; returns when the writer waits."""
+        self.asked.clear()
+        self.free.clear()
+        assert self.asked.wait(60.0)
+
 
 @pytest.fixture
 def disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[Disk]:
-    """Disk that blocks until it is released."""
+    """Disk that hangs until it is released."""
     disk = Disk()
     monkeypatch.setattr(writer.os, "fsync", disk)
     monkeypatch.setattr(background_writer, "WRITE_PERIOD", 0.01)
@@ -53,6 +61,16 @@ def feed(recorded: Recording, q: np.ndarray, first: int = 0) -> None:
         recorded.write("/joint_states", joint_state(START + 2_000_000 * index, NAMES, row))
 
 
+def feed_and_write(recorded: Recording, disk: Disk, q: np.ndarray) -> None:
+    """Feed states and wait until they are written."""
+    disk.free.set()
+    feed(recorded, q)
+    deadline = time.monotonic() + 60.0
+    while recorded.counts.get("/joint_states") != len(q):
+        assert time.monotonic() < deadline, recorded.counts
+        time.sleep(0.01)
+
+
 def test_a_disk_that_hangs_holds_nobody_up_and_costs_nothing(tmp_path: Path, disk: Disk) -> None:
     recorded, q = begun(tmp_path), random_q(3000)
     feed(recorded, q[:100])
@@ -69,10 +87,9 @@ def test_a_disk_that_hangs_for_too_long_is_given_up(
     tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(background_writer, "WAITING_MAX", 500)
-    monkeypatch.setattr(background_writer, "WRITE_PERIOD", 1.0)  # the first write has states
     recorded, q = begun(tmp_path), random_q(1000)
-    feed(recorded, q[:100])
-    assert disk.asked.wait(60.0)
+    feed_and_write(recorded, disk, q[:100])
+    disk.hang()
     feed(recorded, q[100:], 100)
     assert "too slow" in str(recorded.error)
     assert recorded.waiting <= 500
@@ -88,13 +105,13 @@ def test_a_disk_that_refuses_ends_the_recording_and_what_it_took_is_kept(
     tmp_path: Path, disk: Disk
 ) -> None:
     recorded, q = begun(tmp_path), random_q(200)
-    feed(recorded, q)
-    assert disk.asked.wait(60.0)
+    feed_and_write(recorded, disk, q[:100])
     disk.error = OSError(28, "No space left on device")
-    disk.free.set()
+    feed(recorded, q[100:], 100)
     with pytest.raises(OSError, match="No space left"):
         recorded.close("asked to", {}, "/joint_states")
     assert not recorded.path.exists()
     disk.error = None
     back = reader.read_demonstration(recover(recorded.path).path, NAMES)[1]
+    assert len(back) >= 100
     np.testing.assert_array_equal(back, q[: len(back)])
