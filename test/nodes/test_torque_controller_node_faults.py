@@ -21,6 +21,18 @@ from wam_power_ros.learning.policy import to_json
 from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.ros import interface
 
+DRIVER = """
+from rclpy.node import Node
+from std_msgs.msg import Float64MultiArray
+from wam_power_ros.ros import interface, node_runner
+def make():
+    node = Node("driver")
+    say = lambda message: print(message.layout.dim[0].label, flush=True)
+    node.create_subscription(Float64MultiArray, interface.EFFORT_COMMANDS, say, interface.COMMAND)
+    return node
+raise SystemExit(node_runner.run(make))
+"""
+
 
 @pytest.mark.requirement("S-11")
 @pytest.mark.parametrize(
@@ -158,6 +170,28 @@ def test_an_ended_controller_leaves_the_torque_that_carries_the_arm(
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
     np.testing.assert_allclose(last.tau, gravity, atol=1e-9)
     assert "Traceback" not in processes.output(arm.process)
+
+
+@pytest.mark.requirement("S-05")
+def test_an_ended_controller_waits_until_a_busy_driver_has_the_last_torque(
+    probe: Probe, processes: Processes
+) -> None:
+    driver = processes.start([sys.executable, "-c", DRIVER])
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+
+    def heard(label: str) -> bool:
+        arm.send()
+        return label in processes.output(driver).split()
+
+    probe.until(lambda: heard("hold"), "a driver that receives torques")
+    driver.send_signal(signal.SIGSTOP)
+    arm.process.send_signal(signal.SIGINT)
+    time.sleep(1.3)  # it needs 0.6 s to bring the arm to rest
+    assert arm.process.poll() is None
+    driver.send_signal(signal.SIGCONT)
+    probe.until(lambda: heard("inactive"), "the last torque at the driver")
+    probe.until(lambda: arm.process.poll() == 0, "the controller's end")
 
 
 @pytest.mark.requirement("S-30")

@@ -27,7 +27,7 @@ def make():
     node = Node("server")
     node.create_subscription(String, "/commands", lambda message: None, interface.COMMAND)
     node.create_service(Trigger, "/reset", lambda _, response: response)
-    print("serving", flush=True)
+    node.create_timer(0.05, lambda: print("serving", flush=True))  # once the node is complete
     return node
 raise SystemExit(node_runner.run(make))
 """

@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
@@ -90,13 +92,17 @@ class PreparationWorker(Node):
 
     def _listen(self) -> None:
         """Receive into `_inbox`, because the executor can wait only for the middleware."""
-        try:
+        message: Message | None
+        with suppress(rclpy_implementation.InvalidHandle):  # the node has ended first
             while True:
-                self._inbox.append(self._channel.receive())
+                try:
+                    message = self._channel.receive()
+                except EOFError:
+                    message = None
+                self._inbox.append(message)
                 self._arrived.trigger()
-        except EOFError:
-            self._inbox.append(None)
-            self._arrived.trigger()
+                if message is None:
+                    return
 
     def _handle_messages(self) -> None:
         """Handle all messages from the torque controller."""

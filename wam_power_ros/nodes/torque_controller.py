@@ -49,6 +49,7 @@ VELOCITY_AGE_MAX_NS = 10_000_000  # [ns] of a velocity from a separate topic
 STOP_TIMEOUT = 0.5  # [s] to bring the arm to rest when this node ends
 REST_TIME = 0.05  # [s] at rest that suffices: slower than REST_SPEED the arm still coasts
 RELEASE_TIME = 0.05  # [s] after that, to change to the torque that holds the arm
+RECEIPT_TIMEOUT = 2.0  # longest wait until a busy driver has the last torque [s]
 ENABLE_TIMEOUT_NS = 100_000_000  # [ns] after which the enabling switch counts as released
 
 
@@ -193,6 +194,7 @@ class TorqueController(LifecycleNode):
         while time.monotonic() - begun < RELEASE_TIME:
             self._answer_next()
         self._send(core.stale_torque(), "inactive")
+        self._guard.wait_until_received(RECEIPT_TIMEOUT)
         self._active = False
         self._controller.deactivate()
         self._requests.answer(core)
