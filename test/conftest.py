@@ -201,7 +201,7 @@ class Processes:
         if process.poll() is None:
             process.send_signal(how)
         try:
-            return process.wait(10.0)
+            return process.wait(30.0)
         except subprocess.TimeoutExpired:
             process.kill()
             return process.wait(60.0)  # on a busy machine

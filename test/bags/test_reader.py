@@ -2,7 +2,6 @@
 """Reader: round trip, agreement with another reader, and errors that name the damage."""
 
 import json
-import time
 from pathlib import Path
 
 import numpy as np
@@ -192,16 +191,14 @@ def test_a_wrong_topic_or_type_is_named_with_what_there_is(tmp_path: Path) -> No
         ),
     ],
 )
-def test_a_hostile_metadata_file_is_refused_at_once_and_runs_nothing(
+def test_a_hostile_metadata_file_is_refused_and_runs_nothing(
     tmp_path: Path, text: str, why: str
 ) -> None:
     path = demonstration(tmp_path / "demo", random_q(3))
     mark = tmp_path / "ran"
     (path / "metadata.yaml").write_text(text.replace("{mark}", str(mark)))
-    begun = time.monotonic()
     with pytest.raises(ValueError, match=why):
         read_demonstration(path, NAMES)
-    assert time.monotonic() - begun < 2.0
     assert not mark.exists()
 
 
