@@ -18,6 +18,7 @@ from conftest import Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as NavPath
+from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
@@ -74,8 +75,13 @@ class Bench:
         assert done, message
         return Path(message)
 
+    def received(self) -> None:
+        """Wait until the recorder has all states, or has been told that some are lost."""
+        assert self.states.wait_for_all_acked(Duration(seconds=60.0))
+
     def stop(self) -> Path:
-        """End a recording; fail if it is refused."""
+        """End a recording that has all states; fail if it is refused."""
+        self.received()
         done, message = self.record(False)
         assert done, message
         return Path(message)
@@ -213,7 +219,6 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     poses.publish(pose_messages.pose_message(START, "world", np.ones(3), np.array([0, 0, 0, 1.0])))
     first = bench.sent
     bench.send(1500)
-    probe.spin(0.3)
     assert bench.record(False) == (True, str(path))
 
     stamps, q = reader.read_demonstration(path, NAMES)
@@ -325,7 +330,6 @@ def test_what_is_missing_is_said_in_the_bag_the_log_and_the_diagnostics(
     bench.send(30)
     bench.send(1, step=5)
     bench.send(30)
-    probe.spin(0.2)
     path = bench.stop()
     assert json.loads(information(path)["custom_data"]["missing"])["/joint_states"] == 4
     note = "4 messages missing on /joint_states, longest gap 0.010 s"
@@ -340,7 +344,7 @@ def test_a_recorder_that_is_stopped_closes_its_bag(
     bench = Bench(probe, processes, tmp_path)
     path = bench.start()
     bench.send(300)
-    probe.spin(0.2)
+    bench.received()
     assert processes.end(bench.node, how) == 0
     assert len(reader.read_demonstration(path, NAMES)[0]) == 300
     assert not list(tmp_path.glob("*.unfinished"))
@@ -419,7 +423,6 @@ def test_a_folder_that_goes_away_ends_the_recording_and_nothing_else(
     (tmp_path / "pulled out").rename(tmp_path / "bags")
     again = bench.start()
     bench.send(100)
-    probe.spin(0.2)
     assert bench.stop() == again
 
 
@@ -448,7 +451,6 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(
     resource.prlimit(bench.node.pid, resource.RLIMIT_FSIZE, (allowed[1], allowed[1]))
     again = bench.start()  # the next recording is complete
     bench.send(100)
-    probe.spin(0.2)
     assert bench.stop() == again
     assert len(reader.read_demonstration(again, NAMES)[0]) == 100
 

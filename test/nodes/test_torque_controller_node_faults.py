@@ -116,10 +116,11 @@ def test_lost_states_bring_gravity_alone_then_a_fault_and_the_driver_to_idle(
     probe.until(lambda: arm.read()[-1].label == "fault", "the fault", deadline=5.0)
     probe.until(lambda: idled, "the driver is asked to idle", deadline=5.0)
     assert idled[0] - lost > 0.08
-    probe.spin(0.2)
-    stale = arm.read()[-1]
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
-    np.testing.assert_allclose(stale.tau, gravity, atol=0.01)  # braked, and held against gravity
+    probe.until(
+        lambda: np.allclose(arm.read()[-1].tau, gravity, rtol=0.0, atol=0.01),
+        "the arm is braked, and held against gravity",
+    )
     report = arm.diagnosis(lambda d: d["mode"] == "fault", "the fault is reported")
     assert (report["level"], report["fault kind"]) == ("2", FaultKind.STATES_LOST.value)
     logged = lambda: processes.output(arm.process)  # noqa: E731
