@@ -5,13 +5,18 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
-from conftest import Process, Processes
+from conftest import Probe, Process, Processes
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Int64
 
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import network
@@ -28,6 +33,23 @@ def make():
     node.create_subscription(String, "/commands", lambda message: None, interface.COMMAND)
     node.create_service(Trigger, "/reset", lambda _, response: response)
     node.create_timer(0.05, lambda: print("serving", flush=True))  # once the node is complete
+    return node
+raise SystemExit(node_runner.run(make))
+"""
+READ = """
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Int64
+from wam_power_ros.ros import node_runner
+read = []
+def on_number(message):
+    read.append(message.data)
+    if len(read) % 1000 == 0:
+        assert read == list(range(len(read)))
+        print("has", len(read), flush=True)
+def make():
+    node = Node("reader")
+    node.create_subscription(Int64, "/numbers", on_number, QoSProfile(depth=10_000))
     return node
 raise SystemExit(node_runner.run(make))
 """
@@ -188,3 +210,23 @@ def test_from_another_network_nothing_matches_and_no_service_answers(
     processes.end(confined)
     served(processes, *here, **{RANGE: "SUBNET"})  # the cable works
     assert matched() == "matched 1 True"
+
+
+def test_lost_messages_are_sent_again_at_once_and_not_after_the_three_seconds_of_the_default(
+    probe: Probe, processes: Processes
+) -> None:
+    reader = processes.start([sys.executable, "-c", READ], **{RANGE: "LOCALHOST"})
+    numbers = probe.publisher(Int64, "/numbers", QoSProfile(depth=10_000))
+    waits = []  # [s]
+    for end in range(1000, 6000, 1000):
+        reader.send_signal(signal.SIGSTOP)
+        for number in range(end - 1000, end):  # more than its queue of shared memory holds
+            numbers.publish(Int64(data=number))
+        reader.send_signal(signal.SIGCONT)
+        begun = time.monotonic()
+        while f"has {end}" not in processes.output(reader):
+            assert reader.poll() is None
+            time.sleep(0.01)
+        waits.append(time.monotonic() - begun)
+        time.sleep(0.3)
+    assert np.mean(waits) < 1.0, waits
