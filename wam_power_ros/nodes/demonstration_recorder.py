@@ -43,7 +43,7 @@ from wam_power_ros.ros.raw_subscriptions import RawTopics
 
 MEGABYTE = 1_000_000
 PATH_TIMEOUT = 1.0  # longest wait for the path of the body in a finished rollout [s]
-STATES_TIMEOUT = 5.0  # longest wait for states in lockstep; lost ones are sent again in 3 s [s]
+STATES_TIMEOUT = 5.0  # longest wait for states in lockstep; some DDS profiles repair in 3 s [s]
 DISK_CHECK_PERIOD = 0.1  # [s] between checks for write errors and free space
 
 

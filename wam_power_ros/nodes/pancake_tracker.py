@@ -34,7 +34,7 @@ from wam_power_ros.tracking.free_fall import free_fall_acceleration
 from wam_power_ros.tracking.tracker import FrameFault, TrackedState, Tracker, Validity
 
 DISCOVERY_PERIOD = 0.1  # [s] between two looks for the publisher of the frames in lockstep
-REPAIR_TIME = 5.0  # [s of wall time] in lockstep: Fast DDS sends what was lost again within 3 s
+REPAIR_TIME = 5.0  # [s of wall time] in lockstep: Fast DDS's own profile repairs in 3 s
 LEVELS = {Validity.OK: "ok", Validity.OCCLUDED: "warn"}  # any other validity is an error
 
 

@@ -92,17 +92,14 @@ class PreparationWorker(Node):
 
     def _listen(self) -> None:
         """Receive into `_inbox`, because the executor can wait only for the middleware."""
-        message: Message | None
         with suppress(rclpy_implementation.InvalidHandle):  # the node has ended first
-            while True:
-                try:
-                    message = self._channel.receive()
-                except EOFError:
-                    message = None
-                self._inbox.append(message)
+            try:
+                while True:
+                    self._inbox.append(self._channel.receive())
+                    self._arrived.trigger()
+            except EOFError:
+                self._inbox.append(None)
                 self._arrived.trigger()
-                if message is None:
-                    return
 
     def _handle_messages(self) -> None:
         """Handle all messages from the torque controller."""

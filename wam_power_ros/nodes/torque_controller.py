@@ -194,12 +194,12 @@ class TorqueController(LifecycleNode):
         while time.monotonic() - begun < RELEASE_TIME:
             self._answer_next()
         self._send(core.stale_torque(), "inactive")
-        self._guard.wait_until_received(RECEIPT_TIMEOUT)
         self._active = False
         self._controller.deactivate()
         self._requests.answer(core)
         self._preparation.forget_requests()
         self._requests.refuse()
+        self._guard.wait_until_received(RECEIPT_TIMEOUT)
 
     def _answer_next(self) -> None:
         """Answer the next state if it has come, without an executor."""
