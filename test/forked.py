@@ -44,10 +44,11 @@ class Forked:
 
     def wait(self, timeout: float | None = None) -> int:
         """Exit status once it has ended, negative for a signal."""
-        if self.returncode is None:
-            self.returncode = self._server.status(self.pid, timeout)
-        if self.returncode is None:
-            raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
+        end = None if timeout is None else time.monotonic() + timeout
+        while self.returncode is None:
+            left = None if end is None else max(0.0, end - time.monotonic())
+            if self._server.receive(left) is None:
+                raise subprocess.TimeoutExpired(self.args, timeout or 0.0)
         return self.returncode
 
     def poll(self) -> int | None:
@@ -76,7 +77,7 @@ class Server:
         self._process = subprocess.Popen(command, pass_fds=(other.fileno(),))
         other.close()
         atexit.register(self._close)
-        self._ended: dict[int, int] = {}  # process id -> exit status
+        self._running: dict[int, Forked] = {}  # by process id, which Linux uses again later
 
     def fork(
         self, command: list[str], folder: Path, environment: dict[str, str], log: Path
@@ -91,25 +92,17 @@ class Server:
         """
         request = [command[2:], str(folder), environment, str(log)]
         self._socket.send(json.dumps(request).encode())
-        while (message := self._receive(None)) is None or message[1] is not None:
+        while (message := self.receive(None)) is None or message[1] is not None:
             pass
-        return Forked(self, command, message[0])
+        pid = message[0]
+        self._running[pid] = forked = Forked(self, command, pid)
+        return forked
 
-    def status(self, pid: int, timeout: float | None) -> int | None:
-        """Exit status of a forked process, None when it has not ended within `timeout` [s]."""
-        end = None if timeout is None else time.monotonic() + timeout
-        while pid not in self._ended:
-            left = None if end is None else max(0.0, end - time.monotonic())
-            if self._receive(left) is None:
-                return None
-        return self._ended[pid]
+    def receive(self, timeout: float | None) -> tuple[int, int | None] | None:
+        """Process id of one that has begun (None) or ended, and its exit status, which is noted.
 
-    def _close(self) -> None:
-        self._socket.close()
-        self._process.wait()
-
-    def _receive(self, timeout: float | None) -> tuple[int, int | None] | None:
-        """Process id and exit status of one that has ended, or has begun (None)."""
+        Returns None if nothing comes within `timeout` [s].
+        """
         if not select.select([self._socket], [], [], timeout)[0]:
             return None
         received = self._socket.recv(REQUEST_MAX)
@@ -117,8 +110,12 @@ class Server:
             raise RuntimeError(f"the process that forks has ended: {self._process.wait()}")
         pid, status = json.loads(received)
         if status is not None:
-            self._ended[pid] = status
+            self._running.pop(pid).returncode = status
         return pid, status
+
+    def _close(self) -> None:
+        self._socket.close()
+        self._process.wait()
 
 
 def serve(requests: socket.socket) -> int:
