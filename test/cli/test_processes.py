@@ -72,11 +72,12 @@ def test_leaving_ends_every_process_even_one_that_ignores_the_interrupt(tmp_path
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the kernel's promise is Linux's")
-def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", [SLEEP, STUBBORN], ids=["while it starts", "interrupt lost"])
+def test_processes_end_when_their_parent_is_killed(command: list[str], tmp_path: Path) -> None:
     code = (
         "from pathlib import Path; from wam_power_ros.cli.processes import Processes\n"
         "import sys, time\n"
-        f"one = Processes(Path({str(tmp_path)!r}), {{}}).start('child', {SLEEP!r})\n"
+        f"one = Processes(Path({str(tmp_path)!r}), {{}}).start('child', {command!r})\n"
         "print(one.process.pid, flush=True); time.sleep(60)"
     )
     root = str(Path(__file__).resolve().parents[2])
@@ -86,6 +87,8 @@ def test_processes_end_when_their_parent_is_killed(tmp_path: Path) -> None:
     assert parent.stdout is not None
     child = int(parent.stdout.readline())
     assert alive(child)
+    if command is STUBBORN:
+        assert soon(lambda: "ready" in (tmp_path / "child.log").read_text())
     parent.kill()
     parent.wait(10.0)
     assert soon(lambda: not alive(child))

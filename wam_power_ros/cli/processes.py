@@ -2,7 +2,8 @@
 """Processes of the nodes of one session: start them, watch them, always end them.
 
 Each has its own process group, so that Ctrl-C in the terminal reaches only the parent, which ends
-them in order. If the parent is killed, the kernel sends them SIGINT.
+them in order. If the parent is killed, the kernel sends them a signal: SIGTERM, because Python may
+lose a SIGINT while it starts; one that reads the terminal gets SIGINT, which interrupts reading.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 PR_SET_PDEATHSIG = 1
@@ -53,6 +55,7 @@ class Processes:
         """Start a command; its output goes to a log, or to the terminal if `interactive`."""
         self._logs.mkdir(parents=True, exist_ok=True)
         log = self._logs / f"{name}.log"
+        at_death = signal.SIGINT if interactive else signal.SIGTERM
         with log.open("ab") as output:
             process = subprocess.Popen(
                 command,
@@ -61,7 +64,7 @@ class Processes:
                 stdout=None if interactive else output,
                 stderr=None if interactive else output,
                 start_new_session=not interactive,
-                preexec_fn=_end_with_parent if sys.platform == "linux" else None,
+                preexec_fn=partial(_end_with_parent, at_death) if sys.platform == "linux" else None,
             )
         self._running.append(Running(name, process, log))
         return self._running[-1]
@@ -129,5 +132,5 @@ class Processes:
         self.stop()
 
 
-def _end_with_parent() -> None:
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGINT)
+def _end_with_parent(number: signal.Signals) -> None:
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
