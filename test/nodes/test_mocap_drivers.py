@@ -27,6 +27,7 @@ MILLISECOND = 1_000_000  # [ns]
 PLACED = [0.5, -0.3, 0.2, 0.0, 0.0, 0.6, 0.8]  # pose of the motion-capture frame in the base frame
 HIDDEN = (1.0, 1.08)  # [s] in which the pancake cannot be seen, on its way up
 DURATION = 2.0  # [s]
+FILMS_MAX = 10  # attempts to see enough states
 SLOW_MAX = 10.0  # largest age of frames that a tracker can be set to allow [s]
 
 
@@ -50,10 +51,10 @@ class Cameras:
         self.probe, params = probe, self.node.params
         settings = params.mocap()
         self._mocap = Mocap(np.asarray(LAYOUT), settings)
-        self._mocap.restart(1, np.random.default_rng(3))
 
     def film(self, start_ns: int) -> None:
         """Play the toss in steps of a millisecond, at four times real time."""
+        self._mocap.restart(1, np.random.default_rng(3))
         begun_ns = time.monotonic_ns()
         for now_ns in range(MILLISECOND, round((DURATION + 0.2) * 1e9), MILLISECOND):
             t = now_ns * 1e-9
@@ -111,17 +112,31 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     probe.until(lambda: camera.node.count_subscribers(topic), "the tracker listens")
     probe.spin(0.3)
 
-    start_ns = time.time_ns()
-    camera.film(start_ns)
-    while time.time_ns() - start_ns > 0.8e9 * SLOW_MAX:  # on a busy machine
-        start_ns = time.time_ns()
-        camera.film(start_ns)
     t = np.arange(0.0, DURATION, 0.01)
     still = np.tile([*PAN, 0.0, 0.0, 0.0, 1.0], (len(t), 1))
     pan = EndEffectorPath("trial-1", t, still[:, :3], still[:, 3:])
-    ends.publish(pose_messages.path_message(pan, start_ns, "wam_base"))
-    message = probe.until(lambda: paths and paths[-1], "the path", 60.0)
-    path = pose_messages.path(message)
+    # (on a busy machine frames are late: states predicted meanwhile have a larger variance)
+    measured = 1.01 * setup["pancake_tracker"]["noise"] ** 2
+    for _ in range(FILMS_MAX):  # and states that nobody takes in time are lost
+        start_ns = time.time_ns()
+        camera.film(start_ns)
+        if time.time_ns() - start_ns > 0.8e9 * SLOW_MAX:
+            continue
+        paths.clear()
+        ends.publish(pose_messages.path_message(pan, start_ns, "wam_base"))
+        path = pose_messages.path(probe.until(lambda: paths and paths[-1], "the path", 60.0))
+        timed = [
+            ((state.stamp_ns - start_ns) * 1e-9, state)
+            for state in map(pose_messages.odometry, states)
+            if state.variance < measured
+        ]
+        resting = [state for at, state in timed if 0.2 < at < 0.55]
+        moving = [(at, state) for at, state in timed if 0.1 < at < 0.95]
+        if len(resting) > 20 and len(moving) > 30:
+            break
+        probe.spin(DURATION)  # stamps of the next film must be newer
+    else:
+        pytest.fail(f"no film of {FILMS_MAX} came through in time with enough states")
 
     # the path has every measured frame at its time of exposure, and no other
     wanted = setup["pancake_tracker"]["rate"] * (DURATION - HIDDEN[1] + HIDDEN[0])
@@ -133,19 +148,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     cosines = np.einsum("ij,ij->i", normals, [turned[:, 2] for _, turned in true])
     assert cosines.min() > 0.99
     # and so are the states, at rest and in flight
-    seen = [pose_messages.odometry(state) for state in states]
-    at = [(state.stamp_ns - start_ns) * 1e-9 for state in seen]
-    # (on a busy machine frames are late: states predicted meanwhile have a larger variance)
-    measured = 1.01 * setup["pancake_tracker"]["noise"] ** 2
-    errors = [
-        np.linalg.norm(state.position - toss(when)[0])
-        for state, when in zip(seen, at, strict=True)
-        if 0.1 < when < 0.95 and state.variance < measured
-    ]
-    assert len(errors) > 30
-    assert max(errors) < 0.02
-    resting = [state for state, when in zip(seen, at, strict=True) if 0.2 < when < 0.55]
-    assert len(resting) > 20
+    assert max(np.linalg.norm(state.position - toss(at)[0]) for at, state in moving) < 0.02
     assert np.median([np.linalg.norm(state.velocity) for state in resting]) < 0.05
 
 
