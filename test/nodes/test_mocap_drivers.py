@@ -115,9 +115,10 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     t = np.arange(0.0, DURATION, 0.01)
     still = np.tile([*PAN, 0.0, 0.0, 0.0, 1.0], (len(t), 1))
     pan = EndEffectorPath("trial-1", t, still[:, :3], still[:, 3:])
-    # (on a busy machine frames are late: states predicted meanwhile have a larger variance)
+    # On a busy machine frames are late: states predicted meanwhile have a larger variance. And
+    # states that the probe does not take in time are lost: then the toss is filmed again.
     measured = 1.01 * setup["pancake_tracker"]["noise"] ** 2
-    for _ in range(FILMS_MAX):  # and states that nobody takes in time are lost
+    for _ in range(FILMS_MAX):
         start_ns = time.time_ns()
         camera.film(start_ns)
         if time.time_ns() - start_ns > 0.8e9 * SLOW_MAX:
@@ -132,6 +133,8 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
         ]
         resting = [state for at, state in timed if 0.2 < at < 0.55]
         moving = [(at, state) for at, state in timed if 0.1 < at < 0.95]
+        # the states are right at rest and in flight, however few came through
+        assert all(np.linalg.norm(state.position - toss(at)[0]) < 0.02 for at, state in moving)
         if len(resting) > 20 and len(moving) > 30:
             break
         probe.spin(DURATION)  # stamps of the next film must be newer
@@ -147,8 +150,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     normals = rotations.matrix(path.quat_xyzw)[:, :, 2]
     cosines = np.einsum("ij,ij->i", normals, [turned[:, 2] for _, turned in true])
     assert cosines.min() > 0.99
-    # and so are the states, at rest and in flight
-    assert max(np.linalg.norm(state.position - toss(at)[0]) for at, state in moving) < 0.02
+    # and at rest the states do not move
     assert np.median([np.linalg.norm(state.velocity) for state in resting]) < 0.05
 
 
