@@ -479,7 +479,7 @@ def test_what_came_while_the_recorder_stood_still_is_sent_again_or_told_as_missi
     probe.spin(1.0)
     bench.node.send_signal(signal.SIGSTOP)
     try:
-        for _ in range(3000):  # more than shared memory holds for a reader
+        for _ in range(3000):  # more than a reader's socket holds
             zero, stamp_ns = np.zeros(7), START + 2_000_000 * bench.sent
             bench.states.publish(bench.write(stamp_ns, zero, zero, zero))
             bench.sent += 1

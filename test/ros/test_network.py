@@ -1,24 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No process is reachable from the network unless the environment asks for it."""
+"""No process is reachable from the network unless the environment asks for it; none is deaf."""
 
 from __future__ import annotations
 
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from conftest import Process, Processes
+from conftest import Probe, Process, Processes
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Int64
 
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import network
 from wam_power_ros.ros.network import PROFILE, RANGE, bound_addresses, confine, wider_reach
 
 OURS = str(share(network.LOOPBACK))
+MEMORY = Path("/dev/shm")
 SERVE = """
 from rclpy.node import Node
 from std_msgs.msg import String
@@ -59,7 +63,7 @@ time.sleep(0.3)
 waited = 0.0
 for _ in range(5):
     os.kill(int(sys.argv[1]), signal.SIGSTOP)
-    for number in range(1000):  # more than the reader's queue of shared memory holds
+    for number in range(1000):  # more than the reader's socket holds
         numbers.publish(Int64(data=number))
     os.kill(int(sys.argv[1]), signal.SIGCONT)
     begun = time.monotonic()
@@ -67,6 +71,21 @@ for _ in range(5):
     waited += time.monotonic() - begun
     time.sleep(0.3)
 print(waited)
+"""
+ECHO = """
+import os
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Int64
+from wam_power_ros.ros import node_runner
+def make():
+    node = Node("echo")
+    publisher = node.create_publisher(Int64, "/echo", QoSProfile(depth=10))
+    def answer(message):
+        publisher.publish(Int64(data=os.getpid()))
+    node.create_subscription(Int64, "/numbers", answer, QoSProfile(depth=10))
+    return node
+raise SystemExit(node_runner.run(make))
 """
 REACH = """
 import time
@@ -111,6 +130,7 @@ def test_where_nothing_is_asked_for_the_loopback_interface_is_chosen(given: dict
         ({"ROS_DISCOVERY_SERVER": "10.0.0.7:11811"}, "ROS_DISCOVERY_SERVER"),
         ({PROFILE: "/etc/mine.xml"}, "/etc/mine.xml"),
         ({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"}, "rmw_zenoh_cpp"),
+        ({RANGE: "SUBNET", network.TRANSPORTS: "DEFAULT"}, "SUBNET"),
     ],
 )
 def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], reason: str) -> None:
@@ -119,7 +139,7 @@ def test_what_is_asked_for_wins_and_is_named(given: dict[str, str], reason: str)
     for inherited in ({},) if changed else ({}, above):
         environment = inherited | given
         assert not confine(environment)
-        assert environment == {RANGE: "LOCALHOST", **given}
+        assert environment == {RANGE: "LOCALHOST", network.TRANSPORTS: "UDPv4", **given}
         assert reason in (wider_reach(environment) or "")
 
 
@@ -151,6 +171,37 @@ def test_every_socket_of_a_node_is_bound_to_the_loopback_interface(processes: Pr
     assert [each for each in addresses if not each.startswith("127.")] == []
     asked_for = served(processes, **{RANGE: "SUBNET"})
     assert any(each.startswith("0.0.0.0") for each in bound_addresses(str(asked_for.pid)))
+
+
+@pytest.mark.requirement("S-68")
+@pytest.mark.parametrize("asked", ["LOCALHOST", "SUBNET"])
+@pytest.mark.skipif(not MEMORY.is_dir(), reason="no /dev/shm")
+def test_a_node_uses_no_shared_memory_of_the_middleware(processes: Processes, asked: str) -> None:
+    def segments(**environment: str) -> set[str]:
+        process = served(processes, **{RANGE: asked}, **environment)
+        words = Path(f"/proc/{process.pid}/maps").read_text().split()
+        return {word for word in words if word.startswith(str(MEMORY / "fastrtps"))}
+
+    assert segments() == set()
+    if asked == "SUBNET":  # a person who asks for it gets it
+        assert segments(**{network.TRANSPORTS: "DEFAULT"}) != set()
+
+
+@pytest.mark.requirement("S-68")
+def test_a_node_started_after_a_killed_one_hears_and_is_heard(
+    probe: Probe, processes: Processes
+) -> None:
+    heard = probe.listen(Int64, "/echo", QoSProfile(depth=10))
+    numbers = probe.node.create_publisher(Int64, "/numbers", QoSProfile(depth=10))
+    for _ in range(5):
+        node = processes.start([sys.executable, "-c", ECHO])
+
+        def answered(process: int = node.pid) -> bool:
+            numbers.publish(Int64(data=1))
+            return any(message.data == process for message in heard)
+
+        probe.until(answered, "an answer of the node")
+        processes.end(node, signal.SIGKILL)
 
 
 @pytest.mark.requirement("S-56")

@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running nodes and scripts: participant number, dispatch, clean end."""
+"""Running nodes and scripts: status, dispatch, clean end."""
 
 from __future__ import annotations
 
-import json
 import signal
 import sys
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -17,18 +15,6 @@ from wam_power_ros.ros import interface, node_runner
 
 if TYPE_CHECKING:
     from conftest import Probe, Processes
-
-
-@pytest.mark.requirement("S-68")
-@pytest.mark.parametrize("process", [1600, 1603, 1605, 1622])
-def test_a_participant_is_numbered_by_its_process_and_keeps_no_other_port(
-    process: int, processes: Processes
-) -> None:
-    command = [sys.executable, str(Path(__file__).with_name("numbered_participant.py"))]
-    made = processes.start([*command, str(process)])
-    assert made.wait(60.0) == 0
-    expected, found = json.loads(processes.output(made))
-    assert found == [expected]
 
 
 SCRIPT = """

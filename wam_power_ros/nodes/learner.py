@@ -48,8 +48,8 @@ from wam_power_ros.ros.node_runner import (
     end,
     executor_for,
     init,
-    number_by_process,
     parameter_file_hint,
+    refusing_open_sockets,
 )
 from wam_power_ros.tasks.task import Pose, Task
 
@@ -305,7 +305,7 @@ def main() -> int:
     interrupts.install()
     try:
         init(SignalHandlerOptions.NO)
-        with number_by_process():
+        with refusing_open_sockets():
             node = Learner()
         node.practise()
     except (SessionFailed, RolloutError, ValueError, OSError) as error:

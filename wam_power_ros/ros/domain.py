@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
-from wam_power_ros.ros import network, shared_memory
+from wam_power_ros.ros import network
 
 FIRST_PORT = 7410  # of a participant of domain 0 (RTPS 2.2, 9.6.1.1)
 PORTS_PER_DOMAIN, PORTS_PER_PARTICIPANT = 250, 2
@@ -60,7 +60,6 @@ def private_domain() -> Iterator[int]:
                 held.enter_context(_locked(_lock_file(domain)))
             except OSError:  # held, or another user's
                 continue
-            shared_memory.remove_ports(ports(domain))
             yield domain
             return
     first, last = PRIVATE_DOMAINS[0], PRIVATE_DOMAINS[-1]

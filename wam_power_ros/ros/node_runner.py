@@ -2,24 +2,17 @@
 """Bodies of every `main` that has a node: `run` for nodes, `run_script` for console scripts.
 
 Both restrict the process to the loopback interface unless the environment asks for more
-(`network`), remove shared memory of dead processes, and choose the DDS participant number.
-
-Fast DDS gives a process the lowest free participant number, and the ports that belong to it: after
-a kill (-9), those of the killed process. Other processes still send there for 20 s through shared
-memory; sometimes one of them takes that port for dead and deletes it while the new process listens,
-which then never receives a message or an answer (Fast DDS, pull requests 4728 and 4737; open in the
-2.14 of Jazzy; seen in one to ten of a hundred restarts). So the number depends on the process id.
+(`network`), and refuse to run if that failed.
 """
 
 from __future__ import annotations
 
 import os
 import signal
-import socket
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -33,13 +26,12 @@ from rclpy.signals import SignalHandlerOptions
 
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import parameter_file
-from wam_power_ros.ros import interrupts, network, security, shared_memory
-from wam_power_ros.ros.domain import FIRST_PORT, PORTS_PER_DOMAIN, PORTS_PER_PARTICIPANT, exported
+from wam_power_ros.ros import interrupts, network, security
+from wam_power_ros.ros.domain import exported
 from wam_power_ros.ros.service_client import ServiceError
 
 N = TypeVar("N", bound=Node)
 RCLError = rclpy_implementation.RCLError  # error of the middleware, such as invalid keys
-NUMBER_SPREAD = 16  # of the 32 numbers that discovery under LOCALHOST tries; later nodes need some
 REFUSED = 2  # exit status
 
 
@@ -57,27 +49,18 @@ def init(signals: SignalHandlerOptions) -> None:
     network.confine(os.environ)
     if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # rclpy insists on one
         os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / f"ros_log_{os.getuid()}")
-    shared_memory.remove_dead_segments()
     rclpy.init(signal_handler_options=signals)
 
 
 @contextmanager
-def number_by_process() -> Iterator[None]:
-    """Give the first node made here a participant number of at least process id % NUMBER_SPREAD.
-
-    The ports of free lower numbers are bound meanwhile, as if living processes had them.
+def refusing_open_sockets() -> Iterator[None]:
+    """Make a node within it.
 
     Raises:
         ValueError: Sockets of that node are open to the network although no setting asks for it.
     """
-    first = FIRST_PORT + PORTS_PER_DOMAIN * exported(os.environ)
     before = network.bound_addresses()
-    with ExitStack() as held:
-        for number in range(os.getpid() % NUMBER_SPREAD):
-            port = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-            with suppress(OSError):  # in use
-                port.bind(("", first + PORTS_PER_PARTICIPANT * number))
-        yield
+    yield
     if network.wider_reach(os.environ) is None:
         opened = [each for each in network.bound_addresses() if each not in before]
         if exposed := [each for each in opened if not each.startswith("127.")]:
@@ -168,7 +151,7 @@ def run(
     node = None
     try:
         init(SignalHandlerOptions.NO)
-        with number_by_process():
+        with refusing_open_sockets():
             made = make_node()
         node = made
         spin(node, lambda: bool(signals))
@@ -219,7 +202,7 @@ def participant(
     """
     init(signals)
     try:
-        with number_by_process():
+        with refusing_open_sockets():
             node = make_node()
         yield node
     finally:
