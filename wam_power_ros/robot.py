@@ -115,6 +115,7 @@ class Robot:
         listener.create_subscription(JointState, self._state_topic, self._on_state, newest)
         self._listener_executor = SingleThreadedExecutor(context=node.context)
         self._listener_executor.add_node(listener)
+        node.context.on_shutdown(self._listener_executor.shutdown)
         node.create_subscription(
             DiagnosticArray, interface.DIAGNOSTICS, self._on_report, interface.DIAGNOSTICS_QOS
         )

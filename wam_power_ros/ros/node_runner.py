@@ -201,12 +201,15 @@ def participant(
         signals: Signals that rclpy handles, each of which shuts ROS down.
     """
     init(signals)
+    node = None
     try:
         with refusing_open_sockets():
             node = make_node()
         yield node
     finally:
         with suppress(RuntimeError):  # a thread of rclpy has shut down first, after a signal
+            if node is not None and isinstance(node.executor, SingleThreadedExecutor):
+                node.executor.shutdown()  # its garbage collection may print a traceback
             rclpy.try_shutdown()
 
 
