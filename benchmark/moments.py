@@ -28,12 +28,12 @@ from benchmark.false_states import (
     frozen,
     stamps,
 )
+from benchmark.hidden_arm import HiddenArm
 from benchmark.nodes import JOINTS
 from benchmark.soak import taught
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.scenes.flip import wrist_flick
-from hardware_sim.settings import WorldSettings
-from hardware_sim.world import PERIOD_NS, World
+from hardware_sim.world import PERIOD_NS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
@@ -59,13 +59,14 @@ class Loop:
         speeds: Speed of the tool in every period [m/s].
     """
 
-    def __init__(self, delay: int) -> None:
-        self._world = World(WorldSettings(watchdog=False, command_delay_ticks=delay), 0)
+    def __init__(self, delay: int, hidden: HiddenArm | None = None) -> None:
+        hidden = hidden or HiddenArm()
+        self._world, self._zeros = hidden.world(delay), hidden.zeros
         self._arm = Arm(self._world.urdf, JOINTS)
         self.controller = Controller(Arm(self._world.urdf, JOINTS))
         self.policy = taught()
         self.controller.load(self.policy)
-        self._world.reset("moments", self.policy.q_start)
+        self._world.reset("moments", self.policy.q_start - hidden.zeros)
         self._world.release()
         self._tau: np.ndarray | None = None
         self._stamp_ns, self._last_ns, self._silent = 10**15, 0, 0
@@ -89,8 +90,13 @@ class Loop:
             sample = self._world.joint_state()
             self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
             self._stamp_ns += PERIOD_NS
-            self._answer(self.falsify(Reading(self._stamp_ns, sample.q, sample.qd)))
+            state = Reading(self._stamp_ns, sample.q + self._zeros, sample.qd)
+            self._answer(self.falsify(state))
         return self.speeds
+
+    def tool(self) -> np.ndarray:
+        """Position of the tool [m]. Shape (3,)."""
+        return self._world.pan_pose[0]
 
     def _answer(self, state: Reading | None) -> None:
         core = self.controller

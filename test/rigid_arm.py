@@ -111,11 +111,11 @@ def make(policy: Policy | None = POLICY, **choices: object) -> Controller:
 
 
 def begin(q: np.ndarray = HOME, controller: Controller | None = None, **plant: object) -> tuple:
-    """A controller that has held for 0.1 s, and its plant."""
+    """A controller that has held for 0.2 s, and its plant."""
     controller, plant = controller or make(), Plant(q, **plant)
     controller.step(*plant.state())
     controller.hold()
-    run(controller, plant, 0.1)
+    run(controller, plant, 0.2)
     return controller, plant
 
 

@@ -79,7 +79,7 @@ def test_a_person_can_teach_a_toss_at_2_5_metres_a_second() -> None:
 @pytest.mark.parametrize(("delay", "sensing"), [(0, False), (2, True), (4, True)])
 def test_hold_returns_after_a_push(delay: int, sensing: bool) -> None:
     def push(t: float, q: np.ndarray, _: np.ndarray) -> np.ndarray:
-        return MODEL.jacobian(q)[:3].T @ (20.0, 30.0, 10.0) if 0.2 < t < 0.4 else np.zeros(7)
+        return MODEL.jacobian(q)[:3].T @ (20.0, 30.0, 10.0) if 0.3 < t < 0.5 else np.zeros(7)
 
     tolerant = make(contact_share=1.0)  # the push is no contact fault
     controller, plant = begin(controller=tolerant, delay=delay, sensing=sensing, push=push)

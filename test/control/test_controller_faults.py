@@ -105,20 +105,17 @@ def test_a_long_gap_is_a_fault_and_a_short_one_is_counted() -> None:
 
 
 @pytest.mark.requirement("S-44")
-def test_a_joint_that_jumps_is_a_fault_unless_a_person_holds_the_arm() -> None:
-    controller, plant = begin()
-    controller.set_gravity_compensation(True)
-    plant.q = plant.q + 0.2
-    controller.step(*plant.state())
-    assert controller.mode is Mode.GRAVITY_COMPENSATION
-    assert controller.counters["jumps"] == 1
-    controller.hold()
-    plant.stamp += PERIOD_NS
-    controller.step(*plant.state())
-    plant.stamp += PERIOD_NS
-    plant.q = plant.q + 0.2
-    controller.step(*plant.state())
-    assert controller.mode is Mode.FAULT
+@pytest.mark.parametrize("teaching", [False, True])
+def test_a_joint_that_jumps_is_a_fault_in_every_mode(teaching: bool) -> None:
+    for size, mode in ((0.0999, None), (0.1001, Mode.FAULT)):
+        controller, plant = begin()
+        controller.set_gravity_compensation(teaching)
+        before = controller.mode
+        run(controller, plant, 0.002)
+        plant.q = plant.q + size * np.eye(7)[1]
+        controller.step(*plant.state())
+        assert controller.mode is (mode or before), size
+        assert controller.counters["jumps"] == (mode is Mode.FAULT)
 
 
 @pytest.mark.requirement("S-21")
@@ -226,6 +223,7 @@ def test_soft_springs_push_a_taught_arm_off_its_limits() -> None:
     q = HOME.copy()
     q[5] = LIMITS.q_max[5] - 0.01
     controller, plant = begin(q)
+    run(controller, plant, 0.2)
     controller.set_gravity_compensation(True)
     run(controller, plant, 0.3)
     assert LIMITS.q_max[5] - plant.q[5] > 0.05

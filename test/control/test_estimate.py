@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from rigid_arm import HOME, MODEL, PERIOD_NS, Plant
 
-from wam_power_ros.control.estimate import Estimate
+from wam_power_ros.control.estimate import POSITION_CORRECTION_SPEED, Estimate
 from wam_power_ros.control.plausibility import Bound, Plausibility
 from wam_power_ros.control.state_checks import JointState
 
@@ -35,13 +35,13 @@ def test_the_estimate_follows_joints_that_move_against_friction() -> None:
         np.testing.assert_allclose(estimate.qd, plant.qd, atol=0.15)
 
 
-def moved(rates: list[float], plausible: bool = False, joint: int = 3) -> Estimate:
+def moved(rates: list[float], trusted: bool = True, joint: int = 3) -> Estimate:
     """Estimate of an arm at rest that then reports these rates of one joint [rad/s]."""
     estimate, q, carried = Estimate(MODEL, HOME, np.zeros(7)), HOME, MODEL.gravity(HOME)
     for k, rate in enumerate([0.0] * 8 + rates):
         q = q + rate * PERIOD * np.eye(7)[joint]
         state = JointState(k * PERIOD_NS, q, np.zeros(7), PERIOD, PERIOD)
-        estimate.follow(state, carried, plausible)
+        estimate.follow(state, carried, trusted)
     return estimate
 
 
@@ -56,6 +56,22 @@ def test_a_joint_that_jumps_once_or_back_and_forth_has_no_speed() -> None:
         assert np.abs(moved(rates).qd).max() < 0.01, rates
 
 
+def test_states_that_are_not_trusted_change_nothing() -> None:
+    for rates in ([20.0], [0.1] * 50, [3.0] * 50, [10.0, -10.0] * 20):
+        estimate = moved(rates, trusted=False)
+        assert np.abs(estimate.qd).max() < 1e-9, rates
+        np.testing.assert_allclose(estimate.q, HOME, atol=1e-9)
+
+
+def test_states_that_are_trusted_again_count_from_then_on() -> None:
+    estimate, q, carried = Estimate(MODEL, HOME, np.zeros(7)), HOME, MODEL.gravity(HOME)
+    for k in range(100):
+        q = q + PERIOD * np.eye(7)[3]
+        state = JointState(k * PERIOD_NS, q, np.zeros(7), PERIOD, PERIOD)
+        estimate.follow(state, carried, k >= 50)
+        assert estimate.qd[3] == pytest.approx(0.0 if k < 50 else 1.0, abs=1e-9)
+
+
 def test_a_joint_that_moves_has_the_speed_at_which_its_position_changes() -> None:
     for rate in (0.1, 1.0, -2.0):
         assert moved([rate] * 8).qd[3] == pytest.approx(rate)
@@ -65,18 +81,25 @@ def test_a_joint_that_moves_has_the_speed_at_which_its_position_changes() -> Non
 def test_a_jump_of_a_moving_joint_does_not_count_as_motion() -> None:
     jumped = moved([3.0] * 8 + [60.0] + [3.0] * 8)
     assert jumped.qd[3] == pytest.approx(3.0)
-    assert jumped.q[3] == pytest.approx(moved([3.0] * 17).q[3], abs=1e-9)
+    corrected = 9 * PERIOD * POSITION_CORRECTION_SPEED  # of the new zero, since the jump
+    assert jumped.q[3] - moved([3.0] * 17).q[3] == pytest.approx(corrected)
 
 
-def test_a_measured_position_counts_once_its_joint_moves_and_is_plausible() -> None:
+def test_a_measured_position_counts_once_its_joint_moves() -> None:
     jump = [100.0, *([0.0] * 4)]  # 0.2 rad: its zero has changed, or it had no power
-    still, implausible, plausible = (
-        moved(jump + steps, passed)
-        for steps, passed in (([0.0] * 300, True), ([0.3] * 300, False), ([0.3] * 300, True))
-    )
+    still, moving = (moved(jump + steps) for steps in ([0.0] * 300, [0.3] * 300))
     assert still.q[3] == pytest.approx(HOME[3], abs=0.005)
-    assert implausible.q[3] == pytest.approx(HOME[3] + 0.18, abs=0.005)
-    assert plausible.q[3] == pytest.approx(HOME[3] + 0.38)
+    assert moving.q[3] == pytest.approx(HOME[3] + 0.38)
+
+
+@pytest.mark.parametrize("joint", [0, 3, 6])
+def test_no_estimated_speed_exceeds_the_limit_of_its_joint(joint: int) -> None:
+    push = 50.0 * MODEL.tau_max[joint] * np.eye(7)[joint]
+    estimate = Estimate(MODEL, HOME, np.zeros(7))
+    for _ in range(200):
+        estimate.predict(MODEL.gravity(estimate.q) + push, PERIOD)
+        assert np.all(np.abs(estimate.qd) <= MODEL.qd_max)
+    assert estimate.qd[joint] == pytest.approx(MODEL.qd_max[joint])
 
 
 def test_a_joint_that_is_not_observed_keeps_its_momentum() -> None:

@@ -21,7 +21,7 @@ from rigid_arm import (
 from wam_power_ros.control import safety
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.control.plausibility import Bound, TorqueCheck, VelocityCheck
+from wam_power_ros.control.plausibility import Bound, Interval, TorqueCheck, VelocityCheck
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import FaultKind
 
@@ -291,6 +291,7 @@ def test_a_fast_replay_with_sensor_and_motor_lag_is_no_contact() -> None:
 @pytest.mark.requirement("S-93")
 def test_a_velocity_delayed_by_a_filter_is_plausible_and_one_too_small_is_not() -> None:
     def first_fault(lag: float, scale: float) -> int | None:
+        exact = Interval(0.002, 0.002, 0.002)
         check, dt, filtered, last = VelocityCheck(7), 0.002, 0.0, None
         for k in range(40):  # 200 rad/s^2 from rest for 40 ms, then at that speed
             time = k * dt
@@ -299,7 +300,7 @@ def test_a_velocity_delayed_by_a_filter_is_plausible_and_one_too_small_is_not() 
             filtered += (1.0 - np.exp(-dt / lag)) * (speed - filtered)
             qd = scale * filtered
             state = JointState(k * PERIOD_NS, np.full(7, q), np.full(7, qd), dt, dt)
-            if last is not None and check.fault(last, state, [0] * 7) is not None:
+            if last is not None and check.fault(last, state, [0] * 7, exact) is not None:
                 return k
             last = state
         return None
@@ -405,7 +406,7 @@ def test_a_fast_changing_torque_is_explained_at_any_delay(delay: int, foreign: f
         stamp, q, qd = plant.state()
         state = JointState(stamp, q, qd, 0.002, 0.002)
         if last is not None:
-            faults.append(torques.fault(last, state, [0] * 7, tau, bound))
+            faults.append(torques.fault(last, state, [0] * 7, tau, bound, 0.002))
         tau = MODEL.gravity(q) + (10.0 if k // 10 % 2 else -10.0) * ELBOW
         plant.step(tau)
         last = state

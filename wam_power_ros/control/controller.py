@@ -16,6 +16,7 @@ import numpy as np
 from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.fault_hold import FaultHold
 from wam_power_ros.control.joint_control import JointControl
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import (
@@ -33,10 +34,14 @@ from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT, JointState, S
 from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
+from wam_power_ros.control.unexplained_torque import UnexplainedTorque
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
+
+FAULT_BRAKING = 0.25  # [s] after a fault until the arm is held where it is: e^-5 of its speed
+OBSERVED_STATES = 5  # states from one measurement of the unexplained torque to the next
 
 
 class Controller:
@@ -50,6 +55,7 @@ class Controller:
             of torques `limited` and `stale`; of `faults`.
         latched: Latched fault, None without one.
         fresh: Whether the last state was accepted as a new one.
+        unexplained: Torque beyond the model that held the arm at rest.
         enabled: Whether a person holds the enabling switch that `hold_to_run` requires; the caller
             sets it before every state.
 
@@ -83,6 +89,12 @@ class Controller:
         self._supervision = Supervision(arm, self.limits, settings, self._output.motor_torque)
         self._joints = JointControl(arm, self.limits)
         self._rollouts = Rollouts(arm, settings)
+        self.unexplained = UnexplainedTorque(arm)
+        self._hold = FaultHold(arm)
+        self._springs = safety.LimitSprings(self.limits)
+        self._unanswered = 0.0  # time since the last state that stale torques have used [s]
+        self._braking = 0.0  # time since the fault in which states were trusted [s]
+        self._held_states = 0  # since the last measurement of the unexplained torque
         self._laws: dict[Mode, Law] = {
             Mode.INACTIVE: self._braking_torque,
             Mode.GRAVITY_COMPENSATION: self._teaching_torque,
@@ -90,7 +102,7 @@ class Controller:
             Mode.MOVE_TO_START: self._joint_torque,
             Mode.ROLLOUT: self._rollout_torque,
             Mode.REPLAY: self._joint_torque,
-            Mode.FAULT: self._braking_torque,
+            Mode.FAULT: self._fault_torque,
         }
         self._law: Law = self._braking_torque
         self._set(Mode.INACTIVE if latched is None else Mode.FAULT)
@@ -188,12 +200,17 @@ class Controller:
     def set_gravity_compensation(self, on: bool) -> None:
         """Begin gravity compensation, so that a person can guide the arm, or end it and hold.
 
+        It begins with the torque that held the arm: what the model does not explain is added to
+        g(q), so that an arm that nobody touches stays.
+
         Raises:
-            ControllerError: The arm moves by itself, a fault is latched, or the enabling switch is
-                not held.
+            ControllerError: The arm moves by itself, a fault is latched, the enabling switch is not
+                held, the arm has not been held at rest yet, or the torque that holds it is not
+                explained by model and friction.
         """
         if on and self._mode is not Mode.GRAVITY_COMPENSATION:
             self._require_switch(Mode.GRAVITY_COMPENSATION)
+            self._require_explained()
             self._enter(Mode.GRAVITY_COMPENSATION)
         elif not on and self._mode is Mode.GRAVITY_COMPENSATION:
             self._enter(Mode.HOLD)
@@ -237,6 +254,8 @@ class Controller:
         self.latched = fault
         self.counters["faults"] += 1
         self._supervision.faulted()
+        self._hold.release()
+        self._braking = 0.0
         self._enter(Mode.FAULT)
 
     def reset(self) -> None:
@@ -275,6 +294,7 @@ class Controller:
         self._rollouts.end(self._states.last)
         if self._mode is Mode.INACTIVE:
             self._supervision.begin()
+            self.unexplained.begin()
         if mode not in REFERENCE_MODES:
             self._joints.release()
         self._set(mode)
@@ -301,6 +321,18 @@ class Controller:
         if self._lacks_switch(mode):
             text = f"{mode.value} refused: the enabling switch is not held"
             raise ControllerError(Refusal.SWITCH, text)
+
+    def _require_explained(self) -> None:
+        """Refuse to hand the arm to a person when the model does not carry it."""
+        if self._mode is not Mode.HOLD:
+            return
+        name = Mode.GRAVITY_COMPENSATION.value
+        if not self.unexplained.known:
+            text = f"{name} refused: the arm has not been held at rest for a moment yet"
+            raise ControllerError(Refusal.BUSY, text)
+        if excess := self.unexplained.excess():
+            text = f"{name} refused: the arm would not stay where it is left; {excess}"
+            raise ControllerError(Refusal.REFUSED, f"{text}: check payload, zeros, base and motors")
 
     def _require_rest(self, request: str) -> None:
         if reason := self._rest_violation():
@@ -329,7 +361,12 @@ class Controller:
     # Control cycle
 
     def step(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None, elapsed: float | None = None
+        self,
+        stamp_ns: int,
+        q: np.ndarray,
+        qd: np.ndarray | None,
+        elapsed: float | None = None,
+        since_sent: float | None = None,
     ) -> np.ndarray:
         """Compute the torque for one joint state.
 
@@ -342,19 +379,26 @@ class Controller:
             q: Joint positions [rad]. Shape (n,).
             qd: Joint speeds, None when the driver does not send them [rad/s]. Shape (n,).
             elapsed: Time since the last accepted state by the caller's clock, None to use the
-                stamps [s]. The torque rate limit and the state estimate in a fault depend on it.
+                stamps [s]. The state estimate in a fault depends on it.
+            since_sent: Time since the last torque was sent by the caller's clock, which the torque
+                rate limit depends on; None for what is left of `elapsed` after the times of
+                `stale_torque` [s].
 
         Returns:
             [N m], read-only. Shape (n,).
         """
         states = self._states
         state = states.take(stamp_ns, q, qd, self._mode in PASSIVE_MODES, elapsed)
-        if (fault := states.fault) is not None and not (
-            fault.kind is FaultKind.JUMP and self._mode is Mode.GRAVITY_COMPENSATION
-        ):  # teaching uses no reference posture that a jump would invalidate
+        if (fault := states.fault) is not None:
             self.fault(fault)
+            if fault.kind is FaultKind.JUMP:
+                self._supervision.doubt(lasting=True)
         self.fresh = state is not None
-        return self._output.sent if state is None else self._checked_torque(state)
+        if state is None:
+            return self._output.sent
+        left = max(0.0, state.dt - self._unanswered) if since_sent is None else since_sent
+        self._unanswered = 0.0
+        return self._checked_torque(state, min(left, 2.0 * self.settings.period))
 
     def refuse_state(self) -> None:
         """Count an unreadable joint state as refused."""
@@ -379,15 +423,23 @@ class Controller:
         if (last := self._states.last) is None:
             return self._output.sent
         dt = self.settings.period if elapsed is None else min(elapsed, STATE_LOSS_TIMEOUT)
+        self._unanswered += dt
         state = self._supervision.predict(last, dt)
-        tau = self._with_springs(self._braking_torque(state), state.q)
-        return self._send(tau, state.q, min(dt, 2.0 * self.settings.period))
+        self._hold.release()
+        dt = min(dt, 2.0 * self.settings.period)
+        tau = self._with_springs(self._braking_torque(state), state.q, dt)
+        return self._send(tau, state.q, dt)
 
     def _send(self, tau: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
         return self._output.send(tau, q, None if self._mode is Mode.INACTIVE else dt)
 
-    def _checked_torque(self, state: JointState) -> np.ndarray:
-        """Torque for an accepted state, after the plausibility, limit and switch checks."""
+    def _checked_torque(self, state: JointState, dt: float) -> np.ndarray:
+        """Torque for an accepted state, after the plausibility, limit and switch checks.
+
+        Args:
+            state: Accepted state.
+            dt: Time since the last torque was sent [s].
+        """
         mode, supervision = self._mode, self._supervision
         fault = supervision.plausibility_fault(mode, self._states.before, state)
         if fault is not None:
@@ -405,7 +457,7 @@ class Controller:
         else:
             supervision.end_estimate()
 
-        sent = self._send(self._torque(state, motion), state.q, state.dt)
+        sent = self._send(self._torque(state, motion), state.q, dt)
         rollout = self._rollouts.active_id
         self._label = self._mode_label if rollout is None else f"rollout {rollout}"
         return sent
@@ -424,10 +476,10 @@ class Controller:
         if fault is not None:
             self.fault(fault)
             tau = self._braking_torque(state, motion)
-        return self._with_springs(tau, state.q)
+        return self._with_springs(tau, state.q, state.span)
 
-    def _with_springs(self, tau: np.ndarray, q: np.ndarray) -> np.ndarray:
-        springs = safety.limit_springs(q, self.limits)
+    def _with_springs(self, tau: np.ndarray, q: np.ndarray, dt: float) -> np.ndarray:
+        springs = self._springs.torque(q, dt)
         return tau if springs is None else tau + springs
 
     # Torque of each mode
@@ -435,17 +487,32 @@ class Controller:
     def _braking_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
         return self._damped_gravity(state, safety.FAULT_DAMPING)
 
+    def _fault_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
+        """Brake by the estimated state; then hold where trusted states say that the arm is."""
+        tau, measured = self._braking_torque(state), self._states.last
+        if not self._supervision.trusted or measured is None:
+            self._hold.release()
+            return tau
+        self._braking += state.span
+        return tau if self._braking < FAULT_BRAKING else tau + self._hold.torque(measured.q)
+
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         return self._damped_gravity(state, safety.teaching_damping(motion.tool_speed))
 
     def _damped_gravity(self, state: JointState, damping: float) -> np.ndarray:
-        gravity, mass = self.arm.gravity(state.q), self.arm.mass_matrix(state.q)
-        return safety.damped_gravity(gravity, mass, state.qd, damping)
+        carried = self.arm.gravity(state.q) + self.unexplained.compensation
+        return safety.damped_gravity(carried, self.arm.mass_matrix(state.q), state.qd, damping)
 
-    def _joint_torque(self, state: JointState, _: Motion | Speeds) -> np.ndarray:
+    def _joint_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
         tau = self._joints.torque(state.stamp_ns, state.q, state.qd)
         if self._mode is not Mode.HOLD and self._joints.holding:
             self._set(Mode.HOLD)
+        self._held_states += 1
+        if self._held_states >= OBSERVED_STATES and self._mode is Mode.HOLD:
+            self._held_states = 0
+            at_rest = max(*motion.guarded_speeds, motion.tool_speed) < safety.REST_SPEED
+            beyond = self._output.motor_torque(state.q) - self.arm.gravity(state.q)
+            self.unexplained.observe(at_rest, beyond, OBSERVED_STATES * self.settings.period)
         return tau
 
     def _rollout_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:

@@ -26,10 +26,10 @@ POSITION_CORRECTION_SPEED = 0.5  # [rad/s] at which a moving joint approaches it
 class Estimate:
     """State of the arm that no single false channel can corrupt: model plus position changes.
 
-    Velocities are not used at all, and positions at first only by their changes; the measured
-    position of a joint counts when the joint moves and its states are plausible. A joint that
-    stands still although the model predicts motion is frozen, or has just been stopped by
-    something; the model is right in the first case and does no harm in the second.
+    Velocities are not used at all. Positions are used as long as no state was called false, at
+    first only by their changes; the measured position of a joint counts when the joint moves. A
+    joint that stands still although the model predicts motion is frozen, or has just been stopped
+    by something; the model is right in the first case and does no harm in the second.
 
     Attributes:
         q: Joint positions [rad]. Shape (n,).
@@ -69,14 +69,13 @@ class Estimate:
         self.qd = np.minimum(np.maximum(qd, -arm.qd_max), arm.qd_max)
         self.q = self.q + dt * self.qd
 
-    def follow(self, state: JointState, tau: np.ndarray, plausible: bool) -> None:
-        """Advance to the next state and correct by its positions.
+    def follow(self, state: JointState, tau: np.ndarray, trusted: bool) -> None:
+        """Advance to the next state, and correct by its positions if it is trusted.
 
         Args:
             state: Next state.
             tau: Motor torque commanded before it [N m]. Shape (n,).
-            plausible: Whether the state passed the plausibility checks: then the positions of
-                moving joints are corrected, in addition to their speeds.
+            trusted: Whether the state may be used; otherwise the model alone counts.
         """
         before, previous, dt = self.q, self._previous, state.span
         self._previous = state.q
@@ -85,17 +84,16 @@ class Estimate:
             return
         moved = state.q - previous
         self._rates.append(moved / dt)
-        if len(self._rates) < RATE_COUNT:
+        if len(self._rates) < RATE_COUNT or not trusted:
             return
         qd, speed = _velocity(np.array(self._rates)), np.abs(self.qd)
         observed = (np.abs(qd) >= FROZEN_SHARE * speed) | (speed <= FROZEN_SPEED_MIN)
         moved = np.where(np.abs(moved - dt * qd) > JUMP_MIN, dt * qd, moved)
         self.q = np.where(observed, before + moved, self.q)
         self.correct(observed, qd - self.qd)
-        if plausible:
-            moving = observed & (np.abs(qd) > STANDSTILL_SPEED)
-            largest = dt * np.where(moving, POSITION_CORRECTION_SPEED, 0.0)
-            self.q = self.q + np.minimum(np.maximum(state.q - self.q, -largest), largest)
+        moving = observed & (np.abs(qd) > STANDSTILL_SPEED)
+        largest = dt * np.where(moving, POSITION_CORRECTION_SPEED, 0.0)
+        self.q = self.q + np.minimum(np.maximum(state.q - self.q, -largest), largest)
 
     def correct(self, observed: np.ndarray, error: np.ndarray) -> None:
         """Correct the speeds of observed joints; the others keep their momentum.

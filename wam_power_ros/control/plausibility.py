@@ -26,8 +26,13 @@ from wam_power_ros.learning.rollout import Fault, FaultKind
 RESIDUAL_TIME_CONSTANT = 0.015  # [s]
 MISMATCH_WINDOWS = ((0.02, 0.003), (0.1, 0.008))  # [s] time constant, [rad] bound on the mismatch
 MISMATCH_SHARE = 0.1  # share of the motion within a window that is added to the bound
-VELOCITY_LAG = 0.008  # [s] largest delay of a velocity that does not count as a mismatch
+VELOCITY_LAG = 0.018  # [s] largest delay of a velocity that does not count as a mismatch
+STAMP_WINDOW = 8  # states over which stamps are averaged: single ones jitter
+REPEATS_MAX = (
+    1  # states that may repeat the one before: a driver may publish each measurement twice
+)
 _MISMATCH_PER_STATE = 0.003  # [rad] largest mismatch that one state adds: one alone is no fault
+_LEAP = 0.015  # [rad] beyond the velocity's in one state, too much for a lag: 7.5 rad/s
 LATENCY_STATES = 7  # states until a torque shows in velocities: 8 ms of delay, 6 ms of a filter
 CONTRADICTIONS_TO_FAULT = 3  # consecutive states beyond a bound that are a fault
 HISTORY_LENGTH = 100  # states kept for the estimate that begins at a fault
@@ -54,6 +59,20 @@ class Bound(NamedTuple):
     inertial: float = 0.0
 
 
+class Interval(NamedTuple):
+    """Time between two states [s], whose stamps may jitter around the times of measurement.
+
+    Attributes:
+        mean: Averaged over `STAMP_WINDOW` states.
+        shortest: Shorter one of this and the difference of the stamps.
+        longest: Longer one.
+    """
+
+    mean: float
+    shortest: float
+    longest: float
+
+
 class VelocityCheck:
     """Compares the change of every position with its velocity.
 
@@ -69,36 +88,46 @@ class VelocityCheck:
         """Restart: the next state has no predecessor."""
         self._mismatch = [[0.0] * self._n for _ in MISMATCH_WINDOWS]
         self._lagged = [0.0] * self._n  # change of position in a period, low-passed [rad]
+        self._moved = [0.0] * self._n  # change of position before the last state [rad]
         self._in_row = 0
 
-    def fault(self, last: JointState, state: JointState, unchanged: Sequence[int]) -> Fault | None:
+    def fault(
+        self, last: JointState, state: JointState, unchanged: Sequence[int], interval: Interval
+    ) -> Fault | None:
         """Fault when positions and velocities contradict each other in consecutive states.
 
         Args:
             last: Previous state.
             state: Current state.
             unchanged: Number of states for which each joint's position has stayed the same.
+            interval: Time between the two.
         """
         # Plain floats: half the time of arrays of seven numbers.
-        dt = (state.stamp_ns - last.stamp_ns) * 1e-9
-        half = 0.5 * dt
+        dt, short, long = interval
+        short, long = 0.5 * short, 0.5 * long
         joint, size = -1, 0.0
-        added, lagged = [], []
+        added, lagged, changes = [], [], []
         keep = math.exp(-dt / VELOCITY_LAG)
         channels = (last.q, state.q, last.qd, state.qd)
-        rows = zip(
-            *(channel.tolist() for channel in channels), unchanged, self._lagged, strict=True
-        )
-        for i, (before, now, qd_before, qd, repeats, late) in enumerate(rows):
-            moved, integrated = now - before, half * (qd_before + qd)
+        values = (channel.tolist() for channel in channels)
+        rows = zip(*values, unchanged, self._lagged, self._moved, strict=True)
+        for i, (before, now, qd_before, qd, repeats, late, previous) in enumerate(rows):
+            moved, speeds = now - before, qd_before + qd
+            changes.append(moved)
             late = keep * late + (1.0 - keep) * moved
             lagged.append(late)
-            mismatch = max(min(moved, late) - integrated, integrated - max(moved, late), 0.0)
-            motion = min(abs(moved), abs(integrated))
+            least, most = (short, long) if speeds > 0.0 else (long, short)
+            least, most = least * speeds, most * speeds  # of the integrated velocity
+            mismatch = max(min(moved, late) - most, least - max(moved, late), 0.0)
+            if moved * previous < 0.0:  # back and forth, which no lag explains
+                mismatch = max(mismatch, min(abs(moved), abs(previous)))
+            if abs(moved - most) > _LEAP:
+                mismatch = max(mismatch, _MISMATCH_PER_STATE)
+            motion = min(abs(moved), abs(least), abs(most))
             added.append(min(mismatch, _MISMATCH_PER_STATE) - MISMATCH_SHARE * motion)
             if repeats >= STANDSTILL_STATES and abs(qd) > STANDSTILL_SPEED:
                 joint, size = i, mismatch
-        self._lagged = lagged
+        self._lagged, self._moved = lagged, changes
         for k, (window, bound) in enumerate(MISMATCH_WINDOWS):
             keep = math.exp(-dt / window)
             sums = [keep * x + more for x, more in zip(self._mismatch[k], added, strict=True)]
@@ -118,6 +147,8 @@ class TorqueCheck:
     Attributes:
         residual: Low-passed torque that neither the model nor the commands explain [N m].
             Shape (n,).
+        since_step: Number of states since a velocity last changed in one state by more than the
+            full torque of its joint can change it.
 
     Args:
         arm: Model of the arm.
@@ -125,6 +156,7 @@ class TorqueCheck:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
+        self._full_torque = arm.tau_max.tolist()
         self._allowance = FRICTION_FACTOR * arm.friction
         self.begin()
 
@@ -134,6 +166,7 @@ class TorqueCheck:
         self._sent: deque[np.ndarray] = deque(maxlen=LATENCY_STATES)
         self._inertial = np.zeros(self._arm.n)  # accelerating torque, low-passed [N m]
         self._in_row = 0
+        self.since_step = HISTORY_LENGTH
 
     def fault(
         self,
@@ -142,6 +175,7 @@ class TorqueCheck:
         unchanged: Sequence[int],
         tau: np.ndarray,
         bound: Bound,
+        dt: float,
     ) -> Fault | None:
         """Fault when the residual exceeds its bound in consecutive states.
 
@@ -151,11 +185,14 @@ class TorqueCheck:
             unchanged: Number of states for which each joint's position has stayed the same.
             tau: Motor torque commanded between the two [N m]. Shape (n,).
             bound: Bound on the residual in addition to friction.
+            dt: Time between the two [s].
         """
         arm = self._arm
-        dt = (state.stamp_ns - last.stamp_ns) * 1e-9
         keep = math.exp(-dt / RESIDUAL_TIME_CONSTANT)
         inertial = arm.mass_matrix(state.q).dot(state.qd - last.qd) / dt
+        rows = zip(inertial.tolist(), self._full_torque, strict=True)
+        stepped = any(abs(torque) > most for torque, most in rows)
+        self.since_step = 0 if stepped else self.since_step + 1
         needed = inertial + arm.bias(state.q, state.qd) + arm.friction_torque(state.qd)
         # The delay from command to torque is unknown, so a motion counts as explained by any torque
         # within the range of those sent in the last LATENCY_STATES states.
@@ -183,6 +220,8 @@ class Plausibility:
 
     Attributes:
         implausible_ns: Stamp of the last state that failed a check [ns], None before the first.
+        contradictory: Whether the last state that failed a check contradicts itself or the one
+            before it. Otherwise the motion may be true and the model wrong: a contact, a payload.
 
     Args:
         arm: Model of the arm.
@@ -193,11 +232,16 @@ class Plausibility:
         self._velocity, self._torque = VelocityCheck(arm.n), TorqueCheck(arm)
         self._history: deque[_PastState] = deque(maxlen=HISTORY_LENGTH)
         self.implausible_ns: int | None = None
+        self.contradictory = False
         self.begin()
 
     def begin(self) -> None:
         """Restart: the next state has no predecessor."""
         self._history.clear()
+        self._stamps: deque[int] = deque(maxlen=STAMP_WINDOW)  # of the latest states [ns]
+        self._checked: JointState | None = None  # last state that did not repeat the one before
+        self._repeats = 0  # states that repeat the one before, up to the last
+        self._skipped = 0  # states since the last one that was checked
         self._guided = False  # by a person, with an unknown force
         self._unchanged = [0] * self._arm.n  # states for which each position has stayed the same
         self._velocity.begin()
@@ -219,16 +263,44 @@ class Plausibility:
             return None
         rows = zip(self._unchanged, last.q.tolist(), state.q.tolist(), strict=True)
         self._unchanged = [count + 1 if now == before else 0 for count, before, now in rows]
-        fault = self._velocity.fault(last, state, self._unchanged)
         self._guided = bound is None
-        if bound is None:
-            self._torque.begin()
+        fault = None
+        if self._repeated(last, state):
+            self._skipped += 1
         else:
-            fault = fault or self._torque.fault(last, state, self._unchanged, tau, bound)
+            fault = self._contradiction(self._checked or last, state, tau, bound)
+            self._checked, self._skipped = state, 0
         if fault is not None:
             self.implausible_ns = state.stamp_ns
+            stepped = self._torque.since_step < SUSPECT_STATES
+            self.contradictory = fault.kind is FaultKind.VELOCITY or stepped
         self._history.append(_PastState(last.q, last.qd, tau, state.span))
         return fault
+
+    def _repeated(self, last: JointState, state: JointState) -> bool:
+        """Whether a state repeats the one before under another stamp, as few have before it."""
+        if not self._stamps:
+            self._stamps.append(last.stamp_ns)
+        self._stamps.append(state.stamp_ns)
+        same = min(self._unchanged) > 0 and last.qd.tolist() == (qd := state.qd.tolist())
+        self._repeats = self._repeats + 1 if same and max(map(abs, qd)) > STANDSTILL_SPEED else 0
+        return 0 < self._repeats <= REPEATS_MAX
+
+    def _contradiction(
+        self, last: JointState, state: JointState, tau: np.ndarray, bound: Bound | None
+    ) -> Fault | None:
+        """Fault of either check; arguments as for `fault`."""
+        stamps = self._stamps
+        mean = (self._skipped + 1) * (stamps[-1] - stamps[0]) * 1e-9 / (len(stamps) - 1)
+        dt = (state.stamp_ns - last.stamp_ns) * 1e-9
+        interval = Interval(mean, min(dt, mean), max(dt, mean))
+        fault = self._velocity.fault(last, state, self._unchanged, interval)
+        if bound is None:
+            self._torque.begin()
+            return fault
+        return fault or self._torque.fault(
+            last, state, self._unchanged, tau, bound, interval.longest
+        )
 
     def estimate(self, last: JointState, suspect: int = SUSPECT_STATES) -> Estimate:
         """Estimate the arm's state: measured where joints were observed to move, else by the model.

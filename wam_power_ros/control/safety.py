@@ -26,6 +26,7 @@ _SHAPES = {name: () for name in ("elbow_speed", "tool_speed", "teaching_tool_spe
 }
 _SIGNED = ("q_min", "q_max", "workspace_min", "workspace_max", "plane")  # may be negative
 SPRING_RANGE = 0.1  # [rad] width of the soft springs inside the position limits
+SPRING_RISE = 0.05  # [s] in which their torque may rise to that at a limit: a joint at 2 rad/s
 FAULT_STATES = 3  # consecutive states beyond a motion limit that are a fault
 REST_SPEED = 0.05  # [m/s] largest speed of an arm at rest
 REST_SPIN = 4.0 * REST_SPEED  # [rad/s] largest angular velocity of its tool
@@ -189,6 +190,34 @@ def limit_springs(q: np.ndarray, limits: Limits) -> np.ndarray | None:
     depth = np.maximum(below, 0.0) - np.maximum(above, 0.0)
     share = np.minimum(np.maximum(depth / SPRING_RANGE, -2.0), 2.0)
     return share * limits.spring_torque
+
+
+class LimitSprings:
+    """The soft springs over time: their torque never steps, however a joint came beyond its limit.
+
+    Args:
+        limits: Limits of the arm.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._last: np.ndarray | None = None  # torque of the springs, None when none acts [N m]
+
+    def torque(self, q: np.ndarray, dt: float) -> np.ndarray | None:
+        """Torque of the springs at a posture (n,) [rad], a time [s] after the last call.
+
+        Returns:
+            [N m], shape (n,); None when none acts.
+        """
+        wanted = limit_springs(q, self._limits)
+        if wanted is None and self._last is None:
+            return None
+        last = np.zeros(len(q)) if self._last is None else self._last
+        step = self._limits.spring_torque * (dt / SPRING_RISE)
+        wanted = np.zeros(len(q)) if wanted is None else wanted
+        torque = np.minimum(np.maximum(wanted, last - step), last + step)
+        self._last = torque if torque.any() else None
+        return self._last
 
 
 def damped_gravity(

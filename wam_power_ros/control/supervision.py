@@ -20,12 +20,22 @@ from wam_power_ros.learning.rollout import Fault
 INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors and motors lag
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
+TRUST_STATES = 50  # consecutive states that agree until states are used again: 0.1 s
+AGREEMENT = 0.005  # [rad] in that time, between the motion reported and that of the model
 
 MotorTorque = Callable[[np.ndarray], np.ndarray]  # posture (n,) [rad] -> motor torque (n,) [N m]
 
 
 class Supervision:
     """Checks every joint state, and estimates the arm's state when it is missing or not plausible.
+
+    Nothing acts on a state that was called false: from then on the model alone says where the arm
+    is, until for `TRUST_STATES` states in a row every check passes and the joints report the motion
+    that the model predicts, which is rest. After a jump of a joint that is not enough: its position
+    remains unknown.
+
+    Attributes:
+        trusted: Whether joint states are used: none was called false, or they agree again.
 
     Args:
         arm: Model of the arm.
@@ -46,6 +56,9 @@ class Supervision:
         self._plausibility = Plausibility(arm)
         self._estimate: Estimate | None = None
         self._rest_since_ns: int | None = None  # stamp since which an arm in a fault is at rest
+        self.trusted, self._lasting = True, False
+        self._agreed = 0  # consecutive states that agree with the model
+        self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
         bound = settings.contact_share * arm.tau_max
         contact = Bound(bound, bound, INERTIAL_SHARE)
         in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
@@ -61,6 +74,12 @@ class Supervision:
     def begin(self) -> None:
         """Restart the plausibility checks: the next state has no predecessor."""
         self._plausibility.begin()
+        self.trusted, self._lasting = True, False
+
+    def doubt(self, lasting: bool) -> None:
+        """Use no state until states have agreed with the model for a while; if lasting, ever."""
+        self.trusted, self._agreed, self._estimate = False, 0, None
+        self._lasting = self._lasting or lasting
 
     def mode_changed(self) -> None:
         """Restart the count of states beyond a motion limit: other limits apply."""
@@ -83,7 +102,12 @@ class Supervision:
         if mode is Mode.INACTIVE:
             return None
         tau = self._motor_torque(state.q)
-        return self._plausibility.fault(before, state, tau, self._bounds[mode])
+        fault = self._plausibility.fault(before, state, tau, self._bounds[mode])
+        if fault is not None:
+            self._agreed = 0
+            if self.trusted and self._plausibility.contradictory:
+                self.doubt(lasting=False)
+        return fault
 
     def limit_fault(self, mode: Mode, state: JointState, motion: Motion | Speeds) -> Fault | None:
         """Fault of a motion beyond the limits of the mode, or None."""
@@ -119,8 +143,18 @@ class Supervision:
             self._rest_since_ns = state.stamp_ns
         arm = self._estimate = self._estimate or self._plausibility.estimate(state)
         if not new:
-            arm.follow(state, self._motor_torque(arm.q), plausible)
+            arm.follow(state, self._motor_torque(arm.q), self.trusted)
+        if not self.trusted:
+            self._compare(state.q - arm.q)
         return state._replace(q=arm.q, qd=arm.qd)
+
+    def _compare(self, difference: np.ndarray) -> None:
+        """Count a state whose position differs from the model's by (n,) [rad]."""
+        begun = self._agreed_from
+        if not self._agreed or begun is None or np.abs(difference - begun).max() > AGREEMENT:
+            self._agreed, self._agreed_from = 0, difference
+        self._agreed += 1
+        self.trusted = self._agreed > TRUST_STATES and not self._lasting
 
     def rested(self, stamp_ns: int) -> bool:
         """Whether the arm has been at rest for `REST_NS`, in plausible states."""

@@ -25,6 +25,7 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.tracking.tracker import Tracker
 
 _STILL_TICKS = 25  # for which the arm is held before a rollout, so that its state repeats
+_HELD_TICKS = 75  # for which the arm is held before it is guided, see `control.unexplained_torque`
 _FRAME_WAIT_TICKS = 100  # longest wait for the last camera frame of a rollout
 
 
@@ -89,6 +90,8 @@ class Environment:
         world = self.world
         self.place(name, world.scene.home)
         controller = self.controller
+        for _ in range(_HELD_TICKS):
+            self.tick()
         controller.set_gravity_compensation(True)
         for _ in range(_STILL_TICKS):
             self.tick()
