@@ -166,11 +166,10 @@ def row(name: str, phase: str, nominal: float, outcome: Outcome, good: bool) -> 
     """Line of the table."""
     kind = "none" if outcome.fault is None else outcome.fault.value
     after = "" if outcome.noticed is None else f" after {2 * outcome.noticed} ms"
-    return (
-        f"| {name} | {phase} | {kind}{after} | {outcome.peak:.2f} ({nominal:.2f}) | {outcome.rest:.3f} "
-        f"| {100 * outcome.travel:.1f} | {100 * outcome.stop:.1f} | {'yes' if outcome.reset else 'no'} "
-        f"| {'good' if good else '**bad**'} |"
-    )
+    speeds = f"{outcome.peak:.2f} ({nominal:.2f}) | {outcome.rest:.3f}"
+    ways = f"{100 * outcome.travel:.1f} | {100 * outcome.stop:.1f}"
+    answers = f"{'yes' if outcome.reset else 'no'} | {'good' if good else '**bad**'}"
+    return f"| {name} | {phase} | {kind}{after} | {speeds} | {ways} | {answers} |"
 
 
 def acceptable(outcome: Outcome, nominal: float) -> bool:
@@ -260,9 +259,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--delay", type=int, default=2, help="periods until a torque acts")
     parser.add_argument("--arms", type=int, default=12, help="number of drawn arms")
     given = parser.parse_args(arguments)
-    print(
-        "| case | phase | fault | peak (nominal) [m/s] | after 0.5 s | travel [cm] | with the stop | reset | |"
-    )
+    speeds = "peak (nominal) [m/s] | after 0.5 s"
+    print(f"| case | phase | fault | {speeds} | travel [cm] | with the stop | reset | |")
     print("|---|---|---|---|---|---|---|---|---|")
     bad = 0
     for name in given.cases:

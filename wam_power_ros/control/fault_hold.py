@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hold of an arm that a fault has stopped: bounded feedback, so that no false state moves it far."""
+"""Hold of an arm that a fault has stopped, by bounded feedback."""
 
 import numpy as np
 
