@@ -244,7 +244,7 @@ def fuzz(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     """Fuzzed messages are passed to conversion and controller, in this process."""
     controller = new_controller()
     found = bombard(controller, fuzz_policy(), repeats, int(rng.integers(2**32)))
-    wrong = sum(found[kind] for kind in ("not finite", "over", "jumps"))
+    wrong = sum(found[kind] for kind in ("not finite", "over", "rate"))
     return Row(
         "S-01",
         "fuzzed messages: every torque is finite and within its limits of magnitude and rate",

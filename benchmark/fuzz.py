@@ -36,8 +36,8 @@ CALLS = (
     lambda core: core.set_gravity_compensation(True),
     lambda core: core.set_gravity_compensation(False),
     lambda core: core.fault(Fault(FaultKind.SOFTWARE, "fuzz")),
-    Controller.stale_torque,
 )
+TIMEOUT = 0.005  # [s] without a state until a torque is due, as in config/torque_controller.yaml
 
 
 def states(names: list[str], home: np.ndarray, rng: np.random.Generator) -> Iterator[JointState]:
@@ -111,57 +111,107 @@ def spoilt(policy: Policy, rng: np.random.Generator) -> str:
     return text[:at] + ("NaN", "1e999", "-9", "[]", "9e9")[int(rng.integers(5))] + text[at + 1 :]
 
 
+class Wire:
+    """What a driver sees: every torque with the time at which it was sent, by a clock of its own.
+
+    Attributes:
+        now: Time [s].
+        arrived: Time of the last new state [s].
+        found: "torques": number of torques; of these "not finite", "over" a limit, and "rate",
+            which differ from the last by more than the rate limit allows in the time between them;
+            "largest": largest torque as a share of its limit.
+
+    Args:
+        controller: Controller that computes the torques.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        self._limits = controller.limits
+        self.now = self.arrived = self._sent = 0.0
+        self._last: np.ndarray | None = None  # torque that the driver has
+        self.found = {"torques": 0, "not finite": 0, "over": 0, "rate": 0, "largest": 0.0}
+
+    @property
+    def since_sent(self) -> float:
+        """Time since the last torque [s]."""
+        return self.now - self._sent
+
+    @property
+    def unanswered(self) -> float:
+        """Time since the last torque or the last new state [s]."""
+        return self.now - max(self._sent, self.arrived)
+
+    def send(self, tau: np.ndarray, limited: bool) -> None:
+        """Send a torque [N m]; `limited` if the rate limit holds for it."""
+        found, limits = self.found, self._limits
+        found["torques"] += 1
+        found["not finite"] += not np.isfinite(tau).all()
+        share = float(np.max(np.abs(tau) / limits.torque))
+        found["largest"] = max(found["largest"], share)
+        found["over"] += not share <= 1.0
+        if self._last is not None and limited:
+            step = limits.torque_rate * (self.now - self._sent)
+            found["rate"] += not (np.abs(tau - self._last) <= step + 1e-9).all()
+        self._last, self._sent = tau, self.now
+
+
 def bombard(controller: Controller, policy: Policy, messages: int, seed: int) -> dict[str, float]:
     """Pass messages through reader, controller and writer, as the node does, in one process.
 
+    The states come after 2 ms, in bursts, and after silences of up to 0.15 s.
+
     Returns:
-        "torques": number of torques; of these "not finite", "over" a limit, and "jumps", which
-        change by more than the rate limit allows in two periods; "refused": number of refusals;
-        "largest": largest torque as a share of its limit.
+        See `Wire.found`; "refused": number of refusals.
     """
     rng, arm = np.random.default_rng(seed), controller.arm
     names = list(arm.joint_names)
     read = cdr.StateReader(joint_messages.JointStateReader(names))
     write = cdr.TorqueSerializer(joint_messages.TorqueWriter(names, "multiarray"))
-    limit, step = controller.limits.torque, 2.0 * 0.002 * controller.limits.torque_rate
-    found = {"torques": 0, "not finite": 0, "over": 0, "jumps": 0, "refused": 0, "largest": 0.0}
-    before: np.ndarray | None = None
+    wire, refused = Wire(controller), 0
     controller.load(policy)
     source = states(names, policy.q_start, rng)
     for _ in range(messages):
         chance = rng.random()
         if chance < 0.01:
             try:
-                torque = CALLS[int(rng.integers(len(CALLS)))](controller)
-                before = before if torque is None else torque  # sent without a state
+                CALLS[int(rng.integers(len(CALLS)))](controller)
             except ControllerError:
-                found["refused"] += 1
+                refused += 1
         elif chance < 0.06:  # as a person resets faults
             try:
                 controller.reset()
             except ControllerError:
-                found["refused"] += 1
+                refused += 1
         elif chance < 0.062:
             try:
                 controller.load(policies.from_json(spoilt(policy, rng)))
             except (ValueError, ControllerError):
-                found["refused"] += 1
+                refused += 1
+        for _ in range(_silence(wire, rng)):
+            active = controller.mode.value != "inactive"
+            wire.send(controller.stale_torque(wire.unanswered), active)
+            wire.now += 0.002 if rng.random() < 0.9 else rng.uniform(1e-5, 0.002)
         try:
             reading = read(garbled(serialize_message(next(source)), rng))
         except ValueError:
-            found["refused"] += 1
+            refused += 1
             continue
         if reading is None:  # no known joint name is left
             continue
         active = controller.mode.value != "inactive"
-        sent = write(reading[0], controller.label, controller.step(*reading))
-        tau = np.array(deserialize_message(sent, Float64MultiArray).data)
-        found["torques"] += 1
-        found["not finite"] += not np.isfinite(tau).all()
-        share = float(np.max(np.abs(tau) / limit))
-        found["largest"] = max(found["largest"], share)
-        found["over"] += not share <= 1.0
-        if before is not None and active:
-            found["jumps"] += not (np.abs(tau - before) <= step + 1e-9).all()
-        before = tau
-    return found
+        tau = controller.step(*reading, wire.now - wire.arrived, wire.since_sent)
+        if controller.fresh:
+            wire.arrived = wire.now
+        sent = write(reading[0], controller.label, tau)
+        wire.send(np.array(deserialize_message(sent, Float64MultiArray).data), active)
+    return wire.found | {"refused": refused}
+
+
+def _silence(wire: Wire, rng: np.random.Generator) -> int:
+    """Let time go on until the next state; returns the number of torques due without one."""
+    chance = rng.random()
+    if chance < 0.01:
+        wire.now = max(wire.now, wire.arrived + TIMEOUT) + rng.uniform(0.0, 0.001)
+        return int(rng.integers(1, 75))
+    wire.now += rng.uniform(1e-5, 3e-4) if chance < 0.1 else 0.002 * rng.uniform(0.7, 1.3)
+    return 0

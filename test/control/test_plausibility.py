@@ -411,3 +411,62 @@ def test_a_fast_changing_torque_is_explained_at_any_delay(delay: int, foreign: f
         plant.step(tau)
         last = state
     assert any(faults) == (foreign != 0.0)
+
+
+HONEST: dict[str, dict[str, float]] = {
+    "stamps that jitter by 0.3 ms": {"jitter": 3e-4},
+    "stamps that jitter by 0.6 ms": {"jitter": 6e-4},
+    "velocities behind a filter of 10 ms": {"lag": 0.01},
+    "each measurement published twice": {"repeats": 2},
+}
+
+
+class HonestDriver:
+    """States of a driver that measures well and reports as drivers do.
+
+    Args:
+        jitter: Standard deviation of the stamps [s].
+        lag: Time constant of a filter of the velocities, after the encoders' own [s].
+        repeats: Number of states with the same measurement.
+        seed: Seed of the jitter.
+    """
+
+    def __init__(self, jitter: float = 0.0, lag: float = 0.0, repeats: int = 1, seed: int = 0):  # noqa: ANN204
+        self._rng, self._jitter, self._repeats = np.random.default_rng(seed), jitter, repeats
+        self._share = 1.0 - np.exp(-PERIOD / lag) if lag else 1.0
+        self._qd, self._count, self._last_ns = np.zeros(7), 0, 0
+
+    def __call__(self, state: State) -> State:
+        stamp, q, qd = state
+        self._qd = self._qd + self._share * (qd - self._qd)
+        if self._count % self._repeats == 0:
+            self._measured = q, self._qd
+        self._count += 1
+        stamp += round(1e9 * self._jitter * self._rng.standard_normal())
+        self._last_ns = max(stamp, self._last_ns + 1000)  # its clock never runs back
+        return self._last_ns, *self._measured
+
+
+@pytest.mark.requirement("S-124")
+@pytest.mark.parametrize("delay", [2, 4])
+@pytest.mark.parametrize("name", HONEST)
+def test_an_honest_driver_is_never_called_false(name: str, delay: int) -> None:
+    for seed in range(3):
+        controller, plant = begin(START, friction=1.0, delay=delay, sensing=True)
+        driver = HonestDriver(**HONEST[name], seed=seed)  # type: ignore[arg-type]
+        tell = plant.state
+        plant.state = lambda tell=tell, driver=driver: driver(tell())  # type: ignore[method-assign]
+        controller.move_to_start()
+        run(controller, plant, 6.0, lambda c=controller: c.ready)
+        controller.execute()
+        run(controller, plant, 2.0)
+        assert controller.mode is Mode.HOLD, controller.latched
+
+
+def test_a_frozen_measurement_is_repeated_more_often_than_an_honest_driver_does() -> None:
+    """States that repeat the one before are skipped, but only as many as an honest driver sends."""
+    controller, plant = begin(friction=1.0, delay=2, sensing=True)
+    controller.execute()
+    run(controller, plant, 0.33)
+    faulted, _, _ = falsify(controller, plant, frozen())
+    assert faulted is not None and faulted <= LONGEST

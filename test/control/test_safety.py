@@ -350,3 +350,28 @@ def test_a_torque_within_its_limit_is_reached_at_the_rate_limit(sign: float) -> 
             sent = safety.limit_torque(wanted, np.zeros(7), dt, LIMITS)
             expected = sign * min(0.9 * LIMITS.torque[joint], LIMITS.torque_rate[joint] * dt)
             assert sent[joint] == pytest.approx(expected)
+
+
+@pytest.mark.requirement("S-24")
+def test_a_spring_at_a_joint_limit_never_steps_in() -> None:
+    springs, inside, beyond = safety.LimitSprings(LIMITS), Q, Q.copy()
+    beyond[1] = LIMITS.q_max[1] + 0.05
+    step = LIMITS.spring_torque[1] * 0.002 / safety.SPRING_RISE
+    last, torques = 0.0, []
+    for q in [inside] * 3 + [beyond] * 60 + [inside] * 60:
+        given = springs.torque(q, 0.002)
+        torques.append(0.0 if given is None else given[1])
+        assert abs(torques[-1] - last) <= step * (1.0 + 1e-9)
+        last = torques[-1]
+    assert min(torques) == pytest.approx(-1.5 * LIMITS.spring_torque[1])
+    assert springs.torque(inside, 0.002) is None
+
+
+def test_a_spring_follows_a_joint_that_approaches_its_limit_at_two_radians_a_second() -> None:
+    springs, q = safety.LimitSprings(LIMITS), Q.copy()
+    for k in range(60):
+        q[1] = LIMITS.q_max[1] - 0.11 + 2.0 * 0.002 * k
+        given, wanted = springs.torque(q, 0.002), safety.limit_springs(q, LIMITS)
+        assert (given is None) == (wanted is None)
+        if wanted is not None:
+            np.testing.assert_allclose(given, wanted, rtol=1e-9)

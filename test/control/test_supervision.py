@@ -9,7 +9,7 @@ from rigid_arm import HOME, LIMITS, MODEL, PERIOD_NS
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.state_checks import JointState
-from wam_power_ros.control.supervision import REST_NS, Supervision
+from wam_power_ros.control.supervision import AGREEMENT, REST_NS, TRUST_STATES, Supervision
 from wam_power_ros.learning.rollout import FaultKind
 
 STILL = np.zeros(7)
@@ -110,3 +110,71 @@ def test_the_prediction_begins_at_the_last_state_and_its_speed() -> None:
     silent = watch.predict(states[-1], 0.002)
     np.testing.assert_allclose(silent.q, states[-1].q + 0.002 * qd, atol=5e-4)
     np.testing.assert_allclose(silent.qd, qd, atol=0.05)
+
+
+def estimated(watch: Supervision, states: list[JointState]) -> list[JointState]:
+    motion = MODEL.motion(HOME, STILL)
+    return [watch.estimate(each, motion, new=False) for each in states]
+
+
+def test_states_are_trusted_until_one_was_called_false() -> None:
+    watch = supervision()
+    assert watch.trusted
+    assert fault_kind(watch, Mode.FAULT) is None
+    assert watch.trusted
+    moving = [state(k, HOME + 0.01 * (k % 2)) for k in range(20)]  # at rest, by its velocity
+    for before, after in pairwise(moving):
+        watch.plausibility_fault(Mode.FAULT, before, after)
+    assert not watch.trusted
+
+
+def test_a_torque_that_nothing_explains_may_be_true_and_its_states_stay_in_use() -> None:
+    watch = supervision(GRAVITY + 0.2 * MODEL.tau_max)
+    assert fault_kind(watch, Mode.HOLD) is FaultKind.EXTERNAL_TORQUE
+    assert watch.trusted
+
+
+def test_a_velocity_that_no_motor_can_reach_in_one_state_makes_such_a_torque_a_false_state() -> (
+    None
+):
+    watch, fast = supervision(), np.zeros(7)
+    fast[1] = 0.5
+    states = [state(0), *(state(k, HOME + 0.002 * (k - 1) * fast, fast) for k in range(1, 40))]
+    for before, after in pairwise(states):
+        if fault := watch.plausibility_fault(Mode.HOLD, before, after):
+            break
+    assert fault is not None and fault.kind is FaultKind.EXTERNAL_TORQUE
+    assert not watch.trusted
+
+
+def test_states_count_again_once_they_have_agreed_with_the_model_for_a_while() -> None:
+    watch = supervision()
+    watch.doubt(lasting=False)
+    estimated(watch, [state(k) for k in range(TRUST_STATES)])
+    assert not watch.trusted
+    estimated(watch, [state(TRUST_STATES)])
+    assert watch.trusted
+
+
+def test_states_of_a_joint_that_moves_while_the_model_rests_never_count_again() -> None:
+    speed = np.zeros(7)
+    speed[1] = 1.01 * AGREEMENT / (TRUST_STATES * 0.002)
+    watch = supervision()
+    watch.doubt(lasting=False)
+    for before, after in pairwise(
+        estimated(watch, [state(k, HOME + 0.002 * k * speed) for k in range(400)])
+    ):
+        assert not watch.trusted
+        assert np.abs(after.q - before.q).max() < 1e-6
+    watch.doubt(lasting=False)
+    estimated(watch, [state(400 + k, HOME + 0.0018 * k * speed) for k in range(400)])
+    assert watch.trusted
+
+
+def test_after_a_jump_states_count_again_only_after_a_reset() -> None:
+    watch = supervision()
+    watch.doubt(lasting=True)
+    estimated(watch, [state(k) for k in range(10 * TRUST_STATES)])
+    assert not watch.trusted
+    watch.begin()
+    assert watch.trusted

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Torque beyond the model that holds the arm at rest."""
+
+import numpy as np
+import pytest
+from rigid_arm import HOME, MODEL, begin, make, run
+
+from wam_power_ros.control.modes import ControllerError, Mode, Refusal
+from wam_power_ros.control.unexplained_torque import UnexplainedTorque
+
+DT = 0.01  # [s] between two observations
+JOINT_2 = np.eye(7)[1]
+
+
+def test_the_torque_is_known_once_the_arm_has_rested_for_a_tenth_of_a_second() -> None:
+    unexplained = UnexplainedTorque(MODEL)
+    for rests in ([True] * 9, [False], [True] * 9):
+        for at_rest in rests:
+            unexplained.observe(at_rest, JOINT_2, DT)
+        assert not unexplained.known
+    for _ in range(2):
+        unexplained.observe(True, JOINT_2, DT)
+    assert unexplained.known
+    unexplained.begin()
+    assert not unexplained.known
+    assert not unexplained.torque.any()
+
+
+def test_a_moving_arm_tells_nothing() -> None:
+    unexplained = UnexplainedTorque(MODEL)
+    for _ in range(100):
+        unexplained.observe(False, 10.0 * JOINT_2, DT)
+    assert not unexplained.torque.any()
+
+
+def test_the_torque_that_held_the_arm_is_compensated_and_rounding_errors_are_not() -> None:
+    unexplained = UnexplainedTorque(MODEL)
+    beyond = 4.0 * JOINT_2 + 1e-5 * np.eye(7)[6]
+    for _ in range(100):
+        unexplained.observe(True, beyond, DT)
+    np.testing.assert_allclose(unexplained.compensation, 4.0 * JOINT_2, rtol=1e-6)
+    assert unexplained.compensation[6] == 0.0
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("joint", [1, 5])
+def test_only_what_friction_cannot_explain_is_in_excess(joint: int, sign: float) -> None:
+    explained = 1.5 * MODEL.friction[joint] + 0.005 * MODEL.tau_max[joint]
+    for share, excess in ((0.99, False), (1.01, True)):
+        unexplained = UnexplainedTorque(MODEL)
+        for _ in range(200):
+            unexplained.observe(True, sign * share * explained * np.eye(7)[joint], DT)
+        assert (f"wam_j{joint + 1}: " in unexplained.excess()) is excess
+
+
+@pytest.mark.requirement("S-125")
+@pytest.mark.parametrize("adds_gravity", [False, True])
+def test_gravity_compensation_is_refused_where_model_and_friction_do_not_carry_the_arm(
+    adds_gravity: bool,
+) -> None:
+    for torque, refusal in ((3.0, None), (6.0, Refusal.REFUSED)):
+        controller, plant = begin(
+            controller=make(driver_compensates_gravity=adds_gravity),
+            push=lambda *_, torque=torque: torque * JOINT_2,
+            adds_gravity=adds_gravity,
+        )
+        run(controller, plant, 1.0)
+        assert controller.mode is Mode.HOLD, controller.latched
+        if refusal is None:
+            controller.set_gravity_compensation(True)
+            continue
+        with pytest.raises(ControllerError, match=r"wam_j2: -6\.0 N m unexplained") as refused:
+            controller.set_gravity_compensation(True)
+        assert refused.value.refusal is refusal
+        assert controller.mode is Mode.HOLD
+
+
+@pytest.mark.requirement("S-126")
+def test_gravity_compensation_waits_until_the_arm_has_been_held() -> None:
+    controller, plant = begin()
+    controller.deactivate()
+    controller.hold()
+    with pytest.raises(ControllerError, match="not been held at rest") as refused:
+        controller.set_gravity_compensation(True)
+    assert refused.value.refusal is Refusal.BUSY
+    run(controller, plant, 0.2)
+    controller.set_gravity_compensation(True)
+
+
+@pytest.mark.requirement("S-126")
+@pytest.mark.parametrize("torque", [-4.0, 3.5])
+def test_an_arm_that_nobody_touches_stays_under_the_torque_that_held_it(torque: float) -> None:
+    controller, plant = begin(push=lambda *_: torque * JOINT_2, friction=1.0)
+    run(controller, plant, 1.0)
+    held = plant.q.copy()
+    controller.set_gravity_compensation(True)
+    run(controller, plant, 5.0)
+    assert controller.mode is Mode.GRAVITY_COMPENSATION
+    assert np.abs(plant.q - held).max() < 0.02
+
+
+def test_a_guided_arm_is_carried_by_its_model_where_that_is_right() -> None:
+    controller, plant = begin()
+    controller.set_gravity_compensation(True)
+    tau = run(controller, plant, 0.1)[-1]
+    np.testing.assert_allclose(tau, MODEL.gravity(HOME), atol=1e-6)
