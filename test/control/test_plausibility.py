@@ -437,6 +437,7 @@ class HonestDriver:
         self._qd, self._count, self._last_ns = np.zeros(7), 0, 0
 
     def __call__(self, state: State) -> State:
+        """State that is reported for the one that was measured."""
         stamp, q, qd = state
         self._qd = self._qd + self._share * (qd - self._qd)
         if self._count % self._repeats == 0:
