@@ -283,6 +283,28 @@ class Arm:
         """Acceleration under a torque, without friction [rad/s^2]. Shape (n,)."""
         return pin.aba(self.model, self._data, q, qd, tau)
 
+    def resisted_dynamics(
+        self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, resistance: np.ndarray, dt: float
+    ) -> np.ndarray:
+        """Acceleration [rad/s^2] against a resistance that acts on the speed it leads to. (n,).
+
+        Solves (M + dt R) qdd = tau - C qd - g - R qd for qdd, so that the friction R (qd + dt qdd)
+        brakes a joint of any inertia and never turns it back, however long the step.
+
+        Args:
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
+            tau: Joint torques [N m]. Shape (n,).
+            resistance: Diagonal of R, not negative [N m s/rad]. Shape (n,).
+            dt: Step of the integration [s].
+        """
+        model = self.model
+        model.armature = self.armature + dt * resistance
+        try:
+            return pin.aba(model, self._data, q, qd, tau - resistance * qd)
+        finally:
+            model.armature = self.armature
+
 
 class _Point:
     """Position and speed of a point of a link, in the state that `data` was last computed for.
