@@ -78,6 +78,7 @@ class RecordingArm(Arm):
         self.positions: list[np.ndarray] = []
 
     def motion(self, q: np.ndarray, qd: np.ndarray) -> Motion:
+        """As of the arm."""
         result = super().motion(q, qd)
         self.positions.append(result.position)
         return result

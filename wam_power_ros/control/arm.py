@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from wam_power_ros.arm_identity import ArmIdentity
+from wam_power_ros.control.inertia import require_physical
 
 FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # origin of the tool, axes of the base
@@ -141,7 +142,7 @@ class Arm:
 
     Raises:
         ValueError: The text is not a URDF, a joint or frame is missing (the message lists the known
-            ones), or a joint, limit, armature or guarded point is not valid.
+            ones), or a joint, limit, inertia, armature or guarded point is not valid.
     """
 
     def __init__(
@@ -159,6 +160,7 @@ class Arm:
         self.name = tree.get("name", "")
         self.joint_names = tuple(joint_names)
         self.model = _chain(full, self.joint_names)
+        require_physical(tree, self.model)
         self.n = self.model.nv
         armature = [_armature(tree, name) for name in self.joint_names]
         self.armature = _checked("armature", armature, self.n)
