@@ -176,6 +176,32 @@ def test_one_jump_is_refused_and_the_track_goes_on() -> None:
     assert tracker.counts["jump"] == 1
 
 
+@pytest.mark.parametrize("frames", [1, 3, 30])
+@pytest.mark.parametrize(("beyond", "fault"), [(-1e-4, None), (1e-4, FrameFault.JUMP)])
+def test_a_body_may_move_at_its_largest_speed_and_five_sigma_and_no_farther(
+    frames: int, beyond: float, fault: FrameFault | None
+) -> None:
+    settings = dataclasses.replace(SETTINGS, speed_max=1.5, noise=0.002)
+    tracker = Tracker(settings)
+    tracker.add(stamp(0), PAN, LEVEL)
+    reach = 1.5 * frames / 30.0 + 5.0 * 0.002
+    tracker.add(stamp(frames), PAN - np.array([reach + beyond, 0.0, 0.0]), LEVEL)
+    assert tracker.fault is fault
+
+
+@pytest.mark.parametrize(("beyond", "fault"), [(-1e-4, None), (1e-4, FrameFault.JUMP)])
+def test_after_a_jump_a_body_may_have_moved_for_two_periods_and_no_longer(
+    beyond: float, fault: FrameFault | None
+) -> None:
+    tracker = Tracker(SETTINGS)
+    tracker.add(stamp(0), PAN, LEVEL)
+    tracker.add(stamp(1), PAN + np.array([0.0, 1.5, 0.0]), LEVEL)
+    assert tracker.fault is FrameFault.JUMP
+    reach = 8.0 * 2.0 / 30.0 + 5.0 * 0.0005
+    tracker.add(stamp(20), PAN - np.array([reach + beyond, 0.0, 0.0]), LEVEL)
+    assert tracker.fault is fault
+
+
 @pytest.mark.requirement("S-47")
 def test_a_swap_of_bodies_never_enters_and_scattered_jumps_lose_the_pancake() -> None:
     tracker = Tracker(SETTINGS)
