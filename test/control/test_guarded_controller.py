@@ -267,3 +267,18 @@ def test_a_controller_in_order_sends_the_same_torques_guarded_or_not() -> None:
     bench.run(0.4)
     np.testing.assert_array_equal(np.array(bench.torques[-200:]), np.array(expected))
     assert np.all(np.abs(bench.torques) <= LIMITS.torque)
+
+
+@pytest.mark.requirement("S-112")
+@pytest.mark.parametrize("mode", ["rollout", "move", "teaching"])
+def test_when_torques_can_be_computed_again_the_arm_is_not_taken_for_one_that_still_moves(
+    mode: str,
+) -> None:
+    bench = Bench(HOME + 0.4 if mode == "move" else HOME)
+    bench.begin(mode)
+    bench.controller.fault(A_TEST)
+    bench.run(0.01)  # its motion is estimated from now on
+    bench.arm.broken = ALL
+    bench.run(0.5)
+    bench.arm.broken = ()
+    assert max(bench.run(1.0)) < 0.02

@@ -92,7 +92,8 @@ def test_the_angular_velocity_is_in_the_base_frame_and_extrapolates_the_orientat
         ([0.8, 0.0, 0.6], [0.0, 0.0, np.inf, 1.0], FrameFault.NOT_FINITE),
         ([0.0, 0.0, 0.0], LEVEL, FrameFault.ZERO),
         ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 0.0], FrameFault.NOT_UNIT),
-        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.01, 1.01], FrameFault.NOT_UNIT),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 1.0011], FrameFault.NOT_UNIT),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 0.9989], FrameFault.NOT_UNIT),
         ([0.8, 0.0, 60.0], LEVEL, FrameFault.OUTSIDE),
         ([0.8, 1.0, 0.6], LEVEL, FrameFault.JUMP),
     ],
@@ -108,6 +109,13 @@ def test_a_bad_pose_is_refused_by_its_name_and_changes_nothing(
     assert tracker.counts[fault.value] == 1
     after = tracker.path("a", stamp(0), stamp(99))
     np.testing.assert_array_equal(after.position, before.position)
+
+
+@pytest.mark.parametrize("length", [0.9991, 1.0009])
+def test_a_quaternion_that_was_rounded_to_three_digits_is_accepted(length: float) -> None:
+    tracker = Tracker(SETTINGS)
+    tracker.add(stamp(0), PAN, length * LEVEL)
+    assert tracker.fault is None
 
 
 def test_an_array_of_another_shape_is_a_mistake_of_the_caller() -> None:

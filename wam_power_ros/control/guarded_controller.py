@@ -224,6 +224,8 @@ class GuardedController(Controller):
         """
         self.error, self._failed = error, True
         self.fault(_failure(error))
+        self._supervision.begin()  # it does not see what happens meanwhile
+        self._supervision.end_estimate()
         dt = self.settings.period if elapsed is None else min(elapsed, self.settings.period)
         tau = self._brake.torque(state, dt)
         if tau is None or self._mode is Mode.INACTIVE:
