@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-ROW = re.compile(r"^\| (S-\d\d) \|(.*)\|$", re.MULTILINE)
+ROW = re.compile(r"^\| (S-\d{2,3}) \|(.*)\|$", re.MULTILINE)
 SAFETY = (ROOT / "docs/safety.md").read_text()
-MEASURED = set(re.findall(r'"(S-\d\d)"', (ROOT / "benchmark/faults.py").read_text()))
+MEASURED = set(re.findall(r'"(S-\d{2,3})"', (ROOT / "benchmark/faults.py").read_text()))
 Trace = dict[str, set[str]]  # requirement -> tests
 
 

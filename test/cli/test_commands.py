@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,7 @@ from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 
 ROOT = Path(__file__).resolve().parents[2]
+WAM = (ROOT / "urdf/wam7.urdf").read_text()
 
 
 @pytest.mark.parametrize(
@@ -193,3 +195,16 @@ def test_a_bag_of_another_arm_is_not_replayed(tmp_path: Path, refusal: Callable[
     writer.write("/joint_states", START, joint_state(START, NAMES, np.zeros(3)))
     path = writer.close({"arm": arm_identity.to_json(theirs)})
     assert "belongs to another arm: cobot7" in refusal("replay", str(path), "--folder", "replay")
+
+
+@pytest.mark.requirement("S-111")
+def test_a_set_up_whose_links_have_no_mass_is_not_printed(
+    tmp_path: Path, refusal: Callable[..., str]
+) -> None:
+    urdf = re.sub("<inertial>.*?</inertial>", "", WAM, flags=re.DOTALL)
+    (tmp_path / "arm.urdf").write_text(urdf)
+    file = tmp_path / "my_arm.yaml"
+    file.write_text("torque_controller:\n  ros__parameters:\n    urdf: arm.urdf\n")
+    message = refusal("config", str(file))
+    assert f"{tmp_path / 'arm.urdf'}: links ['wam_link1'," in message
+    assert "'pan'] move without mass" in message

@@ -87,6 +87,19 @@ def test_the_rotors_are_in_every_dynamics_function(arm: Arm) -> None:
         assert np.allclose(arm.forward_dynamics(q, qd, tau), qdd, atol=1e-7)
 
 
+def test_a_resistance_acts_on_the_speed_that_it_leads_to(arm: Arm) -> None:
+    resistance, dt = np.arange(7.0), 0.01
+    for q, qd in states(5):
+        free, tau = arm.mass_matrix(q), 3.0 * qd
+        expected = np.linalg.solve(
+            free + dt * np.diag(resistance), tau - arm.bias(q, qd) - resistance * qd
+        )
+        np.testing.assert_allclose(
+            arm.resisted_dynamics(q, qd, tau, resistance, dt), expected, rtol=1e-8
+        )
+        assert np.array_equal(arm.mass_matrix(q), free)  # of the next call
+
+
 def test_gravity_is_the_bias_at_rest_and_friction_is_in_neither(arm: Arm) -> None:
     for q, qd in states(5):
         assert np.allclose(arm.gravity(q), arm.dynamics(q, np.zeros(7)).bias, atol=1e-12)

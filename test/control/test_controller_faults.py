@@ -341,3 +341,20 @@ def test_a_law_without_a_torque_is_a_fault_and_not_an_exception(
         run(controller, plant, 0.1)
         assert controller.mode is Mode.FAULT
         assert reason in controller.latched.text
+
+
+@pytest.mark.requirement("S-01", "S-41")
+def test_however_long_states_were_missing_20_ms_are_predicted_and_two_periods_of_torque_sent() -> (
+    None
+):
+    answers = []
+    for silence in (0.02, 0.5, 1e4):
+        controller, plant = begin(friction=1.0, delay=2, sensing=True)
+        controller.execute()
+        before = run(controller, plant, 0.3)[-1]
+        controller.stop()
+        answers.append(controller.stale_torque(silence))
+        change = np.abs(answers[-1] - before)
+        assert np.all(change <= 2.0 * 0.002 * LIMITS.torque_rate + 1e-9)
+        assert np.any(change >= 2.0 * 0.002 * LIMITS.torque_rate - 1e-9)  # it wants to be more
+    assert np.array_equal(answers[0], answers[1]) and np.array_equal(answers[0], answers[2])

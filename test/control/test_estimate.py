@@ -142,3 +142,15 @@ def test_the_estimate_after_false_states_begins_at_the_states_before(begun: int)
     assert plant.qd[1] > 0.5
     np.testing.assert_allclose(estimate.qd, plant.qd, atol=0.045)
     np.testing.assert_allclose(estimate.q, plant.q, atol=0.01)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_no_predicted_speed_is_beyond_the_limit_of_its_joint(sign: float) -> None:
+    estimate = Estimate(MODEL, HOME, np.zeros(7))
+    for _ in range(40):
+        before = estimate.q
+        estimate.predict(MODEL.gravity(HOME) + sign * 10.0 * MODEL.tau_max, 0.02)
+        assert np.all(np.abs(estimate.qd) <= MODEL.qd_max)
+        np.testing.assert_allclose(estimate.q - before, 0.02 * estimate.qd, atol=1e-12)
+    reached = np.abs(estimate.qd) == MODEL.qd_max
+    assert reached.any()

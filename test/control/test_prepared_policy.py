@@ -23,6 +23,8 @@ def test_a_policy_that_does_not_fit_is_refused_with_value_and_limit() -> None:
         ({"q_start": HOME + 3.0}, "outside the limits"),
         ({"stiffness": 9.0 * POLICY.stiffness}, "stiffness 2700 .* above the limit 2500"),
         ({"rotation_stiffness": 3000.0}, "stiffness 3000"),
+        ({"damping": 101.0}, "damping 101 .* above the limit 100"),
+        ({"rotation_damping": 101.0}, "damping 101 .* above the limit 100"),
     ):
         with pytest.raises(ControllerError, match=text) as refused:
             prepare(replace(POLICY, **wrong), MODEL.n, LIMITS, SETTINGS)
@@ -38,6 +40,8 @@ def test_a_policy_at_the_limits_fits() -> None:
         {"q_start": LIMITS.q_min},
         {"q_start": LIMITS.q_max},
         {"rotation_stiffness": SETTINGS.stiffness_max},
+        {"damping": SETTINGS.damping_max},
+        {"rotation_damping": SETTINGS.damping_max},
         {"stiffness": np.tile(stiff, (8, 1, 1))},
     ):
         policy = replace(POLICY, **change)

@@ -148,6 +148,7 @@ def test_a_position_is_plausible_up_to_20_radians_and_a_speed_to_500() -> None:
             inside = [sign * math.nextafter(largest, 0.0)] * 7  # together longer than the bound
             assert plausible(inside, bound)
             assert not plausible([*inside[:6], sign * largest], bound)
+            assert not plausible([0.0] * 6 + [sign * largest], bound)
 
 
 @pytest.mark.requirement("S-11")

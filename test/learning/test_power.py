@@ -194,6 +194,16 @@ def test_the_elite_is_chosen_from_eight_sizes_by_the_gain_at_every_number_of_rol
     assert chosen == set(SIGMAS)
 
 
+def test_an_elite_of_all_the_others_is_not_chosen_even_if_its_gain_is_the_largest() -> None:
+    tempting = 0
+    for seed in range(400):
+        z, ret = searched(seed, 2.0, 9)
+        gains = {size: _gain(z, ret, size) for size in SIGMAS if size <= 8}
+        tempting += gains[8] > 0.0 and max(gains, key=gains.get) == 8
+        assert choose_sigma(z, ret) != 8
+    assert tempting > 2
+
+
 def _gain(z: np.ndarray, ret: np.ndarray, size: int) -> float:
     lengths, along = [], []
     for k in range(len(z)):

@@ -92,7 +92,8 @@ def test_the_angular_velocity_is_in_the_base_frame_and_extrapolates_the_orientat
         ([0.8, 0.0, 0.6], [0.0, 0.0, np.inf, 1.0], FrameFault.NOT_FINITE),
         ([0.0, 0.0, 0.0], LEVEL, FrameFault.ZERO),
         ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 0.0], FrameFault.NOT_UNIT),
-        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.01, 1.01], FrameFault.NOT_UNIT),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 1.0011], FrameFault.NOT_UNIT),
+        ([0.8, 0.0, 0.6], [0.0, 0.0, 0.0, 0.9989], FrameFault.NOT_UNIT),
         ([0.8, 0.0, 60.0], LEVEL, FrameFault.OUTSIDE),
         ([0.8, 1.0, 0.6], LEVEL, FrameFault.JUMP),
     ],
@@ -108,6 +109,13 @@ def test_a_bad_pose_is_refused_by_its_name_and_changes_nothing(
     assert tracker.counts[fault.value] == 1
     after = tracker.path("a", stamp(0), stamp(99))
     np.testing.assert_array_equal(after.position, before.position)
+
+
+@pytest.mark.parametrize("length", [0.9991, 1.0009])
+def test_a_quaternion_that_was_rounded_to_three_digits_is_accepted(length: float) -> None:
+    tracker = Tracker(SETTINGS)
+    tracker.add(stamp(0), PAN, length * LEVEL)
+    assert tracker.fault is None
 
 
 def test_an_array_of_another_shape_is_a_mistake_of_the_caller() -> None:
@@ -174,6 +182,32 @@ def test_one_jump_is_refused_and_the_track_goes_on() -> None:
     resting(tracker, 11, 1, rng)
     assert tracker.validity is Validity.OK
     assert tracker.counts["jump"] == 1
+
+
+@pytest.mark.parametrize("frames", [1, 3, 30])
+@pytest.mark.parametrize(("beyond", "fault"), [(-1e-4, None), (1e-4, FrameFault.JUMP)])
+def test_a_body_may_move_at_its_largest_speed_and_five_sigma_and_no_farther(
+    frames: int, beyond: float, fault: FrameFault | None
+) -> None:
+    settings = dataclasses.replace(SETTINGS, speed_max=1.5, noise=0.002)
+    tracker = Tracker(settings)
+    tracker.add(stamp(0), PAN, LEVEL)
+    reach = 1.5 * frames / 30.0 + 5.0 * 0.002
+    tracker.add(stamp(frames), PAN - np.array([reach + beyond, 0.0, 0.0]), LEVEL)
+    assert tracker.fault is fault
+
+
+@pytest.mark.parametrize(("beyond", "fault"), [(-1e-4, None), (1e-4, FrameFault.JUMP)])
+def test_after_a_jump_a_body_may_have_moved_for_two_periods_and_no_longer(
+    beyond: float, fault: FrameFault | None
+) -> None:
+    tracker = Tracker(SETTINGS)
+    tracker.add(stamp(0), PAN, LEVEL)
+    tracker.add(stamp(1), PAN + np.array([0.0, 1.5, 0.0]), LEVEL)
+    assert tracker.fault is FrameFault.JUMP
+    reach = 8.0 * 2.0 / 30.0 + 5.0 * 0.0005
+    tracker.add(stamp(20), PAN - np.array([reach + beyond, 0.0, 0.0]), LEVEL)
+    assert tracker.fault is fault
 
 
 @pytest.mark.requirement("S-47")

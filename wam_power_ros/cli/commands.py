@@ -341,6 +341,7 @@ def config(options: argparse.Namespace) -> None:
     setup = overlay.setup(
         options.config, options.simulate, task_setup(options.task or DEFAULT_TASK)
     )
+    arm_of(setup)  # refuses what the controller would refuse
     print(overlay.text(setup), end="")
 
 

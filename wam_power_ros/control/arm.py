@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from wam_power_ros.arm_identity import ArmIdentity
+from wam_power_ros.control.inertia import require_physical
 
 FRICTION_SPEED = 0.02  # [rad/s] width of the tanh that smooths Coulomb friction at standstill
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED  # origin of the tool, axes of the base
@@ -141,7 +142,7 @@ class Arm:
 
     Raises:
         ValueError: The text is not a URDF, a joint or frame is missing (the message lists the known
-            ones), or a joint, limit, armature or guarded point is not valid.
+            ones), or a joint, limit, inertia, armature or guarded point is not valid.
     """
 
     def __init__(
@@ -159,6 +160,7 @@ class Arm:
         self.name = tree.get("name", "")
         self.joint_names = tuple(joint_names)
         self.model = _chain(full, self.joint_names)
+        require_physical(tree, self.model)
         self.n = self.model.nv
         armature = [_armature(tree, name) for name in self.joint_names]
         self.armature = _checked("armature", armature, self.n)
@@ -282,6 +284,28 @@ class Arm:
     def forward_dynamics(self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Acceleration under a torque, without friction [rad/s^2]. Shape (n,)."""
         return pin.aba(self.model, self._data, q, qd, tau)
+
+    def resisted_dynamics(
+        self, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, resistance: np.ndarray, dt: float
+    ) -> np.ndarray:
+        """Acceleration [rad/s^2] against a resistance that acts on the speed it leads to. (n,).
+
+        Solves (M + dt R) qdd = tau - C qd - g - R qd for qdd, so that the friction R (qd + dt qdd)
+        brakes a joint of any inertia and never turns it back, however long the step.
+
+        Args:
+            q: Joint positions [rad]. Shape (n,).
+            qd: Joint speeds [rad/s]. Shape (n,).
+            tau: Joint torques [N m]. Shape (n,).
+            resistance: Diagonal of R, not negative [N m s/rad]. Shape (n,).
+            dt: Step of the integration [s].
+        """
+        model = self.model
+        model.armature = self.armature + dt * resistance
+        try:
+            return pin.aba(model, self._data, q, qd, tau - resistance * qd)
+        finally:
+            model.armature = self.armature
 
 
 class _Point:

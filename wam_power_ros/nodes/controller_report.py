@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 import traceback
 from collections import Counter
 from collections.abc import Mapping
@@ -18,6 +19,8 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import FAULT_KIND, component
 from wam_power_ros.ros.scheduling import Granted
+
+FAILURE_PERIOD_NS = 1_000_000_000  # [ns] between two logged exceptions
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,7 @@ class ControllerReport:
         self._node, self._params, self._preparation = node, params, preparation
         self._refused: Counter[str] = Counter()
         self._last_refusal, self._refused_since_report = "", False
+        self._failed_ns = -FAILURE_PERIOD_NS  # when an exception was last logged
         self._logged: dict[str, object] = {}  # last logged mode, fault and awaited input
 
     def refuse(self, what: str, reason: object) -> None:
@@ -62,7 +66,12 @@ class ControllerReport:
         self._preparation.log("warning", self._last_refusal)
 
     def failed(self, error: Exception) -> None:
-        """Count and log an exception that a callback did not catch."""
+        """Count an exception that a callback did not catch; log it, at most one a second."""
+        now_ns = time.monotonic_ns()
+        if now_ns - self._failed_ns < FAILURE_PERIOD_NS:  # every state may fail
+            self._refused["callback"] += 1
+            return
+        self._failed_ns = now_ns
         where = " < ".join(  # innermost first; without source lines, which take long to read
             f"{frame.f_code.co_filename}:{line} {frame.f_code.co_name}"
             for frame, line in reversed([*traceback.walk_tb(error.__traceback__)])

@@ -14,6 +14,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
     raise SystemExit(start("wam_power_ros.nodes.torque_controller"))
 
+import contextlib
 import dataclasses
 import os
 import time
@@ -29,6 +30,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.guarded_controller import GuardedController
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode
 from wam_power_ros.control.prepared_policy import PreparedPolicy
@@ -64,7 +66,7 @@ class TorqueController(LifecycleNode):
         self._frame = interface.frame(self.get_namespace(), params.base_frame)
         self._autostart = params.autostart
         self._urdf = share(params.urdf).read_text() if params.urdf else ""
-        self._controller: Controller | None = None
+        self._controller: GuardedController | None = None
         self._active = False
         self._qd: np.ndarray | None = None  # from the velocity topic [rad/s]
         self._qd_ns = 0  # when it came, steady clock
@@ -203,13 +205,15 @@ class TorqueController(LifecycleNode):
 
     def _answer_next(self) -> None:
         """Answer the next state if it has come, without an executor."""
-        with self._states.handle:
-            taken = self._states.handle.take_message(JointState, True)
-        if taken is not None:
-            self._on_state(taken[0])
-        else:
+        try:
+            with self._states.handle:
+                taken = self._states.handle.take_message(JointState, True)
+            if taken is not None:
+                return self._on_state(taken[0])
             self.watch()
-            time.sleep(0.1 * self._params.period)
+        except Exception as error:
+            self.failed(error)
+        return time.sleep(0.1 * self._params.period)
 
     def destroy_node(self) -> None:
         """End the preparation process, too."""
@@ -291,11 +295,18 @@ class TorqueController(LifecycleNode):
         self._enabled_ns = time.monotonic_ns() if message.data else -ENABLE_TIMEOUT_NS
 
     def failed(self, error: Exception) -> None:
-        """Latch a fault after an exception in a callback; brake and carry the arm."""
-        if self._active:
-            self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
-            self._send(self._controller.stale_torque(), Mode.FAULT.value)
-        self._report.failed(error)
+        """Latch a fault after an exception in a callback; brake and carry the arm. Never raises."""
+        try:
+            if self._active:
+                self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
+                self._send(self._controller.stale_torque(), Mode.FAULT.value)
+        except Exception as another:  # such as one of the middleware; the next state is answered
+            self._report_failure(another)
+        self._report_failure(error)
+
+    def _report_failure(self, error: Exception) -> None:
+        with contextlib.suppress(Exception):  # without a log the arm is braked all the same
+            self._report.failed(error)
 
     def _on_velocity(self, message: JointState) -> None:
         try:
@@ -332,6 +343,8 @@ class TorqueController(LifecycleNode):
     def _send(self, tau: np.ndarray, label: str) -> None:
         self._guard.publish(self._write(self._stamp_ns, label, tau))
         self._watchdog.sent_ns = time.monotonic_ns()
+        if (error := self._controller.take_error()) is not None:
+            self._report_failure(error)
 
     # Policies and requests
 

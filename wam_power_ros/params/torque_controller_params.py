@@ -11,8 +11,8 @@ from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from wam_power_ros.control.arm import Arm, guarded_points
-from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.guarded_controller import GuardedController
 from wam_power_ros.control.safety import limits_of
 from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.params.node_params import Params
@@ -171,7 +171,7 @@ class TorqueControllerParams(Params):
                     )
         return self
 
-    def controller(self, urdf: str, latched: Fault | None = None) -> Controller:
+    def controller(self, urdf: str, latched: Fault | None = None) -> GuardedController:
         """Build the controller for the arm of a URDF, with a fault that is still latched.
 
         Raises:
@@ -193,4 +193,4 @@ class TorqueControllerParams(Params):
         )
         own = {field.name for field in dataclasses.fields(ControllerSettings)} - {"limits", "arm"}
         choices = {name: getattr(self, name) for name in own} | {"arm": arm.identity()}
-        return Controller(arm, ControllerSettings(limits=limits, **choices), latched)
+        return GuardedController(arm, ControllerSettings(limits=limits, **choices), latched)

@@ -47,7 +47,8 @@ class StoppingRule:
         if record.kind == "mean":
             self.mean_is_due, before = False, self.count
             if record.success and self._confirms(record):
-                self.z, self.count = np.array(record.z), before + 1
+                again = self.z is not None and record.z == self.z.tolist()
+                self.z, self.count = np.array(record.z), before + 1 if again else 1
                 return f"{self.count} of {needed} successes in a row"
             self.z, self.count = None, 0
             return f"ended after {before} successes in a row" if before else ""
