@@ -50,7 +50,7 @@ class Bench:
         self.plant = Plant(q, **({"delay": 2, "sensing": True, "friction": 1.0} | plant))
         self.torques = [self.controller.step(*self.plant.state())]
         self.controller.hold()
-        self.run(0.1)
+        self.run(0.2)
 
     def run(self, seconds: float) -> list[float]:
         """Close the loop; every torque is checked. Returns the speeds [m/s]."""

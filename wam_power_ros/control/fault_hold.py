@@ -10,6 +10,11 @@ FRICTION_FACTOR = 2.0  # multiple of a joint's friction in the bound of the feed
 TORQUE_SHARE = 0.05  # share of a joint's torque limit added to it: payload, tilt, weak motors
 
 
+def feedback_max(arm: Arm) -> np.ndarray:
+    """Bound on the feedback that holds a stopped arm [N m]. Shape (n,)."""
+    return FRICTION_FACTOR * arm.friction + TORQUE_SHARE * arm.tau_max
+
+
 class FaultHold:
     """Feedback that keeps the arm where it was when the hold began.
 
@@ -22,7 +27,7 @@ class FaultHold:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._bound = FRICTION_FACTOR * arm.friction + TORQUE_SHARE * arm.tau_max
+        self._bound = feedback_max(arm)
         self._at: np.ndarray | None = None  # posture that is held [rad]
 
     def release(self) -> None:

@@ -17,23 +17,21 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.control.fault_hold import feedback_max
 from wam_power_ros.control.joint_control import BANDWIDTH, DAMPING_RATIO
 from wam_power_ros.control.modes import ControllerError, Mode, Refusal
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.rollout import Fault, FaultKind
 
 REMEMBERED_STATES = 10  # states after which gravity and mass matrix are computed again: 20 ms
-STANDSTILL = (
-    0.05  # [rad/s] largest speed of a joint of an arm at rest, where no tool speed is known
-)
-SPRING_SHARE = 0.05  # of a torque limit, beyond twice the friction: bound on the spring of the hold
+STANDSTILL = 0.05  # [rad/s] largest joint speed of an arm at rest, where no tool speed is known
 
 
 class BrakeWithoutModel:
     """Brakes and holds the arm by the gravity and the mass matrix of an earlier posture.
 
     tau = g + M (qdd_ref + 2 zeta w (qd_ref - qd)) + s, with the spring s = M w^2 (q_ref - q) that
-    is bounded to twice the friction and `SPRING_SHARE` of the torque limit. The reference begins at
+    is bounded like that of `FaultHold`. The reference begins at
     the state in which the computation failed, and its speed decays at `safety.FAULT_DAMPING`. Near
     the posture M decouples the joints, as in `JointControl`; the spring replaces the change of
     gravity while braking, which alone would let the arm creep away.
@@ -44,7 +42,7 @@ class BrakeWithoutModel:
 
     def __init__(self, arm: Arm) -> None:
         self._arm = arm
-        self._spring_max = 2.0 * arm.friction + SPRING_SHARE * arm.tau_max
+        self._spring_max = feedback_max(arm)
         self._gravity: np.ndarray | None = None
         self._mass = np.zeros((arm.n, arm.n))
         self._reference: tuple[np.ndarray, np.ndarray] | None = None  # q_ref, qd_ref
@@ -53,7 +51,8 @@ class BrakeWithoutModel:
         """Keep what brakes and holds the arm near the present posture.
 
         Args:
-            gravity: g(q) [N m], as far as the controller has to send it. Shape (n,).
+            gravity: Torque that carries the arm, as far as the controller has to send it [N m].
+                Shape (n,).
             mass: M(q) [kg m^2]. Shape (n, n).
         """
         self._gravity, self._mass = gravity, mass
@@ -124,12 +123,17 @@ class GuardedController(Controller):
             return last is not None and float(np.abs(last.qd).max()) < STANDSTILL
 
     def step(
-        self, stamp_ns: int, q: np.ndarray, qd: np.ndarray | None, elapsed: float | None = None
+        self,
+        stamp_ns: int,
+        q: np.ndarray,
+        qd: np.ndarray | None,
+        elapsed: float | None = None,
+        since_sent: float | None = None,
     ) -> np.ndarray:
         """See `Controller.step`; it also answers a state for which no torque can be computed."""
         before = self._output.sent
         try:
-            tau = super().step(stamp_ns, q, qd, elapsed)
+            tau = super().step(stamp_ns, q, qd, elapsed, since_sent)
             _require_finite(tau)
             if self.fresh:
                 self._remember()
@@ -138,7 +142,8 @@ class GuardedController(Controller):
             state = self._states.last
             if state is not None and state.stamp_ns != stamp_ns:
                 state = None
-            return self._answer_without_model(error, before, state, elapsed)
+            since = elapsed if since_sent is None else since_sent
+            return self._answer_without_model(error, before, state, since)
         if self.fresh and self._failed:
             self._failed = False
             self._brake.end()
@@ -202,9 +207,11 @@ class GuardedController(Controller):
             self._states_since += 1
             return
         mass, gravity = self.arm.mass_matrix(last.q), self.arm.gravity(last.q)
-        sent = np.zeros(self.arm.n) if self.settings.driver_compensates_gravity else gravity
         _require_finite(gravity)
-        self._brake.remember(sent, mass)
+        carried = self.unexplained.compensation
+        if not self.settings.driver_compensates_gravity:
+            carried = gravity + carried
+        self._brake.remember(carried, mass)
         self._states_since = 1
 
     def _answer_without_model(
@@ -231,7 +238,7 @@ class GuardedController(Controller):
         if tau is None or self._mode is Mode.INACTIVE:
             tau = before
         elif state is not None:
-            tau = self._with_springs(tau, state.q)
+            tau = self._with_springs(tau, state.q, dt)
         sent = safety.limit_torque(tau, before, dt, self.limits)
         sent.setflags(write=False)
         self._output.sent, self._label = sent, self._mode_label

@@ -216,6 +216,8 @@ class LimitSprings:
         step = self._limits.spring_torque * (dt / SPRING_RISE)
         wanted = np.zeros(len(q)) if wanted is None else wanted
         torque = np.minimum(np.maximum(wanted, last - step), last + step)
+        if np.isnan(torque).any():  # the posture is none; the caller sends no such torque
+            return torque
         self._last = torque if torque.any() else None
         return self._last
 

@@ -73,6 +73,7 @@ class TorqueController(LifecycleNode):
         self._latched: Fault | None = None  # of a controller that was cleaned up
         self._stamp_clock = StampClock()
         self._stamp_ns = 0  # of the last state
+        self._sent_ns = 0  # when the last torque was passed to the middleware, steady clock
         self._enabled_ns = -ENABLE_TIMEOUT_NS  # when the switch was last held, steady clock
         sim_time = self.get_parameter("use_sim_time").value  # lockstep: states may pause
         self._watchdog = Watchdog(0.0 if sim_time else params.state_timeout, params.period)
@@ -195,7 +196,7 @@ class TorqueController(LifecycleNode):
         begun = time.monotonic()
         while time.monotonic() - begun < RELEASE_TIME:
             self._answer_next()
-        self._send(core.stale_torque(), "inactive")
+        self._send(self._stale_torque(), "inactive")
         self._active = False
         self._controller.deactivate()
         self._requests.answer(core)
@@ -266,8 +267,11 @@ class TorqueController(LifecycleNode):
                 age = (arrived_ns - self._qd_ns) * 1e-6
                 text = f"no joint velocity on {self._params.velocity_topic} for {age:.0f} ms"
                 controller.fault(Fault(FaultKind.VELOCITY, text))
-        elapsed = (arrived_ns - self._watchdog.arrived_ns) * 1e-9
-        tau = controller.step(stamp_ns, q, qd, elapsed if self._watchdog.enabled else None)
+        elapsed = since_sent = None  # lockstep: the stamps are the clock
+        if self._watchdog.enabled:
+            elapsed = (arrived_ns - self._watchdog.arrived_ns) * 1e-9
+            since_sent = (arrived_ns - self._sent_ns) * 1e-9
+        tau = controller.step(stamp_ns, q, qd, elapsed, since_sent)
         if controller.fresh:
             self._watchdog.arrived(arrived_ns)
             self._stamp_ns = stamp_ns
@@ -299,7 +303,7 @@ class TorqueController(LifecycleNode):
         try:
             if self._active:
                 self._controller.fault(Fault(FaultKind.SOFTWARE, f"a callback failed: {error!r}"))
-                self._send(self._controller.stale_torque(), Mode.FAULT.value)
+                self._send(self._stale_torque(), Mode.FAULT.value)
         except Exception as another:  # such as one of the middleware; the next state is answered
             self._report_failure(another)
         self._report_failure(error)
@@ -337,10 +341,16 @@ class TorqueController(LifecycleNode):
         if silence.idle and self._params.idle_service:
             self._idle.call_async(Trigger.Request())
         label = core.mode.value if core.mode is Mode.FAULT else core.label
-        since_ns = max(self._watchdog.arrived_ns, self._watchdog.sent_ns)
-        self._send(core.stale_torque((now_ns - since_ns) * 1e-9), label)
+        self._send(self._stale_torque(), label)
+
+    def _stale_torque(self) -> np.ndarray:
+        """Torque to send now without a state."""
+        since_ns = max(self._watchdog.arrived_ns, self._sent_ns)
+        elapsed = (time.monotonic_ns() - since_ns) * 1e-9 if self._watchdog.enabled else None
+        return self._controller.stale_torque(elapsed)
 
     def _send(self, tau: np.ndarray, label: str) -> None:
+        self._sent_ns = time.monotonic_ns()
         self._guard.publish(self._write(self._stamp_ns, label, tau))
         self._watchdog.sent_ns = time.monotonic_ns()
         if (error := self._controller.take_error()) is not None:
