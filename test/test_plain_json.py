@@ -62,7 +62,7 @@ def test_plain_data_comes_back(data: object) -> None:
         ("1 " + " " * 1_000_000, "has 1000002 bytes"),
     ],
 )
-def test_anything_else_is_refused_with_its_origin(text: str | bytes, says: str) -> None:
+def test_json_that_is_not_plain_is_refused_with_its_origin(text: str | bytes, says: str) -> None:
     with pytest.raises(ValueError, match=f"the record.*{says}"):
         plain_json.parse(text, "the record")
 

@@ -12,7 +12,10 @@ import time
 import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes, diagnosis, lift
-from played_arm import HOME, NAMES, PlayedArm
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from played_arm import HOME, NAMES, SIMULATED, PlayedArm
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -363,7 +366,9 @@ def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(
 def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     probe: Probe, processes: Processes, during: str
 ) -> None:
-    config = ["--ros-args", "--params-file", str(ROOT / "config/torque_controller.yaml")]
+    config = ["--ros-args"]
+    for file in SIMULATED:
+        config += ["--params-file", str(ROOT / "config" / file)]
     quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
     arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
     arm.activate()
@@ -384,3 +389,32 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
     np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)
     assert arm.process.poll() is None
+
+
+@pytest.mark.requirement("S-101")
+def test_a_controller_in_simulation_falls_silent_when_a_driver_appears(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    assert arm.read()[-1].label == "hold"
+    states = probe.publisher(
+        JointState, interface.JOINT_STATES, interface.STATE_OUT, node="joint_state_broadcaster"
+    )
+    report = arm.diagnosis(lambda d: arm.send() or d["mode"] == "inactive", "its end")
+    assert "node 'joint_state_broadcaster' publishes /joint_states" in report["last refusal"]
+    probe.spin(0.2)
+    labels, count = {torque.label for torque in arm.read()}, len(arm.read())
+    assert labels == {"hold"}  # not even a last torque
+    for _ in range(100):
+        arm.send()
+        probe.spin(0.005)
+    assert len(arm.read()) == count
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+    change = lambda: probe.call(ChangeState, "torque_controller/change_state", request).success  # noqa: E731
+    arm.send()
+    assert not change()
+    states.destroy()
+    probe.until(lambda: arm.send() or change(), "activation without the driver")
+    arm.send()
+    assert arm.answer().label == "hold"
