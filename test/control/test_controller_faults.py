@@ -25,7 +25,7 @@ from rigid_arm import (
 
 from wam_power_ros.control import safety, torque_law
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.control.modes import ControllerError, Mode, Refusal
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.learning.rollout import FaultKind
 
@@ -343,3 +343,30 @@ def test_a_law_without_a_torque_is_a_fault_and_not_an_exception(
         run(controller, plant, 0.1)
         assert controller.mode is Mode.FAULT
         assert reason in controller.latched.text
+
+
+@pytest.mark.requirement("S-104")
+@pytest.mark.parametrize("on", [True, False])
+def test_gravity_compensation_is_neither_begun_nor_ended_in_a_fault(on: bool) -> None:
+    controller, plant = begin()
+    controller.set_gravity_compensation(True)
+    run(controller, plant, 0.1)
+    controller.fault(A_TEST)
+    with pytest.raises(ControllerError, match=r"fault \(.*\); reset first") as refused:
+        controller.set_gravity_compensation(on)
+    assert refused.value.refusal is Refusal.FAULT
+    run(controller, plant, 0.5)
+    controller.reset()
+    assert controller.mode is Mode.HOLD
+    controller.set_gravity_compensation(False)  # it holds already
+
+
+@pytest.mark.requirement("S-104")
+def test_gravity_compensation_is_not_ended_while_the_arm_moves_by_itself() -> None:
+    controller, plant = begin()
+    controller.execute()
+    run(controller, plant, 0.1)
+    with pytest.raises(ControllerError, match="not on: mode is rollout") as refused:
+        controller.set_gravity_compensation(False)
+    assert refused.value.refusal is Refusal.BUSY
+    assert controller.mode is Mode.ROLLOUT

@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,9 +21,10 @@ from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.policy import to_json
+from wam_power_ros.learning.policy import digest, to_json
 from wam_power_ros.learning.rollout import FaultKind
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.answers import Answer, Code, read
 
 DRIVER = """
 from rclpy.node import Node
@@ -418,3 +420,61 @@ def test_a_controller_in_simulation_falls_silent_when_a_driver_appears(
     probe.until(lambda: arm.send() or change(), "activation without the driver")
     arm.send()
     assert arm.answer().label == "hold"
+
+
+@pytest.mark.requirement("S-104")
+def test_no_service_says_done_in_a_fault_but_a_stop_that_names_it(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "a fault")
+    probe.node.destroy_publisher(other)
+
+    def ask(kind: type, name: str, request: object = None) -> Answer:
+        arm.send()
+        response = probe.call(kind, name, request)
+        return read(response.success, response.message)
+
+    for on in (True, False):
+        request = SetBool.Request(data=on)
+        assert ask(SetBool, interface.GRAVITY_COMPENSATION, request).code is Code.FAULT
+    assert ask(Trigger, interface.EXECUTE).code is Code.FAULT
+    stopped = ask(Trigger, interface.STOP)
+    assert stopped.success and "nothing to stop: fault (" in stopped.text
+
+
+@pytest.mark.requirement("S-103")
+def test_a_policy_of_a_second_publisher_is_told_by_its_digest_and_both_publishers_are_named(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    ours = to_json(lift("trial-0001"))
+    theirs = to_json(replace(lift("trial-0001"), damping=31.0))
+    one = probe.publisher(String, interface.POLICY, interface.LATCHED, node="learner")
+    other = probe.publisher(String, interface.POLICY, interface.LATCHED, node="stranger")
+    ends = probe.listen(String, interface.ROLLOUT_FINISHED, interface.LATCHED)
+    one.publish(String(data=ours))
+    report = arm.diagnosis(lambda d: arm.send() or d["policy"] == "trial-0001", "the policy")
+    for text in (ours, theirs):
+        (one if text == ours else other).publish(String(data=text))
+        moving = probe.begin(Trigger, interface.MOVE_TO_START)
+        probe.until(lambda: arm.send() or moving.done(), "the arm is at the start")  # noqa: B023
+        executing = probe.begin(Trigger, interface.EXECUTE)
+        probe.until(lambda: arm.send() or executing.done(), "the rollout")  # noqa: B023
+        for response in (moving.result(), executing.result()):
+            answer = read(response.success, response.message)
+            assert answer.values == {"policy": "trial-0001", "digest": digest(text)}
+        ends.clear()
+        for _ in range(20):
+            arm.send()
+            arm.answer()
+        probe.call(Trigger, interface.STOP)
+        probe.until(lambda: arm.send() or ends, "the end of the rollout")
+        assert pose_messages.finished(ends[-1]).digest == digest(text)
+    report = arm.diagnosis(lambda d: arm.send() or "stranger" in d["policy publishers"], "both")
+    assert report["policy publishers"] == "/learner, /stranger"
+    said = "2 nodes publish policies (/learner, /stranger): the last one counts"
+    probe.until(lambda: said in processes.output(arm.process), "the warning in the log")

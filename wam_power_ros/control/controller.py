@@ -192,6 +192,10 @@ class Controller:
             ControllerError: The arm moves by itself, a fault is latched, or the enabling switch is
                 not held.
         """
+        if not on and self._mode not in (Mode.GRAVITY_COMPENSATION, Mode.HOLD):
+            check_transition(self._mode, Mode.HOLD, self.latched)  # names a fault
+            text = f"gravity compensation is not on: mode is {self._mode.value}"
+            raise ControllerError(Refusal.BUSY, text)
         if on and self._mode is not Mode.GRAVITY_COMPENSATION:
             self._require_switch(Mode.GRAVITY_COMPENSATION)
             self._enter(Mode.GRAVITY_COMPENSATION)

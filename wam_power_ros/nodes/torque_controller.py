@@ -299,7 +299,8 @@ class TorqueController(LifecycleNode):
         path = controller.take_finished()
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
-            self._preparation.publish_path(path, start_ns, self._frame, controller.latched)
+            digest = self._requests.executed
+            self._preparation.publish_path(path, start_ns, self._frame, controller.latched, digest)
         self._requests.answer(controller)
         return None
 
@@ -360,6 +361,7 @@ class TorqueController(LifecycleNode):
         try:
             if self._controller is not None:
                 self._controller.load_prepared(policy)
+                self._requests.digest = policy.digest
         except ControllerError as error:
             self._report.refuse("policy", error)
 
@@ -382,7 +384,11 @@ class TorqueController(LifecycleNode):
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._preparation.forget_requests()
         self._requests.stop(self._controller)
-        return fill(response, attempt(self._active_controller(), Controller.stop))
+        answer = attempt(self._active_controller(), Controller.stop)
+        fault = self._controller.latched if answer.success and self._controller else None
+        if fault is not None:  # nothing moves, but nothing holds the posture either
+            answer = dataclasses.replace(answer, text=f"nothing to stop: fault ({fault.text})")
+        return fill(response, answer)
 
     def _answering(
         self, request: Callable[[Controller, Any], None]

@@ -218,6 +218,7 @@ class Finished(NamedTuple):
     id: str  # of the policy that was executed
     start_ns: int  # stamp of its start and of its paths
     fault: Fault | None  # latched at its end
+    digest: str = ""  # of the executed policy, see `policy.digest`; empty if unknown
 
 
 def finished_message(finished: Finished) -> String:
@@ -228,6 +229,7 @@ def finished_message(finished: Finished) -> String:
         "id": finished.id,
         "start": {"sec": sec, "nanosec": nanosec},
         "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
+        "digest": finished.digest,
     }
     return String(data=json.dumps(values))
 
@@ -244,7 +246,7 @@ def finished(message: String) -> Finished:
         start_ns = int(start["sec"]) * 1_000_000_000 + int(start["nanosec"])
         if fault is not None:
             fault = Fault(FaultKind(fault["kind"]), str(fault["text"]))
-        return Finished(str(values["id"]), start_ns, fault)
+        return Finished(str(values["id"]), start_ns, fault, str(values.get("digest", "")))
     except (KeyError, TypeError, OverflowError) as error:
         text = f"{message.data[:200]!r} must describe the end of a rollout: {error!r}"
         raise ValueError(text) from error
