@@ -88,8 +88,14 @@ def combinations(node: str) -> Iterator[tuple[str, ...]]:
                 yield (*own, *pair)
 
 
-def batches(node: str) -> list[list[tuple[str, ...]]]:
-    found = list(combinations(node))
+def batches(node: str, folder: Path) -> list[list[list[Path]]]:
+    """Files of every combination, and outputs of `wam-power config`, some nodes at once."""
+    found = [[ROOT / f"config/{name}.yaml" for name in names] for names in combinations(node)]
+    for names in ([], *([driver] for driver in DRIVERS)):
+        for simulated in (False, True):
+            file = folder / f"{'_'.join(names)}_{simulated}.yaml"
+            file.write_text(overlay.text(overlay.setup(names, simulated)))
+            found.append([file])
     return [found[k : k + AT_ONCE] for k in range(0, len(found), AT_ONCE)]
 
 
@@ -150,9 +156,9 @@ def test_no_combination_of_plain_files_sends_a_torque_to_a_strangers_driver(
     node: str, probe: Probe, processes: Processes, tmp_path: Path
 ) -> None:
     lab, count, sending = Lab(probe, processes, tmp_path), 0, []
-    for batch in batches(node):
+    for batch in batches(node, tmp_path):
         before = lab.torques
-        lab.observe(node, [[ROOT / f"config/{name}.yaml" for name in files] for files in batch])
+        lab.observe(node, batch)
         count += len(batch)
         if lab.torques > before:
             sending.append((batch, lab.torques - before))
