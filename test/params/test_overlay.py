@@ -245,6 +245,11 @@ def test_plain_files_of_another_namespace_say_nothing_and_complete_ones_nothing_
     found = overlay.adopted("demonstration_recorder", [own, file], "/left")
     assert found["joint_names"][1] == ["l1"]
     assert overlay.adopted("demonstration_recorder", [own, file]) == {}
+    both = "/**/torque_controller: {ros__parameters: {joint_names: [a]}}\n/left: " + arm % "l1"
+    file = Path(write(tmp_path, "both", both))
+    for namespace, joint in (("/left", "l1"), ("/right", "a"), ("/", "a")):
+        found = overlay.adopted("demonstration_recorder", [own, file], namespace)
+        assert found["joint_names"][1] == [joint]
     complete = tmp_path / "complete.yaml"
     for setup in (overlay.setup(), overlay.setup(["libbarrett", "reach"])):
         complete.write_text(overlay.text(setup))

@@ -106,16 +106,16 @@ def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
         namespace: Namespace of the nodes to read, such as `/left`, or `/`; empty for any.
 
     Raises:
-        ValueError: As for `read`, or the file has a node in two namespaces.
+        ValueError: As for `read`, or the file has a node in two namespaces and none is given.
     """
     found: dict[str, dict[str, Any]] = {}
     for path, values in read(file).items():
         above, _, name = path.rpartition("/")
         if namespace and above != "/**" and f"/{above.strip('/')}" != namespace:
             continue
-        if name in found:
+        if name in found and not namespace:
             raise ValueError(f"{file} has parameters for {name} twice; use one file for each")
-        found[name] = values
+        found[name] = {**found.get(name, {}), **values}
     return found
 
 
