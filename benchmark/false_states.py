@@ -132,7 +132,7 @@ class Driver:
         self._stamp_ns = time.time_ns()
         self.policy = taught()
         self._policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
-        self._states = lab.node.create_publisher(
+        self._states = lab.driver_node.create_publisher(
             JointState, interface.JOINT_STATES, interface.STATE_OUT
         )
         self._world.reset("lies", self.policy.q_start)

@@ -30,6 +30,7 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
 from wam_power_ros.ros.service_client import DISCOVERY
+from wam_power_ros.ros.simulation_guard import STAND_IN
 
 TIMEOUT = 90.0  # [s] for a node to start, to hold, to fault
 ARM, CONTROLLER, WATCHER = 70, 60, 50  # real-time priorities
@@ -38,7 +39,7 @@ ARM, CONTROLLER, WATCHER = 70, 60, 50  # real-time priorities
 def new_controller() -> Controller:
     """A controller with the parameters of config/ and the shipped URDF."""
     params = TorqueControllerParams.of_file(
-        share("config/torque_controller.yaml"), "torque_controller"
+        share("config/torque_controller.yaml"), "torque_controller", share("config/simulation.yaml")
     )
     return params.controller(share("urdf/wam7.urdf").read_text())
 
@@ -69,6 +70,7 @@ class Lab:
             self._context = rclpy.Context()
             rclpy.init(context=self._context, domain_id=domain)
             self.node = Node("faults", context=self._context)
+            self.driver_node = Node(STAND_IN, context=self._context)
             self._executor = EventsExecutor(context=self._context)
             self._executor.add_node(self.node)
             self.node.create_subscription(
@@ -82,6 +84,7 @@ class Lab:
             finally:
                 self._executor.shutdown()
                 self.node.destroy_node()
+                self.driver_node.destroy_node()
                 rclpy.shutdown(context=self._context)
 
     def _on_torque(self, message: Float64MultiArray) -> None:
@@ -96,7 +99,9 @@ class Lab:
     def controller(self, priority: int = CONTROLLER) -> Running:
         """Start the controller."""
         name = "torque_controller"
-        return self.processes.start(name, node_command(name, realtime_priority=priority))
+        return self.processes.start(
+            name, node_command(name, "simulation", realtime_priority=priority)
+        )
 
     def stand_in(self, priority: int = ARM) -> Running:
         """Start the stand-ins in real time and subscribe to their states."""
@@ -158,7 +163,7 @@ class Lab:
     def publish(self) -> None:
         """Publish one state with the present stamp."""
         if not hasattr(self, "_states"):
-            self._states = self.node.create_publisher(
+            self._states = self.driver_node.create_publisher(
                 JointState, interface.JOINT_STATES, interface.STATE_OUT
             )
         message = self._write(self.stamp_ns, HOME, np.zeros(7), np.zeros(7))

@@ -155,7 +155,9 @@ def measure(
                         if stages
                         else ["wam_power_ros.nodes.torque_controller"]
                     ),
-                    *ros_arguments("torque_controller", realtime_priority=priority["controller"]),
+                    *ros_arguments(
+                        "torque_controller", "simulation", realtime_priority=priority["controller"]
+                    ),
                 ],
             )
             echo = processes.start(

@@ -20,6 +20,7 @@ import pytest
 import rclpy
 from hypothesis import settings
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
@@ -85,6 +86,7 @@ class Probe:
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Any] = {}
+        self._others: list[Node] = []
 
     def listen(self, message_type: type, topic: str, qos: QoSProfile) -> list[Any]:
         """Subscribe; the list grows by every message that comes in."""
@@ -93,10 +95,13 @@ class Probe:
         return received
 
     def publisher(
-        self, message_type: type, topic: str, qos: QoSProfile, readers: int = 1
+        self, message_type: type, topic: str, qos: QoSProfile, readers: int = 1, node: str = ""
     ) -> Publisher:
-        """A publisher, once `readers` subscriptions have been matched."""
-        publisher = self.node.create_publisher(message_type, topic, qos)
+        """A publisher, of a node of its own if named, once `readers` subscriptions match."""
+        if node:
+            self._others.append(rclpy.create_node(node, context=self.context))
+        owner = self._others[-1] if node else self.node
+        publisher = owner.create_publisher(message_type, topic, qos)
         self.until(lambda: publisher.get_subscription_count() >= readers, f"readers of {topic}")
         self.spin(0.1)  # a reader that has not matched us yet loses what we send
         return publisher
@@ -137,7 +142,8 @@ class Probe:
     def close(self) -> None:
         """Leave the domain."""
         self._executor.shutdown()
-        self.node.destroy_node()
+        for node in (*self._others, self.node):
+            node.destroy_node()
         rclpy.shutdown(context=self.context)
 
 

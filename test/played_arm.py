@@ -14,9 +14,11 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros.simulation_guard import STAND_IN
 from wam_power_ros.ros.stamps import time_message
 
 MODULE = "wam_power_ros.nodes.torque_controller"
+SIMULATED = ("torque_controller.yaml", "simulation.yaml")
 NAMES = [f"wam_j{i}" for i in range(1, 8)]
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 TICK = 2_000_000  # [ns]
@@ -37,7 +39,7 @@ class PlayedArm:
         self.process = (
             processes.start(command)
             if command
-            else processes.node(MODULE, "torque_controller.yaml", **(quick | parameters))
+            else processes.node(MODULE, *SIMULATED, **(quick | parameters))
         )
         self.torques: list[joint_messages.TorqueReading] = []
         self.messages = probe.listen(
@@ -49,7 +51,9 @@ class PlayedArm:
         self.stamp_ns = TICK
         simulated = parameters.get("use_sim_time", False)
         self.sent_ns, self._real_time = 0, bool(parameters.get("state_timeout")) and not simulated
-        self._publisher = probe.publisher(JointState, interface.JOINT_STATES, interface.STATE_OUT)
+        self._publisher = probe.publisher(
+            JointState, interface.JOINT_STATES, interface.STATE_OUT, node=STAND_IN
+        )
 
     def send(
         self, names: list[str] = NAMES, q: np.ndarray = HOME, qd: np.ndarray | None = None

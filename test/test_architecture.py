@@ -33,18 +33,19 @@ OUTSIDE_WORLD = {"socket", "subprocess", "threading", "multiprocessing", "os", "
 ALLOWED: dict[str, set[str]] = {
     "durable_files": set(),  # a root module that every folder with files may import
     "plain_yaml": {"durable_files"},  # another, for files that somebody may have been given
+    "plain_json": {"durable_files"},  # another
     "entry": set(),  # imported first by every process
     "rotations": set(),
-    "arm_identity": set(),
-    "bags": {"durable_files", "plain_yaml", "arm_identity"},
-    "learning": {"rotations", "arm_identity"},
+    "arm_identity": {"plain_json"},
+    "bags": {"durable_files", "plain_yaml", "plain_json", "arm_identity"},
+    "learning": {"plain_json", "rotations", "arm_identity"},
     "control": {"rotations", "arm_identity", "learning"},
     "tracking": {"rotations", "learning"},
     "tasks": {"rotations", "learning"},
-    "practice": {"durable_files", "plain_yaml", "learning", "tasks"},
+    "practice": {"durable_files", "plain_yaml", "plain_json", "learning", "tasks"},
     "params": {"durable_files", "rotations", "learning", "control", "tracking"},
     "conformance": {"rotations", "learning", "control", "tracking"},
-    "ros": {"entry", "rotations", "learning", "params", "bags"},
+    "ros": {"entry", "plain_json", "rotations", "learning", "params", "bags"},
     "reporting": {"durable_files", "rotations", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
@@ -225,6 +226,22 @@ def test_a_call_that_runs_what_it_reads_would_be_found() -> None:
     for text in (*bad, "subprocess.run(x, shell=yes)"):
         assert runs_code(ROOT / "module.py", ast.parse(text, mode="eval").body), text
     assert not runs_code(ROOT / "module.py", ast.parse("np.load(x)", mode="eval").body)
+
+
+JSON_READERS = {"json.load", "json.loads", "json.JSONDecoder", "json.decoder"}
+
+
+def test_json_is_read_by_the_guarded_reader_alone() -> None:
+    readers = {
+        label(path)
+        for path in MODULES
+        for node in nodes(path)
+        if isinstance(node, ast.Attribute)
+        and (node.attr == "model_validate_json" or ast.unparse(node) in JSON_READERS)
+    }
+    # the channel is between two processes of ours
+    channel = "wam_power_ros/ros/process_channel.py"
+    assert readers == {"wam_power_ros/plain_json.py", channel}
 
 
 def test_the_loaders_of_yaml_know_nothing_but_data() -> None:

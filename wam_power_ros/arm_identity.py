@@ -13,6 +13,8 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from wam_power_ros import plain_json
+
 JOINTS_MAX = 16  # largest number of joints
 _NAME = re.compile(r"[^\x00-\x1f]{0,255}")
 _DIGEST = re.compile(r"[0-9a-f]{64}")
@@ -71,7 +73,7 @@ def from_json(text: str) -> ArmIdentity | None:
     Raises:
         ValueError: If the text is not an identity.
     """
-    return identity_of(json.loads(text)) if text else None
+    return identity_of(plain_json.parse(text, "identity of an arm")) if text else None
 
 
 def refusal(theirs: ArmIdentity | None, ours: ArmIdentity | None) -> str:

@@ -38,6 +38,8 @@ def test_hardware_starts_no_stand_in_and_no_torque_without_activation(tmp_path: 
     }
     assert not plan.setup["torque_controller"]["autostart"]
     assert plan.setup["torque_controller"]["joint_names"][0] == "right_j1"
+    with pytest.raises(ValueError, match="config is empty"):
+        hardware(config=" ")
     plan = hardware(config="geodude", session=tmp_path / "s", demonstrations=BAGS[0])
     assert plan.executables[-1] == "learner"
     assert not plan.setup["learner"]["reset_faults"]

@@ -25,7 +25,7 @@ from rigid_arm import (
 
 from wam_power_ros.control import safety, torque_law
 from wam_power_ros.control.controller import Controller
-from wam_power_ros.control.modes import ControllerError, Mode
+from wam_power_ros.control.modes import ControllerError, Mode, Refusal
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.learning.rollout import FaultKind
 
@@ -358,3 +358,30 @@ def test_however_long_states_were_missing_20_ms_are_predicted_and_two_periods_of
         assert np.all(change <= 2.0 * 0.002 * LIMITS.torque_rate + 1e-9)
         assert np.any(change >= 2.0 * 0.002 * LIMITS.torque_rate - 1e-9)  # it wants to be more
     assert np.array_equal(answers[0], answers[1]) and np.array_equal(answers[0], answers[2])
+
+
+@pytest.mark.requirement("S-104")
+@pytest.mark.parametrize("on", [True, False])
+def test_gravity_compensation_is_neither_begun_nor_ended_in_a_fault(on: bool) -> None:
+    controller, plant = begin()
+    controller.set_gravity_compensation(True)
+    run(controller, plant, 0.1)
+    controller.fault(A_TEST)
+    with pytest.raises(ControllerError, match=r"fault \(.*\); reset first") as refused:
+        controller.set_gravity_compensation(on)
+    assert refused.value.refusal is Refusal.FAULT
+    run(controller, plant, 0.5)
+    controller.reset()
+    assert controller.mode is Mode.HOLD
+    controller.set_gravity_compensation(False)  # it holds already
+
+
+@pytest.mark.requirement("S-104")
+def test_gravity_compensation_is_not_ended_while_the_arm_moves_by_itself() -> None:
+    controller, plant = begin()
+    controller.execute()
+    run(controller, plant, 0.1)
+    with pytest.raises(ControllerError, match="not on: mode is rollout") as refused:
+        controller.set_gravity_compensation(False)
+    assert refused.value.refusal is Refusal.BUSY
+    assert controller.mode is Mode.ROLLOUT

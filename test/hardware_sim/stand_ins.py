@@ -71,6 +71,7 @@ class Hardware:
         self.controller = self.processes.node(
             "wam_power_ros.nodes.torque_controller",
             "torque_controller.yaml",
+            "simulation.yaml",
             state_timeout=0.0 if lockstep else 0.006,
             idle_service='""',  # an idled arm hangs until somebody lifts it
             move_speed=overlay.MOVE_SPEED,

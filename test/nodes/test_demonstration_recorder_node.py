@@ -230,7 +230,7 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     custom = info["custom_data"]
     assert json.loads(custom["joint_names"]) == NAMES
     assert reader.noted_arm(path) == Arm(share("urdf/wam7.urdf").read_text(), NAMES).identity()
-    assert (custom["source"], custom["rate"]) == ("sim", "500.0")
+    assert (custom["source"], custom["rate"]) == ("hardware", "500.0")
     assert json.loads(custom["missing"])["/joint_states"] == 0
     topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
     offered = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,6 +19,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
 from wam_power_ros.nodes import rollout_client
 from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
@@ -58,6 +60,7 @@ class Cell:
         )
         self.end, self.late = WHOLE, 0.01  # of the path; time after the end of its rollout [s]
         self.fault: Fault | None = None
+        self.digest = policies.digest(policies.to_json(POLICY))  # of what it executes
 
     def _serve(self, name: str):  # noqa: ANN202 - a callback of rclpy
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -77,7 +80,7 @@ class Cell:
         t = np.arange(0.0, end, 0.01)
         level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
         path = EndEffectorPath(policy_id, t, np.zeros((len(t), 3)), level)
-        finished = pose_messages.Finished(policy_id, start_ns, self.fault)
+        finished = pose_messages.Finished(policy_id, start_ns, self.fault, self.digest)
         self.ends.publish(pose_messages.finished_message(finished))
         message = pose_messages.path_message(path, start_ns, "wam_base")
 
@@ -320,3 +323,27 @@ def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overd
         with pytest.raises(RolloutError, match="waited 1 s in vain for the overdue end"):
             client.until(late, "the overdue end", limit)
     probe.node.destroy_timer(timer)
+
+
+@pytest.mark.requirement("S-103")
+def test_a_rollout_of_another_policy_under_our_id_is_not_learnt_from_and_says_why(
+    client: RolloutClient, cell: Cell, probe: Probe
+) -> None:
+    probe.publisher(String, interface.POLICY, interface.LATCHED, readers=0, node="stranger")
+    cell.digest = policies.digest(policies.to_json(replace(POLICY, damping=31.0)))
+    fault = client.execute(POLICY, WHOLE, lambda state: "").rollout.fault
+    assert fault.kind is FaultKind.OTHER_POLICY and not fault.kind.of_policy
+    assert fault.text.startswith(f"another policy was executed under the id {POLICY.id}: /probe, ")
+    assert "/stranger" in fault.text
+    cell.digest = ""  # of a controller that does not say
+    assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault is None
+
+
+@pytest.mark.requirement("S-103")
+def test_the_arm_is_sent_again_to_the_start_of_our_policy_if_another_has_come(
+    client: RolloutClient, cell: Cell
+) -> None:
+    other = Answer(Code.DONE, values={"policy": POLICY.id, "digest": "0" * 16})
+    cell.answers[interface.MOVE_TO_START] += [other, other]
+    assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault is None
+    assert cell.requests == [*3 * [interface.MOVE_TO_START], interface.EXECUTE]

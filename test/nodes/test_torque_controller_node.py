@@ -18,7 +18,7 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.policy import to_json, with_id
+from wam_power_ros.learning.policy import digest, to_json, with_id
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code, read
 
@@ -102,7 +102,9 @@ def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
     arm.send()
     arm.answer()
     response = probe.call(Trigger, interface.EXECUTE)
-    assert read(response.success, response.message) == Answer(Code.DONE, values={"policy": "good"})
+    assert read(response.success, response.message) == Answer(
+        Code.DONE, values={"policy": "good", "digest": digest(to_json(lift("good")))}
+    )
 
 
 def test_a_state_that_is_repeated_in_lockstep_is_recent_at_a_late_activation(
@@ -234,7 +236,7 @@ def test_a_move_is_answered_for_the_policy_it_was_made_for(
 
     probe.until(answered, "the end of the move")
     answer = read(moved.result().success, moved.result().message)
-    assert answer == Answer(Code.DONE, values={"policy": "first"})
+    assert answer.success and answer.values["policy"] == "first"
 
 
 def test_a_driver_may_name_its_joints_otherwise_than_the_model(

@@ -8,18 +8,23 @@ import os
 import signal
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes, diagnosis, lift
-from played_arm import HOME, NAMES, PlayedArm
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from played_arm import HOME, NAMES, SIMULATED, PlayedArm
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.policy import to_json
+from wam_power_ros.learning.policy import digest, to_json
 from wam_power_ros.learning.rollout import FaultKind
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.ros.answers import Answer, Code, read
 
 DRIVER = """
 from rclpy.node import Node
@@ -363,7 +368,9 @@ def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(
 def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     probe: Probe, processes: Processes, during: str
 ) -> None:
-    config = ["--ros-args", "--params-file", str(ROOT / "config/torque_controller.yaml")]
+    config = ["--ros-args"]
+    for file in SIMULATED:
+        config += ["--params-file", str(ROOT / "config" / file)]
     quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
     arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
     arm.activate()
@@ -384,3 +391,90 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     gravity = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES).gravity(HOME)
     np.testing.assert_allclose(arm.read()[-1].tau, gravity, atol=1e-9)
     assert arm.process.poll() is None
+
+
+@pytest.mark.requirement("S-101")
+def test_a_controller_in_simulation_falls_silent_when_a_driver_appears(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    assert arm.read()[-1].label == "hold"
+    states = probe.publisher(
+        JointState, interface.JOINT_STATES, interface.STATE_OUT, node="joint_state_broadcaster"
+    )
+    report = arm.diagnosis(lambda d: arm.send() or d["mode"] == "inactive", "its end")
+    assert "node 'joint_state_broadcaster' publishes /joint_states" in report["last refusal"]
+    probe.spin(0.2)
+    labels, count = {torque.label for torque in arm.read()}, len(arm.read())
+    assert labels == {"hold"}  # not even a last torque
+    for _ in range(100):
+        arm.send()
+        probe.spin(0.005)
+    assert len(arm.read()) == count
+    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
+    change = lambda: probe.call(ChangeState, "torque_controller/change_state", request).success  # noqa: E731
+    arm.send()
+    assert not change()
+    states.destroy()
+    probe.until(lambda: arm.send() or change(), "activation without the driver")
+    arm.send()
+    assert arm.answer().label == "hold"
+
+
+@pytest.mark.requirement("S-104")
+def test_no_service_says_done_in_a_fault_but_a_stop_that_names_it(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    other = probe.publisher(Float64MultiArray, interface.EFFORT_COMMANDS, interface.COMMAND)
+    arm.diagnosis(lambda d: arm.send() or d["mode"] == "fault", "a fault")
+    probe.node.destroy_publisher(other)
+
+    def ask(kind: type, name: str, request: object = None) -> Answer:
+        arm.send()
+        response = probe.call(kind, name, request)
+        return read(response.success, response.message)
+
+    for on in (True, False):
+        request = SetBool.Request(data=on)
+        assert ask(SetBool, interface.GRAVITY_COMPENSATION, request).code is Code.FAULT
+    assert ask(Trigger, interface.EXECUTE).code is Code.FAULT
+    stopped = ask(Trigger, interface.STOP)
+    assert stopped.success and "nothing to stop: fault (" in stopped.text
+
+
+@pytest.mark.requirement("S-103")
+def test_a_policy_of_a_second_publisher_is_told_by_its_digest_and_both_publishers_are_named(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    ours = to_json(lift("trial-0001"))
+    theirs = to_json(replace(lift("trial-0001"), damping=31.0))
+    one = probe.publisher(String, interface.POLICY, interface.LATCHED, node="learner")
+    other = probe.publisher(String, interface.POLICY, interface.LATCHED, node="stranger")
+    ends = probe.listen(String, interface.ROLLOUT_FINISHED, interface.LATCHED)
+    one.publish(String(data=ours))
+    report = arm.diagnosis(lambda d: arm.send() or d["policy"] == "trial-0001", "the policy")
+    for text in (ours, theirs):
+        (one if text == ours else other).publish(String(data=text))
+        moving = probe.begin(Trigger, interface.MOVE_TO_START)
+        probe.until(lambda: arm.send() or moving.done(), "the arm is at the start")  # noqa: B023
+        executing = probe.begin(Trigger, interface.EXECUTE)
+        probe.until(lambda: arm.send() or executing.done(), "the rollout")  # noqa: B023
+        for response in (moving.result(), executing.result()):
+            answer = read(response.success, response.message)
+            assert answer.values == {"policy": "trial-0001", "digest": digest(text)}
+        ends.clear()
+        for _ in range(20):
+            arm.send()
+            arm.answer()
+        probe.call(Trigger, interface.STOP)
+        probe.until(lambda: arm.send() or ends, "the end of the rollout")
+        assert pose_messages.finished(ends[-1]).digest == digest(text)
+    report = arm.diagnosis(lambda d: arm.send() or "stranger" in d["policy publishers"], "both")
+    assert report["policy publishers"] == "/learner, /stranger"
+    said = "2 nodes publish policies (/learner, /stranger): the last one counts"
+    probe.until(lambda: said in processes.output(arm.process), "the warning in the log")

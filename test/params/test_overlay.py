@@ -79,10 +79,13 @@ def test_every_set_up_is_accepted_by_every_node(name: str, simulated: bool, tmp_
     assert params["demonstration_recorder"].source == ("sim" if simulated else "hardware")
 
 
-def test_without_a_set_up_every_node_has_the_parameters_of_its_own_file() -> None:
+def test_without_a_set_up_every_node_has_the_parameters_of_its_own_file_in_simulation() -> None:
     setup = overlay.setup()
     for node in overlay.NODES:
         own = dict(parameter_file.of_nodes(ROOT / f"config/{node}.yaml")[node])
+        own |= parameter_file.of_nodes(ROOT / "config/simulation.yaml").get(node, {})
+        if node == "learner":
+            own["controller"] = [*own["controller"], "config/simulation.yaml"]
         if node == "torque_controller":  # in lockstep
             own |= {"move_speed": overlay.MOVE_SPEED, "realtime_priority": 0}
         assert {name: setup[node][name] for name in own} == own
@@ -204,3 +207,69 @@ def test_the_namespace_of_a_file_is_read(namespace: str, tmp_path: Path) -> None
     file.write_text(overlay.text(overlay.setup(), namespace))
     assert parameter_file.namespace(file) == namespace
     assert parameter_file.of_nodes(file) == overlay.setup()
+
+
+PAIRS = [("geodude", "natnet_ros2"), ("cobot", "libbarrett"), ("reach", "franka", "full_speed")]
+
+
+@pytest.mark.requirement("S-101")
+@pytest.mark.parametrize("names", [*((name,) for name in overlay.known()), *PAIRS], ids="+".join)
+@pytest.mark.parametrize("node", sorted({*overlay.NODES} - {*overlay.STAND_INS}))
+def test_plain_files_say_to_a_node_what_the_overlay_says(node: str, names: tuple[str, ...]) -> None:
+    files = [ROOT / f"config/{name}.yaml" for name in (node, *names)]
+    plain: dict[str, Any] = {}
+    for file in files:
+        plain |= parameter_file.of_nodes(file).get(node, {})
+    changed = overlay.adopted(node, files)
+    assert all(plain.get(name) == before for name, (before, _) in changed.items())
+    plain |= {name: after for name, (_, after) in changed.items()}
+    setup = overlay.setup(names)[node]
+    if node == "learner":  # files without a section of the controller make no difference
+        files = [file for file in setup["controller"] if "torque_controller:" in _text(file)]
+        setup["controller"] = files
+    assert plain == setup
+
+
+def _text(file: str) -> str:
+    return (ROOT / file).read_text()
+
+
+@pytest.mark.requirement("S-101")
+def test_plain_files_of_another_namespace_say_nothing_and_complete_ones_nothing_new(
+    tmp_path: Path,
+) -> None:
+    own = ROOT / "config/demonstration_recorder.yaml"
+    arms = "{left: %s, right: %s}"
+    arm = "{torque_controller: {ros__parameters: {joint_names: [%s]}}}"
+    file = Path(write(tmp_path, "arms", arms % (arm % "l1", arm % "r1")))
+    found = overlay.adopted("demonstration_recorder", [own, file], "/left")
+    assert found["joint_names"][1] == ["l1"]
+    assert overlay.adopted("demonstration_recorder", [own, file]) == {}
+    both = "/**/torque_controller: {ros__parameters: {joint_names: [a]}}\n/left: " + arm % "l1"
+    file = Path(write(tmp_path, "both", both))
+    for namespace, joint in (("/left", "l1"), ("/right", "a"), ("/", "a")):
+        found = overlay.adopted("demonstration_recorder", [own, file], namespace)
+        assert found["joint_names"][1] == [joint]
+    complete = tmp_path / "complete.yaml"
+    for setup in (overlay.setup(), overlay.setup(["libbarrett", "reach"])):
+        complete.write_text(overlay.text(setup))
+        for node in overlay.NODES:
+            assert overlay.adopted(node, [complete]) == {}
+
+
+@pytest.mark.requirement("S-101")
+def test_no_set_up_makes_a_simulation_of_an_arm_or_lets_its_controller_start_itself(
+    tmp_path: Path,
+) -> None:
+    section = "torque_controller: {ros__parameters: {%s: true}}"
+    simulation = write(tmp_path, "simulation", section % "simulation")
+    with pytest.raises(ValueError, match=r"simulation: true in the set-ups .* --simulate"):
+        overlay.setup(["geodude", simulation])
+    assert overlay.setup(["geodude", simulation], simulated=True)["learner"]["reset_faults"]
+    with pytest.raises(ValueError, match="no set-up 'simulation'"):
+        overlay.setup(["geodude", "simulation"])
+    itself = overlay.setup(["geodude", write(tmp_path, "itself", section % "autostart")])
+    with pytest.raises(ValueError, match="autostart = True: must be false on a real arm"):
+        read(itself, "torque_controller", tmp_path)
+    for name in overlay.known():
+        assert not overlay.setup([name])["torque_controller"]["autostart"]

@@ -52,12 +52,12 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     )
     quick = {"move_speed": overlay.MOVE_SPEED}
     controller = "wam_power_ros.nodes.torque_controller"
-    processes.node(controller, "torque_controller.yaml", **sim, **quick)
+    processes.node(controller, "torque_controller.yaml", "simulation.yaml", **sim, **quick)
     processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **sim)
 
     def learner() -> Process:
         node, given = "wam_power_ros.nodes.learner", {"session": folder, "record_rollouts": False}
-        return processes.node(node, "learner.yaml", **sim, **given)
+        return processes.node(node, "learner.yaml", "simulation.yaml", **sim, **given)
 
     def rollouts() -> list[Record]:
         return [line for line in read_log(folder) if isinstance(line, Record)]

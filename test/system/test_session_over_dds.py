@@ -258,15 +258,17 @@ def all_but_the_learner(processes: Processes, folder: Path) -> Process:
     processes.node("wam_power_ros.nodes.pancake_tracker", "pancake_tracker.yaml", **SIM)
     recorder = "demonstration_recorder"
     directory = {"directory": folder / "bags"}
-    processes.node(f"wam_power_ros.nodes.{recorder}", f"{recorder}.yaml", **SIM, **directory)
+    files = f"{recorder}.yaml", "simulation.yaml"
+    processes.node(f"wam_power_ros.nodes.{recorder}", *files, **SIM, **directory)
     controller = "torque_controller"
     quick = {"move_speed": overlay.MOVE_SPEED}
-    return processes.node(f"wam_power_ros.nodes.{controller}", f"{controller}.yaml", **SIM, **quick)
+    files = f"{controller}.yaml", "simulation.yaml"
+    return processes.node(f"wam_power_ros.nodes.{controller}", *files, **SIM, **quick)
 
 
 def learner(processes: Processes, folder: Path) -> Process:
     node = "wam_power_ros.nodes.learner"
-    return processes.node(node, "learner.yaml", **SIM, session=folder)
+    return processes.node(node, "learner.yaml", "simulation.yaml", **SIM, session=folder)
 
 
 def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,8 @@ from rosbags.interfaces import (
     QosTime,
 )
 from rosbags.typesys import Stores, get_typestore
+
+from wam_power_ros import plain_json
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -45,7 +46,7 @@ def qos(reliable: bool, latched: bool, depth: int = 10) -> Qos:
 def event(cdr: bytes) -> dict[str, Any]:
     """Contents of a message on EVENT, see `BagWriter.event`; empty if it is not one."""
     try:
-        found = json.loads(TYPES.deserialize_cdr(cdr, STRING).data)
+        found = plain_json.parse(TYPES.deserialize_cdr(cdr, STRING).data, EVENT)
     except Exception:  # of any type, depending on the bytes
         return {}
     return found if isinstance(found, dict) else {}

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +12,7 @@ import numpy as np
 from rosbags.interfaces import Qos
 from rosbags.rosbag2 import Reader
 
-from wam_power_ros import plain_yaml
+from wam_power_ros import plain_json, plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, from_json, refusal
 from wam_power_ros.bags import integrity
 from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES, unfinished
@@ -104,7 +103,7 @@ def _noted(path: Path) -> tuple[tuple[str, ...], str, bool]:
     """Joint names, topic of the states, and whether they are simulated, as our recorder notes."""
     noted = notes(path)
     try:
-        names = tuple(map(str, json.loads(noted.get("joint_names", "[]"))))
+        names = tuple(map(str, plain_json.parse(noted.get("joint_names", "[]"), "joint_names")))
     except (ValueError, TypeError):
         return (), STATES, False  # notes of another recorder
     return names, noted.get("state_topic", STATES), noted.get("source") == "sim"

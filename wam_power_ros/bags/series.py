@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from wam_power_ros import durable_files
+from wam_power_ros import durable_files, plain_json
 from wam_power_ros.bags import layout
 
 FILE = "demonstrations.json"
@@ -26,10 +26,7 @@ def read(file: Path) -> list[Path]:
     """
     if not file.exists():
         return []
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{file} is not JSON: {error}") from None
+    found = plain_json.read(file)
     if not isinstance(found, list) or not all(isinstance(bag, str) for bag in found):
         raise ValueError(f"{file} must be a list of paths of bags")
     return [Path(bag) for bag in found]

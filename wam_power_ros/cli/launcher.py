@@ -122,6 +122,8 @@ def launch(
             launcher.node("wam_sim", seed=seed)
         launcher.node("torque_controller")
         launcher.node("demonstration_recorder", directory=str(folder / "bags"))
+        if not simulated(options):
+            processes.finish(launcher.script("activation"))
         yield launcher
 
 
@@ -236,7 +238,7 @@ def setup_options(options: argparse.Namespace) -> list[str]:
 
 
 def _confirm_activation() -> None:
-    """Wait for Enter before the controller starts, since it activates itself."""
+    """Wait for Enter before the controller starts; `console.activation` activates it then."""
     if not ask(
         "The controller will hold the arm in its current posture once the driver sends states. "
         "Keep a hand on the pendant, then press Enter: "

@@ -91,6 +91,8 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> LaunchPlan:
 
     bags = [Path(bag).expanduser().resolve() for bag in _words(given, "demonstrations")]
     names = _words(given, "config")
+    if not (stand_ins or names):
+        raise ValueError("config is empty: name the set-up of the arm's driver, such as geodude")
     simulated = stand_ins and (bool(names) or given["pace"] == "real_time")
     session, task, asked = None, given["task"] or DEFAULT_TASK, _whole_number(given, "seed")
     seed = asked or 0
@@ -131,8 +133,6 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> LaunchPlan:
     if stand_ins:
         setup["wam_sim"]["seed"] = seed
         executables.insert(0, "wam_sim")
-    else:
-        setup["torque_controller"]["autostart"] = False
     if setup["pancake_tracker"]["body"]:
         executables.append("pancake_tracker")
     if session is not None:

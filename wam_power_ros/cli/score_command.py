@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wam_power_ros import plain_json
 from wam_power_ros.cli.launcher import UsageError, arm_of, task_setup
 from wam_power_ros.params import overlay
 
@@ -75,7 +75,7 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
     header, _, records = session.read(folder)
     name = options.task or header.settings.task
     names, arm = _arm(overlay.setup(options.config, task=task_setup(name)))
-    context = json.loads((folder / "task.json").read_text())
+    context = plain_json.read(folder / "task.json")
     task = preset(name, options.preset or "").make_task(context)
     chosen = options.preset or "first"
     print(f"{folder}: logged return; return and success under {name}, preset {chosen}")
@@ -212,7 +212,7 @@ def _context(
 
     folder = bag.resolve().parent.parent
     if Session.exists(folder) and Session.task_of(folder) == task:
-        kept: dict[str, Any] = json.loads((folder / "task.json").read_text())
+        kept: dict[str, Any] = plain_json.read(folder / "task.json")
         return kept
     demonstration = from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
     obstacle = setup["torque_controller"]["obstacle"]

@@ -208,6 +208,10 @@ class Controller:
                 held, the arm has not been held at rest yet, or the torque that holds it is not
                 explained by model and friction.
         """
+        if not on and self._mode not in (Mode.GRAVITY_COMPENSATION, Mode.HOLD):
+            check_transition(self._mode, Mode.HOLD, self.latched)  # names a fault
+            text = f"gravity compensation is not on: mode is {self._mode.value}"
+            raise ControllerError(Refusal.BUSY, text)
         if on and self._mode is not Mode.GRAVITY_COMPENSATION:
             self._require_switch(Mode.GRAVITY_COMPENSATION)
             self._require_explained()

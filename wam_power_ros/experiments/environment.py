@@ -47,8 +47,8 @@ class Environment:
             urdf: Robot description for the controller; the world's if omitted.
         """
         self.world = world
-        file = share("config/torque_controller.yaml")
-        params = TorqueControllerParams.of_file(file, "torque_controller")
+        files = [share(f"config/{name}.yaml") for name in ("torque_controller", "simulation")]
+        params = TorqueControllerParams.of_file(files[0], "torque_controller", files[1])
         configured = params.controller(urdf or world.urdf)
         self.arm = configured.arm
         obstacle = world.settings.scene.obstacle

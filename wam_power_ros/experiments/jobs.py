@@ -50,7 +50,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from wam_power_ros import durable_files
+from wam_power_ros import durable_files, plain_json
 from wam_power_ros.params.resources import share
 
 PACKAGES = ("wam_power_ros", "hardware_sim")
@@ -75,6 +75,7 @@ NOT_HASHED = (  # sources that cannot change a result; the studies run without R
 DATA = ("config", "urdf", "bags")
 LIBRARIES = ("numpy", "scipy", "pin", "mujoco", "cmaes")  # other versions may change last digits
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+RESULT_MAX = 100_000_000  # largest result of a job, some thousand times a usual one [byte]
 CLUSTER_TIMEOUT = 120.0  # [s]
 SPEED_PERIOD = 3600.0  # [s], window for estimating the remaining time; a run takes a minute
 Scale = Literal["full", "quick"]
@@ -189,7 +190,7 @@ def run(
                 failed.append(f"{job.name}: {error}")
             else:
                 _write(job, folder, text, times)
-                results[job.name] = json.loads(text)
+                results[job.name] = plain_json.parse(text, job.name, RESULT_MAX)
             remaining[job.study] -= 1
             progress.update(task, advance=1, description=job.study)
             if not remaining[job.study]:
@@ -213,7 +214,7 @@ def found(jobs: Sequence[Job], folder: Path) -> dict[str, dict[str, Any]]:
     results = {}
     for job in jobs:
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # missing or damaged
-            kept = json.loads(job.path(folder).read_text(encoding="utf-8"))
+            kept = plain_json.read(job.path(folder), RESULT_MAX)
             if kept["digest"] == digest(job):
                 results[job.name] = kept["result"]
     return results
@@ -225,7 +226,7 @@ def spent(jobs: Sequence[Job], folder: Path) -> tuple[float, float]:
     with contextlib.suppress(FileNotFoundError):
         for line in (folder / "times.jsonl").read_text().splitlines():
             with contextlib.suppress(ValueError, KeyError):  # a line cut by a power failure
-                note = json.loads(line)
+                note = plain_json.parse(line, "times.jsonl")
                 times[note["job"]] = (note["wall"], note["cpu"])
     known = [times[job.name] for job in jobs if job.name in times]
     return sum(wall for wall, _ in known), sum(cpu for _, cpu in known)

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.policy import PERIOD, read_only
+from wam_power_ros.learning.policy import ANGLE_MAX, PERIOD, read_only
 
 CUTOFF = 9.0  # -3 dB of the smoothing, above hand motion, below quantisation noise [Hz]
 # Half the window of the Savitzky-Golay filter with this cutoff; degrees 2 and 3 smooth alike
@@ -213,6 +213,12 @@ def _resampled(stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray, joints: int
     """Interpolate samples linearly at the multiples of the period. Shape (N, joints)."""
     stamps = _checked_stamps(stamps_ns)
     q = read_only("q", q, (len(stamps), joints))
+    sample, joint = np.unravel_index(np.argmax(np.abs(q)), q.shape)
+    if abs(largest := float(q[sample, joint])) > ANGLE_MAX:
+        raise ValueError(
+            f"q[{sample}, {joint}] = {largest:g} rad at stamp {stamps[sample]}; at most "
+            f"{ANGLE_MAX:g} rad in magnitude are allowed"
+        )
     period_ns = round(PERIOD * 1e9)
     first = -(-int(stamps[0]) // period_ns)
     last = int(stamps[-1]) // period_ns

@@ -6,6 +6,7 @@ key, a number that is not finite, a wrong shape or a stiffness that is not posit
 a ValueError that names it. Floats survive the round trip bit for bit.
 """
 
+import hashlib
 import json
 import re
 from collections.abc import Sequence
@@ -15,10 +16,12 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from wam_power_ros import plain_json
 from wam_power_ros.arm_identity import JOINTS_MAX, ArmIdentity, identity_of
 
 SCHEMA = "wam_power_ros/policy/2"  # version 1, without the identity of the arm, is still read
 PERIOD = 0.002  # control period [s]
+DIGEST_LENGTH = 16  # hexadecimal digits of a digest: against accidents, not against an attacker
 SIZE_MAX = 1_000_000  # largest JSON text [byte]
 COUNT_MAX = 200  # largest number of spring-dampers
 DURATION_MAX = 60.0  # longest movement [s]
@@ -277,6 +280,11 @@ def to_json(policy: Policy) -> str:
     )
 
 
+def digest(text: str) -> str:
+    """Digest of the JSON text of a policy, to compare a sent with an executed one."""
+    return hashlib.sha256(text.encode()).hexdigest()[:DIGEST_LENGTH]
+
+
 def from_json(text: str) -> Policy:
     """Parse a policy from JSON text of `to_json`, of at most SIZE_MAX bytes.
 
@@ -285,13 +293,7 @@ def from_json(text: str) -> Policy:
     """
     if not isinstance(text, str):
         raise ValueError(f"a policy is JSON text, not {type(text).__name__}")
-    size = len(text.encode("utf-8", "surrogatepass"))
-    if size > SIZE_MAX:
-        raise ValueError(f"policy text has {size} bytes; at most {SIZE_MAX} allowed")
-    try:
-        data = json.loads(text, object_pairs_hook=_unique, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"policy text is not JSON: {error}") from None
+    data = plain_json.parse(text, "policy text", SIZE_MAX)
     try:
         parsed = _Text.model_validate(data)
     except ValidationError as error:
@@ -311,15 +313,3 @@ def from_json(text: str) -> Policy:
         q_start=np.array(parsed.q_start),
         arm=None if parsed.arm is None else identity_of(parsed.arm),
     )
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    keys = [key for key, _ in pairs]
-    if len(set(keys)) != len(keys):
-        repeated = next(key for key in keys if keys.count(key) > 1)
-        raise ValueError(f"key {repeated!r} appears twice")
-    return dict(pairs)
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a finite number")

@@ -13,7 +13,6 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
 
     raise SystemExit(start("wam_power_ros.nodes.learner"))
 
-import json
 import math
 import time
 from collections.abc import Callable
@@ -29,6 +28,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import Self
 
+from wam_power_ros import plain_json
 from wam_power_ros.arm_identity import refusal, remark
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
@@ -232,7 +232,7 @@ class Learner(Node):
 
     def _settings(self) -> SessionSettings:
         params = self.params
-        changes = json.loads(params.changes or "{}")
+        changes = plain_json.parse(params.changes or "{}", "changes")
         if not isinstance(changes, dict):
             raise ValueError(f"changes {params.changes!r} must be a JSON object")
         if params.trials:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from rclpy.node import Node
 from std_srvs.srv import Trigger
@@ -50,6 +51,8 @@ class MotionRequests:
 
     Attributes:
         movement: Movement to replay, or why it cannot be replayed; None when none has come.
+        digest: Digest of the loaded policy, see `policy.digest`; empty before the first.
+        executed: Digest of the policy that was executed last.
 
     Args:
         node: Node that offers the services.
@@ -69,7 +72,8 @@ class MotionRequests:
         self._node, self._joint_names = node, joint_names
         self._active, self._when_read = active, when_read
         self.movement: Sampled | ControllerError | None = None
-        self._move_policy = ""  # id of the policy to whose start the arm was last sent
+        self.digest = self.executed = ""
+        self._move_done = done(None)  # names the policy to whose start the arm was last sent
         self._moving: list[DeferredTrigger] = []  # services whose movement has begun
         self._execute = self._serve_in_order(interface.EXECUTE, self._begin_rollout)
         self._move = self._serve_in_order(interface.MOVE_TO_START, self._begin_move)
@@ -86,9 +90,9 @@ class MotionRequests:
             failed = Answer(Code.FAULT, f"failed: {core.latched.text}")
         else:
             failed = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
-        # The id of the move's policy: another one, with a start nearby, may have come since.
+        # The move's policy: another one, with a start nearby, may have come since.
         if self._move in self._moving:
-            answer = done(self._move_policy) if core.ready else failed
+            answer = self._move_done if core.ready else failed
             self._move.finish(answer.success, str(answer))
         if self._replay in self._moving:
             answer = Answer(Code.DONE, self._summary(core)) if mode is Mode.HOLD else failed
@@ -135,12 +139,20 @@ class MotionRequests:
         return service
 
     def _begin_rollout(self) -> Answer:
-        return attempt(self._active(), Controller.execute)
+        answer = attempt(self._active(), Controller.execute)
+        if answer.success:
+            self.executed = self.digest
+        return self._with_digest(answer)
 
     def _begin_move(self) -> Answer | None:
         answer = attempt(self._active(), Controller.move_to_start)
-        self._move_policy = answer.values.get("policy", "")
+        self._move_done = self._with_digest(answer)
         return None if answer.success else answer
+
+    def _with_digest(self, answer: Answer) -> Answer:
+        """Add the digest of the loaded policy to an answer that has its id."""
+        known = answer.success and "policy" in answer.values and self.digest
+        return replace(answer, values={**answer.values, "digest": self.digest}) if known else answer
 
     def _begin_replay(self) -> Answer | None:
         movement = self.movement

@@ -116,11 +116,25 @@ class Preparation:
         self._waiting.clear()
 
     def publish_path(
-        self, path: EndEffectorPath, start_ns: int, frame: str, fault: Fault | None = None
+        self,
+        path: EndEffectorPath,
+        start_ns: int,
+        frame: str,
+        fault: Fault | None = None,
+        digest: str = "",
     ) -> None:
-        """Publish the path of a rollout that began at `start_ns` [ns], and the fault at its end."""
+        """Publish the path of a rollout.
+
+        Args:
+            path: Path of the tool.
+            start_ns: Stamp of its begin [ns].
+            frame: Frame of the path.
+            fault: Fault at its end, None without one.
+            digest: Digest of the executed policy, see `policy.digest`.
+        """
         values: dict[str, object] = {"what": "path", "id": path.id, "start_ns": start_ns}
         values |= {"frame": frame, "fault": fault and [fault.kind.value, fault.text]}
+        values["digest"] = digest
         self._path = (values, {"t": path.t, "position": path.position, "quat_xyzw": path.quat_xyzw})
         self._send(*self._path)
 

@@ -74,6 +74,7 @@ class PreparationWorker(Node):
         self._settings: ControllerSettings | None = None
         self._joint_names: tuple[str, ...] = ()
         self._seen: set[tuple[str, int]] = set()
+        self._senders: list[str] = []  # nodes that publish policies, at the last report
         # Arrays of the last two of each kind: when the loop releases one, its memory is freed here.
         self._shared: dict[str, deque[object]] = {what: deque(maxlen=2) for what in SIZE_MAX}
         self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
@@ -139,14 +140,27 @@ class PreparationWorker(Node):
         message = pose_messages.path_message(path, values["start_ns"], values["frame"])
         self._paths.publish(message)
         fault = values["fault"] and Fault(FaultKind(values["fault"][0]), values["fault"][1])
-        finished = pose_messages.Finished(path.id, values["start_ns"], fault)
+        finished = pose_messages.Finished(path.id, values["start_ns"], fault, values["digest"])
         self._finished.publish(pose_messages.finished_message(finished))
 
     def _do_report(self, values: dict[str, Any], _: object) -> None:
         if any(later is not None and later.values["what"] == "report" for later in self._inbox):
             return  # reports that waited for the start of this process are out of date
+        senders = self._policy_senders()
+        values["values"]["policy publishers"] = ", ".join(senders)
+        if len(senders) > 1 and values["level"] == "ok":
+            values |= {"level": "warn", "text": f"{values['text']}; {several(senders)}"}
         parts = (values[key] for key in ("name", "hardware_id", "level", "text", "values"))
         self._diagnostics.publish(diagnostics_message(time_message(values["stamp_ns"]), *parts))
+
+    def _policy_senders(self) -> list[str]:
+        """Nodes that publish policies; logged when there are several others than before."""
+        topic = self.resolve_topic_name(interface.POLICY)
+        senders = interface.publishers(self, topic)
+        if len(senders) > 1 and senders != self._senders:
+            self.get_logger().warning(several(senders))
+        self._senders = senders
+        return senders
 
     def _do_log(self, values: dict[str, Any], _: object) -> None:
         log = self.get_logger()  # rclpy requires a separate line of code for each severity
@@ -188,11 +202,17 @@ class PreparationWorker(Node):
 
     def _policy(self, data: bytes) -> None:
         settings, limits = self._arm()
-        policy = policies.from_json(deserialize_message(data, String).data)
+        text = deserialize_message(data, String).data
+        policy = policies.from_json(text)
         prepared = prepared_policy.prepare(policy, len(limits.q_min), limits, settings)
         tables = vars(prepared.tables)
         values = {
-            "policy": {"id": policy.id, "duration": prepared.duration, "content": prepared.content},
+            "policy": {
+                "id": policy.id,
+                "duration": prepared.duration,
+                "content": prepared.content,
+                "digest": policies.digest(text),
+            },
             "tables": {name: value for name, value in tables.items() if name not in TABLES},
         }
         arrays = {name: tables[name] for name in TABLES} | {
@@ -227,6 +247,11 @@ class PreparationWorker(Node):
     def _hand_over(self, what: str, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
         shared = self._channel.send({**values, "configuration": self._configuration}, arrays)
         self._shared[what].append(shared)
+
+
+def several(senders: list[str]) -> str:
+    """Warning that several nodes publish policies: the last message is executed."""
+    return f"{len(senders)} nodes publish policies ({', '.join(senders)}): the last one counts"
 
 
 def other_threads_idle() -> bool:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Protocol, TypeVar
@@ -41,6 +41,7 @@ ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
 RECEIPT_TIMEOUT = 20.0  # longest wait until all readers have a policy; DDS drops a dead one [s]
 CLOCK_OFFSET_MAX = 0.2  # between arm and motion capture; the tracker allows no more [s]
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
+SENDERS_LOG_PERIOD = 20.0  # between two lines about several publishers of policies [s]
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
 READY_STATES = 3  # number of successive states in which the body must be ready
 TOO_FEW_STATES = f"fewer than {READY_STATES} states in a row"
@@ -142,6 +143,7 @@ class RolloutClient:
                 if attempt == STARTS_MAX - 1:
                     raise
         finished = self._end(policy.id, ready_ns)
+        digest = policies.digest(policies.to_json(policy))
         tool, body = self._paths(finished)
         bag = self._end_bag() if self._params.record_rollouts else ""
         truth = None
@@ -153,6 +155,10 @@ class RolloutClient:
             )
             truth = self._truth_of(finished)
         fault = finished.fault if tool.t[-1] < duration - MISSING_MAX else None
+        if finished.digest not in ("", digest):
+            text = f"another policy was executed under the id {policy.id}: {self._senders()}"
+            self._log.error(text)
+            fault = Fault(FaultKind.OTHER_POLICY, text)
         return Executed(Rollout(tool, body, fault), bag, truth)
 
     def until(
@@ -312,16 +318,22 @@ class RolloutClient:
         Waits without limit for a person to activate the controller.
         """
         end = time.monotonic() + self._params.patience
+        text = policies.to_json(policy)
+        digest = policies.digest(text)
+        if self._node.count_publishers(self._policies.topic_name) > 1:
+            self._log.warning(self._senders(), throttle_duration_sec=SENDERS_LOG_PERIOD)
         late = time.monotonic() + RECEIPT_TIMEOUT  # readers not discovered yet have no policy
         while True:  # publish each time: a policy is refused in a rollout, as of a killed learner
             self._services.wait_for(Trigger, interface.MOVE_TO_START)
-            self._policies.publish(String(data=policies.to_json(policy)))
+            self._policies.publish(String(data=text))
             # Topics and services are not ordered: the move could be to the last policy's start.
             received = partial(self._policies.wait_for_all_acked, Duration(nanoseconds=1))
             self._services.until(received, "all readers to have the policy", RECEIPT_TIMEOUT)
             answer = self._call(interface.MOVE_TO_START)
             if answer is not None and answer.success and _is_about(answer, policy.id):
-                return
+                if answer.values.get("digest", digest) == digest:
+                    return
+                answer = replace(answer, text=f"another policy with this id: {self._senders()}")
             if answer is not None and answer.code is Code.NOT_ACTIVE:
                 self._await_activation()
                 end = time.monotonic() + self._params.patience
@@ -337,6 +349,11 @@ class RolloutClient:
                     f"the arm cannot move to its start yet: {answer or 'no answer'}", once=True
                 )
             self._services.until(lambda: False, timeout=0.1)
+
+    def _senders(self) -> str:
+        """Publishers of policies, as text; the last message of any of them is executed."""
+        senders = interface.publishers(self._node, self._policies.topic_name)
+        return f"{', '.join(senders)} publish {self._policies.topic_name}"
 
     def _await_activation(self) -> None:
         """Wait until the diagnostics say that the controller is active."""

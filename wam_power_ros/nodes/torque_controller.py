@@ -44,6 +44,7 @@ from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import cdr, interface, joint_messages, node_runner, scheduling, security
 from wam_power_ros.ros.command_guard import CommandGuard
 from wam_power_ros.ros.loop_statistics import LoopStatistics
+from wam_power_ros.ros.simulation_guard import SimulationGuard
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 STATE_AGE_MAX_NS = 1_000_000_000  # [ns] of the last joint state at activation
@@ -94,6 +95,9 @@ class TorqueController(LifecycleNode):
         )
         self._report = ControllerReport(self, params, self._preparation)
         self._guard = CommandGuard(self, self._commands)
+        self._simulation_guard = (
+            SimulationGuard(self, params.state_topic) if params.simulation else None
+        )
         idle = params.idle_service or interface.WAM_IDLE
         self._idle = self.create_client(Trigger, idle, qos_profile=interface.IDLE_QOS)
         subscribe = self.create_subscription
@@ -139,8 +143,12 @@ class TorqueController(LifecycleNode):
         return SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Hold the arm where it is; requires recent states and no other commander."""
-        reason = self._missing_state() or self._missing_realtime() or self._guard.begin()
+        """Hold the arm where it is; requires recent states and no other commander.
+
+        In simulation it also requires that no node but a stand-in publishes states.
+        """
+        reason = self._missing_state() or self._stranger() or self._missing_realtime()
+        reason = reason or self._guard.begin()
         if reason is None and self._controller.mode is not Mode.FAULT:
             try:
                 self._controller.hold()
@@ -197,12 +205,16 @@ class TorqueController(LifecycleNode):
         while time.monotonic() - begun < RELEASE_TIME:
             self._answer_next()
         self._send(self._stale_torque(), "inactive")
+        self._fall_silent()
+        self._guard.wait_until_received(RECEIPT_TIMEOUT)
+
+    def _fall_silent(self) -> None:
+        """Send no torque any more, and refuse the pending requests."""
         self._active = False
         self._controller.deactivate()
-        self._requests.answer(core)
+        self._requests.answer(self._controller)
         self._preparation.forget_requests()
         self._requests.refuse()
-        self._guard.wait_until_received(RECEIPT_TIMEOUT)
 
     def _answer_next(self) -> None:
         """Answer the next state if it has come, without an executor."""
@@ -228,6 +240,10 @@ class TorqueController(LifecycleNode):
         if self._params.velocity_topic and now_ns - self._qd_ns >= STATE_AGE_MAX_NS:
             return f"no joint velocity on {self._params.velocity_topic} within the last second"
         return None
+
+    def _stranger(self) -> str | None:
+        """Publisher of joint states that a simulation must not answer; None on an arm."""
+        return None if self._simulation_guard is None else self._simulation_guard.stranger()
 
     def _missing_realtime(self) -> str | None:
         if self._params.allow_no_realtime or self._granted.complete:
@@ -291,7 +307,8 @@ class TorqueController(LifecycleNode):
         path = controller.take_finished()
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
-            self._preparation.publish_path(path, start_ns, self._frame, controller.latched)
+            digest = self._requests.executed
+            self._preparation.publish_path(path, start_ns, self._frame, controller.latched, digest)
         self._requests.answer(controller)
         return None
 
@@ -367,6 +384,7 @@ class TorqueController(LifecycleNode):
         try:
             if self._controller is not None:
                 self._controller.load_prepared(policy)
+                self._requests.digest = policy.digest
         except ControllerError as error:
             self._report.refuse("policy", error)
 
@@ -389,7 +407,11 @@ class TorqueController(LifecycleNode):
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._preparation.forget_requests()
         self._requests.stop(self._controller)
-        return fill(response, attempt(self._active_controller(), Controller.stop))
+        answer = attempt(self._active_controller(), Controller.stop)
+        fault = self._controller.latched if answer.success and self._controller else None
+        if fault is not None:  # nothing moves, but nothing holds the posture either
+            answer = dataclasses.replace(answer, text=f"nothing to stop: fault ({fault.text})")
+        return fill(response, answer)
 
     def _answering(
         self, request: Callable[[Controller, Any], None]
@@ -406,6 +428,11 @@ class TorqueController(LifecycleNode):
             self._autostart = self.trigger_configure() is SUCCESS
         if self._autostart and self._controller is not None and self._missing_state() is None:
             self._autostart = self.trigger_activate() is not SUCCESS
+        if self._active and self._simulation_guard is not None:
+            if (stranger := self._simulation_guard.intruder()) is not None:
+                self._fall_silent()  # at once: a last torque would reach a robot
+                self._report.refuse("joint states", stranger)
+                self.trigger_deactivate()
         if self._active and (intruder := self._guard.intruder()):
             self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
         if self._active:

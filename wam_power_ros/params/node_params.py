@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from wam_power_ros.params import parameter_file
+from wam_power_ros.params import overlay, parameter_file
 from wam_power_ros.params.resources import share
 
 if TYPE_CHECKING:  # in-process simulations read the same parameters without ROS
@@ -26,7 +26,6 @@ if TYPE_CHECKING:  # in-process simulations read the same parameters without ROS
 P = TypeVar("P", bound="Params")
 Names = Annotated[tuple[str, ...], Field(max_length=64, description="at most 64 names")]
 SHOWN_LENGTH_MAX = 80  # characters of a refused value in its message
-ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
 
 
 class Params(BaseModel):
@@ -49,17 +48,37 @@ class Params(BaseModel):
         """
         for file in parameter_file.given(sys.argv):
             parameter_file.read(file)
+        cls._adopt(node)
         given = node.get_parameters_by_prefix("").items()
         values = {
             name: parameter.value
             if isinstance(parameter.value, (bool, int, float, str))
             else tuple(parameter.value or ())
             for name, parameter in given
-            if not name.startswith(ROS_PARAMETERS)
+            if not name.startswith(parameter_file.ROS_PARAMETERS)
         }
         params = cls._checked(node.get_name(), values)
         cls._describe(node)
         return params
+
+    @classmethod
+    def _adopt(cls, node: Node) -> None:
+        """Set what the plain parameter files of the process say in sections of other nodes.
+
+        A value of the command line stays.
+        """
+        from rclpy.parameter import Parameter
+
+        if node.get_name() not in overlay.NODES:
+            return
+        files = parameter_file.given(sys.argv)
+        for name, (plain, value) in overlay.adopted(
+            node.get_name(), files, node.get_namespace()
+        ).items():
+            if not node.has_parameter(name):
+                node.declare_parameter(name, value)
+            elif _plain(node.get_parameter(name).value) == _plain(plain):
+                node.set_parameters([Parameter(name, value=value)])
 
     @classmethod
     def _describe(cls, node: Node) -> None:
@@ -117,7 +136,11 @@ class Params(BaseModel):
         Raises:
             ValueError: As for `of`.
         """
-        own = {name: value for name, value in values.items() if not name.startswith(ROS_PARAMETERS)}
+        own = {
+            name: value
+            for name, value in values.items()
+            if not name.startswith(parameter_file.ROS_PARAMETERS)
+        }
         lists = {name: tuple(value) for name, value in own.items() if isinstance(value, list)}
         return cls._checked(owner, own | lists)
 
@@ -143,6 +166,11 @@ class Params(BaseModel):
         field = cls.model_fields.get(str(error["loc"][0]))
         reason = f" ({field.description})" if field is not None and field.description else ""
         return f"{key} = {shown}: {rule}{reason}"
+
+
+def _plain(value: object) -> object:
+    """A list for any sequence but text, to compare values of ROS and of YAML."""
+    return value if value is None or isinstance(value, (str, int, float)) else list(value)
 
 
 def _range(rules: Sequence[object], value: object) -> dict[str, list[Any]]:

@@ -29,6 +29,8 @@ NODES = (
     "optitrack_sim",
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
+SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are derived from theirs
+SIMULATION = "simulation"  # file in config/ with what a simulation changes
 MOVE_SPEED = 1.0  # [rad/s] of a simulated arm in lockstep, when it moves to a start
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
@@ -37,7 +39,7 @@ _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
 def known() -> list[str]:
     """Names of the set-ups in config/."""
     files = sorted(share("config").glob("*.yaml"))
-    return [file.stem for file in files if file.stem not in NODES]
+    return [file.stem for file in files if file.stem not in (*NODES, SIMULATION)]
 
 
 def find(name: str) -> Path:
@@ -65,10 +67,10 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             of the task, for config/TASK.yaml if that exists.
 
     Raises:
-        ValueError: A file cannot be found or read, names an unknown node or parameter, or gives a
-            value of another kind than the node's own file.
+        ValueError: A file cannot be found or read, names an unknown node or parameter, gives a
+            value of another kind than the node's own file, or sets `simulation` for a real arm.
     """
-    own = {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
+    own = _own()
     given: Setup = {node: {} for node in NODES}
     of_task = [task] if task in known() or task.endswith(".yaml") else []
     files = [find(name) for name in (*of_task, *names)]
@@ -79,22 +81,25 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
     chosen = {node: own[node] | given[node] for node in NODES}
     _name_body(chosen["pancake_tracker"], given["pancake_tracker"])
     derived = _derived(chosen["torque_controller"], chosen["pancake_tracker"])
-    if files:
-        derived["learner"]["controller"] = [*own["learner"]["controller"], *map(str, files)]
+    in_simulation = simulated or not names
+    if files or in_simulation:
+        rules = [f"config/{SIMULATION}.yaml"] if in_simulation else []
+        limits = [*own["learner"]["controller"], *rules, *map(str, files)]
+        derived["learner"]["controller"] = limits
     if names or simulated:
         derived |= _stand_ins(chosen["torque_controller"], chosen["pancake_tracker"])
     derived.setdefault("wam_sim", {})["obstacle"] = chosen["torque_controller"]["obstacle"]
     tracked = {name: chosen["pancake_tracker"][name] for name in ("body", "pose_topic")}
     derived["optitrack_sim"] = tracked | derived.get("optitrack_sim", {})
     parameters = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
-    if simulated or not names:  # the stand-ins do what a person does in the lab
-        parameters["torque_controller"] |= {
-            "simulation": True,
-            "hold_to_run": False,
-            "allow_no_realtime": True,
-        }
-        parameters["learner"] |= {"scene_reset": True, "reset_faults": True}
-        parameters["demonstration_recorder"]["source"] = "sim"
+    if not in_simulation and parameters["torque_controller"]["simulation"]:
+        raise ValueError(
+            f"simulation: true in the set-ups {list(names)}: a set-up describes devices; stand-ins "
+            "replace them with --simulate, or in sim.launch.py"
+        )
+    if in_simulation:  # the stand-ins do what a person does in the lab
+        for node, values in _read(share(f"config/{SIMULATION}.yaml")).items():
+            parameters[node] |= values
         if parameters["wam_sim"]["pace"] == "lockstep":  # wam_sim publishes the time for all nodes
             for node in set(NODES) - set(STAND_INS):
                 parameters[node]["use_sim_time"] = True
@@ -104,6 +109,76 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             in_lockstep = {"move_speed": MOVE_SPEED, "realtime_priority": 0}
             parameters["torque_controller"] |= in_lockstep | given["torque_controller"]
     return parameters
+
+
+def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str, tuple[Any, Any]]:
+    """Compute what `setup` would change in the parameters of a node that is given plain files.
+
+    ROS itself passes to a node only its own sections: those of the arm and of the motion capture
+    would not reach a recorder.
+
+    Args:
+        node: Name of the node, one of `NODES`.
+        files: Its parameter files, later ones over earlier ones; other nodes are ignored.
+        namespace: Namespace of the node.
+
+    Returns:
+        Value in its own sections (None if there is none) and derived value, by name of the
+        parameter, where they differ.
+
+    Raises:
+        ValueError: A file is malformed, or an arm's or motion capture's section has an unknown
+            parameter or a value of another kind than the node's own file.
+    """
+    own = _own()
+    given: Setup = {source: {} for source in SOURCES}
+    limits = share("config/torque_controller.yaml")
+    controller = list(own["learner"]["controller"])
+    plain: dict[str, Any] = {}
+    found: dict[str, Any] = {}
+
+    def derive() -> dict[str, Any]:
+        arm, mocap = (own[source] | given[source] for source in SOURCES)
+        cameras = dict(given["pancake_tracker"])
+        _name_body(mocap, cameras)
+        if node == "pancake_tracker":
+            return {name: mocap[name] for name in ("pose_topic", "markers_topic")}
+        derived = {**_derived(arm, mocap), **_stand_ins(arm, mocap)}.get(node, {})
+        if node == "wam_sim":
+            derived["obstacle"] = arm["obstacle"]
+        return derived | ({"controller": list(controller)} if node == "learner" else {})
+
+    before = derive()
+    for file in files:
+        section = parameter_file.of_nodes(file, namespace).get(node, {})
+        sections = _read(file, namespace)
+        for source in SOURCES:
+            values = _without_ros(sections.get(source, {}))
+            _check(file, source, values, own)
+            changed = {name: value for name, value in values.items() if value != own[source][name]}
+            given[source] = {k: v for k, v in given[source].items() if k not in values} | changed
+            if source == "torque_controller" and values and file.resolve() != limits.resolve():
+                controller.append(str(file.resolve()))  # also one that restores own values
+        after = derive()
+        new = {name: value for name, value in after.items() if value != before.get(name)}
+        found |= new | sections.get(node, {}) | (after if node in SOURCES else {})
+        plain |= section
+        before = after
+    return {
+        name: (plain.get(name), value)
+        for name, value in _without_ros(found).items()
+        if plain.get(name) != value
+    }
+
+
+def _own() -> Setup:
+    return {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
+
+
+def _without_ros(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Parameters without those that ROS itself defines."""
+    prefixes = parameter_file.ROS_PARAMETERS
+    return {name: value for name, value in values.items() if not str(name).startswith(prefixes)}
 
 
 def text(setup: Setup, namespace: str = "") -> str:
@@ -130,9 +205,9 @@ _Plain.add_representer(str, lambda to, text: to.represent_scalar(_STR, text, sty
 _Plain.add_representer(list, lambda to, items: to.represent_sequence(_SEQ, items, flow_style=True))
 
 
-def _read(file: Path) -> Setup:
-    """Read the parameters by node from one file."""
-    found = parameter_file.of_nodes(file)
+def _read(file: Path, namespace: str = "") -> Setup:
+    """Read the parameters by node from one file, see `parameter_file.of_nodes`."""
+    found = parameter_file.of_nodes(file, namespace)
     for values in found.values():  # the URDF path may be relative to the set-up file
         if values.get("urdf") and (urdf := file.parent / str(values["urdf"])).is_file():
             values["urdf"] = str(urdf.resolve())
@@ -182,11 +257,6 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
     names = ("joint_names", "model_joint_names", "urdf", "tool_frame")
     model = {name: arm[name] for name in names}
     return {
-        "torque_controller": {
-            "simulation": False,
-            "hold_to_run": True,
-            "allow_no_realtime": False,
-        },
         "demonstration_recorder": {
             "state_topic": arm["state_topic"],
             **model,
@@ -195,9 +265,8 @@ def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
             ],
             "body": mocap["body"],
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
-            "source": "hardware",
         },
-        "learner": {**model, "scene_reset": False, "reset_faults": False},
+        "learner": model,
     }
 
 

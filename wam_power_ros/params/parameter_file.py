@@ -19,6 +19,7 @@ import yaml
 from wam_power_ros.durable_files import check_regular
 
 SIZE_MAX = 1_000_000  # [byte]
+ROS_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")  # prefixes
 _TAG = "tag:yaml.org,2002:"
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)$")
 _COMMENTED = re.compile(r"    (\w+):(?:[^#]*)(?:# ?(.*))?$")  # a parameter and its comment
@@ -97,18 +98,24 @@ def _mapping(value: object, where: str) -> dict[Any, Any]:
     return value
 
 
-def of_nodes(file: Path) -> dict[str, dict[str, Any]]:
+def of_nodes(file: Path, namespace: str = "") -> dict[str, dict[str, Any]]:
     """Read the parameters by name of the node, without its namespace.
 
+    Args:
+        file: Parameter file.
+        namespace: Namespace of the nodes to read, such as `/left`, or `/`; empty for any.
+
     Raises:
-        ValueError: As for `read`, or the file has a node in two namespaces.
+        ValueError: As for `read`, or the file has a node in two namespaces and none is given.
     """
     found: dict[str, dict[str, Any]] = {}
     for path, values in read(file).items():
-        name = path.rpartition("/")[2]
-        if name in found:
+        above, _, name = path.rpartition("/")
+        if namespace and above != "/**" and f"/{above.strip('/')}" != namespace:
+            continue
+        if name in found and not namespace:
             raise ValueError(f"{file} has parameters for {name} twice; use one file for each")
-        found[name] = values
+        found[name] = {**found.get(name, {}), **values}
     return found
 
 

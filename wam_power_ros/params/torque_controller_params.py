@@ -158,6 +158,11 @@ class TorqueControllerParams(Params):
                 f"joint_names {self.joint_names}"
             )
         if not self.simulation:
+            if self.autostart:
+                raise ValueError(
+                    "autostart = True: must be false on a real arm (simulation: false), where a "
+                    "person activates the controller"
+                )
             for name, upper in (
                 ("state_timeout", STATE_TIMEOUT_MAX),
                 ("stiffness_max", STIFFNESS_MAX),

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from wam_power_ros import plain_json
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.practice.session_log import Event, NewDemonstration, Rating, Record, plain
 
@@ -73,7 +73,7 @@ def make_demonstration(
     return NewDemonstration(
         after=after,
         id=policy.id,
-        policy=json.loads(to_json(policy)),
+        policy=plain_json.parse(to_json(policy), policy.id),
         bag=bag,
         note=f"{policy.id} is reproduced after rollout {after}" + (f": {bag}" if bag else ""),
         clock=plain(clock or {}),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from wam_power_ros import durable_files
+from wam_power_ros import durable_files, plain_json
 from wam_power_ros.practice.session_files import SessionError, brief, check_regular
 from wam_power_ros.practice.session_log import Line, Rating, Record, parse_line
 
@@ -74,6 +74,12 @@ class LogFile:
         line = (entry.to_json() + "\n").encode()
         if len(line) > _LINE_MAX:
             raise SessionError(f"{self.folder}: log line of {len(line)} bytes, limit {_LINE_MAX}")
+        try:
+            parse_line(line.decode())
+        except ValueError as error:  # such as a ground truth nested too deeply
+            raise SessionError(
+                f"{self.folder}: line would not be readable: {brief(error)}"
+            ) from None
         try:
             _write_all(self._file, line)
             os.fsync(self._file)
@@ -184,11 +190,12 @@ def _read_acknowledged(folder: Path) -> _Acknowledged | None:
     path = folder / ACKNOWLEDGED
     if not (path.is_symlink() or path.exists()):
         return None
-    check_regular(path)
     try:
-        return _Acknowledged.model_validate_json(path.read_bytes())
+        return _Acknowledged.model_validate(plain_json.read(path))
     except ValidationError as error:
         raise SessionError(f"{path}: {brief(error)}") from None
+    except ValueError as error:  # names the file
+        raise SessionError(brief(error)) from None
 
 
 def _out_of_order(line: Line, count: int) -> str:

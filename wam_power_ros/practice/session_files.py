@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import platform
 import re
@@ -15,7 +14,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from wam_power_ros import durable_files, plain_yaml
+from wam_power_ros import durable_files, plain_json, plain_yaml
 from wam_power_ros.learning import policy as policy_module
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.settings import SessionSettings
@@ -103,9 +102,9 @@ def read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str
         candidates.append(candidate)
     path = folder / "task.json"
     try:
-        context = json.loads(path.read_text(encoding="utf-8"))
+        context = plain_json.read(path)
     except (ValueError, OSError) as error:
-        raise SessionError(f"{path}: {brief(error)}") from error
+        raise SessionError(brief(error)) from error
     return header, tuple(candidates), context
 
 
@@ -131,8 +130,6 @@ def brief(error: Exception) -> str:
         more = f" (and {len(others)} more)" if others else ""
         rule = first["msg"].removeprefix("Value error, ")
         return f"{where}: {rule}, got {str(first['input'])[:80]}{more}"
-    if isinstance(error, json.JSONDecodeError):
-        return f"not JSON: {error}"
     return re.sub(r"\s+", " ", str(error))
 
 

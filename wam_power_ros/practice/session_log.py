@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from wam_power_ros import plain_json
 from wam_power_ros.learning.policy import Policy, from_json
 
 Kind = Literal["reproduction", "explore", "mean", "retest"]
@@ -174,7 +175,7 @@ def parse_line(text: str) -> Line:
     Raises:
         ValueError: The text is not JSON or none of the three kinds; names the field.
     """
-    data = json.loads(text)
+    data = plain_json.parse(text, "the line")
     schema = data.get("schema") if isinstance(data, dict) else None
     return _KINDS.get(schema if isinstance(schema, str) else None, Record).model_validate(data)
 

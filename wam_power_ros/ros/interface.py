@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 
 from rclpy.duration import Duration
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
@@ -45,7 +46,6 @@ WAM_HOLD = "wam/holdJointPosition"
 WAM_MOVE_HOME = "wam/moveHome"
 WAM_IDLE = "wam/idle"
 DEMONSTRATE = "demonstrator/demonstrate"  # stand-in only
-
 
 # Topics and services of a tracked body begin with its name; its frame is the name itself
 BODY_LEAVES = ("pose", "state", "truth", "reset", "drop")  # the last three: stand-in only
@@ -128,6 +128,12 @@ ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")
 # A request to idle that is delayed by a cut network would drop an arm that is held again by then.
 IDLE_QOS = _qos(1)
 IDLE_QOS.lifespan = Duration(seconds=0.2)
+
+
+def publishers(node: Node, topic: str) -> list[str]:
+    """Full names of the nodes that publish a topic, sorted; once for each publisher."""
+    infos = node.get_publishers_info_by_topic(topic)
+    return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
 
 
 def is_reliable(info: TopicEndpointInfo) -> bool:

@@ -16,6 +16,7 @@ from nav_msgs.msg import Odometry, Path
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
 
+from wam_power_ros import plain_json
 from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.ros.stamps import nanoseconds, sensor_stamp, time_message
 
@@ -217,6 +218,7 @@ class Finished(NamedTuple):
     id: str  # of the policy that was executed
     start_ns: int  # stamp of its start and of its paths
     fault: Fault | None  # latched at its end
+    digest: str = ""  # of the executed policy, see `policy.digest`; empty if unknown
 
 
 def finished_message(finished: Finished) -> String:
@@ -227,6 +229,7 @@ def finished_message(finished: Finished) -> String:
         "id": finished.id,
         "start": {"sec": sec, "nanosec": nanosec},
         "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
+        "digest": finished.digest,
     }
     return String(data=json.dumps(values))
 
@@ -238,13 +241,13 @@ def finished(message: String) -> Finished:
         ValueError: When it is not such a JSON object.
     """
     try:
-        values = json.loads(message.data)
+        values = plain_json.parse(message.data, "the end of a rollout")
         start, fault = values["start"], values["fault"]
         start_ns = int(start["sec"]) * 1_000_000_000 + int(start["nanosec"])
         if fault is not None:
             fault = Fault(FaultKind(fault["kind"]), str(fault["text"]))
-        return Finished(str(values["id"]), start_ns, fault)
-    except (KeyError, TypeError, OverflowError, RecursionError) as error:
+        return Finished(str(values["id"]), start_ns, fault, str(values.get("digest", "")))
+    except (KeyError, TypeError, OverflowError) as error:
         text = f"{message.data[:200]!r} must describe the end of a rollout: {error!r}"
         raise ValueError(text) from error
 
@@ -269,9 +272,9 @@ def ground_truth(message: String) -> GroundTruth:
         ValueError: When it is not such a JSON object.
     """
     try:
-        values = json.loads(message.data)
+        values = plain_json.parse(message.data, "the ground truth of a rollout")
         end = values.pop("end")
         return GroundTruth(int(end["sec"]) * 1_000_000_000 + int(end["nanosec"]), dict(values))
-    except (AttributeError, KeyError, TypeError, OverflowError, RecursionError) as error:
+    except (AttributeError, KeyError, TypeError, OverflowError) as error:
         text = f"{message.data[:200]!r} must describe the ground truth of a rollout: {error!r}"
         raise ValueError(text) from error

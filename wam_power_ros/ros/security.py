@@ -70,6 +70,7 @@ TABLE: dict[str, dict[str, str]] = {
     },
     "teaching": {"calls": "GRAVITY_COMPENSATION RECORD reset DEMONSTRATE"},
     "replaying": {"publishes": "REPLAY_TRAJECTORY", "calls": "REPLAY STOP RECORD"},
+    "activation": {"subscribes": "DIAGNOSTICS", "calls": "lifecycle"},
     "enabling_switch": {"publishes": "ENABLE"},
     "feedback": {"publishes": "LEARNER_BAG", "calls": FEEDBACK},
     "view": {
@@ -93,7 +94,9 @@ NODE_NAMES = {"operator": "_ros2cli*"}  # names that differ: each `ros2` command
 LIFECYCLE_NODES = {"torque_controller"}
 BODY_NODES = {"pancake_tracker", "optitrack_sim"}  # run only for a task with a tracked body
 PROCESSES = {  # node -> process whose enclave it shares; every other node has its own
-    **dict.fromkeys(("teaching", "replaying", "enabling_switch", "feedback", "view"), "operator"),
+    **dict.fromkeys(
+        ("teaching", "replaying", "activation", "enabling_switch", "feedback", "view"), "operator"
+    ),
     "optitrack_sim": "wam_sim",
     "torque_controller_preparation": "torque_controller",  # its two processes
 }

@@ -132,7 +132,8 @@ class ServiceClient:
             client.remove_pending_request(future)
             return None
         response = future.result()
-        return answers.read(response.success, response.message)
+        message = getattr(response, "message", "")  # of a transition: none
+        return answers.read(response.success, message)
 
     def call(
         self,
@@ -145,7 +146,7 @@ class ServiceClient:
         """Call a service.
 
         Args:
-            kind: Type of the service, of std_srvs.
+            kind: Type of the service, of std_srvs, or `ChangeState`.
             name: Name of the service.
             request: Request; an empty one if omitted.
             timeout: Longest wait for the answer [s of wall time].

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No plain parameter files move a robot: each combination is started beside a stranger's driver.
+
+Plain: given by `--params-file`, as `ros2 run` does, without the set-ups' overlay.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from itertools import permutations, product
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT, Probe, Process, Processes, diagnosis
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import GetParameters
+
+from wam_power_ros.params import overlay
+from wam_power_ros.ros import interface
+
+MODULES = {
+    "torque_controller": "wam_power_ros.nodes.torque_controller",
+    "demonstration_recorder": "wam_power_ros.nodes.demonstration_recorder",
+    "pancake_tracker": "wam_power_ros.nodes.pancake_tracker",
+    "learner": "wam_power_ros.nodes.learner",
+    "wam_sim": "hardware_sim.main",
+}
+FILES = sorted(path.stem for path in (ROOT / "config").glob("*.yaml"))
+SETUPS = [name for name in FILES if name not in overlay.NODES]
+DRIVERS = ("geodude", "libbarrett", "franka")  # of arms
+ARMS = ("cobot", "full_speed", "reach", "simulation")  # other files with parameters of an arm
+AT_ONCE = 6  # nodes, each in a namespace beside a driver of its own
+OBSERVED = 1.5  # [s] after a node has reported: an active controller sends 100 torques in it
+JOINTS = [
+    f"{stem}{number}"
+    for stem in ("wam_j", "right_j", "q", "fr3_joint", "cobot_joint")
+    for number in range(1, 8)
+]
+# Real time, 100 states a second with the joints of every set-up; says how many torques have come.
+DRIVER = f"""
+import sys, time
+import rclpy
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from wam_power_ros.ros import interface, joint_messages
+rclpy.init()
+node = Node("controller_manager")
+torques = 0
+def count(message):
+    global torques
+    torques += 1
+    print("torque", flush=True)
+states = []
+for place in sys.argv[1:]:
+    for topic in ("joint_states", "franka/joint_states", "wam/jointVelocity"):
+        name = f"{{place}}/{{topic}}"
+        states.append(node.create_publisher(JointState, name, interface.STATE_OUT))
+    qos = interface.COMMAND
+    node.create_subscription(Float64MultiArray, f"{{place}}/effort_controller/commands", count, qos)
+    node.create_subscription(JointState, f"{{place}}/joint_torque_commands", count, qos)
+names = {JOINTS!r}
+home = [0.0, 0.35, 0.0, 2.0, 0.0, -0.47, 0.0] * 5
+def send():
+    message = JointState(name=names, position=home, velocity=[0.0] * 35, effort=[0.0] * 35)
+    message.header.stamp = node.get_clock().now().to_msg()
+    for publisher in states:
+        publisher.publish(message)
+node.create_timer(0.01, send)
+print("driver", flush=True)
+rclpy.spin(node)
+"""
+
+
+def combinations(node: str) -> Iterator[tuple[str, ...]]:
+    """Every list of parameter files that a person may give to a node."""
+    own = ("wam_sim", "optitrack_sim") if node == "wam_sim" else (node,)
+    yield own
+    for name in SETUPS:
+        yield (*own, name)
+    if node == "torque_controller":
+        for driver, other in product(DRIVERS, [name for name in ARMS if name in SETUPS]):
+            for pair in permutations((driver, other)):
+                yield (*own, *pair)
+
+
+def batches(node: str, folder: Path) -> list[list[list[Path]]]:
+    """Files of every combination, and outputs of `wam-power config`, some nodes at once."""
+    found = [[ROOT / f"config/{name}.yaml" for name in names] for names in combinations(node)]
+    for names in ([], *([driver] for driver in DRIVERS)):
+        for simulated in (False, True):
+            file = folder / f"{'_'.join(names)}_{simulated}.yaml"
+            file.write_text(overlay.text(overlay.setup(names, simulated)))
+            found.append([file])
+    return [found[k : k + AT_ONCE] for k in range(0, len(found), AT_ONCE)]
+
+
+class Lab:
+    """A stranger's driver, whose torques are counted, and nodes beside it."""
+
+    def __init__(self, probe: Probe, processes: Processes, folder: Path) -> None:
+        self._probe, self._processes, self._folder = probe, processes, folder
+        self._reports = probe.listen(
+            DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
+        )
+        self._places = [f"/place{number}" for number in range(AT_ONCE)]
+        self._driver = processes.start([sys.executable, "-c", DRIVER, *self._places])
+        probe.until(lambda: "driver" in processes.output(self._driver), "the driver")
+
+    @property
+    def torques(self) -> int:
+        """Torques that have reached the driver."""
+        return self._processes.output(self._driver).count("torque\n")
+
+    def observe(self, node: str, files: list[list[Path]]) -> None:
+        """Start a node with each list of files, and observe them for a while."""
+        self._reports.clear()
+        started = []
+        for place, paths in zip(self._places, files, strict=False):
+            started.append((place, self._start(node, place, paths)))
+        for place, process in started:
+            up = lambda: self._up(node, place, process)  # noqa: B023, E731
+            self._probe.until(up, f"{node} at {place}")
+        self._probe.spin(OBSERVED)
+        for _, process in started:
+            self._processes.end(process)
+
+    def _start(self, node: str, place: str, files: list[Path]) -> Process:
+        command = [sys.executable, "-m", MODULES[node], "--ros-args", "-r", f"__ns:={place}"]
+        for file in files:
+            command += ["--params-file", str(file)]
+        if node == "learner":  # with something to do
+            (bag,) = sorted((ROOT / "bags").glob("demo_*"))[:1]
+            command += ["-p", f"session:={self._folder}{place}", "-p", f"demonstrations:=[{bag}]"]
+        if node == "demonstration_recorder":
+            command += ["-p", f"directory:={self._folder}"]
+        return self._processes.start(command)
+
+    def _up(self, node: str, place: str, process: Process) -> bool:
+        """Whether a node has reported, or has refused to run."""
+        if process.poll() is not None:
+            assert process.returncode == 2, self._processes.output(process)
+            return True
+        if node == "learner":
+            return "simulated" in self._processes.output(process)
+        return bool(diagnosis(self._reports, f"{place[1:]}/{node}"))
+
+
+@pytest.mark.requirement("S-101")
+@pytest.mark.parametrize("node", MODULES)
+def test_no_combination_of_plain_files_sends_a_torque_to_a_strangers_driver(
+    node: str, probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    lab, count, sending = Lab(probe, processes, tmp_path), 0, []
+    for batch in batches(node, tmp_path):
+        before = lab.torques
+        lab.observe(node, batch)
+        count += len(batch)
+        if lab.torques > before:
+            sending.append((batch, lab.torques - before))
+    sys.stdout.write(f"{node}: {count} combinations, {lab.torques} torques\n")
+    assert count > len(SETUPS)
+    assert sending == []
+
+
+@pytest.mark.requirement("S-101")
+def test_on_an_arm_the_controller_is_activated_once_a_person_has_agreed_and_not_before(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    driver = processes.start([sys.executable, "-c", DRIVER, ""])
+    probe.until(lambda: "driver" in processes.output(driver), "the driver")
+    rights = {"allow_no_realtime": True, "realtime_priority": 0}  # of a machine for tests
+    file = tmp_path / "machine.yaml"
+    file.write_text(yaml.safe_dump({"torque_controller": {"ros__parameters": rights}}))
+    words = ["teach", "--folder", str(tmp_path / "s"), "--config", "geodude", "--config", str(file)]
+    with (tmp_path / "terminal.log").open("wb") as output:
+        terminal = subprocess.Popen(
+            [sys.executable, "-m", "wam_power_ros.cli", *words],
+            env=processes.environment,
+            stdin=subprocess.PIPE,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        )
+    said = lambda: (tmp_path / "terminal.log").read_text()  # noqa: E731
+    try:
+        probe.until(lambda: "press Enter" in said(), "the question")
+        probe.spin(OBSERVED)
+        assert "torque" not in processes.output(driver)
+        terminal.stdin.write(b"\n")
+        terminal.stdin.flush()
+        probe.until(lambda: "torque" in processes.output(driver), "a torque")
+        probe.until(lambda: "Teaching: " in said(), "the next step")
+    finally:
+        terminal.send_signal(signal.SIGINT)
+        terminal.wait(60.0)
+        sys.stdout.write(said())
+
+
+@pytest.mark.requirement("S-101")
+def test_a_recorder_with_the_plain_set_up_of_a_driver_records_that_drivers_arm(
+    probe: Probe, processes: Processes, tmp_path: Path
+) -> None:
+    module, own = MODULES["demonstration_recorder"], "demonstration_recorder.yaml"
+    given = {"directory": tmp_path, "source": "sim"}  # a value of the command line stays
+    processes.node(module, own, "libbarrett.yaml", "cobot.yaml", "reach.yaml", **given)
+    request = GetParameters.Request(
+        names=["joint_names", "driver_topics", "urdf", "body", "stem", "source"]
+    )
+    values = probe.call(GetParameters, "demonstration_recorder/get_parameters", request).values
+    joints, topics, *texts = values
+    assert joints.string_array_value == [f"cobot_joint{number}" for number in range(1, 8)]
+    assert topics.string_array_value == ["joint_torque_commands", "wam/jointVelocity"]
+    assert [text.string_value for text in texts] == ["urdf/cobot7.urdf", "", "reach", "sim"]

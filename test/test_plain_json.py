@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""JSON of files and messages: plain data is returned, anything else is refused by its origin."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import ROOT, lift
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wam_power_ros import arm_identity, plain_json
+from wam_power_ros.bags import layout, quality, reader, series
+from wam_power_ros.control import replay_trajectory
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning import demonstration
+from wam_power_ros.learning.policy import from_json
+from wam_power_ros.practice import session
+from wam_power_ros.practice.session_files import SessionError
+from wam_power_ros.practice.settings import preset
+from wam_power_ros.ros import pose_messages
+
+DEEP = "[" * 100_000 + "]" * 100_000
+DATA = st.recursive(
+    st.text(max_size=10)
+    | st.integers(-(2**128), 2**128)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.booleans()
+    | st.none(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=12,
+)
+
+
+@given(DATA)
+def test_plain_data_comes_back(data: object) -> None:
+    assert plain_json.parse(json.dumps(data), "x") == data
+    assert plain_json.parse(json.dumps(data, ensure_ascii=False).encode(), "x") == data
+
+
+@pytest.mark.requirement("S-102")
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (DEEP, "is nested deeper than 20 levels"),
+        ('{"a":' * 21 + "1" + "}" * 21, "is nested deeper than 20 levels"),
+        ("[" * 990 + "]" * 990, "is nested deeper than 20 levels"),  # Python itself reads it
+        ("[1e400]", "1e400 is not a finite number"),
+        ("[-Infinity, NaN]", "-Infinity is not a finite number"),
+        ("9" * 5000, "is beyond 128 bits"),
+        (str(-(2**128) - 1), "is beyond 128 bits"),
+        ('{"a": 1, "a": 2}', "key 'a' appears twice"),
+        ('{"a', "is not JSON"),
+        ("", "is not JSON"),
+        (b"\xff", "is not JSON"),
+        ("1 " + " " * 1_000_000, "has 1000002 bytes"),
+    ],
+)
+def test_json_that_is_not_plain_is_refused_with_its_origin(text: str | bytes, says: str) -> None:
+    with pytest.raises(ValueError, match=f"the record.*{says}"):
+        plain_json.parse(text, "the record")
+
+
+def test_brackets_in_texts_do_not_count_and_the_limit_itself_is_allowed() -> None:
+    assert plain_json.parse(json.dumps(["[{" * 50 + '"\\']), "x") == ["[{" * 50 + '"\\']
+    deepest = "[" * 20 + "]" * 20
+    assert json.dumps(plain_json.parse(deepest, "x")) == deepest
+
+
+@pytest.mark.parametrize(
+    "text", ['"' + '\\"' * 490_000, '"' + '\\"' * 490_000 + "\\", '"' * 999_999]
+)
+def test_a_text_without_an_end_takes_no_longer_than_others(text: str) -> None:
+    begun = time.process_time()
+    with pytest.raises(ValueError, match="not JSON"):
+        plain_json.parse(text, "x")
+    assert time.process_time() - begun < 5.0  # quadratic: minutes
+
+
+def begun(folder: Path) -> Path:
+    session.Session.begin(folder, preset("flip"), 0, [lift("demonstration-1")]).close()
+    return folder
+
+
+@pytest.mark.requirement("S-102")
+@pytest.mark.parametrize(
+    ("name", "text", "says"),
+    [
+        ("rollouts.jsonl", DEEP + "\n", r"rollouts\.jsonl, line 1: the line is nested deeper"),
+        ("rollouts.jsonl", '{"schema": 1e999}\n', r"rollouts\.jsonl, line 1: .*not a finite"),
+        ("task.json", DEEP, r"task\.json is nested deeper than 20 levels"),
+        ("task.json", "[" * 600_000, r"task\.json is nested deeper than 20 levels"),
+        ("task.json", " " * 1_000_001, r"task\.json has 1000001 bytes"),
+        ("acknowledged.json", DEEP, r"acknowledged\.json is nested deeper than 20 levels"),
+        ("candidates/demonstration-1.json", DEEP, "policy text is nested deeper"),
+    ],
+)
+def test_a_hostile_file_of_a_session_is_refused_by_name_and_line(
+    name: str, text: str, says: str, tmp_path: Path
+) -> None:
+    folder = begun(tmp_path / "s")
+    (folder / name).write_text(text)
+    with pytest.raises(SessionError, match=says):
+        session.Session.open(folder)
+
+
+@pytest.mark.requirement("S-102")
+def test_a_hostile_text_of_a_bag_a_series_or_a_message_is_refused_by_name(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    shutil.copytree(min((ROOT / "bags").glob("demo_*")), bag)
+    file = bag / "metadata.yaml"
+    metadata = yaml.safe_load(file.read_text())
+    notes = metadata["rosbag2_bagfile_information"]["custom_data"]
+    for name in ("arm", "joint_names"):
+        notes[name] = DEEP
+    file.write_text(yaml.safe_dump(metadata))
+    with pytest.raises(ValueError, match="bag: identity of an arm is nested deeper"):
+        reader.noted_arm(bag)
+    notes["arm"] = ""
+    file.write_text(yaml.safe_dump(metadata))
+    reader.read_demonstration(bag, [f"wam_j{i}" for i in range(1, 8)])  # as of another recorder
+    (tmp_path / series.FILE).write_text(DEEP)
+    with pytest.raises(ValueError, match=r"demonstrations\.json is nested deeper"):
+        series.read(tmp_path / series.FILE)
+    with pytest.raises(ValueError, match="the end of a rollout is nested deeper"):
+        pose_messages.finished(pose_messages.String(data=DEEP))
+    with pytest.raises(ValueError, match="the ground truth of a rollout is nested deeper"):
+        pose_messages.ground_truth(pose_messages.String(data=DEEP))
+    with pytest.raises(ValueError, match="policy text is nested deeper"):
+        from_json(DEEP)
+    with pytest.raises(ValueError, match="identity of an arm is nested deeper"):
+        arm_identity.from_json(DEEP)
+    text = layout.TYPES.types[layout.STRING](data=DEEP)
+    assert layout.event(layout.TYPES.serialize_cdr(text, layout.STRING).tobytes()) == {}
+
+
+@pytest.mark.requirement("S-102")
+@pytest.mark.parametrize("joints", [[2], list(range(7))])
+@pytest.mark.parametrize("value", [1e300, -1e300, 31.0])
+def test_a_position_that_no_joint_has_is_refused_by_its_stamp(
+    joints: list[int], value: float
+) -> None:
+    arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
+    stamps = np.arange(1000) * 2_000_000
+    q = np.zeros((1000, 7))
+    q[500, joints] = value
+    says = rf"q\[500, {joints[0]}\] = .* rad at stamp 1000000000; at most 30 rad"
+    with pytest.raises(ValueError, match=says):
+        demonstration.from_joint_samples(arm, stamps, q)
+    with pytest.raises(ValueError, match=says):
+        replay_trajectory.movement(stamps, q, 1.0)
+    with pytest.raises(ValueError, match=says):
+        quality.movement_remarks(*demonstration.smooth_joints(stamps, q), [], None)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Guard of a simulated controller against a driver: it may answer states of a stand-in only."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+
+STAND_IN = "wam_sim"  # node that publishes the joint states of a simulated arm
+UNNAMED = "_NODE_NAME_UNKNOWN_"  # the node's name is not discovered yet, or it is no ROS node
+
+
+class SimulationGuard:
+    """Looks who publishes the joint states that a controller in simulation answers.
+
+    A stand-in is recognised by the name of its node, as `hardware_sim.driver_watch` does.
+
+    Args:
+        node: Node of the controller.
+        topic: Topic of its joint states.
+    """
+
+    def __init__(self, node: Node, topic: str) -> None:
+        self._node, self._topic = node, node.resolve_topic_name(topic)
+        self._unnamed = False  # at the last call of `intruder`
+
+    def stranger(self) -> str | None:
+        """Describe a publisher of joint states that is no stand-in; None if there is none."""
+        name = self._stranger()
+        if name is None:
+            return None
+        who = "a participant without a node name" if name == UNNAMED else f"node {name!r}"
+        return (
+            f"{who} publishes {self._topic}, and this controller is for a simulation: it answers "
+            f"the stand-in {STAND_IN!r} only; for an arm set simulation: false"
+        )
+
+    def intruder(self) -> str | None:
+        """As `stranger`, but a publisher whose name is not discovered yet has until the next call.
+
+        The name of a node arrives milliseconds after its topics.
+        """
+        unnamed, self._unnamed = self._unnamed, self._stranger() == UNNAMED
+        return None if self._unnamed and not unnamed else self.stranger()
+
+    def _stranger(self) -> str | None:
+        names = {each.node_name for each in self._node.get_publishers_info_by_topic(self._topic)}
+        return min(names - {STAND_IN}, default=None)
