@@ -113,7 +113,7 @@ def import_bag(
     if not messages:
         found: set[str] = set()
         for _, _, data in reader.messages(path, [topic]):
-            found |= set(TYPES.deserialize_cdr(data, JOINT_STATE).name)
+            found |= set(layout.decoded(data, JOINT_STATE).name)
         raise ValueError(
             f"{path}: no message on {topic} has the joints {bag_names}; it has {sorted(found)}. "
             "Name the joints of the arm, base to tip, with --joints"
@@ -147,7 +147,7 @@ def _converted(
     Raises:
         ValueError: Some of the joints are missing, or the message is not a joint state.
     """
-    message = TYPES.deserialize_cdr(data, JOINT_STATE)
+    message = layout.decoded(data, JOINT_STATE)
     index = {name: place for place, name in enumerate(message.name)}
     missing = [name for name in bag_names if name not in index]
     if len(missing) == len(bag_names):

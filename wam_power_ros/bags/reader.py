@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Reader
 from wam_power_ros import plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, from_json, refusal
 from wam_power_ros.bags import integrity
-from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES, unfinished
+from wam_power_ros.bags.layout import JOINT_STATE, STATES, decoded, unfinished
 
 
 def read_demonstration(
@@ -136,9 +136,9 @@ def _joint_angles(
 ) -> tuple[int, dict[str, float]]:
     """Stamp [ns] and angles by name of a message; it may be malformed if no joint is known."""
     try:
-        message = TYPES.deserialize_cdr(cdr, JOINT_STATE)
-    except Exception as error:  # of any type, depending on the bytes
-        raise ValueError(f"{path}: a message on {topic} is not a JointState: {error}") from error
+        message = decoded(cdr, JOINT_STATE)
+    except ValueError as error:
+        raise ValueError(f"{path}: a message on {topic}: {error}") from error
     stamp = message.header.stamp
     names, position = message.name, message.position.tolist()
     malformed = len(names) != len(position) or len(set(names)) != len(names)
