@@ -40,4 +40,5 @@ def demonstration(path: Path, q: np.ndarray, names: tuple[str, ...] = NAMES) -> 
 
 
 def random_q(count: int = 500, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).normal(size=(count, len(NAMES)))
+    """A movement without a jump: steps of about 0.01 rad."""
+    return 0.01 * np.random.default_rng(seed).normal(size=(count, len(NAMES))).cumsum(axis=0)

@@ -113,7 +113,9 @@ def test_messages_that_wait_in_the_queue_at_a_request_are_not_recorded(
 
     def send(first: int, last: int) -> None:
         for number in range(first, last):
-            states.publish(write(START + number, np.full(7, number), np.zeros(7), np.ones(7)))
+            states.publish(
+                write(START + number, np.full(7, 0.01 * number), np.zeros(7), np.ones(7))
+            )
             probe.spin(0.01)
         probe.spin(0.3)  # the node does not spin: they wait
 
@@ -481,8 +483,8 @@ def test_what_came_while_the_recorder_stood_still_is_sent_again_or_told_as_missi
     bench.node.send_signal(signal.SIGSTOP)
     try:
         for _ in range(3000):  # more than a reader's socket holds
-            zero, stamp_ns = np.zeros(7), START + 2_000_000 * bench.sent
-            bench.states.publish(bench.write(stamp_ns, zero, zero, zero))
+            q, stamp_ns = np.arange(7.0) + 0.001 * bench.sent, START + 2_000_000 * bench.sent
+            bench.states.publish(bench.write(stamp_ns, q, np.zeros(7), np.zeros(7)))
             bench.sent += 1
             time.sleep(1e-4)
     finally:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -201,7 +202,8 @@ def inspect(path: Path, names: Sequence[str], arm: Arm | None) -> InspectedTake:
 
     take = takes.read(path, names)
     t, q = smooth_joints(take.stamps, take.q)
-    remarks = quality.movement_remarks(t, q, names, None if arm is None else _limits(arm))
+    remarks = [*take.remarks]
+    remarks += quality.movement_remarks(t, q, names, None if arm is None else _limits(arm))
     remarks += quality.completeness_remarks(take.counts, take.missing, take.ended)
     return InspectedTake(take, t, q, remarks)
 
@@ -280,7 +282,7 @@ def merge(options: argparse.Namespace) -> None:
 
 def import_(options: argparse.Namespace) -> None:
     """Convert a bag of another recorder into a demonstration."""
-    from wam_power_ros.bags import editing, layout
+    from wam_power_ros.bags import editing, layout, reader
 
     setup = overlay.setup(options.config, task=task_setup(options.task))
     names, arm = arm_of(setup)
@@ -290,6 +292,8 @@ def import_(options: argparse.Namespace) -> None:
         made = editing.import_bag(options.bag, output, names, options.joints, options.topic, kind)
         _, row, reasons = _row(made, names, arm)
     _print_bag(made)
+    for remark in json.loads(reader.notes(made)["imported"])["remarks"]:
+        print(f"  {remark}")
     print(f"  {row.strip()}  {reasons}".rstrip())
 
 
