@@ -119,7 +119,8 @@ def read_states(
         raise ValueError(f"{path}: {topic}: {error}") from None
     remarks = found.remarks
     if repeated:
-        remarks = (Remark(Grade.GOOD, f"{repeated} repetitions left out"), *remarks)
+        counted = "1 repetition" if repeated == 1 else f"{repeated} repetitions"
+        remarks = (Remark(Grade.GOOD, f"{counted} left out"), *remarks)
     kept = found.kept
     return States(stamps[kept], found.q, np.array(index)[kept], names, remarks)
 

@@ -227,7 +227,8 @@ def _row(path: Path, names: Sequence[str], arm: Arm | None) -> tuple[str, str, s
         return path.name.partition("_")[0], row, reason
     graded: Grade = quality.grade(remarks)
     row = f"{take.duration:4.1f} s  {graded.name.lower():7}"
-    return take.kind, row, "; ".join(remark.text for remark in remarks)
+    reasons = (remark.text for remark in remarks if remark.grade is not quality.Grade.GOOD)
+    return take.kind, row, "; ".join(reasons)
 
 
 def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
