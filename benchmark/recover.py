@@ -35,6 +35,7 @@ from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
@@ -54,23 +55,16 @@ LOSS_MAX = 1.0  # [s] allowed loss by a kill
 
 def write(path: Path, states: int, close: bool) -> Path:
     """Write a bag as the recorder does; return its MCAP file."""
-    make, serialize = layout.TYPES.types, layout.TYPES.serialize_cdr
+    state = joint_messages.JointStateWriter(JOINTS)
     rng = np.random.default_rng(0)
     writer = BagWriter(path)
     writer.event("start", "demo", START, {"joint_names": str(JOINTS).replace("'", '"')})
     writer.add(layout.STATES, layout.JOINT_STATE, [layout.qos(reliable=True, latched=False)])
     for index in range(states):
         stamp_ns = START + 2_000_000 * index
-        sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-        stamp = make["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
-        state = make[layout.JOINT_STATE](
-            header=make["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
-            name=JOINTS,
-            position=rng.normal(size=7),
-            velocity=rng.normal(size=7),
-            effort=rng.normal(size=7),
+        writer.write(
+            layout.STATES, stamp_ns, serialize_message(state(stamp_ns, *rng.normal(size=(3, 7))))
         )
-        writer.write(layout.STATES, stamp_ns, bytes(serialize(state, layout.JOINT_STATE)))
         if index % FLUSH_STATES == FLUSH_STATES - 1:
             writer.flush()
     if close:

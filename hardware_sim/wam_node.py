@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -35,6 +35,7 @@ Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: beyond the r
 Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: beyond any joint limit")]
 Delay = Annotated[float, Field(ge=0.0, le=1.0, description="in s: more is a broken link")]
 Spread = Annotated[float, Field(ge=0.0, le=10.0, description="far above any real value")]
+Sent = Literal["filled", "empty", "nan"]
 
 
 class WamSimParams(Params):
@@ -48,7 +49,8 @@ class WamSimParams(Params):
     joint_names: tuple[str, ...] = Field(min_length=N, max_length=N)
     other_joints: Names
     state_topic: str
-    velocity: Literal["filled", "empty", "nan"]
+    velocity: Sent
+    effort: Sent
     velocity_topic: str
     command_topic: str
     command_type: Literal["multiarray", "joint_state"]
@@ -98,6 +100,11 @@ class WamSimParams(Params):
             ),
         }
         return WorldSettings(**settings)
+
+
+def _sent(values: np.ndarray, how: str) -> Sequence[float] | np.ndarray:
+    """Values of a joint state as a driver sends them: see `WamSimParams.velocity`."""
+    return values if how == "filled" else np.full(N, np.nan) if how == "nan" else ()
 
 
 class WamSim(Node):
@@ -202,9 +209,9 @@ class WamSim(Node):
 
     def state(self) -> JointState:
         """Current state as a message: the same object every time."""
-        sample, velocity = self.world.joint_state(), self.params.velocity
-        qd = sample.qd if velocity == "filled" else np.full(N, np.nan) if velocity == "nan" else ()
-        return self._write(self.stamp_ns, sample.q, qd, sample.tau)
+        sample = self.world.joint_state()
+        qd = _sent(sample.qd, self.params.velocity)
+        return self._write(self.stamp_ns, sample.q, qd, _sent(sample.tau, self.params.effort))
 
     def publish(self, message: JointState) -> None:
         """Publish a state, those of other devices, and in lockstep the clock."""

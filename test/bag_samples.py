@@ -1,35 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bags and messages of the tests."""
+"""Bags and messages of the tests; messages are bytes of ROS, not of the library that reads them."""
 
 import json
 from pathlib import Path
 
 import numpy as np
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 
 from wam_power_ros.bags import layout
-from wam_power_ros.bags.layout import TYPES
 from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.ros.joint_messages import JointStateWriter
 
 NAMES = ("wam_j1", "wam_j2", "wam_j3")
 START = 1_700_000_000_123_456_789
 QOS = [layout.qos(reliable=True, latched=False)]
 LATCHED = [layout.qos(reliable=True, latched=True, depth=1)]
-make = TYPES.types
 
 
 def joint_state(stamp_ns: int, names: tuple[str, ...], q: np.ndarray) -> bytes:
-    time_type = make["builtin_interfaces/msg/Time"]
-    sec, nanosec = divmod(stamp_ns, 1_000_000_000)
-    header = make["std_msgs/msg/Header"](stamp=time_type(sec=sec, nanosec=nanosec), frame_id="")
-    empty = np.zeros(0)
-    message = make[layout.JOINT_STATE](
-        header=header, name=list(names), position=np.array(q), velocity=empty, effort=empty
-    )
-    return bytes(TYPES.serialize_cdr(message, layout.JOINT_STATE))
+    return serialize_message(JointStateWriter(names)(stamp_ns, q, (), ()))
 
 
 def string(text: str) -> bytes:
-    return bytes(TYPES.serialize_cdr(make[layout.STRING](data=text), layout.STRING))
+    return serialize_message(String(data=text))
 
 
 def demonstration(path: Path, q: np.ndarray, names: tuple[str, ...] = NAMES) -> Path:
@@ -46,4 +40,5 @@ def demonstration(path: Path, q: np.ndarray, names: tuple[str, ...] = NAMES) -> 
 
 
 def random_q(count: int = 500, seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).normal(size=(count, len(NAMES)))
+    """A movement without a jump: steps of about 0.01 rad."""
+    return 0.01 * np.random.default_rng(seed).normal(size=(count, len(NAMES))).cumsum(axis=0)

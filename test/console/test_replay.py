@@ -63,6 +63,8 @@ def test_the_possible_speed_is_given_as_a_value_of_the_option(speed: float) -> N
         f"refused; possible at --speed {0.4 * speed:.2f}"
     )
     assert with_possible_speed(Answer(Code.STOPPED, "stopped"), speed) == "stopped"
+    jump = Answer(Code.TOO_FAST, "refused", {"speed": "0.001"})
+    assert with_possible_speed(jump, speed) == "refused; no --speed is slow enough"
 
 
 def test_an_invalid_bag_or_speed_is_refused_before_any_node_starts(

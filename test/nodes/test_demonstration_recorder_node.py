@@ -8,6 +8,7 @@ import shutil
 import signal
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +113,9 @@ def test_messages_that_wait_in_the_queue_at_a_request_are_not_recorded(
 
     def send(first: int, last: int) -> None:
         for number in range(first, last):
-            states.publish(write(START + number, np.full(7, number), np.zeros(7), np.ones(7)))
+            states.publish(
+                write(START + number, np.full(7, 0.01 * number), np.zeros(7), np.ones(7))
+            )
             probe.spin(0.01)
         probe.spin(0.3)  # the node does not spin: they wait
 
@@ -480,8 +483,8 @@ def test_what_came_while_the_recorder_stood_still_is_sent_again_or_told_as_missi
     bench.node.send_signal(signal.SIGSTOP)
     try:
         for _ in range(3000):  # more than a reader's socket holds
-            zero, stamp_ns = np.zeros(7), START + 2_000_000 * bench.sent
-            bench.states.publish(bench.write(stamp_ns, zero, zero, zero))
+            q, stamp_ns = np.arange(7.0) + 0.001 * bench.sent, START + 2_000_000 * bench.sent
+            bench.states.publish(bench.write(stamp_ns, q, np.zeros(7), np.zeros(7)))
             bench.sent += 1
             time.sleep(1e-4)
     finally:
@@ -494,6 +497,35 @@ def test_what_came_while_the_recorder_stood_still_is_sent_again_or_told_as_missi
         bench.status("messages missing on /joint_states")
     stamps, _ = reader.read_demonstration(path, NAMES)
     assert (len(stamps) < bench.sent) == lost
+
+
+@pytest.mark.parametrize("left_out", [(), np.full(7, np.nan)], ids=["empty", "NaN"])
+def test_states_without_velocity_or_effort_are_recorded_and_read_however_they_were_sent(
+    probe: Probe, processes: Processes, tmp_path: Path, left_out: Sequence[float]
+) -> None:
+    """A player of bags sends the bytes in them: what `serialize_message` makes is longer."""
+    bench = Bench(probe, processes, tmp_path)
+    path = bench.start()
+    cases = [(left_out, np.ones(7)), (np.ones(7), left_out), (left_out, left_out)]
+    wanted, excess = np.arange(7.0) + 0.001 * np.arange(60)[:, None], set()
+    for number, q in enumerate(wanted):
+        state = bench.write(START + 2_000_000 * number, q, *cases[number % 3])
+        played = serialize_message(state)
+        bench.states.publish(played if number % 2 else state)
+        probe.spin(0.002)
+    bench.stop()
+    stamps, q = reader.read_demonstration(path, NAMES)
+    np.testing.assert_array_equal(q, wanted)
+    assert stamps.tolist() == [START + 2_000_000 * number for number in range(60)]
+    for number, (_, _, cdr) in enumerate(reader.messages(path, [layout.STATES])):
+        state = layout.decoded(cdr, layout.JOINT_STATE)
+        np.testing.assert_array_equal(state.velocity, cases[number % 3][0])
+        np.testing.assert_array_equal(state.effort, cases[number % 3][1])
+        written = layout.TYPES.serialize_cdr(state, layout.JOINT_STATE)
+        excess.add((number % 2, len(cdr) - len(written)))
+    # What this package writes is as long as what a publisher sends.
+    assert {size for played, size in excess if not played} == {0}
+    assert {size for played, size in excess if played} == ({0} if len(left_out) else {4, 8})
 
 
 def test_a_recorder_that_loses_states_goes_on(

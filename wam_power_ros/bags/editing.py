@@ -15,7 +15,7 @@ from rosbags.interfaces import QosDurability
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.layout import EVENT, JOINT_STATE, STATES, TYPES
-from wam_power_ros.bags.reader import Topic
+from wam_power_ros.bags.reader import States, Topic
 from wam_power_ros.bags.writer import BagWriter, header_stamp
 
 Message = tuple[str, int, bytes]  # topic, time of reception [ns], data
@@ -97,7 +97,7 @@ def import_bag(
         kind: Stem of the demonstrated task.
 
     Raises:
-        ValueError: `path` is not a bag, has no such topic or joints, or the numbers of names
+        ValueError: As `reader.read_states`, `path` has no such topic, or the numbers of names
             differ.
         FileExistsError: `to` exists already.
     """
@@ -105,24 +105,25 @@ def import_bag(
     if len(bag_names) != len(joint_names):
         raise ValueError(f"{len(bag_names)} names {bag_names} for the joints {list(joint_names)}")
     topic = topic or _only_states(path)
+    states = reader.read_states(path, bag_names, topic)
+    rows = {number: row for row, number in enumerate(states.index)}
     messages = [
-        (STATES, stamp, converted)
-        for _, stamp, data in reader.messages(path, [topic])
-        if (converted := _converted(path, data, stamp, bag_names, joint_names))
+        (STATES, stamp, _converted(data, states, rows[number], joint_names))
+        for number, (_, stamp, data) in enumerate(reader.messages(path, [topic]))
+        if number in rows
     ]
-    if not messages:
-        found: set[str] = set()
-        for _, _, data in reader.messages(path, [topic]):
-            found |= set(TYPES.deserialize_cdr(data, JOINT_STATE).name)
-        raise ValueError(
-            f"{path}: no message on {topic} has the joints {bag_names}; it has {sorted(found)}. "
-            "Name the joints of the arm, base to tip, with --joints"
-        )
     notes = {
         "joint_names": json.dumps(list(joint_names)),
         "state_topic": STATES,
         "source": "imported",
-        "imported": json.dumps({"from": path.resolve().name, "topic": topic, "joints": bag_names}),
+        "imported": json.dumps(
+            {
+                "from": path.resolve().name,
+                "topic": topic,
+                "joints": states.names,
+                "remarks": [remark.text for remark in states.remarks],
+            }
+        ),
     }
     offered = (layout.qos(reliable=True, latched=False),)
     return _write(to, {STATES: Topic(JOINT_STATE, offered)}, messages, notes, kind)
@@ -139,30 +140,17 @@ def _only_states(path: Path) -> str:
     return found[0]
 
 
-def _converted(
-    path: Path, data: bytes, stamp: int, bag_names: Sequence[str], joint_names: Sequence[str]
-) -> bytes | None:
-    """Joint state with the names and order of the arm; None for a state of other joints.
-
-    Raises:
-        ValueError: Some of the joints are missing, or the message is not a joint state.
-    """
-    message = TYPES.deserialize_cdr(data, JOINT_STATE)
-    index = {name: place for place, name in enumerate(message.name)}
-    missing = [name for name in bag_names if name not in index]
-    if len(missing) == len(bag_names):
-        return None
-    if missing:
-        raise ValueError(f"{path}: joints {missing} missing among {list(message.name)}")
-    order = [index[name] for name in bag_names]
-    for field in ("position", "velocity", "effort"):
+def _converted(data: bytes, states: States, row: int, joint_names: Sequence[str]) -> bytes:
+    """A joint state with the names and order of the arm, and the stamp and angles as read."""
+    message = layout.decoded(data, JOINT_STATE)
+    order = [message.name.index(name) for name in states.names]
+    for field in ("velocity", "effort"):
         values = getattr(message, field)
         complete = len(values) == len(message.name)
         setattr(message, field, values[order] if complete else np.zeros(0))
-    message.name = list(joint_names)
+    message.name, message.position = list(joint_names), states.q[row]
     time = message.header.stamp
-    if time.sec == time.nanosec == 0:  # a driver without stamps: use the time of reception
-        time.sec, time.nanosec = divmod(stamp, 1_000_000_000)
+    time.sec, time.nanosec = divmod(int(states.stamps[row]), 1_000_000_000)
     return bytes(TYPES.serialize_cdr(message, JOINT_STATE))
 
 

@@ -202,7 +202,8 @@ def _check_mcap(file: Path, information: Mapping[str, Any]) -> None:
     size = file.stat().st_size
     chunks: set[tuple[int, int, str, int, int]] = set()  # see `_check_chunk`
     index: set[tuple[int, int, str, int, int]] = set()
-    noted, sealed, footer = b"", False, -1
+    noted, footer = b"", -1
+    sealed: bool | None = None  # None until the end of the data
     budget = Budget(file, size)
     with file.open("rb") as data:
         if data.read(len(MAGIC)) != MAGIC:
@@ -229,6 +230,8 @@ def _check_mcap(file: Path, information: Mapping[str, Any]) -> None:
                 if crc and crc != _crc(data, summary, at + FOOTER_SIZE - 4):
                     raise ValueError(f"{file} is damaged: the checksum of its summary is wrong")
         data.seek(size - len(MAGIC))
+        if sealed is None:
+            raise ValueError(f"{file} is damaged: it has no end of its data")
         if data.read() != MAGIC or footer != size - len(MAGIC) - FOOTER_SIZE:
             raise ValueError(f"{file} does not end as an MCAP file: it is truncated or damaged")
     if index and index != chunks:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Layout of the bags of this package: folders, topics, message types, QoS."""
+"""Layout of the bags of this package: folders, topics, message types and their bytes, QoS."""
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from wam_power_ros import plain_json
@@ -26,6 +28,7 @@ EVENT = "/recorder/event"  # start and stop of the recording; only written to th
 STOP_REQUESTED = "asked to"  # reason of a recording stopped on request
 UNFINISHED = ".unfinished"
 INFINITE = QosTime(9223372036, 854775807)  # an infinite duration, as written by rosbag2
+ENCODINGS = {b"\0\0": False, b"\0\1": True}  # first bytes of plain CDR -> little-endian
 
 
 def qos(reliable: bool, latched: bool, depth: int = 10) -> Qos:
@@ -43,11 +46,38 @@ def qos(reliable: bool, latched: bool, depth: int = 10) -> Qos:
     )
 
 
+def decoded(cdr: bytes, msgtype: str) -> object:
+    """Message at the beginning of `cdr`; bytes after it are left out, as in ROS.
+
+    `rclpy.serialization.serialize_message` returns a buffer of the size that rmw_fastrtps estimates
+    in advance: up to 4 bytes too large for each empty sequence of 8-byte numbers, such as the
+    velocities and efforts of many drivers, with anything in the excess. A program that writes bags
+    with it, and a player that publishes such messages again, keep the excess. rosbags decodes
+    these messages, but `Typestore.deserialize_cdr` refuses more than 3 bytes of excess. So its
+    decoders are called without that check; it writes what a publisher of ROS sends, without excess.
+
+    Raises:
+        ValueError: The bytes are not a message of this type of the common interfaces.
+    """
+    if msgtype not in TYPES.fielddefs:
+        raise ValueError(f"{msgtype} is not a type of the common interfaces")
+    definition = TYPES.get_msgdef(msgtype)
+    encoding = bytes(cdr[:2])
+    if len(cdr) < 4 or encoding not in ENCODINGS:
+        raise ValueError(f"{len(cdr)} bytes that begin {encoding!r} are not a CDR message")
+    little = ENCODINGS[encoding]
+    decode = definition.deserialize_cdr_le if little else definition.deserialize_cdr_be
+    try:
+        return decode(cdr[4:], 0, definition.cls, TYPES)[0]
+    except (SerdeError, struct.error, UnicodeDecodeError, ValueError) as error:
+        raise ValueError(f"{len(cdr)} bytes are not a {msgtype}: {error}") from None
+
+
 def event(cdr: bytes) -> dict[str, Any]:
     """Contents of a message on EVENT, see `BagWriter.event`; empty if it is not one."""
     try:
-        found = plain_json.parse(TYPES.deserialize_cdr(cdr, STRING).data, EVENT)
-    except Exception:  # of any type, depending on the bytes
+        found = plain_json.parse(decoded(cdr, STRING).data, EVENT)
+    except ValueError:
         return {}
     return found if isinstance(found, dict) else {}
 

@@ -14,8 +14,28 @@ from rosbags.rosbag2 import Reader
 
 from wam_power_ros import plain_json, plain_yaml
 from wam_power_ros.arm_identity import ArmIdentity, from_json, refusal
-from wam_power_ros.bags import integrity
-from wam_power_ros.bags.layout import JOINT_STATE, STATES, TYPES, unfinished
+from wam_power_ros.bags import integrity, jumps
+from wam_power_ros.bags.layout import JOINT_STATE, STATES, decoded, unfinished
+from wam_power_ros.bags.quality import Grade, Remark
+
+
+@dataclass(frozen=True)
+class States:
+    """Joint states of a bag that can be a movement of an arm.
+
+    Attributes:
+        stamps: Stamps [ns], strictly increasing. Shape (M,).
+        q: Joint angles [rad], finite and without a jump. Shape (M, n).
+        index: Which message on the topic each is, from 0. Shape (M,).
+        names: Names of the joints in the bag.
+        remarks: What was left out or unwrapped.
+    """
+
+    stamps: np.ndarray
+    q: np.ndarray
+    index: np.ndarray
+    names: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
 
 def read_demonstration(
@@ -24,12 +44,24 @@ def read_demonstration(
     topic: str | None = None,
     arm: ArmIdentity | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles from a rosbag2 bag, MCAP or SQLite, of any recorder.
+    """Stamps (M,) [ns] and joint angles (M, n) [rad] of a bag: see `read_states`."""
+    states = read_states(Path(path), joint_names, topic, arm)
+    return states.stamps, states.q
 
-    Joints are matched by name; time is that of the headers. Messages without any of these joints
-    are another device's and are skipped, as are repetitions (same stamp, same angles). A bag taught
-    with another driver may have other names for the same joints: if it has none of `joint_names`,
-    and its metadata has as many names (our recorder notes them, base to tip), those are used.
+
+def read_states(
+    path: Path,
+    joint_names: Sequence[str],
+    topic: str | None = None,
+    arm: ArmIdentity | None = None,
+) -> States:
+    """Joint states of a rosbag2 bag, MCAP or SQLite, of any recorder: everyone reads them here.
+
+    Joints are matched by name; time is that of the headers, or of the reception if they have none.
+    Messages without any of these joints are another device's and are skipped, as are repetitions
+    (same stamp, same angles). A bag taught with another driver may have other names for the same
+    joints: if it has none of `joint_names`, and its metadata has as many names (our recorder notes
+    them, base to tip), those are used. Angles are unwrapped and bad states left out: see `jumps`.
 
     Args:
         path: Folder of the bag.
@@ -37,53 +69,59 @@ def read_demonstration(
         topic: Topic of JointState; if omitted, the one in the metadata, else /joint_states.
         arm: Required arm, if the bag identifies its arm; any if omitted.
 
-    Returns:
-        Stamps (M,) int64 [ns], strictly increasing, and angles (M, nj) [rad].
-
     Raises:
-        ValueError: `path` is not a bag or of another arm, the topic or joints are missing, a value
-            is not finite, or stamps do not increase.
+        ValueError: `path` is not a bag or of another arm, the topic or joints are missing, a joint
+            jumps, values are not finite, or stamps do not increase.
     """
-    path = Path(path)
     if why := refusal(noted_arm(path), arm):
         raise ValueError(f"{path} {why}")
     noted, noted_topic, simulated = _noted(path)
     topic = topic or noted_topic
     names = tuple(joint_names)
     known = {*names, *noted}
-    states = [_joint_angles(path, topic, cdr, known) for cdr in _joint_states(path, topic)]
+    states = [_joint_angles(path, topic, *each, known) for each in _joint_states(path, topic)]
     seen = {name for _, angles in states for name in angles}
     if not seen & set(names) and len(noted) == len(names):
         names = noted
-    stamps: list[int] = []
-    rows: list[tuple[float, ...]] = []
-    for stamp_ns, angles in states:
+    index: list[int] = []
+    rows: dict[int, np.ndarray] = {}  # by stamp
+    repeated = 0
+    for number, (stamp_ns, angles) in enumerate(states):
         missing = [name for name in names if name not in angles]
         if len(missing) == len(names):
             continue
         if missing:
             raise ValueError(f"{path}: joints {missing} missing among {list(angles)} on {topic}")
-        row = tuple(angles[name] for name in names)
-        if not np.isfinite(row).all():
-            raise ValueError(f"{path}: position {row} at {stamp_ns} ns on {topic} is not finite")
-        if stamps and stamp_ns <= stamps[-1]:
-            if stamp_ns == stamps[-1] and row == rows[-1]:
+        row = np.array([angles[name] for name in names])
+        if rows and stamp_ns <= (last := next(reversed(rows))):
+            if stamp_ns in rows and row.tobytes() == rows[stamp_ns].tobytes():
+                repeated += 1
                 continue
-            if stamp_ns == stamps[-1] and simulated:
-                # The scene was reset within one tick of its clock. States before the reset, which
-                # a recorder lagging behind on a busy machine wrote, belong to another movement.
-                stamps, rows = [stamp_ns], [row]
-                continue
-            raise ValueError(
-                f"{path}: stamp {stamp_ns} follows {stamps[-1]} on {topic}; stamps must increase"
-            )
-        stamps.append(stamp_ns)
-        rows.append(row)
-    if not stamps:
+            if not (stamp_ns == last and simulated):
+                raise ValueError(
+                    f"{path}: stamp {stamp_ns} follows {last} on {topic}; stamps must increase"
+                )
+            # The scene was reset within one tick of its clock. States before the reset, which
+            # a recorder lagging behind on a busy machine wrote, belong to another movement.
+            index, rows = [], {}
+        index.append(number)
+        rows[stamp_ns] = row
+    if not rows:
         raise ValueError(
-            f"{path}: no message on {topic} has the joints {list(names)}; it has {sorted(seen)}"
+            f"{path}: no message on {topic} has the joints {list(names)}; it has {sorted(seen)}. "
+            "Name the joints of the arm, base to tip: wam-power bags import BAG --joints ..."
         )
-    return np.array(stamps, dtype=np.int64), np.array(rows)
+    stamps = np.array(list(rows), dtype=np.int64)
+    try:
+        found = jumps.checked(stamps, np.array(list(rows.values())), names)
+    except ValueError as error:
+        raise ValueError(f"{path}: {topic}: {error}") from None
+    remarks = found.remarks
+    if repeated:
+        counted = "1 repetition" if repeated == 1 else f"{repeated} repetitions"
+        remarks = (Remark(Grade.GOOD, f"{counted} left out"), *remarks)
+    kept = found.kept
+    return States(stamps[kept], found.q, np.array(index)[kept], names, remarks)
 
 
 def noted_arm(path: Path) -> ArmIdentity | None:
@@ -131,30 +169,30 @@ def texts(notes: object) -> dict[str, str]:
 
 
 def _joint_angles(
-    path: Path, topic: str, cdr: bytes, known: Collection[str]
+    path: Path, topic: str, received_ns: int, cdr: bytes, known: Collection[str]
 ) -> tuple[int, dict[str, float]]:
     """Stamp [ns] and angles by name of a message; it may be malformed if no joint is known."""
     try:
-        message = TYPES.deserialize_cdr(cdr, JOINT_STATE)
-    except Exception as error:  # of any type, depending on the bytes
-        raise ValueError(f"{path}: a message on {topic} is not a JointState: {error}") from error
+        message = decoded(cdr, JOINT_STATE)
+    except ValueError as error:
+        raise ValueError(f"{path}: a message on {topic}: {error}") from error
     stamp = message.header.stamp
     names, position = message.name, message.position.tolist()
     malformed = len(names) != len(position) or len(set(names)) != len(names)
     if malformed and not known.isdisjoint(names):
         raise ValueError(f"{path}: {len(position)} positions for names {names} on {topic}")
     angles = dict(zip(names, position, strict=not malformed))
-    return stamp.sec * 1_000_000_000 + stamp.nanosec, angles
+    return stamp.sec * 1_000_000_000 + stamp.nanosec or received_ns, angles
 
 
-def _joint_states(path: Path, topic: str) -> list[bytes]:
-    """Serialized joint states of a topic, in the order of reception."""
+def _joint_states(path: Path, topic: str) -> list[tuple[int, bytes]]:
+    """Times of reception [ns] and serialized joint states of a topic, in that order."""
     found = topics(path)
     if topic not in found:
         raise ValueError(f"{path}: no topic {topic}; it has {sorted(found)}")
     if found[topic].msgtype != JOINT_STATE:
         raise ValueError(f"{path}: {topic} is of type {found[topic].msgtype}, not {JOINT_STATE}")
-    return [cdr for _, _, cdr in messages(path, [topic])]
+    return [(received_ns, cdr) for _, received_ns, cdr in messages(path, [topic])]
 
 
 @dataclass(frozen=True)

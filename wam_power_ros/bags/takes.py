@@ -11,6 +11,7 @@ import numpy as np
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.bags.gaps import GapCounter
+from wam_power_ros.bags.quality import Remark
 from wam_power_ros.bags.series import TRASH
 from wam_power_ros.bags.writer import has_header, header_stamp
 
@@ -29,6 +30,7 @@ class Take:
         ended: Reason for the end, such as `layout.STOP_REQUESTED`; empty if unknown.
         stamps: Stamps of the joint states [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, n).
+        remarks: What was left out or unwrapped in reading them.
     """
 
     path: Path
@@ -38,6 +40,7 @@ class Take:
     ended: str
     stamps: np.ndarray
     q: np.ndarray
+    remarks: tuple[Remark, ...]
 
     @property
     def duration(self) -> float:
@@ -76,9 +79,9 @@ def read(path: Path, joint_names: Sequence[str]) -> Take:
     """Read a take.
 
     Raises:
-        ValueError: As `reader.read_demonstration`.
+        ValueError: As `reader.read_states`.
     """
-    stamps, q = reader.read_demonstration(path, joint_names)
+    states = reader.read_states(path, joint_names)
     topics = reader.topics(path)
     counts = dict.fromkeys(topics, 0)
     gaps: dict[str, GapCounter] = {}
@@ -91,4 +94,5 @@ def read(path: Path, joint_names: Sequence[str]) -> Take:
         if msgtype in layout.TYPES.fielddefs and has_header(msgtype):
             gaps.setdefault(name, GapCounter()).add(header_stamp(cdr))
     missing = {name: counter.gaps().missing for name, counter in gaps.items() if counts[name] > 2}
-    return Take(path, kind_of(path), counts, missing, ended, stamps, q)
+    kind = kind_of(path)
+    return Take(path, kind, counts, missing, ended, states.stamps, states.q, states.remarks)

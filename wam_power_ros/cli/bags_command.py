@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from wam_power_ros import plain_json
 from wam_power_ros.cli.launcher import (
     UsageError,
     arm_of,
@@ -201,7 +202,8 @@ def inspect(path: Path, names: Sequence[str], arm: Arm | None) -> InspectedTake:
 
     take = takes.read(path, names)
     t, q = smooth_joints(take.stamps, take.q)
-    remarks = quality.movement_remarks(t, q, names, None if arm is None else _limits(arm))
+    remarks = [*take.remarks]
+    remarks += quality.movement_remarks(t, q, names, None if arm is None else _limits(arm))
     remarks += quality.completeness_remarks(take.counts, take.missing, take.ended)
     return InspectedTake(take, t, q, remarks)
 
@@ -225,7 +227,8 @@ def _row(path: Path, names: Sequence[str], arm: Arm | None) -> tuple[str, str, s
         return path.name.partition("_")[0], row, reason
     graded: Grade = quality.grade(remarks)
     row = f"{take.duration:4.1f} s  {graded.name.lower():7}"
-    return take.kind, row, "; ".join(remark.text for remark in remarks)
+    reasons = (remark.text for remark in remarks if remark.grade is not quality.Grade.GOOD)
+    return take.kind, row, "; ".join(reasons)
 
 
 def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
@@ -280,7 +283,7 @@ def merge(options: argparse.Namespace) -> None:
 
 def import_(options: argparse.Namespace) -> None:
     """Convert a bag of another recorder into a demonstration."""
-    from wam_power_ros.bags import editing, layout
+    from wam_power_ros.bags import editing, layout, reader
 
     setup = overlay.setup(options.config, task=task_setup(options.task))
     names, arm = arm_of(setup)
@@ -290,6 +293,8 @@ def import_(options: argparse.Namespace) -> None:
         made = editing.import_bag(options.bag, output, names, options.joints, options.topic, kind)
         _, row, reasons = _row(made, names, arm)
     _print_bag(made)
+    for remark in plain_json.parse(reader.notes(made)["imported"], "imported")["remarks"]:
+        print(f"  {remark}")
     print(f"  {row.strip()}  {reasons}".rstrip())
 
 

@@ -170,8 +170,10 @@ def replay(options: argparse.Namespace) -> int:
 
     names, arm = arm_of(overlay.setup(options.config, options.simulate))
     identity = arm and arm.identity()
-    recorded = reader.read_demonstration(options.bag, names, arm=identity)
-    replay_trajectory.movement(*recorded, options.speed)
+    states = reader.read_states(options.bag, names, arm=identity)
+    for remark in states.remarks:
+        print(f"{options.bag}: {remark.text}")
+    replay_trajectory.movement(states.stamps, states.q, options.speed)
     folder = (options.folder or Path("replays") / timestamp()).resolve()
     signal.signal(signal.SIGTERM, interrupt)
     changes = {"demonstration_recorder": {"stem": "replay"}}

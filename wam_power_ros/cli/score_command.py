@@ -132,7 +132,7 @@ def recorded_rollout(
     names = (interface.POLICY, *tool_topics, body_topic)
     wanted = {topic: name for name in names if name and (topic := _topic(topics, name))}
     for topic, _, data in reader.messages(bag, wanted):
-        found[wanted[topic]] = layout.TYPES.deserialize_cdr(data, topics[topic].msgtype)
+        found[wanted[topic]] = layout.decoded(data, topics[topic].msgtype)
     if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
         return _as_rollout(bag, task, joint_names, arm)
     policy = policies.from_json(found[interface.POLICY].data)
@@ -185,7 +185,7 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
             raise ValueError(f"no state of the {task.body} on {state}")
         rows = {}
         for _, _, data in reader.messages(bag, [topic]):
-            message = layout.TYPES.deserialize_cdr(data, "nav_msgs/msg/Odometry")
+            message = layout.decoded(data, "nav_msgs/msg/Odometry")
             at, pose = message.header.stamp, message.pose.pose
             when = at.sec * 1_000_000_000 + at.nanosec - int(stamps[first])
             p, o = pose.position, pose.orientation

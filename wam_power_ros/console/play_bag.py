@@ -72,7 +72,7 @@ def _danger(path: Path, name: str, msgtype: str) -> str:
         return "it commands an arm"
     if msgtype == layout.JOINT_STATE:
         for _, _, cdr in reader.messages(path, [name]):
-            state = layout.TYPES.deserialize_cdr(cdr, msgtype)
+            state = layout.decoded(cdr, msgtype)
             torques_alone = len(state.effort) and not len(state.position) + len(state.velocity)
             return "it commands an arm" if torques_alone else ""
     return ""

@@ -150,7 +150,7 @@ class Replay(Node):
 
 
 def with_possible_speed(answer: Answer, speed: float) -> str:
-    """Text of the controller's answer, with the highest possible --speed if it was too fast.
+    """Text of the controller's answer, with the highest possible --speed, if any, if too fast.
 
     Args:
         answer: Answer of the controller.
@@ -158,7 +158,10 @@ def with_possible_speed(answer: Answer, speed: float) -> str:
     """
     if answer.code is not Code.TOO_FAST:
         return answer.text
-    return f"{answer.text}; possible at --speed {float(answer.values['speed']) * speed:.2f}"
+    possible = float(answer.values["speed"]) * speed
+    if possible < replay_trajectory.SPEED_MIN:
+        return f"{answer.text}; no --speed is slow enough"
+    return f"{answer.text}; possible at --speed {possible:.2f}"
 
 
 def main() -> int:

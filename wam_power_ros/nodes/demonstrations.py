@@ -9,7 +9,7 @@ from logging import Logger
 from pathlib import Path
 
 from wam_power_ros.arm_identity import remark
-from wam_power_ros.bags.reader import noted_arm, read_demonstration
+from wam_power_ros.bags.reader import noted_arm, read_states
 from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
@@ -100,10 +100,12 @@ class Demonstrations:
         """Read the movement in a bag; if there is none, a ValueError names the bag and reason."""
         try:
             identity = self._arm.identity
-            stamps_ns, q = read_demonstration(Path(bag), self._joint_names, arm=identity)
+            states = read_states(Path(bag), self._joint_names, arm=identity)
+            for found in states.remarks:
+                self._log.info(f"{bag}: {found.text}")
             if note := remark(noted_arm(Path(bag)), identity):
                 self._log.info(f"{bag} {note}")
-            return from_joint_samples(self._arm.kinematics, stamps_ns, q)
+            return from_joint_samples(self._arm.kinematics, states.stamps, states.q)
         except (ValueError, OSError) as error:
             raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
 

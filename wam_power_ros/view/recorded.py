@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from wam_power_ros.bags import reader
-from wam_power_ros.bags.layout import STRING, TYPES
+from wam_power_ros.bags.layout import STRING, decoded
 from wam_power_ros.learning.policy import Policy, from_json
 from wam_power_ros.params.resources import share
 from wam_power_ros.view.skeleton import Skeleton
@@ -134,4 +134,4 @@ def _body_states(bag: Path, topic: str, start_ns: int) -> Iterator[tuple[float, 
 
 def _decoded(bag: Path, topic: str, msgtype: str) -> Iterator[Any]:
     for _, _, cdr in reader.messages(bag, [topic]):
-        yield TYPES.deserialize_cdr(cdr, msgtype)
+        yield decoded(cdr, msgtype)
