@@ -209,3 +209,23 @@ def test_the_guided_joint_must_be_the_one_that_moves_and_in_the_requested_direct
 def test_the_direction_in_which_to_guide_a_joint_is_named(joint: int, fragment: str) -> None:
     q = np.array([0.0, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0])
     assert fragment in arm_checks.tool_direction(model(), q, joint)
+
+
+@pytest.mark.parametrize(("lag", "expected"), [(0.0, "0 ms"), (0.010, "10 ms"), (0.025, "25 ms")])
+def test_the_lag_of_the_velocity_of_a_moved_joint_is_measured(lag: float, expected: str) -> None:
+    t = np.arange(1000) * 0.002
+    samples = []
+    for now in t:
+        q, qd = POSTURE.copy(), np.zeros(7)
+        q[2] += 0.3 * np.sin(4.0 * now) * np.sin(1.3 * now)
+        late = now - lag
+        qd[2] = 0.3 * (
+            4.0 * np.cos(4.0 * late) * np.sin(1.3 * late)
+            + 1.3 * np.sin(4.0 * late) * np.cos(1.3 * late)
+        )
+        stamp_ns = 10**18 + round(now * 1e9)
+        samples.append(StateSample(stamp_ns, stamp_ns, NAMES, q, qd, np.zeros(7)))
+    row = arm_checks.velocity_lag(record(samples), 2)
+    assert row.found == expected
+    assert (row.verdict is Verdict.OK) is (lag < 0.016)
+    assert arm_checks.velocity_lag(record(samples), 3).verdict is Verdict.UNCHECKED

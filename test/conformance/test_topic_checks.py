@@ -140,3 +140,16 @@ def test_only_existing_rows_can_be_accepted() -> None:
     assert table[1].advice == "accepted. do"
     with pytest.raises(ValueError, match=r"no row \['row 9'\].*row 1"):
         topic_checks.accept(rows(Verdict.OK, Verdict.FAIL), ["row 9"])
+
+
+@pytest.mark.parametrize(
+    ("jitter_ms", "expected"), [(0.0, Verdict.OK), (0.5, Verdict.OK), (0.75, Verdict.WARN)]
+)
+def test_the_jitter_of_stamps_is_measured_around_their_rate(
+    jitter_ms: float, expected: Verdict
+) -> None:
+    noise = np.random.default_rng(0).standard_normal(2000)
+    jittered = np.sort(grid(2000, 2) + np.round(jitter_ms * MS * noise).astype(np.int64))
+    row = topic_checks.stamp_jitter("stamp jitter", np.delete(jittered, [500, 501, 900]))
+    assert row.verdict is expected
+    assert float(row.found.split()[0]) == pytest.approx(jitter_ms, abs=0.05)

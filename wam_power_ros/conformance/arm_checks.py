@@ -23,6 +23,7 @@ from wam_power_ros.control.arm import Arm
 STILL_RANGE = 0.02  # [rad] largest range of a joint while the arm is at rest
 MOVED_RANGE = 0.1  # [rad] smallest range of a joint that a person has moved
 REST_SPEED = 0.1  # [rad/s] largest velocity at rest
+VELOCITY_LAG_MAX = 0.016  # [s] that the plausibility checks were shown to bear in a flip
 SLOPE_WINDOW = 0.05  # [s] over which positions are differentiated
 LIMIT_TOLERANCE = 0.05  # [rad] beyond a position limit: zeros are set by hand
 GRAVITY_SHARE = 0.15  # relative tolerance for gravity torques: models of drivers differ
@@ -202,6 +203,27 @@ def _slopes(record: ArmRecord, qd: np.ndarray) -> dict[int, float]:
     rate = dq / dt[:, None]
     moved = np.flatnonzero(np.ptp(record.q, axis=0) >= STILL_RANGE)
     return {int(i): float((rate[:, i] @ mean[:, i]) / (rate[:, i] @ rate[:, i])) for i in moved}
+
+
+def velocity_lag(record: ArmRecord, joint: int) -> Row:
+    """How late the velocity of a moved joint is, against the derivative of its position."""
+    name = f"velocity lag, {record.joint_names[joint]}"
+    row = partial(Row, name, f"at most {VELOCITY_LAG_MAX * 1e3:.0f} ms")
+    t = (record.stamp_ns - record.stamp_ns[0]) * 1e-9 if len(record.q) else np.empty(0)
+    if record.qd is None or len(t) < 50 or np.ptp(record.q[:, joint]) < MOVED_RANGE:
+        return row("not moved, or no velocity", UNCHECKED)
+    q, qd = record.q[:, joint], record.qd[:, joint]
+    # The integral of the velocity is the position at an earlier time, plus a constant.
+    integral = np.concatenate([[0.0], np.cumsum(0.5 * (qd[1:] + qd[:-1]) * np.diff(t))])
+    inside = (t > 2.0 * VELOCITY_LAG_MAX) & (t < t[-1] - 2.0 * VELOCITY_LAG_MAX)
+    lags = np.arange(-VELOCITY_LAG_MAX, 2.0 * VELOCITY_LAG_MAX, 0.001)
+    errors = [np.std(integral[inside] - np.interp(t[inside] - lag, t, q)) for lag in lags]
+    lag = float(lags[int(np.argmin(errors))])
+    text = f"{max(lag, 0.0) * 1e3:.0f} ms"
+    if lag <= VELOCITY_LAG_MAX:
+        return row(text, OK)
+    advice = "a fast movement such as a flip may be stopped: filter less, or let the controller"
+    return row(text, WARN, f"{advice} differentiate (no velocity in the states)")
 
 
 def effort(record: ArmRecord) -> Row:

@@ -8,6 +8,7 @@ this machine.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -18,6 +19,8 @@ import numpy as np
 
 RATE_ERROR_FAIL = 0.1  # relative error of a rate above which the check fails
 RATE_ERROR_WARN = 0.03  # relative error of a rate above which the check warns
+MAD_TO_SD = 1.4826  # standard deviation over median absolute deviation, of a normal distribution
+STAMP_JITTER_MAX = 6e-4  # [s] standard deviation that the plausibility checks were shown to bear
 PAIR_NS = 1_000_000  # [ns] stamps closer than this belong to one frame that was sent twice
 CLOCK_ERROR_WARN = 100_000_000  # [ns] difference between a stamp and this machine's clock
 
@@ -134,6 +137,22 @@ def jitter(name: str, received_ns: np.ndarray, period: float) -> Row:
     if percentile <= 2e3 * period:
         return row(text, OK)
     return row(text, WARN, "end other programs; use a cable instead of wireless")
+
+
+def stamp_jitter(name: str, stamp_ns: np.ndarray) -> Row:
+    """Jitter of stamps (n,) [ns] around a constant rate."""
+    row = partial(Row, name, f"at most {STAMP_JITTER_MAX * 1e3:.1f} ms (standard deviation)")
+    intervals = np.diff(np.unique(stamp_ns)) * 1e-9
+    if len(intervals) < 3:
+        return row("too few different stamps", UNCHECKED)
+    # From the median, which lost messages do not change; an interval has the jitter of two stamps.
+    spread = float(np.median(np.abs(intervals - np.median(intervals))))
+    deviation = MAD_TO_SD * spread / math.sqrt(2.0)
+    text = f"{deviation * 1e3:.2f} ms"
+    if deviation <= STAMP_JITTER_MAX:
+        return row(text, OK)
+    advice = "a fast movement such as a flip may be stopped: stamp each state when it is measured"
+    return row(text, WARN, advice)
 
 
 def stamps(name: str, stamp_ns: np.ndarray) -> Row:

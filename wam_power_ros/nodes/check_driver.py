@@ -208,6 +208,7 @@ class CheckDriver(Node):
             topic_checks.rate("state rate", record.stamp_ns, 1.0 / params.period),
             topic_checks.jitter("state jitter", record.received_ns, params.period),
             topic_checks.stamps("state stamps", record.stamp_ns),
+            topic_checks.stamp_jitter("stamp jitter", record.stamp_ns),
             topic_checks.clock("state clock", record.received_ns, record.stamp_ns),
             arm_checks.positions(record, arm),
             arm_checks.velocity(record, params.velocity_topic),
@@ -344,7 +345,10 @@ class CheckDriver(Node):
             if self.ask(question) == "s":
                 continue
             self.spin(DISCOVERY_TIMEOUT, lambda: len(moved().q) > 0)  # Enter may precede any state
-            rows.append(arm_checks.hand_movement(moved(), joint))
+            rows += [
+                arm_checks.hand_movement(moved(), joint),
+                arm_checks.velocity_lag(moved(), joint),
+            ]
             if not len(moved().q):
                 break
             q = moved().q[-1]

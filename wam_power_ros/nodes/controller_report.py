@@ -20,6 +20,7 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.diagnostics import FAULT_KIND, component
 from wam_power_ros.ros.scheduling import Granted
 
+UNEXPLAINED = "unexplained torque"  # key of the diagnostics
 FAILURE_PERIOD_NS = 1_000_000_000  # [ns] between two logged exceptions
 
 
@@ -79,8 +80,14 @@ class ControllerReport:
         self.refuse("callback", f"{error!r} at {where}")
 
     def log_changes(self, now: Condition) -> None:
-        """Log every change of the mode, the fault and the input that the node waits for."""
-        values = {"mode": now.mode, "fault": now.fault, "waiting": self._awaited(now)}
+        """Log every change of mode, fault, awaited input, and whether the model carries the arm."""
+        excess = "" if now.core is None else now.core.unexplained.excess()
+        values = {
+            "mode": now.mode,
+            "fault": now.fault,
+            "waiting": self._awaited(now),
+            "unexplained": bool(excess),  # not its size, which varies
+        }
         changed = {key: value for key, value in values.items() if value != self._logged.get(key)}
         self._logged = values
         if isinstance(fault := changed.get("fault"), Fault):
@@ -89,6 +96,8 @@ class ControllerReport:
             self._preparation.log("info", "the fault was reset")
         if "mode" in changed:
             self._preparation.log("info", f"mode {now.mode}")
+        if changed.get("unexplained"):
+            self._preparation.log("warning", f"holding the arm takes more than its model: {excess}")
         if changed.get("waiting"):
             self._preparation.log("info", f"waiting for {changed['waiting']}")
 
@@ -116,6 +125,7 @@ class ControllerReport:
             FAULT_KIND: now.fault.kind.value if core and now.fault else "",
             **figures,
             **({} if core is None else core.counters),
+            UNEXPLAINED: "" if core is None else core.unexplained.excess(),
             **{f"refused: {name}": count for name, count in self._refused.items()},
             "real-time scheduling": now.granted.scheduling,
             "locked memory": now.granted.memory,
@@ -136,6 +146,8 @@ class ControllerReport:
             return "warn", now.missing_state or "not active"
         if overload:
             return "warn", overload
+        if now.core is not None and (excess := now.core.unexplained.excess()):
+            return "warn", f"{now.mode}; {excess}"
         if self._params.realtime_priority and not now.granted.complete:
             return "warn", f"{now.mode}; no real-time scheduling"
         if self._refused_since_report:

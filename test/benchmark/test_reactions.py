@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark of reactions in short: arms that are not their model, in one process."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmark import reactions
+from benchmark.hidden_arm import KNOWN, draw
+from benchmark.moments import Loop
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.learning.rollout import FaultKind
+
+
+@pytest.mark.requirement("S-121")
+@pytest.mark.parametrize("name", ["joints 2 and 4 swapped", "sign of joint 4"])
+@pytest.mark.parametrize("phase", ["upwards", "late", "teaching"])
+def test_states_that_agree_with_each_other_and_are_false_end_in_a_stop(
+    name: str, phase: str
+) -> None:
+    nominal = reactions.nominal_peak(phase, 2)
+    loop = Loop(2)
+    assert reactions.begin(loop, phase) == ""
+    loop.falsify = reactions.LIES[name]()
+    outcome = reactions.observe(loop, 3.0)
+    assert outcome.fault is FaultKind.JUMP
+    assert reactions.acceptable(outcome, nominal), outcome
+
+
+@pytest.mark.requirement("S-44", "S-121")
+@pytest.mark.parametrize("name", reactions.JUMPS)
+def test_a_jump_of_an_arm_that_nobody_holds_moves_nothing(name: str) -> None:
+    loop = Loop(2)
+    loop.controller.set_gravity_compensation(True)
+    loop.play(0.1)
+    loop.falsify = reactions.JUMPS[name]()
+    outcome = reactions.observe(loop, 2.0)
+    assert outcome.fault is FaultKind.JUMP
+    assert outcome.peak < 0.05 and outcome.stop < 0.01
+
+
+@pytest.mark.requirement("S-122")
+@pytest.mark.parametrize("arm", [*KNOWN, 9100, 9101], ids=str)
+@pytest.mark.parametrize("phase", ["upwards", "hold"])
+def test_an_arm_that_is_not_its_model_stays_where_a_fault_stopped_it(
+    arm: str | int, phase: str
+) -> None:
+    hidden = draw(arm) if isinstance(arm, int) else KNOWN[arm]
+    loop = Loop(2, hidden)
+    reactions.begin(loop, phase)  # the fault of an arm that does not get there counts, too
+    loop.controller.fault(reactions.A_FAULT)
+    outcome = reactions.observe(loop, 4.0)
+    assert outcome.rest < 0.05 and outcome.travel < 0.02 and outcome.reset, outcome
+
+
+@pytest.mark.requirement("S-126")
+@pytest.mark.parametrize("arm", ["base tilted 10 degrees", 9100, 9101, 9102], ids=str)
+def test_an_arm_that_is_not_its_model_stays_under_gravity_compensation(arm: str | int) -> None:
+    loop = Loop(2, draw(arm) if isinstance(arm, int) else KNOWN[arm])
+    loop.play(1.0)
+    loop.controller.set_gravity_compensation(True)
+    at = loop.tool()
+    loop.play(4.0)
+    assert loop.controller.mode is Mode.GRAVITY_COMPENSATION
+    assert np.linalg.norm(loop.tool() - at) < 0.05
