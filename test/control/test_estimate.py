@@ -154,3 +154,13 @@ def test_no_predicted_speed_is_beyond_the_limit_of_its_joint(sign: float) -> Non
         np.testing.assert_allclose(estimate.q - before, 0.02 * estimate.qd, atol=1e-12)
     reached = np.abs(estimate.qd) == MODEL.qd_max
     assert reached.any()
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_the_position_is_corrected_at_half_a_radian_a_second_in_either_direction(
+    sign: float,
+) -> None:
+    jump = [100.0 * sign, *([0.0] * 4)]  # 0.2 rad, which the estimate does not follow at first
+    for steps in (30, 60, 90):
+        before, after = (moved(jump + [0.3 * sign] * (steps + k), True).q[3] for k in (0, 1))
+        assert (after - before) * sign == pytest.approx((0.3 + 0.5) * PERIOD, rel=1e-3)

@@ -185,6 +185,21 @@ def test_a_torque_that_is_not_finite_is_never_sent() -> None:
 
 
 @pytest.mark.requirement("S-112")
+def test_what_brakes_the_arm_is_of_a_posture_at_most_20_ms_before() -> None:
+    bench = Bench(HOME + 0.4)
+    bench.begin("move")
+    postures = []
+    for _ in range(10):
+        postures.append(bench.plant.q)
+        bench.run(0.002)
+    kept = bench.controller._brake._gravity
+    errors = [np.abs(MODEL.gravity(q) - kept).max() for q in postures]
+    assert min(errors) < 0.01  # as far as encoders resolve a posture
+    start = np.abs(MODEL.gravity(HOME + 0.4) - kept).max()
+    assert start > 1.0
+
+
+@pytest.mark.requirement("S-112")
 @pytest.mark.parametrize("offset", [-1.0, -0.001, 0.001, 1.0])
 def test_the_spring_that_holds_the_braked_arm_is_bounded(offset: float) -> None:
     brake = BrakeWithoutModel(MODEL)

@@ -143,3 +143,13 @@ def test_a_movement_is_not_continued_beyond_its_last_sample(duration: float) -> 
     movement = interpolated(t, q, 1.0, 0.002)
     assert np.all(movement.q <= q[-1] + 1e-12)
     np.testing.assert_allclose(movement.at(duration)[0], q[-1], atol=0.001 + 1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.7])
+def test_a_move_and_a_brake_end_bit_for_bit_at_rest_in_their_last_instant(speed: float) -> None:
+    goal = HOME + np.linspace(-0.7, 0.9, 7) / 3.0
+    move = MinJerk(HOME, goal, speed)
+    stop = brake(HOME, np.linspace(-0.7, 0.9, 7) / 3.0)
+    for reference, end in ((move, goal), (stop, stop.at(9.0)[0])):
+        q, qd, qdd = reference.at(reference.duration)
+        assert np.array_equal(q, end) and not qd.any() and not qdd.any()

@@ -143,6 +143,14 @@ def test_ratings_add_up_and_no_return_falls_below_zero() -> None:
     assert practice.records[3].rated_return == 0.0 and practice.records[3].ret == 0.5
 
 
+def test_a_rating_says_the_return_before_and_after_it() -> None:
+    practice = started()
+    run(practice, 3, worth(0.5))
+    assert practice.rate(0.2).note.endswith("rewarded: return 0.500 -> 0.700")
+    assert practice.rate(-0.9).note.endswith("punished: return 0.700 -> 0.000")
+    assert practice.rate(0.3, 2).note.endswith("trial-0002 rewarded: return 0.500 -> 0.800")
+
+
 def test_a_person_has_a_say_in_which_demonstration_is_learnt_from() -> None:
     for liked, expected in ((1, "flick-1"), (2, "flick-2")):
         practice = started()

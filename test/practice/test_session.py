@@ -519,3 +519,9 @@ def test_a_disk_that_refuses_the_acknowledgement_costs_no_rollout(
     assert "acknowledged.json could not be written" in caplog.text
     with Session.open(folder) as session:
         assert len(session.records) == 4
+
+
+def test_the_task_of_a_session_is_read_from_its_folder(tmp_path: Path) -> None:
+    assert Session.task_of(begun(tmp_path / "session")) == "flip"
+    with pytest.raises(SessionError, match="holds no session"):
+        Session.task_of(tmp_path)
