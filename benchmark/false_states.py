@@ -18,13 +18,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
+from benchmark.hidden_arm import HiddenArm
 from benchmark.lab import TIMEOUT, Lab
 from benchmark.nodes import JOINTS, PERIOD_NS
 from benchmark.soak import taught
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.scenes.flip import wrist_flick
-from hardware_sim.settings import WorldSettings
-from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import to_json
@@ -119,23 +118,30 @@ class Driver:
     Attributes:
         falsify: Changes a state before it is published.
         speeds: Speed of the tool in every period [m/s].
+        path: Position of the tool in every period [m].
+
+    Args:
+        lab: The lab.
+        hidden: Deviations of the arm from its model.
     """
 
-    def __init__(self, lab: Lab) -> None:
+    def __init__(self, lab: Lab, hidden: HiddenArm | None = None) -> None:
         self._lab = lab
-        self._world = World(WorldSettings(watchdog=False), 0)
+        hidden = hidden or HiddenArm()
+        self._world, self._zeros = hidden.world(), hidden.zeros
         self._arm = Arm(self._world.urdf, JOINTS)
         self._write = JointStateWriter(JOINTS)
         self._clients: dict[str, Client] = {}
         self.falsify: Falsifier = lambda state: state
         self.speeds: list[float] = []
+        self.path: list[np.ndarray] = []
         self._stamp_ns = time.time_ns()
         self.policy = taught()
         self._policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._states = lab.driver_node.create_publisher(
             JointState, interface.JOINT_STATES, interface.STATE_OUT
         )
-        self._world.reset("lies", self.policy.q_start)
+        self._world.reset("lies", self.policy.q_start - self._zeros)
         self._world.release()
 
     def gravity(self) -> np.ndarray:
@@ -151,8 +157,9 @@ class Driver:
             self._world.step(torques[-1][1].tau if torques else None)
             sample = self._world.joint_state()
             self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
+            self.path.append(self._world.pan_pose[0])
             self._stamp_ns += PERIOD_NS
-            state = self.falsify(Reading(self._stamp_ns, sample.q, sample.qd))
+            state = self.falsify(Reading(self._stamp_ns, sample.q + self._zeros, sample.qd))
             if state is not None:
                 still = np.zeros(7)
                 self._states.publish(self._write(state.stamp_ns, state.q, state.qd, still))
@@ -164,18 +171,23 @@ class Driver:
                 lab.spin(left * 1e-9)
         return done
 
-    def ready(self) -> None:
-        """Bring the arm to the start of the policy and hold, resetting a fault."""
+    def ready(self, enough: Callable[[], bool] = lambda: False) -> bool:
+        """Bring the arm to the start of the policy and hold, resetting a fault.
+
+        Returns:
+            True; False if it was `enough` before that.
+        """
         self.falsify, lab = lambda state: state, self._lab
         self.release()
-        while True:
+        while not enough():
             self.play(0.5)
             if lab.label == "fault":
                 self.call(interface.RESET)
             elif lab.label == "hold":
                 self._policies.publish(String(data=to_json(self.policy)))
                 if self.call(interface.MOVE_TO_START):
-                    return
+                    return True
+        return False
 
     def ask(self, name: str, request: object = None) -> Future:
         """Call a service while the arm keeps running; return the future of its response."""

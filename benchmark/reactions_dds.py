@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The cases of `benchmark.reactions` over DDS in real time, with the controller as a process.
+
+    python -m benchmark.reactions_dds [--cases lies jumps faults hands_off] [--arms 12]
+
+The arm is simulated in this process and keeps the last torque. Fault and mode are those of the
+torques that it receives.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from std_srvs.srv import SetBool
+
+from benchmark.false_states import PHASES, REST_TICKS, Driver, Falsifier, Reading
+from benchmark.hidden_arm import HiddenArm
+from benchmark.lab import ARM, Lab
+from benchmark.reactions import (
+    AFTER,
+    HANDS_OFF_SPEED,
+    JUMPS,
+    LIES,
+    TRAVEL_MAX,
+    Outcome,
+    acceptable,
+    all_arms,
+    row,
+)
+from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.ros import interface, scheduling
+
+READY_TIMEOUT = 20.0  # [s] until an arm that is not its model holds at the start of its policy
+Line = tuple[str, bool]
+
+
+def unreadable(count: int = 6) -> Falsifier:
+    """Make some states unreadable: a fault after which the states are true."""
+    left = [count]
+
+    def falsify(state: Reading) -> Reading:
+        left[0] -= 1
+        return state if left[0] < 0 else state._replace(q=np.full(7, np.nan))
+
+    return falsify
+
+
+def observe(lab: Lab, driver: Driver, seconds: float = AFTER) -> Outcome:
+    """Watch the arm for some time [s]; the person lets go at a fault. See `reactions.observe`."""
+    driver.speeds.clear()
+    driver.path.clear()
+    noticed: list[int] = []
+
+    def watch() -> bool:
+        if not noticed and lab.label == "fault":
+            noticed.append(len(driver.speeds))
+            driver.release()
+        return len(driver.speeds) * 0.002 >= seconds
+
+    driver.play(2.0 * seconds, watch)
+    begun = noticed[0] if noticed else 0
+    calm = begun + (REST_TICKS if noticed else 0)
+    way, speeds = np.array(driver.path), driver.speeds
+    travel, stop = (float(np.linalg.norm(way[at:] - way[at], axis=1).max()) for at in (calm, begun))
+    reset = not noticed or driver.call(interface.RESET)
+    kind = FaultKind.SOFTWARE if noticed else None  # the topic of torques does not say which
+    at = noticed[0] if noticed else None
+    return Outcome(kind, at, max(speeds), max(speeds[calm:]), travel, stop, reset)
+
+
+def ready(driver: Driver) -> bool:
+    """Bring the arm to hold at the start of the policy; whether that was possible."""
+    driver.falsify = lambda state: state
+    driver.release()
+    end = time.monotonic() + READY_TIMEOUT
+    return driver.ready(lambda: time.monotonic() > end)
+
+
+def lies(lab: Lab, arms: int) -> Iterator[Line]:
+    """See `reactions.lies`."""
+    driver = Driver(lab)
+    lab.controller()
+    for phase in PHASES:
+        driver.begin(phase)
+        nominal = observe(lab, driver, 1.2).peak
+        for name, make in LIES.items():
+            driver.begin(phase)
+            driver.falsify = make()
+            outcome = observe(lab, driver)
+            good = acceptable(outcome, nominal)
+            yield row(name, phase, nominal, outcome, good), good
+
+
+def jumps(lab: Lab, arms: int) -> Iterator[Line]:
+    """See `reactions.jumps`."""
+    driver = Driver(lab)
+    lab.controller()
+    for name, make in JUMPS.items():
+        ready(driver)
+        driver.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        driver.play(0.4)
+        driver.falsify = make()
+        outcome = observe(lab, driver)
+        good = acceptable(outcome, 0.0) and outcome.fault is not None
+        yield row(name, "teaching, hands off", 0.0, outcome, good), good
+
+
+def faults(lab: Lab, arm: HiddenArm, name: str, phases: tuple[str, ...]) -> Iterator[Line]:
+    """See `reactions.faults`; for one arm."""
+    driver = Driver(lab, arm)
+    lab.controller()
+    for phase in phases:
+        if not ready(driver):
+            yield f"| {name} | {phase} | not reached: {lab.label} | | | | | | good |", True
+            continue
+        driver.begin(phase)
+        nominal = observe(lab, driver, 1.2).peak
+        driver.begin(phase)
+        driver.falsify = unreadable()
+        outcome = observe(lab, driver)
+        good = acceptable(outcome, nominal) and outcome.reset and outcome.fault is not None
+        yield row(name, phase, nominal, outcome, good), good
+
+
+def hands_off(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
+    """See `reactions.hands_off`; for one arm."""
+    driver = Driver(lab, arm)
+    lab.controller()
+    if not ready(driver):
+        yield f"| {name} | hands off | not reached: {lab.label} | | | | | | good |", True
+        return
+    driver.play(1.0)
+    answer = driver.ask(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+    driver.play(5.0, answer.done)
+    if not answer.result().success:
+        yield f"| {name} | hands off | {answer.result().message} | | | | | | good |", True
+        return
+    outcome = observe(lab, driver)
+    good = outcome.travel < TRAVEL_MAX or (
+        outcome.fault is not None and outcome.peak < HANDS_OFF_SPEED
+    )
+    yield row(name, "hands off", 0.0, outcome, good), good
+
+
+def lines(lab: Lab, case: str, count: int) -> Iterator[Line]:
+    """All lines of a case; each arm has a controller of its own."""
+    if case in ("lies", "jumps"):
+        yield from (lies if case == "lies" else jumps)(lab, count)
+        return
+    for number, (name, arm) in enumerate(all_arms(count)):
+        drawn = name.startswith("drawn")
+        # Every known arm in every phase; drawn ones in two phases each, in turn.
+        phases = (PHASES[number % 6], PHASES[(number + 3) % 6]) if drawn else PHASES
+        made = hands_off(lab, arm, name) if case == "hands_off" else faults(lab, arm, name, phases)
+        yield from made
+        for running in [*lab.processes._running]:
+            lab.end(running)
+        lab.torques.clear()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print a row for each case and phase; return 1 if the arm was not stopped."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    cases = ("lies", "jumps", "faults", "hands_off")
+    parser.add_argument("--cases", nargs="+", choices=cases, default=list(cases))
+    parser.add_argument("--arms", type=int, default=12, help="number of drawn arms")
+    given = parser.parse_args(arguments)
+    scheduling._schedule(ARM)
+    speeds = "peak (nominal) [m/s] | after 0.5 s"
+    print(f"| case | phase | fault | {speeds} | travel [cm] | with the stop | reset | |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    bad = 0
+    for case in given.cases:
+        with tempfile.TemporaryDirectory() as folder:
+            lab = Lab(Path(folder))
+            with lab.open():
+                for line, good in lines(lab, case, given.arms):
+                    bad += not good
+                    print(line.replace("software after", "fault after"), flush=True)
+    print(f"{bad} bad")
+    return int(bad > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
