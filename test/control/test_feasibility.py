@@ -134,6 +134,17 @@ def test_a_margin_to_the_position_limits_is_kept(
         assert re.search(r"joint 2 comes within 0\.0\d+ rad of a limit; 0.05 must rem", fault.text)
 
 
+@pytest.mark.parametrize(("q_min", "kind"), [(1.28, None), (1.34, FaultKind.JOINT_POSITION)])
+def test_a_margin_to_the_lower_position_limits_is_kept(
+    arm: Arm, q_min: float, kind: FaultKind | None
+) -> None:
+    # Lifting the pan moves joint 4 to 1.36 rad, against the spring at the limit.
+    limits = limits_of(arm, q_min=np.where(np.arange(7) == 3, q_min, arm.q_min))
+    fault = simulate_policy(arm, ControllerSettings(limits=limits), lift(arm, 0.25)).fault
+    assert (fault and fault.kind) is kind
+    assert fault is None or fault.text.startswith("joint 4 comes within 0.0")
+
+
 def test_the_fastest_of_the_guarded_points_is_reported(arm: Arm, free: Feasibility) -> None:
     peaks = []
     for guarded in (WAM_GUARDED_POINTS[:1], WAM_GUARDED_POINTS[1:]):

@@ -153,3 +153,10 @@ def test_a_move_and_a_brake_end_bit_for_bit_at_rest_in_their_last_instant(speed:
     for reference, end in ((move, goal), (stop, stop.at(9.0)[0])):
         q, qd, qdd = reference.at(reference.duration)
         assert np.array_equal(q, end) and not qd.any() and not qdd.any()
+
+
+def test_a_reference_does_not_move_before_it_begins() -> None:
+    movement = interpolated(np.linspace(0.0, 1.0, 9), HOME + np.eye(9)[:, :7], 1.0, 0.002)
+    for reference in (MinJerk(HOME, HOME + 1.0, 0.5), brake(HOME, np.full(7, 0.4)), movement):
+        for early, first in zip(reference.at(-0.3), reference.at(0.0), strict=True):
+            assert np.array_equal(early, first)
