@@ -2,6 +2,7 @@
 """Kill the learner (-9) repeatedly: its session must end with the records of an undisturbed one.
 
     python -m benchmark.kill [--seed 42] [--kills 10] [--trials 8] [--demonstrations 4]
+    python -m benchmark.kill --each 20 --trials 6
 
 First an undisturbed session is run. Then another session learns from the same bags, on nodes that
 keep running. Its learner is killed at random moments (drawn from the seed), up to five seconds
@@ -9,11 +10,19 @@ after its start or after its first rollout, and restarted with the same folder. 
 `rollouts.jsonl` had before a kill may change. In the end all fields must be equal except `clock`
 and `bag`: a recording that a kill cut short keeps its name, so the repeated rollout is in
 rollout_<id>_2.
+
+With `--each`, that many sessions of `wam-power learn` lose one process each (-9), in turn each of
+its nodes, its preparation process, and `wam-power` itself, at a random moment. They are resumed by
+the same command, and compared with the undisturbed session.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
+import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -22,12 +31,30 @@ from pathlib import Path
 import numpy as np
 
 from benchmark.nodes import environment, node_command
-from benchmark.sessions import differences, learn, lines, records, session_parser, verdict
+from benchmark.sessions import (
+    differences,
+    learn,
+    learn_command,
+    learn_environment,
+    lines,
+    records,
+    session_parser,
+    verdict,
+)
 from wam_power_ros.bags.layout import UNFINISHED
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.ros.domain import private_domain
 
 ROLLOUT_TIMEOUT = 120.0  # [s]
+PROCESSES = (  # of `wam-power learn`, and itself
+    "learner",
+    "torque_controller",
+    "wam_sim",
+    "pancake_tracker",
+    "demonstration_recorder",
+    "preparation_worker",
+    "wam-power",
+)
 
 
 def learn_killed(
@@ -42,6 +69,7 @@ def learn_killed(
     lost, report, kept = [], [], []
     command = node_command(
         "learner",
+        "simulation",
         use_sim_time=True,
         session=str(folder),
         seed=seed,
@@ -54,7 +82,7 @@ def learn_killed(
         with others, learners:
             others.start("wam_sim", node_command("wam_sim", "optitrack_sim", seed=seed))
             for name in ("torque_controller", "pancake_tracker"):
-                others.start(name, node_command(name, use_sim_time=True))
+                others.start(name, node_command(name, "simulation", use_sim_time=True))
             directory = str(folder / "bags")
             recorder = "demonstration_recorder"
             given = {"use_sim_time": True, "directory": directory}
@@ -93,14 +121,97 @@ def learn_killed(
     return lost, report
 
 
+def descendants(parent: int) -> dict[str, int]:
+    """Processes below a process: what they run, and their ids."""
+    rows: dict[int, tuple[int, list[str]]] = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (folder / "cmdline").read_text().split("\0")
+            above = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+        except OSError:  # it has ended
+            continue
+        rows[int(folder.name)] = above, words
+    found: dict[str, int] = {}
+    below = {parent}
+    while new := {pid for pid, (above, _) in rows.items() if above in below} - below:
+        below |= new
+        for pid in new:
+            words = rows[pid][1]
+            for name in PROCESSES[:-1]:
+                if name in words or any(word.endswith(f".{name}") for word in words):
+                    found[name] = pid
+    return found
+
+
+def learn_bereaved(folder: Path, options: argparse.Namespace, name: str, seed: int) -> str:
+    """Run a session that loses a process (-9) at a random moment, and resume it to its end.
+
+    Args:
+        folder: Folder of the session.
+        options: Those of `session_parser`.
+        name: One of `PROCESSES`.
+        seed: Seed of the moment.
+
+    Returns:
+        A line for the report.
+    """
+    rng = np.random.default_rng(seed)
+    count, late = int(rng.integers(options.trials)), float(rng.uniform(0.0, 2.0))
+    command = learn_command(folder, options)
+    folder.mkdir(parents=True)
+    with (folder / "learn.log").open("ab") as log:
+        running = subprocess.Popen(command, env=learn_environment(), stdout=log, stderr=log)
+    end = time.monotonic() + ROLLOUT_TIMEOUT
+    while len(lines(folder)) < count and time.monotonic() < end and running.poll() is None:
+        time.sleep(0.01)
+    time.sleep(late)
+    victims = descendants(running.pid) | {PROCESSES[-1]: running.pid}
+    while name not in victims and time.monotonic() < end and running.poll() is None:
+        time.sleep(0.01)
+        victims = descendants(running.pid) | {PROCESSES[-1]: running.pid}
+    if name not in victims or running.poll() is not None:
+        raise RuntimeError(f"no {name} to kill; status {running.poll()}")
+    os.kill(victims[name], signal.SIGKILL)
+    before = len(lines(folder))
+    status = running.wait(2.0 * ROLLOUT_TIMEOUT)
+    resumed = 0
+    while status and resumed < 3:
+        resumed += 1
+        status = subprocess.run(
+            command,
+            env=learn_environment(),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            stdin=subprocess.DEVNULL,
+        ).returncode
+    return f"{name} killed at {before} records, resumed {resumed} times, status {status}"
+
+
+def each(folder: Path, options: argparse.Namespace) -> int:
+    """Kill one process in each of `options.each` sessions; status 1 if a record differs."""
+    learn(folder / "undisturbed", options)
+    expected, bad = records(folder / "undisturbed", "clock", "bag"), 0
+    for number in range(options.each):
+        session, name = folder / f"killed-{number}", PROCESSES[number % len(PROCESSES)]
+        report = learn_bereaved(session, options, name, options.seed + 100 * number)
+        found = [*differences(expected, records(session, "clock", "bag"))]
+        bad += bool(found)
+        print(f"{report}; {verdict(f'{len(expected)} rollouts', found)}", flush=True)
+    print(f"{bad} of {options.each} sessions differ")
+    return int(bad > 0)
+
+
 def main() -> int:
     """Run both sessions and print the differences; status 1 if there are any."""
     parser = session_parser(__doc__, seed=42)
     parser.add_argument("--kills", type=int, default=10)
+    parser.add_argument("--each", type=int, default=0, help="number of sessions of wam-power learn")
     options = parser.parse_args()
     seed = options.seed
     with tempfile.TemporaryDirectory() as scratch:
         folder = (options.folder or Path(scratch)).resolve()
+        if options.each:
+            return each(folder, options)
         undisturbed, killed = folder / "undisturbed", folder / "killed"
         took = learn(undisturbed, options)
         bags = json.loads((undisturbed / "demonstrations.json").read_text())

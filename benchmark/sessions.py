@@ -25,18 +25,27 @@ def session_parser(doc: str, seed: int) -> argparse.ArgumentParser:
     return parser
 
 
-def learn(folder: Path, options: argparse.Namespace) -> float:
-    """Run `wam-power learn` in a folder; return its wall time [s]."""
-    folder.mkdir(parents=True, exist_ok=True)
+def learn_command(folder: Path, options: argparse.Namespace) -> list[str]:
+    """Command that runs or resumes a session in a folder."""
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
     for name in ("seed", "trials", "demonstrations"):
         command += [f"--{name}", str(getattr(options, name))]
+    return command
+
+
+def learn_environment() -> dict[str, str]:
+    """Environment of such a command: without a film."""
+    return {**os.environ, **environment(), "MUJOCO_GL": "disable"}
+
+
+def learn(folder: Path, options: argparse.Namespace) -> float:
+    """Run `wam-power learn` in a folder; return its wall time [s]."""
+    folder.mkdir(parents=True, exist_ok=True)
     begun = time.monotonic()
     with (folder / "learn.log").open("ab") as log:
-        no_film = {"MUJOCO_GL": "disable"}
         subprocess.run(
-            command,
-            env=os.environ | environment() | no_film,
+            learn_command(folder, options),
+            env=learn_environment(),
             stdout=log,
             stderr=log,
             check=True,

@@ -64,6 +64,7 @@ class SceneServices:
         self._demonstrating = False
         self._ticks_left = 0  # see WAIT_TICKS
         self._resetting: Iterator[None] | None = None
+        self._put_back_to: tuple[str, np.ndarray] | None = None  # after the arm was carried there
         body = world.scene.body
         self._truths = node.create_publisher(
             String, interface.body_topic(body, "truth"), interface.LATCHED
@@ -92,6 +93,12 @@ class SceneServices:
         """Advance a pending reset or demonstration; called every tick."""
         world, waited = self._world, self._ticks_left == 0
         self._ticks_left = max(0, self._ticks_left - 1)
+        if not world.carried:
+            self._ticks_left = WAIT_TICKS
+            return
+        if self._put_back_to is not None:
+            self._put_back(*self._put_back_to)
+            self._put_back_to = None
         if self._resetting is not None and next(self._resetting, self) is self:
             self._resetting = None
             world.release()
@@ -127,7 +134,11 @@ class SceneServices:
         """
         policy, world = self._policy, self._world
         if self.label == "gravity_compensation" and not world.pulled:
-            self._put_back(*self._next_demonstration())
+            rollout_id, home = self._next_demonstration()
+            if self._carry(home):
+                self._put_back_to = rollout_id, home
+            else:
+                self._put_back(rollout_id, home)
             return None
         if policy is None or len(policy.q_start) != N:
             return str(Answer(Code.NOTHING, "no policy for this arm has been received"))
@@ -139,6 +150,13 @@ class SceneServices:
             return str(Answer(Code.NOT_AT_START, text, {"policy": policy.id}))
         self._put_back(policy.id, policy.q_start)
         return None
+
+    def _carry(self, home: np.ndarray) -> bool:
+        """Whether the arm is away from a posture (7,) [rad], so that it is carried there first."""
+        far = np.abs(self._world.joint_state().q - home).max() > START_TOLERANCE
+        if far:
+            self._world.carry(home)
+        return bool(far)
 
     def _put_back(self, rollout_id: str, q: np.ndarray) -> None:
         """Reset the world: at once in lockstep, else in slices while the clock goes on."""
@@ -159,6 +177,8 @@ class SceneServices:
         world = self._world
         rollout_id, home = self._next_demonstration()
         if world.rollout_id != rollout_id:  # not reset for it yet
+            if self._carry(home):
+                return
             world.reset(rollout_id, home)
         rng = np.random.default_rng((self._seed, self._demonstrations))
         if world.frozen:

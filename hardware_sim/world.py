@@ -26,11 +26,14 @@ from hardware_sim.sensors import Encoders, Mocap, MocapFrame, quantize_geared
 from hardware_sim.settings import SceneSettings, WorldSettings
 from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS, N
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.control.joint_references import MinJerk
 from wam_power_ros.params.resources import share
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
 QUIET = "-quiet"  # suffix of the id of a rollout without wind, offset and variation of the arm
 DROP_HEIGHT = 0.7  # [m]
+CARRY_REST = 0.1  # [s] at its end, in which the filtered velocity becomes zero
+CARRY_SPEED = 1.0  # [rad/s] peak joint speed of an arm that is carried to a posture
 _SETTLE_STEPS = 900  # physics steps, at most, until bodies are at rest
 _SETTLE_CHECK = 50  # physics steps between checks for rest
 _SETTLE_SLICE = 10  # physics steps done within one tick
@@ -88,6 +91,7 @@ class World:
             self._encoders = Encoders(quantize_geared)
         self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
         self._velocity = np.zeros(6)
+        self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
         self._build(unknown_world.draw(settings, seed) if settings.unknown else settings)
 
         self.time_ns = PERIOD_NS
@@ -196,6 +200,30 @@ class World:
             if step % _SETTLE_SLICE == 0:
                 yield
 
+    def carry(self, q: np.ndarray) -> None:
+        """Let a person carry the arm to a posture (7,) [rad], by its joints alone; freezes it.
+
+        The encoders see a movement of minimum jerk, as of a real arm; `carried` says when it ends.
+        """
+        self.frozen = True
+        self._carrying = MinJerk(self._q.copy(), q, CARRY_SPEED), self.time_ns
+
+    @property
+    def carried(self) -> bool:
+        """Whether no movement of `carry` is under way."""
+        return self._carrying is None
+
+    def _carry_on(self) -> None:
+        """Move a carried arm by one tick."""
+        if self._carrying is None:
+            return
+        path, begun_ns = self._carrying
+        t = (self.time_ns - begun_ns) * 1e-9
+        self._q[:] = path.at(t)[0]
+        self._encoders.read(self._q.tolist())
+        if t >= path.duration + CARRY_REST:
+            self._carrying = None
+
     def release(self) -> None:
         """Continue the physics from the frozen state."""
         self.frozen = False
@@ -254,6 +282,7 @@ class World:
         if command is not None and not (len(command) == N and math.isfinite(sum(command))):
             raise ValueError(f"torques {command} must be {N} finite numbers")
         self.time_ns += PERIOD_NS
+        self._carry_on()
         if not self.frozen:
             self._delayed.append(command)
             command = self._delayed.popleft()

@@ -92,7 +92,7 @@ class PlayedArm:
             return any(torque.label == "hold" for torque in self.read())
 
         self.probe.until(held, "the controller holds")
-        for _ in range(40):
+        for _ in range(80):  # until the torque that holds the arm is known
             self.send()
             self.answer()
 

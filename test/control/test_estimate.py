@@ -56,6 +56,7 @@ def test_a_joint_that_jumps_once_or_back_and_forth_has_no_speed() -> None:
         assert np.abs(moved(rates).qd).max() < 0.01, rates
 
 
+@pytest.mark.requirement("S-121")
 def test_states_that_are_not_trusted_change_nothing() -> None:
     for rates in ([20.0], [0.1] * 50, [3.0] * 50, [10.0, -10.0] * 20):
         estimate = moved(rates, trusted=False)

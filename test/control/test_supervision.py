@@ -4,6 +4,7 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from rigid_arm import HOME, LIMITS, MODEL, PERIOD_NS
 
 from wam_power_ros.control.controller_settings import ControllerSettings
@@ -117,6 +118,7 @@ def estimated(watch: Supervision, states: list[JointState]) -> list[JointState]:
     return [watch.estimate(each, motion, new=False) for each in states]
 
 
+@pytest.mark.requirement("S-121")
 def test_states_are_trusted_until_one_was_called_false() -> None:
     watch = supervision()
     assert watch.trusted
@@ -128,12 +130,14 @@ def test_states_are_trusted_until_one_was_called_false() -> None:
     assert not watch.trusted
 
 
+@pytest.mark.requirement("S-121")
 def test_a_torque_that_nothing_explains_may_be_true_and_its_states_stay_in_use() -> None:
     watch = supervision(GRAVITY + 0.2 * MODEL.tau_max)
     assert fault_kind(watch, Mode.HOLD) is FaultKind.EXTERNAL_TORQUE
     assert watch.trusted
 
 
+@pytest.mark.requirement("S-121")
 def test_a_velocity_that_no_motor_can_reach_in_one_state_makes_such_a_torque_a_false_state() -> (
     None
 ):
@@ -147,6 +151,7 @@ def test_a_velocity_that_no_motor_can_reach_in_one_state_makes_such_a_torque_a_f
     assert not watch.trusted
 
 
+@pytest.mark.requirement("S-121")
 def test_states_count_again_once_they_have_agreed_with_the_model_for_a_while() -> None:
     watch = supervision()
     watch.doubt(lasting=False)
@@ -156,6 +161,7 @@ def test_states_count_again_once_they_have_agreed_with_the_model_for_a_while() -
     assert watch.trusted
 
 
+@pytest.mark.requirement("S-121")
 def test_states_of_a_joint_that_moves_while_the_model_rests_never_count_again() -> None:
     speed = np.zeros(7)
     speed[1] = 1.01 * AGREEMENT / (TRUST_STATES * 0.002)
@@ -171,6 +177,7 @@ def test_states_of_a_joint_that_moves_while_the_model_rests_never_count_again() 
     assert watch.trusted
 
 
+@pytest.mark.requirement("S-121")
 def test_after_a_jump_states_count_again_only_after_a_reset() -> None:
     watch = supervision()
     watch.doubt(lasting=True)

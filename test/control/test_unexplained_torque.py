@@ -16,10 +16,10 @@ def test_the_torque_is_known_once_the_arm_has_rested_for_a_tenth_of_a_second() -
     unexplained = UnexplainedTorque(MODEL)
     for rests in ([True] * 9, [False], [True] * 9):
         for at_rest in rests:
-            unexplained.observe(at_rest, JOINT_2, DT)
+            unexplained.observe(at_rest, HOME, JOINT_2, DT)
         assert not unexplained.known
     for _ in range(2):
-        unexplained.observe(True, JOINT_2, DT)
+        unexplained.observe(True, HOME, JOINT_2, DT)
     assert unexplained.known
     unexplained.begin()
     assert not unexplained.known
@@ -29,17 +29,37 @@ def test_the_torque_is_known_once_the_arm_has_rested_for_a_tenth_of_a_second() -
 def test_a_moving_arm_tells_nothing() -> None:
     unexplained = UnexplainedTorque(MODEL)
     for _ in range(100):
-        unexplained.observe(False, 10.0 * JOINT_2, DT)
+        unexplained.observe(False, HOME, 10.0 * JOINT_2, DT)
     assert not unexplained.torque.any()
 
 
-def test_the_torque_that_held_the_arm_is_compensated_and_rounding_errors_are_not() -> None:
+def test_what_friction_may_explain_is_not_compensated_elsewhere() -> None:
+    for share, certain in ((0.99, False), (1.01, True), (-1.01, True)):
+        unexplained = UnexplainedTorque(MODEL)
+        beyond = share * MODEL.friction
+        for _ in range(200):
+            unexplained.observe(True, HOME, beyond, DT)
+        np.testing.assert_allclose(unexplained.compensation, beyond * certain, rtol=1e-6)
+
+
+def test_a_guided_arm_starts_with_the_torque_that_held_it_which_fades_with_the_way() -> None:
     unexplained = UnexplainedTorque(MODEL)
-    beyond = 4.0 * JOINT_2 + 1e-5 * np.eye(7)[6]
-    for _ in range(100):
-        unexplained.observe(True, beyond, DT)
-    np.testing.assert_allclose(unexplained.compensation, 4.0 * JOINT_2, rtol=1e-6)
-    assert unexplained.compensation[6] == 0.0
+    for _ in range(200):
+        unexplained.observe(True, HOME, JOINT_2, DT)
+    for way, share in ((0.0, 1.0), (0.025, 0.5), (-0.04, 0.2), (0.05, 0.0), (1.0, 0.0)):
+        given = unexplained.guided(HOME + way * np.eye(7)[3], 0.0)
+        np.testing.assert_allclose(given, share * JOINT_2, atol=1e-6)
+
+
+@pytest.mark.parametrize(("step", "share"), [(0.0014, 1.0), (0.0016, 0.0)])
+def test_an_arm_that_was_put_elsewhere_is_not_carried_by_what_held_it_before(
+    step: float, share: float
+) -> None:
+    unexplained = UnexplainedTorque(MODEL)
+    for _ in range(200):
+        unexplained.observe(True, HOME, JOINT_2, DT)
+    unexplained.guided(HOME, step)
+    np.testing.assert_allclose(unexplained.guided(HOME, 0.0), share * JOINT_2, atol=1e-6)
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -49,7 +69,7 @@ def test_only_what_friction_cannot_explain_is_in_excess(joint: int, sign: float)
     for share, excess in ((0.99, False), (1.01, True)):
         unexplained = UnexplainedTorque(MODEL)
         for _ in range(200):
-            unexplained.observe(True, sign * share * explained * np.eye(7)[joint], DT)
+            unexplained.observe(True, HOME, sign * share * explained * np.eye(7)[joint], DT)
         assert (f"wam_j{joint + 1}: " in unexplained.excess()) is excess
 
 

@@ -478,3 +478,27 @@ def test_a_policy_of_a_second_publisher_is_told_by_its_digest_and_both_publisher
     assert report["policy publishers"] == "/learner, /stranger"
     said = "2 nodes publish policies (/learner, /stranger): the last one counts"
     probe.until(lambda: said in processes.output(arm.process), "the warning in the log")
+
+
+@pytest.mark.requirement("S-125")
+def test_an_unexplained_torque_is_said_in_the_diagnostics(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    sagged = HOME - 0.004 * np.eye(7)[1]  # the hold pushes against it
+
+    def said() -> bool:
+        for _ in range(50):
+            arm.send(q=sagged)
+            arm.answer()
+        found = diagnosis(arm.diagnostics, "torque_controller")
+        return "wam_j2: " in found.get("message", "")
+
+    probe.until(said, "the unexplained torque")
+    report = diagnosis(arm.diagnostics, "torque_controller")
+    assert report["level"] == "1" and "N m unexplained" in report["message"]
+    assert "wam_j2: " in report["unexplained torque"]
+    assert arm.read()[-1].label == "hold"
+    answer = probe.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+    assert not answer.success and "[refused]" in answer.message and "wam_j2: " in answer.message

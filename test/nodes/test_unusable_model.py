@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, Probe, Processes, diagnosis
-from played_arm import HOME, NAMES, PlayedArm
+from played_arm import HOME, NAMES, SIMULATED, PlayedArm
 from rigid_arm import MODEL, Plant, check, make_policy, tool
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -109,7 +109,9 @@ def test_check_driver_names_the_links_that_move_without_mass(
 def test_a_model_that_raises_ends_a_move_at_rest_and_the_node_goes_on(
     probe: Probe, processes: Processes
 ) -> None:
-    config = ["--ros-args", "--params-file", str(ROOT / "config/torque_controller.yaml")]
+    config = ["--ros-args"]
+    for file in SIMULATED:
+        config += ["--params-file", str(ROOT / "config" / file)]
     quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
     arm = PlayedArm(probe, processes, [sys.executable, "-c", BREAKING, *config, *quick])
     plant = Plant(HOME, delay=1, sensing=True, friction=1.0)

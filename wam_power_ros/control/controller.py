@@ -489,7 +489,8 @@ class Controller:
     # Torque of each mode
 
     def _braking_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
-        return self._damped_gravity(state, safety.FAULT_DAMPING)
+        beyond = self.unexplained.compensation
+        return self._damped_gravity(state, safety.FAULT_DAMPING, beyond)
 
     def _fault_torque(self, state: JointState, _: Motion | Speeds | None = None) -> np.ndarray:
         """Brake by the estimated state; then hold where trusted states say that the arm is."""
@@ -501,10 +502,15 @@ class Controller:
         return tau if self._braking < FAULT_BRAKING else tau + self._hold.torque(measured.q)
 
     def _teaching_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
-        return self._damped_gravity(state, safety.teaching_damping(motion.tool_speed))
+        before, step = self._states.before, 0.0
+        if before is not None:
+            step = float(np.abs(state.q - before.q - state.span * state.qd).max())
+        beyond = self.unexplained.guided(state.q, step)
+        return self._damped_gravity(state, safety.teaching_damping(motion.tool_speed), beyond)
 
-    def _damped_gravity(self, state: JointState, damping: float) -> np.ndarray:
-        carried = self.arm.gravity(state.q) + self.unexplained.compensation
+    def _damped_gravity(self, state: JointState, damping: float, beyond: np.ndarray) -> np.ndarray:
+        """g(q) and a torque beyond the model, damped [N m]. Shape (n,)."""
+        carried = self.arm.gravity(state.q) + beyond
         return safety.damped_gravity(carried, self.arm.mass_matrix(state.q), state.qd, damping)
 
     def _joint_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:
@@ -516,7 +522,8 @@ class Controller:
             self._held_states = 0
             at_rest = max(*motion.guarded_speeds, motion.tool_speed) < safety.REST_SPEED
             beyond = self._output.motor_torque(state.q) - self.arm.gravity(state.q)
-            self.unexplained.observe(at_rest, beyond, OBSERVED_STATES * self.settings.period)
+            dt = OBSERVED_STATES * self.settings.period
+            self.unexplained.observe(at_rest, state.q, beyond, dt)
         return tau
 
     def _rollout_torque(self, state: JointState, motion: Motion | Speeds) -> np.ndarray:

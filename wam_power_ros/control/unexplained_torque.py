@@ -15,7 +15,8 @@ from wam_power_ros.control.arm import Arm
 
 KNOWN_AFTER = 0.1  # [s] at rest until the torque is known
 TIME_CONSTANT = 0.05  # [s] of its low-pass: feedback that is still settling counts little
-NEGLIGIBLE_SHARE = 0.01  # of a joint's friction: rounding errors of the model are below
+FADE_RANGE = 0.05  # [rad] from the posture where the arm was held, to where that tells nothing
+STEP = 0.0015  # [rad] change in one state beyond its velocity: the arm was put elsewhere
 FRICTION_FACTOR = 1.5  # multiple of a joint's friction up to which friction may explain it
 TORQUE_SHARE = 0.005  # share of a joint's torque limit added to that: resolution of the torques
 
@@ -25,8 +26,8 @@ class UnexplainedTorque:
 
     Attributes:
         torque: Low-passed torque beyond g(q) [N m]. Shape (n,).
-        compensation: The torque to add to g(q) where the arm was held: `torque`, zero at joints
-            where it is negligible [N m]. Shape (n,).
+        compensation: Torque to add to g(q) in any posture: `torque` at the joints where it exceeds
+            the friction, so that the model is wrong for certain, else zero [N m]. Shape (n,).
         known: Whether the arm has been held at rest for `KNOWN_AFTER` since `begin`.
 
     Args:
@@ -35,7 +36,7 @@ class UnexplainedTorque:
 
     def __init__(self, arm: Arm) -> None:
         self._names = arm.joint_names
-        self._negligible = NEGLIGIBLE_SHARE * arm.friction
+        self._friction = arm.friction
         self._explained = FRICTION_FACTOR * arm.friction + TORQUE_SHARE * arm.tau_max
         self._n = arm.n
         self.begin()
@@ -46,12 +47,14 @@ class UnexplainedTorque:
         self.compensation = np.zeros(self._n)
         self.known = False
         self._rested = 0.0  # time at rest so far [s]
+        self._held_at: np.ndarray | None = None  # posture of the last observation at rest [rad]
 
-    def observe(self, at_rest: bool, beyond: np.ndarray, dt: float) -> None:
+    def observe(self, at_rest: bool, q: np.ndarray, beyond: np.ndarray, dt: float) -> None:
         """Register a state of the held arm.
 
         Args:
             at_rest: Whether the arm was at rest.
+            q: Joint positions [rad]. Shape (n,).
             beyond: Motor torque commanded, minus g(q) [N m]. Shape (n,).
             dt: Time since the last call [s].
         """
@@ -61,10 +64,30 @@ class UnexplainedTorque:
         self._rested += dt
         share = 1.0 - math.exp(-dt / TIME_CONSTANT)
         self.torque = self.torque + share * (beyond - self.torque)
-        self.compensation = np.where(
-            np.abs(self.torque) > self._negligible, self.torque, np.zeros(self._n)
-        )
+        certain = np.abs(self.torque) > self._friction
+        self.compensation = np.where(certain, self.torque, np.zeros(self._n))
+        self._held_at = q
         self.known = self.known or self._rested >= KNOWN_AFTER
+
+    def guided(self, q: np.ndarray, step: float) -> np.ndarray:
+        """Torque to add to g(q) while a person guides the arm [N m]. Shape (n,).
+
+        Where the arm was held it is the torque that held it: then friction goes on holding it. Away
+        from there friction had a share in it that is not known, so only `compensation` is left.
+
+        Args:
+            q: Joint positions [rad]. Shape (n,).
+            step: Largest change of a position in the last state beyond that of its velocity [rad].
+        """
+        if self._held_at is None:
+            return self.compensation
+        if step > STEP:
+            self._held_at = None
+            return self.compensation
+        share = 1.0 - float(np.abs(q - self._held_at).max()) / FADE_RANGE
+        if share <= 0.0:
+            return self.compensation
+        return self.compensation + share * (self.torque - self.compensation)
 
     def excess(self) -> str:
         """Joints whose unexplained torque no friction explains, as text; empty without any."""

@@ -56,7 +56,6 @@ from wam_power_ros.params.resources import share
 PACKAGES = ("wam_power_ros", "hardware_sim")
 NOT_HASHED = (  # sources that cannot change a result; the studies run without ROS
     "wam_power_ros/bags/editing.py",
-    "wam_power_ros/bags/quality.py",
     "wam_power_ros/bags/series.py",
     "wam_power_ros/bags/takes.py",
     "wam_power_ros/cli",
