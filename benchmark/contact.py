@@ -4,8 +4,8 @@
     python -m benchmark.contact [--rollouts 72] [--replays 100]
 
 World, controller and tracker are connected by calls, in one process. Rollouts of exploration are
-executed under conditions unknown to the controller, and demonstrations are replayed: this must
-cause no fault. Then the tool is pushed during a replay, and hits a wall: the replay must stop, and
+executed under conditions unknown to the controller, or with drivers that report with jitter, lag or
+repetitions, and demonstrations are replayed: this must cause no fault. Then the tool is pushed during a replay, and hits a wall: the replay must stop, and
 the force stay small.
 """
 
@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmark.honest_driver import HONEST, Habits, report
 from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.world import PERIOD_NS
@@ -45,8 +46,16 @@ WALLS = (1e3, 2e3, 5e3, 10e3, 75e3)  # stiffness [N/m]; the last is that of a ha
 REPLAY_SPEED = 0.5  # of the replays with contacts, as a share of the recorded speed
 
 
-def rollouts(condition: dict[str, Any], count: int) -> tuple[int, list[str]]:
-    """Run learning sessions under a condition; return the number of rollouts and all faults."""
+def rollouts(
+    condition: dict[str, Any], count: int, habits: Habits | None = None
+) -> tuple[int, list[str]]:
+    """Run learning sessions under a condition; return the number of rollouts and all faults.
+
+    Args:
+        condition: Fields of the settings of the stand-in.
+        count: Least number of rollouts.
+        habits: How the driver reports; None for exactly what it measures.
+    """
     done, faults, seed = 0, [], SEED
 
     def seen(record: Record) -> None:
@@ -57,6 +66,8 @@ def rollouts(condition: dict[str, Any], count: int) -> tuple[int, list[str]]:
 
     while done < count:
         environment = stand_in(seed, **condition)
+        if habits is not None:
+            report(environment.world, habits, seed)
         budget = max(6, min(SESSION_ROLLOUTS, count - done))  # a session needs a few rollouts
         settings = preset("flip", "paper", budget=budget, retests=0)
         practise(environment, teach(environment, seed, 1), settings, seed, seen)
@@ -241,8 +252,10 @@ def main() -> int:
     parser.add_argument("--contacts", type=int, default=50, help="number of contacts of each kind")
     options = parser.parse_args()
     alarms, done = 0, 0
-    for name, condition in CONDITIONS.items() if options.rollouts else ():
-        count, faults = rollouts(condition, options.rollouts)
+    cases = [(name, condition, None) for name, condition in CONDITIONS.items()]
+    cases += [(name, {}, habits) for name, habits in HONEST.items()]
+    for name, condition, habits in cases if options.rollouts else ():
+        count, faults = rollouts(condition, options.rollouts, habits)
         alarms, done = alarms + len(faults), done + count
         print(f"{count} rollouts, {name}: {len(faults)} faults {faults[:3]}", flush=True)
     print(f"{done} rollouts: {alarms} faults")
