@@ -5,8 +5,8 @@
 
 World, controller and tracker are connected by calls, in one process. Rollouts of exploration are
 executed under conditions unknown to the controller, or with drivers that report with jitter, lag or
-repetitions, and demonstrations are replayed: this must cause no fault. Then the tool is pushed during a replay, and hits a wall: the replay must stop, and
-the force stay small.
+repetitions, and demonstrations are replayed: this must cause no fault. Then the tool is pushed
+during a replay, and hits a wall: the replay must stop, and the force stay small.
 """
 
 from __future__ import annotations

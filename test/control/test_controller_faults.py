@@ -385,3 +385,29 @@ def test_gravity_compensation_is_not_ended_while_the_arm_moves_by_itself() -> No
         controller.set_gravity_compensation(False)
     assert refused.value.refusal is Refusal.BUSY
     assert controller.mode is Mode.ROLLOUT
+
+
+@pytest.mark.requirement("S-123")
+def test_the_time_of_torques_without_a_state_is_not_used_again_by_the_next_state() -> None:
+    controller, plant = begin(friction=1.0, delay=2, sensing=True)
+    controller.execute()
+    run(controller, plant, 0.3)
+    controller.stale_torque(0.002)
+    before = controller.stale_torque(0.0015)
+    plant.stamp += PERIOD_NS
+    plant.q = plant.q + 0.05  # it wants another torque
+    tau = controller.step(*plant.state(), elapsed=0.0036)
+    change = np.abs(tau - before)
+    assert np.all(change <= 1e-4 * LIMITS.torque_rate * (1.0 + 1e-9))
+    assert np.any(change > 0.99e-4 * LIMITS.torque_rate)
+
+
+def test_an_activation_trusts_the_states_again() -> None:
+    controller, plant = begin()
+    controller._supervision.doubt(lasting=True)
+    controller.deactivate()
+    assert not controller._supervision.trusted
+    controller.hold()
+    assert controller._supervision.trusted
+    run(controller, plant, 0.1)
+    assert controller.mode is Mode.HOLD

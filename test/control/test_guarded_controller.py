@@ -297,3 +297,14 @@ def test_when_torques_can_be_computed_again_the_arm_is_not_taken_for_one_that_st
     bench.run(0.5)
     bench.arm.broken = ()
     assert max(bench.run(1.0)) < 0.02
+
+
+@pytest.mark.parametrize(("joint_speed", "rests"), [(0.049, True), (0.051, False)])
+def test_without_a_model_an_arm_is_at_rest_below_a_joint_speed(
+    joint_speed: float, rests: bool
+) -> None:
+    bench = Bench()
+    bench.arm.broken = ALL
+    stamp, q, _ = bench.plant.state()
+    bench.controller.step(stamp + 1, q, joint_speed * np.eye(7)[3])
+    assert bench.controller.at_rest is rests

@@ -124,3 +124,19 @@ def test_a_guided_arm_is_carried_by_its_model_where_that_is_right() -> None:
     controller.set_gravity_compensation(True)
     tau = run(controller, plant, 0.1)[-1]
     np.testing.assert_allclose(tau, MODEL.gravity(HOME), atol=1e-6)
+
+
+@pytest.mark.parametrize(("way", "kept"), [(0.001, True), (0.01, False)])
+def test_an_arm_that_is_put_elsewhere_while_it_is_taught_is_carried_by_its_model(
+    way: float, kept: bool
+) -> None:
+    controller, plant = begin(push=lambda *_: 2.0 * JOINT_2, friction=1.0)
+    run(controller, plant, 1.0)
+    held = controller.unexplained.torque
+    assert np.abs(held).max() > 0.5
+    controller.set_gravity_compensation(True)
+    run(controller, plant, 0.01)
+    plant.q, plant.qd = plant.q + way * np.eye(7)[0], np.zeros(7)
+    run(controller, plant, 0.01)
+    beyond = controller.unexplained.guided(plant.q, 0.0)
+    assert bool(beyond.any()) is kept
