@@ -185,3 +185,18 @@ def test_after_a_jump_states_count_again_only_after_a_reset() -> None:
     assert not watch.trusted
     watch.begin()
     assert watch.trusted
+
+
+@pytest.mark.requirement("S-121")
+@pytest.mark.parametrize("lasting", [False, True])
+def test_a_speed_that_grows_after_a_false_state_is_braked_and_a_constant_one_is_a_drift(
+    lasting: bool,
+) -> None:
+    for growth, braked in ((0.0, False), (0.8, True)):  # [rad/s^2] of joint 2
+        watch, t = supervision(), 0.002 * np.arange(250)
+        watch.doubt(lasting)
+        way = 0.3 * t + 0.5 * growth * t**2
+        states = [state(k, HOME + each * np.eye(7)[1]) for k, each in enumerate(way)]
+        speed = estimated(watch, states)[-1].qd[1]
+        assert not watch.trusted
+        assert speed == pytest.approx(0.3 + 0.5 * growth if braked else 0.0, abs=0.05)

@@ -4,6 +4,8 @@
 The state is estimated while joint states are missing, and in a fault.
 """
 
+import math
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
@@ -21,6 +23,8 @@ INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors 
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout
 REST_NS = 200_000_000  # [ns] at rest before a fault may be reset
 TRUST_STATES = 50  # consecutive states that agree until states are used again: 0.1 s
+SPEED_STATES = 25  # states over which a reported speed is measured: 50 ms
+FALL_SPEED = 0.15  # [rad/s] growth of a reported speed after which the arm is taken to fall
 AGREEMENT = 0.005  # [rad] in that time, between the motion reported and that of the model
 
 MotorTorque = Callable[[np.ndarray], np.ndarray]  # posture (n,) [rad] -> motor torque (n,) [N m]
@@ -32,7 +36,8 @@ class Supervision:
     Nothing acts on a state that was called false: from then on the model alone says where the arm
     is, until for `TRUST_STATES` states in a row every check passes and the joints report the motion
     that the model predicts, which is rest. After a jump of a joint that is not enough: its position
-    remains unknown.
+    remains unknown. An arm whose model is wrong, too, may fall meanwhile. A zero that drifts does
+    so at a constant speed; a speed that grows, in states that pass every check, is braked.
 
     Attributes:
         trusted: Whether joint states are used: none was called false, or they agree again.
@@ -51,7 +56,7 @@ class Supervision:
         settings: ControllerSettings,
         motor_torque: MotorTorque,
     ) -> None:
-        self._motor_torque = motor_torque
+        self._motor_torque, self._period = motor_torque, settings.period
         self._motion = safety.MotionCheck(limits, arm.guarded)
         self._plausibility = Plausibility(arm)
         self._estimate: Estimate | None = None
@@ -59,6 +64,10 @@ class Supervision:
         self.trusted, self._lasting = True, False
         self._agreed = 0  # consecutive states that agree with the model
         self._agreed_from: np.ndarray | None = None  # reported minus predicted at their first [rad]
+        self._plausible = 0  # consecutive states that passed every check since `doubt`
+        self._reported: deque[np.ndarray] = deque(maxlen=SPEED_STATES + 1)  # positions [rad]
+        self._slowest = np.full(arm.n, math.inf)  # least reported speeds since then [rad/s]
+        self._falling = False  # one of them has grown since then
         bound = settings.contact_share * arm.tau_max
         contact = Bound(bound, bound, INERTIAL_SHARE)
         in_rollout = Bound(settings.unexplained_share * arm.tau_max, STANDING_SHARE * arm.tau_max)
@@ -79,6 +88,9 @@ class Supervision:
     def doubt(self, lasting: bool) -> None:
         """Use no state until states have agreed with the model for a while; if lasting, ever."""
         self.trusted, self._agreed, self._estimate = False, 0, None
+        self._reported.clear()
+        self._plausible, self._falling = 0, False
+        self._slowest = np.full(self._slowest.shape, math.inf)
         self._lasting = self._lasting or lasting
 
     def mode_changed(self) -> None:
@@ -143,10 +155,25 @@ class Supervision:
             self._rest_since_ns = state.stamp_ns
         arm = self._estimate = self._estimate or self._plausibility.estimate(state)
         if not new:
-            arm.follow(state, self._motor_torque(arm.q), self.trusted)
+            self._watch_speed(state, plausible)
+            used = self.trusted or self._falling
+            arm.follow(state, self._motor_torque(arm.q), used)
         if not self.trusted:
             self._compare(state.q - arm.q)
         return state._replace(q=arm.q, qd=arm.qd)
+
+    def _watch_speed(self, state: JointState, plausible: bool) -> None:
+        """Notice that states which pass every check report a speed that grows."""
+        self._plausible = self._plausible + 1 if plausible else 0
+        reported = self._reported
+        reported.append(state.q)
+        if len(reported) <= SPEED_STATES:
+            return
+        speeds = np.abs(reported[-1] - reported[0]) / (SPEED_STATES * self._period)
+        self._slowest = np.minimum(self._slowest, speeds)
+        grown = float((speeds - self._slowest).max())
+        if self._plausible > TRUST_STATES and grown > FALL_SPEED:
+            self._falling = True
 
     def _compare(self, difference: np.ndarray) -> None:
         """Count a state whose position differs from the model's by (n,) [rad]."""
