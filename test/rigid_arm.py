@@ -125,14 +125,21 @@ def start_replay(controller: Controller, trajectory: object, speed: float = 1.0)
 
 
 def run(
-    controller: Controller, plant: Plant, seconds: float, until: Callable[[], bool] | None = None
+    controller: Controller,
+    plant: Plant,
+    seconds: float,
+    until: Callable[[], bool] | None = None,
+    elapsed: float | None = None,
 ) -> list[np.ndarray]:
-    """Close the loop; every torque is checked. Returns the torques."""
+    """Close the loop; every torque is checked. Returns the torques.
+
+    `elapsed` is the time between two states by the controller's own clock; None for lockstep.
+    """
     torques = []
     for _ in range(round(seconds / 0.002)):
         if until is not None and until():
             break
-        tau = controller.step(*plant.state())
+        tau = controller.step(*plant.state(), elapsed)
         check(tau, torques[-1] if torques else tau)
         torques.append(tau)
         plant.step(tau)

@@ -15,6 +15,7 @@ from wam_power_ros.control.arm import Arm
 
 KNOWN_AFTER = 0.1  # [s] at rest until the torque is known
 TIME_CONSTANT = 0.05  # [s] of its low-pass: feedback that is still settling counts little
+NEGLIGIBLE_SHARE = 0.01  # of a joint's friction: rounding errors of the model are below
 FADE_RANGE = 0.05  # [rad] from the posture where the arm was held, to where that tells nothing
 STEP = 0.0015  # [rad] change in one state beyond its velocity: the arm was put elsewhere
 FRICTION_FACTOR = 1.5  # multiple of a joint's friction up to which friction may explain it
@@ -36,7 +37,7 @@ class UnexplainedTorque:
 
     def __init__(self, arm: Arm) -> None:
         self._names = arm.joint_names
-        self._friction = arm.friction
+        self._friction, self._negligible = arm.friction, NEGLIGIBLE_SHARE * arm.friction
         self._explained = FRICTION_FACTOR * arm.friction + TORQUE_SHARE * arm.tau_max
         self._n = arm.n
         self.begin()
@@ -73,7 +74,8 @@ class UnexplainedTorque:
         """Torque to add to g(q) while a person guides the arm [N m]. Shape (n,).
 
         Where the arm was held it is the torque that held it: then friction goes on holding it. Away
-        from there friction had a share in it that is not known, so only `compensation` is left.
+        from there, and when it comes back, friction had a share in it that is not known, so only
+        `compensation` is left.
 
         Args:
             q: Joint positions [rad]. Shape (n,).
@@ -81,13 +83,12 @@ class UnexplainedTorque:
         """
         if self._held_at is None:
             return self.compensation
-        if step > STEP:
-            self._held_at = None
-            return self.compensation
         share = 1.0 - float(np.abs(q - self._held_at).max()) / FADE_RANGE
-        if share <= 0.0:
+        if share <= 0.0 or step > STEP:
+            self._held_at = None  # also when the arm comes back
             return self.compensation
-        return self.compensation + share * (self.torque - self.compensation)
+        held = np.where(np.abs(self.torque) > self._negligible, self.torque, 0.0)
+        return self.compensation + share * (held - self.compensation)
 
     def excess(self) -> str:
         """Joints whose unexplained torque no friction explains, as text; empty without any."""
