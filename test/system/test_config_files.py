@@ -10,7 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from itertools import permutations, product
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -84,8 +84,9 @@ def combinations(node: str) -> Iterator[tuple[str, ...]]:
         yield (*own, name)
     if node == "torque_controller":
         for driver, other in product(DRIVERS, [name for name in ARMS if name in SETUPS]):
-            for pair in permutations((driver, other)):
-                yield (*own, *pair)
+            yield (*own, driver, other)
+        for driver in DRIVERS:  # the simulation's file before the driver's
+            yield (*own, "simulation", driver)
 
 
 def batches(node: str, folder: Path) -> list[list[list[Path]]]:
