@@ -14,14 +14,12 @@ from test_session_over_dds import JOINTS, ended, lines, wait_for, wam_power
 from wam_power_ros.bags import layout, reader
 
 SENT = {
-    "no velocity": ("empty", "filled"),
-    "no effort": ("filled", "empty"),
     "positions alone": ("empty", "empty"),
     "NaN": ("nan", "nan"),
 }
 
 
-@pytest.mark.parametrize("sent", ["positions alone", "NaN"])
+@pytest.mark.parametrize("sent", SENT)
 def test_a_driver_that_leaves_values_out_is_taught_with_replayed_and_learnt_from(
     sent: str, tmp_path: Path
 ) -> None:
