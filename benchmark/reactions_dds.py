@@ -123,6 +123,9 @@ def faults(lab: Lab, arm: HiddenArm, name: str, phases: tuple[str, ...]) -> Iter
             continue
         driver.begin(phase)
         nominal = observe(lab, driver, 1.2).peak
+        if not ready(driver):
+            yield f"| {name} | {phase} | not again: {lab.label} | | | | | | bad |", False
+            continue
         driver.begin(phase)
         driver.falsify = unreadable()
         outcome = observe(lab, driver)
