@@ -58,7 +58,7 @@ learn: $(READY)
 	@$(call STOPPABLE,$(BIN)/wam-power learn $(ARGS))
 
 reproduce: $(READY)
-	@$(call STOPPABLE,$(BIN)/wam-power reproduce $(ARGS))
+	@$(call STOPPABLE,$(BIN)/python -m reproduction $(ARGS))
 
 # In the order of test/conftest.py: slow folders first. Three workers on two cores, because many tests wait for a clock.
 # Linear algebra uses one thread, as in every node (entry.py).

@@ -23,9 +23,9 @@ from benchmark.honest_driver import HONEST, Habits, report
 from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.world import PERIOD_NS
+from reproduction.studies.flip_sessions import practise, stand_in, teach
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.experiments.studies.flip_sessions import practise, stand_in, teach
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros.joint_messages import JointMovement

@@ -43,8 +43,8 @@ def in_one_process(
     """Fitted policies and records of the session in one process."""
     from hardware_sim.settings import WorldSettings
     from hardware_sim.world import World
-    from wam_power_ros.experiments.environment import Environment
-    from wam_power_ros.experiments.studies.flip_sessions import NOVICE, practise, teach
+    from reproduction.studies.flip_sessions import NOVICE, practise, teach
+    from wam_power_ros.in_process.environment import Environment
     from wam_power_ros.learning.policy import to_json
     from wam_power_ros.practice.settings import preset
 

@@ -30,10 +30,10 @@ from std_srvs.srv import SetBool
 
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
+from reproduction.studies.flip_sessions import practise
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.experiments.environment import Environment
-from wam_power_ros.experiments.studies.flip_sessions import practise
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy

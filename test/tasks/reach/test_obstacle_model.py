@@ -3,8 +3,8 @@
 
 import numpy as np
 
-from wam_power_ros.experiments.studies.reaching_runs import NOISE
-from wam_power_ros.experiments.studies.synthetic_reach import synthetic
+from reproduction.studies.reaching_runs import NOISE
+from reproduction.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 

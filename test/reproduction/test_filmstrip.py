@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A filmstrip shows frames at even times, or the reason why it has none."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from reproduction import filmstrip
+
+
+def test_frames_are_evenly_spaced_in_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    rendered: list[float] = []
+
+    def images(poses: Sequence[Sequence[float]]) -> np.ndarray:
+        rendered.extend(pose[0] for pose in poses)
+        return np.zeros((len(poses), 6, 8, 3), np.uint8)
+
+    monkeypatch.setattr(filmstrip, "_images", images)
+    trace = [[0.01 * k] for k in range(200)]
+    figure = filmstrip.strip("film", "A toss.", trace, 0.7)
+    np.testing.assert_allclose(rendered, np.linspace(0.0, 0.7, filmstrip.FRAMES), atol=0.005)
+    assert figure.png.startswith(b"\x89PNG") and figure.caption == "A toss."
+
+
+def test_without_opengl_the_caption_gives_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "no-such-library")
+    figure = filmstrip.strip("film", "A toss.", [[0.0] * 14], 0.7)
+    assert figure.png == b"" and "Not drawn on this machine: " in figure.caption
+
+
+def test_an_empty_trace_is_refused() -> None:
+    with pytest.raises(ValueError, match="'film' is empty"):
+        filmstrip.strip("film", "", [], 1.0)
