@@ -1,17 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapter of a report as data, and its HTML: claims, tables and figures under a title."""
+"""A study of the report: its runs, and its chapter with the claims and figures that it names."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
+from pathlib import Path
+from typing import Any
 
-from matplotlib.figure import Figure as MatplotlibFigure
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
 
+from reproduction.jobs import Job, Results, Scale
 from wam_power_ros.reporting import figures, html_page
+from wam_power_ros.reporting.terminal import counted
 
 RUNS_MIN = 5  # for a verdict: with fewer runs, no rank-sum test reaches p < 0.01
+TEMPLATES = jinja2.Environment(
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    extensions=["jinja2.ext.do"],
+)
+TEMPLATES.filters["f"] = format
+TEMPLATES.globals |= {"counted": counted, "median": np.median}
 
 
 @dataclass(frozen=True)
@@ -20,23 +35,23 @@ class Claim:
 
     Attributes:
         what: Claim in short, such as "Reaching, full stiffness, return after 100".
-        paper: Value in the paper, such as "0.73"; empty if it has none.
         ours: Measured value, such as "0.754".
         spread: Spread of the measured value, such as "sd 0.08" or "0.61 to 0.83"; may be empty.
         count: Sample size, such as "40 seeds".
         met: Whether the claim holds; None if there is no criterion and the value is only reported.
-        left_open: Decision that the paper leaves open; may be empty.
         runs: Number of independent runs per condition; None if the verdict does not depend on it.
+        paper: Value in the paper, such as "0.73"; empty if it has none.
+        left_open: Decision that the paper leaves open; may be empty.
     """
 
     what: str
-    paper: str
     ours: str
     spread: str
     count: str
     met: bool | None = None
-    left_open: str = ""
     runs: int | None = None
+    paper: str = ""
+    left_open: str = ""
 
     @property
     def holds(self) -> bool | None:
@@ -55,112 +70,76 @@ class Claim:
         return self.met is not None and self.runs is not None and self.runs < RUNS_MIN
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table of texts.
-
-    Attributes:
-        caption: Description, one or two sentences.
-        head: Names of the columns.
-        rows: Cells; each row as long as the head.
-        best: Highlighted cells (row, column), counted from 0.
-    """
-
-    caption: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    best: Collection[tuple[int, int]] = ()
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A picture.
-
-    Attributes:
-        name: File name without suffix, unique in a report, such as "fig5-learning-curve".
-        caption: Description, one or two sentences.
-        png: Content of the file; empty if it could not be drawn, then `caption` gives the reason.
-        drawn: True for a line drawing, whose colours may be inverted in dark mode.
-    """
-
-    name: str
-    caption: str
-    png: bytes
-    drawn: bool = False
-
-    @classmethod
-    def of(cls, name: str, caption: str, drawn: MatplotlibFigure) -> Figure:
-        """Create a figure from one drawn by matplotlib, such as those of `reporting.figures`."""
-        has_photographs = any(axes.images for axes in drawn.axes)
-        return cls(name, caption, figures.png(drawn), not has_photographs)
-
-
-@dataclass(frozen=True)
 class Chapter:
-    """A chapter of the report, shown in the order text, tables, figures, parts.
+    """A chapter of the report.
+
+    The template calls `claim` with the fields of a `Claim`, `table` and `figure`; a figure that
+    could not be drawn is the reason as text.
 
     Attributes:
         title: Heading.
-        text: Paragraphs.
-        claims: Rows of the overview.
-        tables: Tables.
-        figures: Figures.
-        parts: Sub-chapters.
+        html: Content.
+        claims: Rows of the overview, in order.
+        figures: Name -> content of a .png file.
+
+    Args:
+        title: Heading.
+        template: Template of the content.
+        values: Names in the template.
+
+    Raises:
+        ValueError: Two figures have the same name, or a row and the head of its table differ.
+        jinja2.UndefinedError: The template uses a name that has no value.
+    """
+
+    def __init__(self, title: str, template: Path, values: Mapping[str, object]) -> None:
+        self.title = title
+        self.claims: list[Claim] = []
+        self.figures: dict[str, bytes] = {}
+        functions = {"claim": self._claim, "table": table, "figure": self._figure}
+        content = TEMPLATES.from_string(template.read_text()).render(values, **functions)
+        self.html = html_page.section(title, content=content)
+
+    def _claim(self, what: str, met: object = None, **fields: Any) -> None:  # noqa: ANN401
+        self.claims.append(Claim(what, met=None if met is None else bool(met), **fields))
+
+    def _figure(self, name: str, caption: str, drawn: Figure | str) -> Markup:
+        if isinstance(drawn, str):
+            return Markup(html_page.figure("", f"{caption} Not drawn on this machine: {drawn}."))
+        if name in self.figures:
+            raise ValueError(f"two figures with the same name: {name}")
+        self.figures[name] = png = figures.png(drawn)
+        photographs = any(axes.images for axes in drawn.axes)  # keep their colours in dark mode
+        style = "" if photographs else "drawn"
+        return Markup(html_page.figure(html_page.image(png, "image/png", caption, style), caption))
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study and its chapter of the report.
+
+    Attributes:
+        title: Heading of the chapter.
+        jobs: Runs at a scale.
+        values: Names of the template, computed from the results of the jobs.
+        template: File of the template.
     """
 
     title: str
-    text: Sequence[str] = ()
-    claims: Sequence[Claim] = ()
-    tables: Sequence[Table] = ()
-    figures: Sequence[Figure] = ()
-    parts: Sequence[Chapter] = ()
+    jobs: Callable[[Scale], list[Job]]
+    values: Callable[[Results], Mapping[str, Any]]
+    template: Path
 
-    def all_claims(self) -> list[Claim]:
-        """Claims of the chapter and its parts, in order."""
-        return [claim for chapter in self._walk() for claim in chapter.claims]
-
-    def all_figures(self) -> list[Figure]:
-        """Figures of the chapter and its parts, in order."""
-        return [drawn for chapter in self._walk() for drawn in chapter.figures]
-
-    def _walk(self) -> Iterator[Chapter]:
-        yield self
-        for part in self.parts:
-            yield from part._walk()
+    def chapter(self, results: Results) -> Chapter:
+        """Chapter on results of the jobs; those of other studies are ignored."""
+        return Chapter(self.title, self.template, self.values(results))
 
 
-def html(chapter: Chapter, level: int = 2) -> str:
-    """HTML of a chapter with its parts; `level` is the level of its heading."""
-    content = "".join(
-        html_page.table(t.head, t.rows, t.caption, best=t.best) for t in chapter.tables
-    )
-    for drawn in chapter.figures:
-        style = "drawn" if drawn.drawn else ""
-        picture = html_page.image(drawn.png, "image/png", drawn.caption, style) if drawn.png else ""
-        content += html_page.figure(picture, drawn.caption)
-    content += "".join(html(part, level + 1) for part in chapter.parts)
-    return html_page.section(chapter.title, chapter.text, content, level)
-
-
-def overview(chapters: Sequence[Chapter]) -> str:
-    """HTML table of the claims of chapters; on a phone each becomes a card."""
-    head = ("", "paper", "measured", "spread", "over", "verdict")
-    rows = []
-    for chapter in chapters:
-        if claims := chapter.all_claims():
-            rows.append(f'<tr><th colspan="{len(head)}">{escape(chapter.title)}</th></tr>')
-            rows += [_row(claim, head) for claim in claims]
-    top = "".join(f"<th>{name}</th>" for name in head)
-    return f'<table class="claims"><thead><tr>{top}</tr></thead>{"".join(rows)}</table>'
-
-
-def _row(claim: Claim, head: Sequence[str]) -> str:
-    style = {True: "met", False: "missed", None: "reported"}[claim.holds]
-    opened = f"<small>left open: {escape(claim.left_open)}</small>" if claim.left_open else ""
-    values = (claim.paper, claim.ours, claim.spread, claim.count)
-    cells = "".join(
-        f'<td data-head="{name}">{escape(value)}</td>'
-        for name, value in zip(head[1:-1], values, strict=True)
-    )
-    verdict = f'<td data-head="{head[-1]}" class="{style}">{claim.verdict}</td>'
-    return f"<tr><td>{escape(claim.what)}{opened}</td>{cells}{verdict}</tr>"
+def table(
+    caption: str,
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    best: Collection[tuple[int, int]] = (),
+) -> Markup:
+    """HTML of a table, for templates; see `html_page.table`."""
+    return Markup(html_page.table(head, rows, caption, best=best))

@@ -14,40 +14,47 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from reproduction.chapter import Figure
-from wam_power_ros.reporting import figures
+from hardware_sim.world import TRACE_RATE, World
+from wam_power_ros.in_process.render import render
+from wam_power_ros.reporting.figures import INK
 
-TRACE_RATE = 100.0  # [Hz] of World.trace
 RENDER_TIMEOUT = 120.0  # [s]
 FRAMES = 8  # of a strip
 SIZE = (360, 480)  # [pixel]
 
 
-def strip(name: str, caption: str, trace: Sequence[Sequence[float]], last: float) -> Figure:
+def strip(trace: Sequence[Sequence[float]], last: float) -> Figure | str:
     """Fig. 6 of the paper: frames of a rollout side by side, evenly spaced in time from its start.
 
-    If nothing can be rendered the figure has no image, and its caption gives the reason.
-
     Args:
-        name: Name of the figure.
-        caption: Caption of the figure.
         trace: `World.trace` of the rollout: joint positions of arm and pancake. Shape (n, nq).
         last: Time of the last frame [s].
+
+    Returns:
+        The figure, or the reason why nothing could be rendered.
 
     Raises:
         ValueError: The trace is empty.
     """
     if not len(trace):
-        raise ValueError(f"the trace for figure {name!r} is empty")
+        raise ValueError("the trace of a filmstrip is empty")
     wanted = np.linspace(0.0, last, FRAMES) * TRACE_RATE
     chosen = np.unique(np.clip(wanted.round().astype(int), 0, len(trace) - 1))
     try:
         images = _images([trace[k] for k in chosen])
     except RuntimeError as error:
-        return Figure(name, f"{caption} Not drawn on this machine: {error}.", b"")
-    drawn = figures.filmstrip(list(images), FRAMES, (chosen / TRACE_RATE).tolist())
-    return Figure.of(name, caption, drawn)
+        return str(error)
+    high, wide = images[0].shape[:2]
+    figure = Figure(figsize=(10.0, 10.0 / len(chosen) * high / wide + 0.25), layout="constrained")
+    row = figure.subplots(1, len(chosen), squeeze=False)[0]
+    for axes, image, index in zip(row, images, chosen.tolist(), strict=True):
+        axes.imshow(image)
+        axes.set(xticks=[], yticks=[])
+        axes.spines[:].set_visible(False)
+        axes.set_xlabel(f"{index / TRACE_RATE:.2f} s", fontsize=8, color=INK)
+    return figure
 
 
 def _images(poses: Sequence[Sequence[float]]) -> np.ndarray:
@@ -58,14 +65,12 @@ def _images(poses: Sequence[Sequence[float]]) -> np.ndarray:
     """
     poses_npy = io.BytesIO()
     np.save(poses_npy, np.array(poses, dtype=float))
-    command = [sys.executable, "-m", __name__]
-    environment = os.environ | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl")}
     try:
         completed = subprocess.run(
-            command,
+            [sys.executable, "-m", __name__],
             input=poses_npy.getvalue(),
             capture_output=True,
-            env=environment,
+            env=os.environ | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl")},
             timeout=RENDER_TIMEOUT,
         )
     except subprocess.TimeoutExpired:
@@ -80,9 +85,6 @@ def _images(poses: Sequence[Sequence[float]]) -> np.ndarray:
 
 def main() -> int:
     """Render poses (.npy on standard input) to images (.npy on standard output)."""
-    from hardware_sim.world import World  # imports MuJoCo
-    from wam_power_ros.in_process.render import render
-
     poses = np.load(io.BytesIO(sys.stdin.buffer.read()))
     try:
         images = render(World(seed=0), list(poses), SIZE)

@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import platform
 import shlex
@@ -16,7 +15,6 @@ import signal
 import sys
 import time
 from collections.abc import Collection, Sequence
-from html import escape
 from itertools import groupby
 from pathlib import Path
 
@@ -24,25 +22,24 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from reproduction import chapter as chapter_html
 from reproduction import jobs as job_cache
-from reproduction.chapter import RUNS_MIN, Chapter, Claim
-from reproduction.jobs import Job, Scale
+from reproduction.chapter import RUNS_MIN, TEMPLATES, Chapter, table
+from reproduction.chapters import comparison, extensions, flip, reaching
+from reproduction.jobs import Job, JobError, Scale
 from wam_power_ros import durable_files
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.reporting import html_page
 
-STUDIES = {  # name -> modules of its jobs and its chapter, in the order of the paper
-    "reaching": ("studies.reaching", "chapters.reaching"),
-    "comparison": ("studies.comparison", "chapters.comparison"),
-    "pancake": ("studies.flip_sessions", "chapters.flip"),
-    "extensions": ("studies.extensions", "chapters.extensions"),
+MACHINE = "Machine, versions, seeds, time"
+
+
+TEMPLATE = Path(__file__).with_suffix(".html.j2")
+STUDIES = {  # in the order of the paper
+    "reaching": reaching.STUDY,
+    "comparison": comparison.STUDY,
+    "pancake": flip.STUDY,
+    "extensions": extensions.STUDY,
 }
-PAPER = (
-    "P. Kormushev, S. Calinon, D. G. Caldwell: Robot Motor Skill Coordination with EM-based "
-    "Reinforcement Learning. IROS 2010."
-)
-MACHINE_TITLE = "Machine, versions, seeds, time"
 
 
 def run(
@@ -50,9 +47,9 @@ def run(
     scale: Scale,
     workers: int,
     scheduler: str | None = None,
-    only: Collection[str] = STUDIES,
+    only: Collection[str] = tuple(STUDIES),
 ) -> Path:
-    """Compute the missing results, then write the report.
+    """Compute the missing results, write the report, print its overview; return its path.
 
     Args:
         folder: Folder of results, report and figures.
@@ -61,31 +58,21 @@ def run(
         scheduler: Address of a Dask scheduler whose workers compute instead.
         only: Names of the studies to run.
 
-    Returns:
-        Path of the report.
-
     Raises:
-        jobs.JobError: Some runs failed; the results of the others are kept.
-        ValueError: `only` has an unknown name, or Dask is missing.
+        JobError: Some runs failed; the results of the others are kept.
+        ValueError: Dask is missing, or the number of workers is below 1.
         KeyboardInterrupt: The user stopped it; finished results are kept.
     """
-    unknown = [name for name in only if name not in STUDIES]
-    if unknown:
-        raise ValueError(
-            f"{', '.join(unknown)}: no such study; the studies are {', '.join(STUDIES)}"
-        )
     start = time.monotonic()
-    pairs = [pair for name, pair in STUDIES.items() if name in only]
-    package = "reproduction"
-    modules = [[importlib.import_module(f"{package}.{name}") for name in pair] for pair in pairs]
-    jobs_by_study = [study.jobs(scale) for study, _ in modules]
-    jobs = [job for some in jobs_by_study for job in some]
+    studies = [study for name, study in STUDIES.items() if name in only]
+    jobs_of = [study.jobs(scale) for study in studies]
+    jobs = [job for some in jobs_of for job in some]
     results_folder = folder / "results"
     cached = len(job_cache.found(jobs, results_folder))
     results = job_cache.run(jobs, results_folder, workers, scheduler)
-    chapters = [
-        module.chapter({job.study: results[job.study] for job in some})
-        for (_, module), some in zip(modules, jobs_by_study, strict=True)
+    written = [
+        study.chapter({job.study: results[job.study] for job in some})
+        for study, some in zip(studies, jobs_of, strict=True)
     ]
     elapsed = time.monotonic() - start
     computer = f"the Dask cluster at {scheduler}"
@@ -97,9 +84,9 @@ def run(
         f"another. This time {cached} of them had been computed before; the rest and the report "
         f"took {duration(elapsed)} with {computer}."
     )
-    path = write(folder, scale, chapters, jobs, timing)
+    path = write(folder, scale, written, jobs, timing)
     console = Console(file=sys.stdout)
-    console.print(overview(chapters))
+    console.print(overview(written))
     console.print(f"\n{timing}", highlight=False)
     return path
 
@@ -112,13 +99,13 @@ def write(
     Raises:
         ValueError: Two figures have the same name.
     """
-    drawn = [figure for chapter in chapters for figure in chapter.all_figures() if figure.png]
-    names = [figure.name for figure in drawn]
-    if duplicates := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"two figures with the same name: {', '.join(duplicates)}")
     (folder / "figures").mkdir(parents=True, exist_ok=True)
-    for figure in drawn:
-        (folder / "figures" / f"{figure.name}.png").write_bytes(figure.png)
+    names = [name for chapter in chapters for name in chapter.figures]
+    if len(names) != len({*names}):
+        raise ValueError(f"two figures with the same name: {', '.join(sorted(names))}")
+    for chapter in chapters:
+        for name, png in chapter.figures.items():
+            (folder / "figures" / f"{name}.png").write_bytes(png)
     path = folder / "report.html"
     durable_files.replace(path, render(scale, chapters, jobs, timing, folder / "results"))
     return path
@@ -132,68 +119,32 @@ def render(
     results_folder: Path,
 ) -> str:
     """Report as HTML, with computing times from the folder of the results; see `write`."""
-    claims = [claim for chapter in chapters for claim in chapter.all_claims()]
-    judged = [claim for claim in claims if claim.holds is not None]
-    met = sum(bool(claim.holds) for claim in judged)
-    _, cpu = job_cache.spent(jobs, results_folder)
-    introduction = [
-        PAPER,
-        f"{len(jobs)} runs of {len({job.study for job in jobs})} studies, all in simulation; every "
-        "figure, table and sentence below is computed from them. The overview lists what the paper "
-        "reports, what was measured here, over how many runs and with what spread, and what the "
-        "paper leaves open and had to be decided. The verdict is about our own measurement: a "
-        "number without a criterion is only reported.",
-    ]
-    if scale == "quick":
-        introduction.append(
-            "This is the quick version, a few seeds and small budgets to see that everything "
-            "works: its numbers say nothing about the paper."
-        )
-    sections = [chapter.title for chapter in chapters] + [MACHINE_TITLE]
-    links = [f'<a href="#{html_page.anchor(title)}">{escape(title)}</a>' for title in sections]
-    values = [("claims with a criterion met", f"{met} of {len(judged)}")] if judged else []
-    values += [("runs", str(len(jobs))), ("processor time", duration(cpu))]
-    return html_page.page(
-        "Flipping pancakes: the paper reproduced",
-        [
-            html_page.paragraphs(introduction),
-            html_page.cards(values),
-            f"<nav>{''.join(links)}</nav>",
-            html_page.section("Overview", _verdicts(judged), chapter_html.overview(chapters)),
-            *(chapter_html.html(chapter) for chapter in chapters),
-            _machine(jobs, timing, results_folder),
-        ],
-    )
-
-
-def _verdicts(judged: Sequence[Claim]) -> list[str]:
-    if not judged:
-        return [f"No claim has the {RUNS_MIN} runs that a verdict needs."]
-    missed = [claim for claim in judged if not claim.holds]
-    if not missed:
-        return [f"All {len(judged)} claims with a criterion are met."]
-    names = "; ".join(f"{claim.what}: {claim.ours}" for claim in missed)
-    return [f"Not met, of {len(judged)} claims with a criterion: {names}."]
-
-
-def _machine(jobs: Sequence[Job], timing: str, results_folder: Path) -> str:
-    versions = ", ".join(job_cache.versions((*job_cache.LIBRARIES, "joblib")))
-    text = [
-        f"{_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.release()}. "
-        f"{versions}.",
-        timing,
-        "A run depends on its arguments only: the same seeds give the same numbers for any number "
-        "of processes, any order, and any number of interruptions. Other processors or versions "
-        "of these libraries may change last digits, and learning amplifies such differences.",
-    ]
     rows = []
     for study in dict.fromkeys(job.study for job in jobs):
         own = [job for job in jobs if job.study == study]
         wall, cpu = job_cache.spent(own, results_folder)
         seeds = ranges({seed for job in own for seed in _seeds(**job.arguments)})
         rows.append([study, str(len(own)), seeds or "–", duration(cpu), duration(wall)])
-    head = ["study", "runs", "seeds", "processor time", "wall time, one after another"]
-    return html_page.section(MACHINE_TITLE, text, html_page.table(head, rows))
+    judged = [claim for chapter in chapters for claim in chapter.claims if claim.holds is not None]
+    body = TEMPLATES.from_string(TEMPLATE.read_text()).render(
+        scale=scale,
+        chapters=chapters,
+        jobs=jobs,
+        judged=judged,
+        missed=[claim for claim in judged if not claim.holds],
+        runs_min=RUNS_MIN,
+        cpu=duration(job_cache.spent(jobs, results_folder)[1]),
+        machine=MACHINE,
+        processor=_processor(),
+        cores=os.cpu_count(),
+        system=f"{platform.system()} {platform.release()}",
+        versions=", ".join(job_cache.versions((*job_cache.LIBRARIES, "joblib"))),
+        timing=timing,
+        rows=rows,
+        table=table,
+        anchor=html_page.anchor,
+    )
+    return html_page.page("Flipping pancakes: the paper reproduced", [body])
 
 
 def _processor() -> str:
@@ -234,7 +185,7 @@ def overview(chapters: Sequence[Chapter]) -> Table:
     styles = {True: "green", False: "red", None: "dim"}
     for chapter in chapters:
         table.add_row(Text(chapter.title, style="bold"))
-        for claim in chapter.all_claims():
+        for claim in chapter.claims:
             measured = Text(claim.ours)
             details = ", ".join(text for text in (claim.spread, claim.count) if text)
             measured.append(f"\n{details}" if details else "", style="dim")
@@ -274,7 +225,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             f"  python -m reproduction {shlex.join(arguments)}\n"
         )
         return INTERRUPTED
-    except job_cache.JobError as error:
+    except JobError as error:
         sys.stderr.write(f"{error}Finished results are in {folder}.\n")
         return 1
     except (ValueError, OSError) as error:

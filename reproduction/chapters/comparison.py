@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapter of the comparison of learners, computed from its results."""
+"""Statistics, tables and figures of the comparison of learners."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import ranksums
 
-from reproduction import figures as study_figures
-from reproduction.chapter import Chapter, Claim, Figure, Table
+from reproduction import figures
+from reproduction.chapter import Study
 from reproduction.jobs import Results
+from reproduction.studies import comparison
 from reproduction.studies.comparison import BASELINES, REFINED
 
 TASKS = {
@@ -73,37 +75,18 @@ class Runs:
         return f"{median:.0f}" if np.isfinite(median) else f"over {self.returns.shape[1]}"
 
 
-def chapter(results: Results) -> Chapter:
-    """Chapter of `comparison.jobs`; ignores results of other studies."""
-    return Chapter(
-        "Learners side by side",
-        [
-            "All learners have the same number of rollouts, start at the same demonstration and "
-            "learn full matrices and attractors. Settings and exploration scales of each were "
-            "chosen on other seeds: on reaching, two settings with twelve scales on 10 seeds, and "
-            "the best of them on 60 more; on the pancake, little more than the better of two "
-            "scales on 2 seeds. Screened PoWER draws candidates from PoWER's distribution and "
-            "executes the one of highest predicted return. It draws fewer candidates with every "
-            "rollout, so that the rollouts decide in the end. The model of reaching is the free "
-            "path of Eq. 1, Eq. 4 and the places where rollouts were stopped; that of the pancake "
-            "is the toss that Eq. 1 plans, in free flight, corrected by the returns. All learners "
-            "receive the same returns, but only screened PoWER is given a model: the comparison "
-            "shows the value of a model, not of a learner "
-            "(reproduction/studies/equal_knowledge.py gives the model to all). Rollouts until a "
-            "return was reached count single rollouts; the mean policy reaches it later.",
-        ],
-        parts=[_task(task, results[f"comparison-{task}"]) for task in TASKS],
-    )
+def values(results: Results) -> dict[str, Any]:
+    """Names of the template; ignores results of other studies."""
+    return {"tasks": [_task(name, results[f"comparison-{name}"]) for name in TASKS]}
 
 
-def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
+def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Names of the section of a task."""
     jobs: dict[str, list[Mapping[str, Any]]] = {}
     for key, job in study.items():
         jobs.setdefault(key.split("-")[0], []).append(job)
     runs = {name: Runs.of(some) for name, some in jobs.items()}
-    ours, power = runs[OURS], runs["power"]
-    level = float(np.median(power.final))
-    over = "{} runs of {} rollouts".format(*ours.returns.shape)
+    ours, level = runs[OURS], float(np.median(runs["power"].final))
     rows = []
     for name, some in runs.items():
         final = some.final
@@ -112,64 +95,51 @@ def _task(task: str, study: Mapping[str, Mapping[str, Any]]) -> Chapter:
         cells = [*(f"{value:.3f}" for value in means), some.needed(level)]
         cells += ["" if name == OURS else f"{value:.1g}" for value in p]
         rows.append([LEARNERS[name], str(len(final)), *cells])
-    best = max(range(len(rows)), key=lambda row: float(rows[row][2]))
     measured = {
         "final policy": {name: some.final for name, some in runs.items()},
         "all rollouts while it learns": {name: some.mean_returns for name, some in runs.items()},
     }
-    return Chapter(
-        TASKS[task],
-        [
-            f"{over} unless the table says fewer. PoWER's median final policy returns "
-            f"{level:.3f}; a rollout with at least that return took "
-            f"{power.needed(level)} rollouts with PoWER and {ours.needed(level)} with ours "
-            "(median)."
-        ],
-        [
-            _ahead(name, returns, f"{TASKS[task]}; {what}", over)
+    curves = {LEARNERS[name]: some.best_so_far.tolist() for name, some in runs.items()}
+    return {
+        "name": task,
+        "title": TASKS[task],
+        "over": "{} runs of {} rollouts".format(*ours.returns.shape),
+        "level": level,
+        "needed": [runs[name].needed(level) for name in ("power", OURS)],
+        "claims": [
+            {"what": what, **_ahead(name, returns)}
             for name in REFINED
             if name in runs
             for what, returns in measured.items()
         ],
-        [
-            Table(
-                f"{TASKS[task]}. Rollouts: until one returned {level:.3f}, median over runs. "
-                "p: ours greater, rank-sum, one-sided, for the final policy and for all rollouts.",
-                (
-                    *("learner", "runs", "mean", "median", "sd", "mean of all rollouts"),
-                    *("rollouts", "p final policy", "p all rollouts"),
-                ),
-                rows,
-                [(best, 2)],
-            )
-        ],
-        [
-            Figure.of(
-                f"learners-{task}",
-                "Best return so far, median and quartiles over runs.",
-                study_figures.learner_curves(
-                    {LEARNERS[name]: some.best_so_far.tolist() for name, some in runs.items()},
-                    ours=[LEARNERS[OURS]],
-                    ylabel="best return so far",
-                ),
-            )
-        ],
-    )
+        "rows": rows,
+        "best": max(range(len(rows)), key=lambda row: float(rows[row][2])),
+        "curves": figures.learner_curves(
+            curves, ours=[LEARNERS[OURS]], ylabel="best return so far"
+        ),
+    }
 
 
-def _ahead(name: str, returns: Mapping[str, np.ndarray], what: str, over: str) -> Claim:
-    """Claim that a learner has higher returns than all BASELINES."""
-    baselines = [baseline for baseline in BASELINES if baseline in returns]
-    ours, others = returns[name], [returns[baseline] for baseline in baselines]
-    p_values = [_p_greater(ours, values) for values in others]
-    is_ahead = all(ours.mean() > values.mean() for values in others) and max(p_values) < 0.01
-    names = ", ".join(LEARNERS[baseline] for baseline in baselines)
-    against = f"{ours.mean():.3f} against {', '.join(f'{v.mean():.3f}' for v in others)}"
-    spread = f"p = {', '.join(f'{p:.1g}' for p in p_values)}"
-    claim = f"{LEARNERS[name]} ahead of {names}: {what} (rank-sum p < 0.01)"
-    count = min(map(len, (ours, *others)))
-    return Claim(claim, "", against, spread, over, is_ahead, runs=count)
+def _ahead(name: str, returns: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Whether a learner has higher returns than all BASELINES."""
+    others = {other: returns[other] for other in BASELINES if other in returns}
+    ours, p_values = returns[name], [_p_greater(returns[name], some) for some in others.values()]
+    ahead = all(ours.mean() > some.mean() for some in others.values())
+    return {
+        "learner": LEARNERS[name],
+        "others": ", ".join(LEARNERS[other] for other in others),
+        "mean": ours.mean(),
+        "means": ", ".join(f"{some.mean():.3f}" for some in others.values()),
+        "p": ", ".join(f"{p:.1g}" for p in p_values),
+        "met": ahead and max(p_values) < 0.01,
+        "runs": min(map(len, (ours, *others.values()))),
+    }
 
 
 def _p_greater(ours: np.ndarray, others: np.ndarray) -> float:
     return float(ranksums(ours, others, alternative="greater").pvalue)
+
+
+STUDY = Study(
+    "Learners side by side", comparison.jobs, values, Path(__file__).with_suffix(".html.j2")
+)

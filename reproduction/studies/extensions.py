@@ -14,7 +14,7 @@ import numpy as np
 
 from hardware_sim.settings import PITCH_RATE
 from reproduction.jobs import Job, Scale
-from reproduction.studies.flip_sessions import NOVICE, rollouts, stand_in, teach
+from reproduction.studies.flip_sessions import NOVICE, stand_in, teach
 from reproduction.studies.reaching_runs import NOISE, POWER, evaluate, generator
 from reproduction.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.parametrization import Parametrization
@@ -88,7 +88,7 @@ def session(
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
     practice = Practice(preset("flip", name, **changes), {}, candidates, seed, environment)
     rated, refused, sizes = 0, "", []
-    for record in rollouts(environment, practice):
+    for record in environment.practise(practice):
         truth = record.truth or {}
         if practice.learner is not None:
             sizes.append(practice.learner.sigma)

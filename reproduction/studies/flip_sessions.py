@@ -8,7 +8,7 @@ conditions, the paper's preset beside Fig. 5, and the ablation of the paper's st
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
@@ -120,28 +120,6 @@ def _script(environment: Environment, seed: int, number: int, pitch_rate: float)
     return wrist_flick(rng, pitch_rate=pitch_rate, level=level)
 
 
-def practise(
-    environment: Environment,
-    candidates: list[Policy],
-    settings: SessionSettings,
-    seed: int,
-    report: Callable[[Record], None] | None = None,
-) -> Practice:
-    """Run a session in one process to its last re-test; `report` is called with every record."""
-    practice = Practice(settings, {}, candidates, seed, environment)
-    for record in rollouts(environment, practice):
-        if report is not None:
-            report(record)
-    return practice
-
-
-def rollouts(environment: Environment, practice: Practice) -> Iterator[Record]:
-    """Execute the trials of a practice one after another and learn from them."""
-    while (trial := practice.next_trial()) is not None:
-        rollout, truth = environment.run(trial.policy)
-        yield practice.learn(trial, rollout, truth=truth)
-
-
 # The sessions of the reproduction
 
 
@@ -172,8 +150,8 @@ def session(
     environment = stand_in(seed, **(condition or {}))
     candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
     settings = preset("flip", name, **(changes or {}))
-    practice = practise(environment, candidates, settings, seed)
-    records, best = practice.records, practice.best
+    practice = Practice(settings, {}, candidates, seed, environment)
+    records, best = [*environment.practise(practice)], practice.best
     trials = [record for record in records if record.kind != "retest"]
     parameters = practice.parametrization
     chosen = "" if parameters is None else parameters.policy0.id

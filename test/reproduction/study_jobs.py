@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from reproduction.chapter import Chapter, Claim, Figure, Table
-from reproduction.jobs import Job
+from reproduction.chapter import Study
+from reproduction.jobs import Job, Results
 from wam_power_ros.reporting import figures
 
 SECONDS = 0.0  # that a run of the study takes
@@ -48,18 +48,14 @@ def jobs(scale: str) -> list[Job]:
     ]
 
 
-def chapter(results: dict[str, dict[str, dict[str, Any]]]) -> Chapter:
-    """As every study has it."""
+def values(results: Results) -> dict[str, Any]:
+    """As every study has them."""
     means = [float(np.mean(result["numbers"])) for result in results["draws"].values()]
-    claim = Claim(
-        "The mean <of> draws is zero",
-        "0",
-        f"{np.mean(means):.3f}",
-        f"sd {np.std(means):.3f}",
-        f"{len(means)} seeds",
-        met=abs(np.mean(means)) < 1.0,
-    )
-    rows = [[key, f"{mean:.3f}"] for key, mean in zip(results["draws"], means, strict=True)]
-    drawn = Figure.of("draws", "All of them.", figures.learning_curve(means, paper=False))
-    lost = Figure("film", "There is no OpenGL.", b"")
-    return Chapter("Draws", ["Normal."], [claim], [Table("", ["", "mean"], rows)], [drawn, lost])
+    return {
+        "means": np.array(means),
+        "rows": [[key, f"{mean:.3f}"] for key, mean in zip(results["draws"], means, strict=True)],
+        "drawn": figures.learning_curve(means, paper=False),
+    }
+
+
+STUDY = Study("Draws", jobs, values, Path(__file__).with_suffix(".html.j2"))

@@ -1,72 +1,83 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chapters show their contents, escaped; the rows of a table match its head."""
+"""A chapter shows what its template names, escaped; its claims are judged by enough runs."""
 
+from pathlib import Path
+
+import jinja2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from reproduction import chapter
-from reproduction.chapter import Chapter, Claim, Figure, Table
+from reproduction.chapter import Chapter, Claim
 from wam_power_ros.reporting import figures
 
-CLAIM = Claim("return <after> 100", "0.73", "0.754", "sd 0.08", "40 seeds", True, "the obstacle")
+CLAIM = """{% do claim("return <after> 100", ours="0.754", spread="", count="40 seeds") %}"""
 
 
-def test_a_chapter_shows_text_tables_figures_and_parts_in_this_order() -> None:
-    drawn = Figure.of("a", "A figure.", figures.learning_curve([0.5, 0.7], paper=False))
-    missing = Figure("b", "No picture: there is no OpenGL.", b"")
-    part = Chapter("A part", ["Words & more."], [CLAIM], figures=[missing])
-    table = Table("A table.", ["who", "return"], [["PoWER", "0.7"], ["none", "0.5"]], {(0, 1)})
-    html = chapter.html(Chapter("Reaching", ["Begun."], [CLAIM], [table], [drawn], [part]))
-    order = ["<h2>Reaching", "Begun.", "A table.", "A figure.", "<h3>A part", "Words &amp; more."]
-    assert [html.index(words) for words in order] == sorted(html.index(words) for words in order)
-    assert html.count("<img") == 1 and "there is no OpenGL" in html
-    assert '<td class="best">0.7</td>' in html
+@pytest.fixture
+def template(tmp_path: Path) -> Path:
+    """File of a template."""
+    return tmp_path / "chapter.html.j2"
 
 
-def test_claims_and_figures_of_the_parts_are_found_in_order() -> None:
-    part = Chapter("part", claims=[CLAIM], figures=[Figure("second", "", b"x")])
-    whole = Chapter("whole", figures=[Figure("first", "", b"x")], parts=[part])
-    assert whole.all_claims() == [CLAIM]
-    assert [drawn.name for drawn in whole.all_figures()] == ["first", "second"]
+def rendered(template: Path, text: str, **values: object) -> Chapter:
+    template.write_text(text)
+    return Chapter("Reaching", template, values)
 
 
-def test_the_overview_has_a_verdict_on_every_claim() -> None:
-    claims = [CLAIM, Claim("b", "", "1", "", "", False), Claim("c", "", "2", "", "", None)]
-    html = chapter.overview([Chapter("Reaching", claims=claims), Chapter("Nothing claimed")])
-    assert html.count("<td>") == len(claims) and "Nothing claimed" not in html
-    for words in (
-        ">Reaching<",
-        "return &lt;after&gt; 100",
-        "left open: the obstacle",
-        ">not met<",
-        ">reported<",
-    ):
-        assert words in html
+def drawing() -> Figure:
+    return figures.learning_curve([0.5, 0.7], paper=False)
+
+
+def photographs() -> Figure:
+    figure = Figure()
+    figure.subplots().imshow(np.zeros((6, 8, 3), np.uint8))
+    return figure
+
+
+def test_a_chapter_shows_what_its_template_names_in_this_order_and_escaped(template: Path) -> None:
+    chapter = rendered(
+        template,
+        CLAIM + '<p>{{ words }}</p>{{ table("A <table>.", ["who"], [["PoWER"]], [(0, 0)]) }}'
+        '{{ figure("a", "A figure.", drawn) }}{{ figure("b", "A film.", "there is no <OpenGL>") }}',
+        words="Words & more.",
+        drawn=drawing(),
+    )
+    order = ["<h2>Reaching", "Words &amp; more.", "A &lt;table&gt;.", "A figure.", "A film. Not"]
+    assert [chapter.html.index(words) for words in order] == sorted(map(chapter.html.index, order))
+    assert chapter.html.count("<img") == 1 and "there is no &lt;OpenGL&gt;." in chapter.html
+    assert '<td class="text best">PoWER</td>' in chapter.html
+    assert [claim.what for claim in chapter.claims] == ["return <after> 100"]
+    assert [name for name, png in chapter.figures.items() if png.startswith(b"\x89PNG")] == ["a"]
+
+
+def test_a_name_without_a_value_a_figure_twice_and_a_row_of_another_width_are_refused(
+    template: Path,
+) -> None:
+    with pytest.raises(jinja2.UndefinedError, match="'missing' is undefined"):
+        rendered(template, "{{ missing }}")
+    with pytest.raises(ValueError, match="two figures with the same name: a"):
+        rendered(template, '{{ figure("a", "", drawn) }}' * 2, drawn=drawing())
+    with pytest.raises(ValueError, match="row of 1 cells in a table of 2 columns"):
+        rendered(template, '{{ table("", ["a", "b"], [["1"]]) }}')
 
 
 @pytest.mark.parametrize("met", [True, False])
 def test_a_few_runs_are_no_ground_for_a_verdict(met: bool) -> None:
-    few, enough = (Claim("a", "", "1", "", "", met, runs=runs) for runs in (2, 5))
+    few, enough = (Claim("a", "1", "", "", met, runs) for runs in (2, 5))
     assert (few.holds, few.verdict) == (None, "too few runs")
-    assert enough.holds is met
-    html = chapter.overview([Chapter("Reaching", claims=[few])])
-    assert 'class="reported">too few runs<' in html
-    only_reported = Claim("a", "", "1", "", "", None, runs=1)
+    assert (enough.holds, enough.verdict) == (met, "met" if met else "not met")
+    only_reported = Claim("a", "1", "", "", runs=1)
     assert only_reported.verdict == "reported"
 
 
-def test_colours_of_drawings_are_inverted_in_the_dark_and_those_of_photographs_not() -> None:
-    drawn = Figure.of("a", "", figures.learning_curve([0.5, 0.7], paper=False))
-    photographs = Figure.of("b", "", figures.filmstrip([np.zeros((6, 8, 3), np.uint8)]))
-    html = chapter.html(Chapter("t", figures=[drawn, photographs]))
-    assert html.count('class="drawn"') == 1
-
-
-def test_a_row_of_another_width_than_the_head_is_refused() -> None:
-    with pytest.raises(ValueError, match="row of 1 cells in a table of 2 columns"):
-        chapter.html(Chapter("t", tables=[Table("", ["a", "b"], [["1"]])]))
+def test_colours_of_drawings_are_inverted_in_the_dark_and_those_of_photographs_not(
+    template: Path,
+) -> None:
+    two = {"one": drawing(), "two": photographs()}
+    text = '{{ figure("a", "", one) }}{{ figure("b", "", two) }}'
+    assert rendered(template, text, **two).html.count('class="drawn"') == 1
 
 
 def test_the_same_figure_gives_the_same_bytes() -> None:
-    one, two = (figures.png(figures.learning_curve([0.5, 0.7], paper=False)) for _ in range(2))
-    assert one == two
+    assert figures.png(drawing()) == figures.png(drawing())

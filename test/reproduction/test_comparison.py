@@ -6,8 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from reproduction.chapters import comparison as comparison_chapter
-from reproduction.chapters.comparison import LEARNERS, TASKS
+from reproduction.chapters.comparison import LEARNERS, STUDY, TASKS
 from reproduction.studies import comparison
 from reproduction.studies.comparison import (
     BASELINES,
@@ -94,12 +93,12 @@ def made_up(better: float) -> dict:
 
 @pytest.mark.parametrize(("better", "met"), [(0.1, True), (0.0, False), (-0.1, False)])
 def test_the_claim_is_met_only_if_ours_is_ahead(better: float, met: bool) -> None:
-    chapter = comparison_chapter.chapter(made_up(better))
-    ours = [claim for claim in chapter.all_claims() if claim.what.startswith("screened")]
-    refined = [claim for claim in chapter.all_claims() if claim not in ours]
+    chapter = STUDY.chapter(made_up(better))
+    ours = [claim for claim in chapter.claims if claim.what.startswith("screened")]
+    refined = [claim for claim in chapter.claims if claim not in ours]
     assert [claim.met for claim in ours] == [met] * 4
     assert [claim.met for claim in refined] == [False] * 4
-    assert len(chapter.all_figures()) == 2
+    assert len(chapter.figures) == 2
 
 
 def test_a_learner_is_judged_by_its_rollouts_apart_from_its_answer() -> None:
@@ -107,6 +106,6 @@ def test_a_learner_is_judged_by_its_rollouts_apart_from_its_answer() -> None:
     for key, run in results["comparison-pancake"].items():
         if key.startswith("screened"):
             run["returns"] = [ret + 0.1 for ret in run["returns"]]
-    claims = comparison_chapter.chapter(results).all_claims()
+    claims = STUDY.chapter(results).claims
     met = [claim.what for claim in claims if claim.met]
     assert len(met) == 1 and "Pancake" in met[0] and "while it learns" in met[0]

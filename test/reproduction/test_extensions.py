@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from reproduction import jobs
-from reproduction.chapter import html
-from reproduction.chapters.extensions import chapter
+from reproduction.chapters.extensions import STUDY
 from reproduction.studies import extensions
 from reproduction.studies.extensions import (
     AUTO,
@@ -22,8 +21,8 @@ from reproduction.studies.extensions import (
 
 def test_the_quick_extensions_have_every_claim(tmp_path: Path) -> None:
     results = jobs.run(extensions.jobs("quick"), tmp_path)
-    written = chapter(results)
-    assert len(written.all_claims()) == 7 and "automatic" in html(written)
+    written = STUDY.chapter(results)
+    assert len(written.claims) == 7 and "automatic" in written.html
     (person,) = results[PERSON].values()
     assert 0 <= person["rated"] <= 2 and person["used"] == 4
     (given,) = results[f"{DEMONSTRATION}with"].values()
@@ -64,7 +63,7 @@ def test_a_claim_is_met_only_if_the_results_say_so(better: bool) -> None:
         f"{DEMONSTRATION}without": alone,
         f"{DEMONSTRATION}with": helped,
     }
-    assert {claim.met for claim in chapter(results).all_claims()} == {better}
+    assert {claim.met for claim in STUDY.chapter(results).claims} == {better}
 
 
 @pytest.mark.parametrize(
@@ -91,5 +90,5 @@ def test_no_worse_is_a_margin_that_is_kept_and_not_a_difference_that_is_not_seen
     results = {REACHING: sizes, REACHING_NOISY: sizes, PERSON: runs}
     results |= {f"{SIGMA}{AUTO}": runs, f"{SIGMA}6": runs}
     results |= {f"{DEMONSTRATION}{which}": runs for which in ("with", "without")}
-    claims = [c for c in chapter(results).all_claims() if "without noise" in c.what]
+    claims = [c for c in STUDY.chapter(results).claims if "without noise" in c.what]
     assert [claim.verdict for claim in claims] == [verdict]

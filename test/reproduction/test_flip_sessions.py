@@ -8,7 +8,7 @@ import pytest
 
 from hardware_sim.scenes.flip import HOME
 from reproduction.chapter import Chapter, Claim
-from reproduction.chapters import flip as flip_chapter
+from reproduction.chapters.flip import STUDY, Sessions
 from reproduction.studies import flip_sessions
 
 
@@ -110,21 +110,22 @@ def results(default: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]
 
 
 def claim(chapter: Chapter, words: str) -> Claim:
-    (found,) = [claim for claim in chapter.all_claims() if words in claim.what]
+    (found,) = [claim for claim in chapter.claims if words in claim.what]
     return found
 
 
 def test_a_claim_of_the_chapter_is_met_only_if_the_sessions_meet_it() -> None:
     good = [held(seed) for seed in range(9)]
     landed, true = "default: landed in at least 90%", "default: true flips"
-    chapter = flip_chapter.chapter(results([*good, held(9, angle=147.0)]))
+    chapter = STUDY.chapter(results([*good, held(9, angle=147.0)]))
     assert claim(chapter, landed).met
     assert claim(chapter, true).met
     assert claim(chapter, true).ours == "9 of 10 sessions"
     assert claim(chapter, "gain of the mean return").ours == "0.45"
-    assert {figure.name for figure in chapter.all_figures()} >= {"fig5-learning-curve"}
-    bad = flip_chapter._default(flip_chapter.Sessions([*good[:5], *[held(9, landed=False)] * 5]))
-    assert flip_chapter.Sessions(good[:1]).reliable(np.ones(1)) == "1 of 1 session"
+    assert "fig5-learning-curve" in chapter.figures
+    bad = STUDY.chapter(results([*good[:5], *[held(9, landed=False)] * 5]))
+    few = STUDY.chapter(results(good[:1]))
+    assert claim(few, landed).ours == "1 of 1 session"
     assert claim(bad, landed).met is False
     assert claim(bad, true).met is False
 
@@ -135,7 +136,6 @@ def test_the_reproduction_that_is_learnt_from_is_counted_and_no_other(
 ) -> None:
     first = [rollout("reproduction", 0.5 + k, angle=angle) for k, angle in enumerate(angles)]
     taught = {**held(0), "trials": [*first, rollout("explore", 1.9)]}
-    sessions = flip_chapter.Sessions([taught, held(1)])
-    assert sessions.reproduced == count
-    text = flip_chapter._default(sessions).text[0]
+    assert Sessions([taught, held(1)]).reproduced == count
+    text = " ".join(STUDY.chapter(results([taught, held(1)])).html.split())
     assert f"was a true flip in {count} of 2 sessions" in text

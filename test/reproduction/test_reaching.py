@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from reproduction.chapters import reaching as reaching_chapter
+from reproduction.chapters.reaching import STUDY
 from reproduction.studies import reaching, reaching_arm
 from reproduction.studies.reaching import TUNING
 
@@ -42,7 +42,7 @@ def test_the_reaching_chapter_is_made_of_its_quick_jobs() -> None:
     for job in reaching.jobs("quick"):
         arguments = job.arguments | {"rollouts": 6}
         results.setdefault(job.study, {})[job.key] = job.function(**arguments)
-    chapter = reaching_chapter.chapter(json.loads(json.dumps(results)))
-    assert len(chapter.all_figures()) == 3
-    words = [claim.what for claim in chapter.all_claims()]
+    chapter = STUDY.chapter(json.loads(json.dumps(results)))
+    assert len(chapter.figures) == 3
+    words = [claim.what for claim in chapter.claims]
     assert any("stuck" in what for what in words) and any("taught" in what for what in words)

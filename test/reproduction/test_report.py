@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reproduction: one command, one report, the same numbers wherever it ran."""
 
+import dataclasses
 import os
 import re
 import signal
@@ -17,20 +18,17 @@ from test_jobs import draws, files
 from benchmark.cluster import local_cluster
 from reproduction import jobs as job_cache
 from reproduction import report
-from reproduction.chapter import Chapter, Claim
+from reproduction.chapter import Chapter
 
 ROOT = Path(__file__).resolve().parents[2]
 PYTHONPATH = os.pathsep.join(
     [str(ROOT), str(ROOT / "test/reproduction"), os.environ.get("PYTHONPATH", "")]
 )
 SLOW = """
-import sys
-
 import study_jobs
 from reproduction import report
 
-report.STUDIES = {"draws": ("draws", "draws")}
-sys.modules["reproduction.draws"] = study_jobs
+report.STUDIES = {"draws": study_jobs.STUDY}
 study_jobs.SECONDS = 0.2
 raise SystemExit(report.main())
 """  # `python -m reproduction` with a study that takes a while
@@ -39,8 +37,7 @@ raise SystemExit(report.main())
 @pytest.fixture
 def made_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """One study, "draws", in place of those of the paper."""
-    monkeypatch.setattr(report, "STUDIES", {"draws": ("draws", "draws")})
-    monkeypatch.setitem(sys.modules, "reproduction.draws", study_jobs)
+    monkeypatch.setattr(report, "STUDIES", {"draws": study_jobs.STUDY})
 
 
 @pytest.mark.usefixtures("made_up")
@@ -70,7 +67,8 @@ def test_a_run_that_fails_is_reported_and_ends_the_reproduction_with_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bad = job_cache.Job("bad", "apple", study_jobs.fail, {"why": "a worm"})
-    monkeypatch.setattr(study_jobs, "jobs", lambda scale: [bad, *draws(2)])
+    study = dataclasses.replace(study_jobs.STUDY, jobs=lambda scale: [bad, *draws(2)])
+    monkeypatch.setitem(report.STUDIES, "draws", study)
     assert report.main(["--folder", str(tmp_path), "--jobs", "1"]) == 1
     assert "bad/apple" in capsys.readouterr().err
     assert len(files(tmp_path / "results")) == 2
@@ -85,7 +83,7 @@ def test_an_unknown_study_is_refused_with_the_known_ones(
 
 
 def test_two_figures_with_the_same_name_are_refused(tmp_path: Path) -> None:
-    chapter = study_jobs.chapter(job_cache.run(study_jobs.jobs("quick"), tmp_path))
+    chapter = study_jobs.STUDY.chapter(job_cache.run(study_jobs.jobs("quick"), tmp_path))
     with pytest.raises(ValueError, match="two figures with the same name: draws"):
         report.write(tmp_path, "quick", [chapter, chapter], [], "")
 
@@ -192,8 +190,10 @@ def test_without_dask_a_scheduler_is_refused_with_the_extra_to_install(
         job_cache.run(draws(1), tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
-def test_without_a_verdict_no_share_of_claims_is_counted() -> None:
-    few = Claim("ours ahead", "", "1.0", "", "2 runs", met=True, runs=2)
-    html = report.render("quick", [Chapter("chapter", claims=[few])], [], "", Path())
+def test_without_a_verdict_no_share_of_claims_is_counted(tmp_path: Path) -> None:
+    (template := tmp_path / "chapter.html.j2").write_text(
+        '{% do claim("ours ahead", ours="1.0", spread="", count="2 runs", met=true, runs=2) %}'
+    )
+    html = report.render("quick", [Chapter("chapter", template, {})], [], "", tmp_path)
     assert "No claim has the 5 runs that a verdict needs." in html
     assert "0 of 0" not in html

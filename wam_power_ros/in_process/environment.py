@@ -7,6 +7,7 @@ seed and id is bit for bit the same in both.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,8 @@ from wam_power_ros.learning.rollout import Fault, Rollout
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import Record
 from wam_power_ros.tracking.tracker import Tracker
 
 _STILL_TICKS = 25  # for which the arm is held before a rollout, so that its state repeats
@@ -134,6 +137,12 @@ class Environment:
                 self.tick()
             body = self.tracker.path(policy.id, start_ns, end_ns)
         return Rollout(tool, body, controller.latched), truth
+
+    def practise(self, practice: Practice) -> Iterator[Record]:
+        """Execute the trials of a session one after another, learn from each, yield its record."""
+        while (trial := practice.next_trial()) is not None:
+            rollout, truth = self.run(trial.policy)
+            yield practice.learn(trial, rollout, truth=truth)
 
     def place(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Reset the world with the arm at a posture and hold it there."""
