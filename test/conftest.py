@@ -48,6 +48,7 @@ SLOW = (
     "benchmark",
     "nodes",
     "reproduction",
+    "examples",
     "in_process",
     "hardware_sim",
     "console",

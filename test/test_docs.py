@@ -28,6 +28,7 @@ PAGES = [
     "README.md",
     "CONTRIBUTING.md",
     "SECURITY.md",
+    "examples/README.md",
     *(f"docs/{path.name}" for path in ROOT.glob("docs/*.md")),
 ]
 CITATION = re.compile(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d)[],]")
