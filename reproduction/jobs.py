@@ -41,27 +41,13 @@ from typing import Any, Literal
 
 from joblib import Parallel, delayed, parallel_config
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from wam_power_ros import durable_files, plain_json
 from wam_power_ros.params.resources import share
 
-PACKAGES = ("wam_power_ros", "hardware_sim", "reproduction")
+PACKAGES = ("wam_power_ros", "hardware_sim", "reproduction.studies")
 NOT_HASHED = (  # sources that cannot change a result; the studies run without ROS
-    "reproduction/__main__.py",
-    "reproduction/chapter.py",
-    "reproduction/chapters",
-    "reproduction/figures.py",
-    "reproduction/filmstrip.py",
-    "reproduction/jobs.py",
-    "reproduction/report.py",
     "wam_power_ros/bags/editing.py",
     "wam_power_ros/bags/series.py",
     "wam_power_ros/bags/takes.py",
@@ -173,19 +159,14 @@ def run(
     if missing:
         console.print(f"{len(missing)} runs to compute, with {workers} processes.", highlight=False)
     failed: list[str] = []
-    columns = (
-        *(BarColumn(bar_width=30), MofNCompleteColumn(), TimeElapsedColumn()),
-        *(TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}")),
+    left_of = (TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.description}"))
+    shown = Progress(
+        *(BarColumn(bar_width=30), MofNCompleteColumn(), *left_of),
+        console=console,
+        disable=not console.is_terminal,
+        speed_estimate_period=SPEED_PERIOD,
     )
-    with (
-        Progress(
-            *columns,
-            console=console,
-            disable=not console.is_terminal,
-            speed_estimate_period=SPEED_PERIOD,
-        ) as progress,
-        contextlib.ExitStack() as stack,
-    ):
+    with shown as progress, contextlib.ExitStack() as stack:
         task = progress.add_task("", total=len(jobs), completed=len(results))
         for job, text, error, times in _compute(missing, workers, scheduler, stack):
             if error:

@@ -14,6 +14,7 @@ import shlex
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Collection, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -30,9 +31,7 @@ from wam_power_ros import durable_files
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.reporting import html_page
 
-MACHINE = "Machine, versions, seeds, time"
-
-
+MACHINE = "Machine, versions, seeds, time"  # heading
 TEMPLATE = Path(__file__).with_suffix(".html.j2")
 STUDIES = {  # in the order of the paper
     "reaching": reaching.STUDY,
@@ -100,9 +99,9 @@ def write(
         ValueError: Two figures have the same name.
     """
     (folder / "figures").mkdir(parents=True, exist_ok=True)
-    names = [name for chapter in chapters for name in chapter.figures]
-    if len(names) != len({*names}):
-        raise ValueError(f"two figures with the same name: {', '.join(sorted(names))}")
+    names = Counter(name for chapter in chapters for name in chapter.figures)
+    if twice := sorted(name for name, count in names.items() if count > 1):
+        raise ValueError(f"two figures with the same name: {', '.join(twice)}")
     for chapter in chapters:
         for name, png in chapter.figures.items():
             (folder / "figures" / f"{name}.png").write_bytes(png)
