@@ -13,8 +13,7 @@ import numpy as np
 
 from hardware_sim.world import World
 from reproduction.studies.flip_sessions import NOVICE, teach
-from reproduction.studies.reaching_runs import generator, learn_many, scales
-from reproduction.studies.synthetic_reach import synthetic
+from reproduction.studies.reaching_runs import generator, learn_many, scales, synthetic
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import Parametrization

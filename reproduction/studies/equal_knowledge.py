@@ -27,8 +27,8 @@ from reproduction.studies.reaching_runs import (
     generator,
     learn_many,
     scales,
+    synthetic,
 )
-from reproduction.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learner import Learner, Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.random_search import RandomSearch

@@ -15,8 +15,7 @@ import numpy as np
 from hardware_sim.settings import PITCH_RATE
 from reproduction.jobs import Job, Scale
 from reproduction.studies.flip_sessions import NOVICE, stand_in, teach
-from reproduction.studies.reaching_runs import NOISE, POWER, evaluate, generator
-from reproduction.studies.synthetic_reach import synthetic
+from reproduction.studies.reaching_runs import NOISE, POWER, evaluate, generator, synthetic
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.learning.power import Power

@@ -6,7 +6,7 @@
 prints the mean final return for a grid of noise scales; `reaching_runs.NOISE` was chosen from it.
 
 The paper gives neither its demonstrations nor its obstacle. Here they are random
-(`synthetic_reach`); in `reaching_arm` they are taught on the simulated arm.
+(`reaching_runs.synthetic`); in `reaching_arm` they are taught on the simulated arm.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ import numpy as np
 
 from reproduction.jobs import Job, Scale
 from reproduction.studies import reaching_arm
-from reproduction.studies.reaching_runs import CHUNK, VARIANTS, as_data, scales, study
-from reproduction.studies.synthetic_reach import synthetic
+from reproduction.studies.reaching_runs import CHUNK, VARIANTS, as_data, scales, study, synthetic
 from wam_power_ros.learning.parametrization import NoiseScales
 
 SYNTHETIC = "reaching-synthetic"  # study

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of learners on a reaching scenario, evaluated in batches."""
+"""A synthetic scenario of reaching, and runs of learners on any scenario, in batches."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
+from wam_power_ros.learning.demonstration import from_positions
+from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
 from wam_power_ros.learning.power import Power
-from wam_power_ros.tasks.reach.scenario import Scenario
+from wam_power_ros.tasks.reach.scenario import RADIUS, STEPS, Scenario, midpoint
+from wam_power_ros.tasks.reach.settings import REACH_FIT
 
 
 def scales(stiffness: float, attractor: float) -> NoiseScales:
@@ -28,6 +31,31 @@ NOISE = {"full": scales(0.6, 0.00625), "diagonal": scales(0.6, 0.1)}
 POWER = Power.Settings(sigma=3, decay=0.965)  # as in the authors' scripts
 CHUNK = 10  # runs evaluated together; constant, so that results do not depend on the workers
 PATH_SAMPLES = 50  # samples of a path kept for a figure
+# Of the synthetic demonstrations:
+DURATION = 2.0  # of a demonstration [s]
+START, GOAL = np.array([0.4, -0.25, 0.3]), np.array([0.4, 0.25, 0.3])  # mean ends [m]
+ARC = 0.06  # height of the mean demonstration above the straight line, half way [m]
+SCATTER = 0.01  # standard deviation of a demonstration's ends and arc [m]
+COUNT = 4  # demonstrations
+
+
+def synthetic() -> Scenario:
+    """Demonstrations of a reach past an obstacle, in place of the paper's, which it omits.
+
+    They are minimum-jerk movements along a line with an arc in z, half a metre in 2 s. The scatter
+    is shifted to mean zero: the mean demonstration has exactly the given ends and arc.
+    """
+    s = np.linspace(0.0, 1.0, STEPS)
+    s = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    offset = SCATTER * np.random.Generator(np.random.PCG64(0)).standard_normal((COUNT, 7))
+    offset -= offset.mean(axis=0)
+    first = START + offset[:, None, :3]  # (COUNT, 1, 3)
+    last = GOAL + offset[:, None, 3:6]
+    paths = first + s[:, None] * (last - first)
+    paths[..., 2] += (ARC + offset[:, 6:]) * np.sin(np.pi * s)
+    period = DURATION / (STEPS - 1)
+    policy = fit([from_positions(path, period) for path in paths], REACH_FIT, "demonstration")
+    return Scenario(paths, period, RADIUS, policy, START, midpoint(paths))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from reproduction.studies.reaching_runs import (
     generator,
     learn_many,
     study,
+    synthetic,
 )
-from reproduction.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
