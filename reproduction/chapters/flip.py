@@ -17,6 +17,7 @@ from reproduction.jobs import Results
 from reproduction.studies import flip_sessions
 from reproduction.studies.flip_sessions import ABLATION, DEFAULT, LEARNT, LONG, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.reporting import flip_figures
 from wam_power_ros.reporting.figures import paper_table, stiffness
 from wam_power_ros.reporting.terminal import counted
 
@@ -237,7 +238,7 @@ def _shown(sessions: Sessions) -> dict[str, Any] | None:
         flights[title] = (EndEffectorPath(key, **pan), BodyPath(key, **pancake), paths["t_f"])
     last = shown["answer"]["t_f"] or 1.0
     film = filmstrip.strip(shown["trace"], last + 0.25)
-    return {"flights": figures.flights(flights), "film": film}
+    return {"flights": flip_figures.flights(flights), "film": film}
 
 
 def _variation(profiles: np.ndarray) -> np.ndarray:
