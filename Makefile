@@ -15,11 +15,11 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # A sourced ROS 2 Jazzy provides rclpy, NumPy 1 and Pinocchio; otherwise everything comes from PyPI.
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_FLAGS := --system-site-packages
-EXTRAS := sim,view,cluster,completion,test,browser,dev
+EXTRAS := sim,view,reproduce,cluster,completion,test,browser,dev
 CONSTRAIN = echo 'numpy<2' > $(VENV)/constraints.txt
 else
 VENV_FLAGS :=
-EXTRAS := plain,sim,view,cluster,completion,test,browser,dev
+EXTRAS := plain,sim,view,reproduce,cluster,completion,test,browser,dev
 CONSTRAIN = : > $(VENV)/constraints.txt
 endif
 
@@ -58,7 +58,7 @@ learn: $(READY)
 	@$(call STOPPABLE,$(BIN)/wam-power learn $(ARGS))
 
 reproduce: $(READY)
-	@$(call STOPPABLE,$(BIN)/wam-power reproduce $(ARGS))
+	@$(call STOPPABLE,$(BIN)/python -m reproduction $(ARGS))
 
 # In the order of test/conftest.py: slow folders first. Three workers on two cores, because many tests wait for a clock.
 # Linear algebra uses one thread, as in every node (entry.py).

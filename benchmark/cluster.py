@@ -74,7 +74,7 @@ def main() -> int:
         folder = Path(name)
         for place, option in (("cluster", ["--scheduler", address]), ("here", [])):
             began = time.monotonic()
-            command = [sys.executable, "-m", "wam_power_ros.cli", "reproduce", *arguments, *option]
+            command = [sys.executable, "-m", "reproduction", *arguments, *option]
             subprocess.run(
                 [*command, "--folder", str(folder / place)],
                 env=environment,

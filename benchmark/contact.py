@@ -23,10 +23,10 @@ from benchmark.honest_driver import HONEST, Habits, report
 from hardware_sim.scenes.flip import wrist_flick
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.world import PERIOD_NS
+from reproduction.studies.flip_sessions import stand_in, teach
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.experiments.studies.flip_sessions import practise, stand_in, teach
-from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros.joint_messages import JointMovement
 
@@ -58,19 +58,16 @@ def rollouts(
     """
     done, faults, seed = 0, [], SEED
 
-    def seen(record: Record) -> None:
-        nonlocal done
-        done += 1
-        if record.fault:
-            faults.append(record.fault)
-
     while done < count:
         environment = stand_in(seed, **condition)
         if habits is not None:
             report(environment.world, habits, seed)
         budget = max(6, min(SESSION_ROLLOUTS, count - done))  # a session needs a few rollouts
         settings = preset("flip", "paper", budget=budget, retests=0)
-        practise(environment, teach(environment, seed, 1), settings, seed, seen)
+        practice = Practice(settings, {}, teach(environment, seed, 1), seed, environment)
+        found = [record.fault for record in environment.practise(practice)]
+        done += len(found)
+        faults += filter(None, found)
         seed += 1
     return done, faults
 

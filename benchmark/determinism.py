@@ -43,21 +43,16 @@ def in_one_process(
     """Fitted policies and records of the session in one process."""
     from hardware_sim.settings import WorldSettings
     from hardware_sim.world import World
-    from wam_power_ros.experiments.environment import Environment
-    from wam_power_ros.experiments.studies.flip_sessions import NOVICE, practise, teach
+    from reproduction.studies.flip_sessions import NOVICE, teach
+    from wam_power_ros.in_process.environment import Environment
     from wam_power_ros.learning.policy import to_json
+    from wam_power_ros.practice.practice import Practice
     from wam_power_ros.practice.settings import preset
 
     environment = Environment(World(WorldSettings(), seed))
     policies = teach(environment, seed, demonstrations, NOVICE)
-    kept: list[object] = []
-    practise(
-        environment,
-        policies,
-        preset("flip", budget=trials),
-        seed,
-        lambda record: kept.append(json.loads(record.to_json())),
-    )
+    practice = Practice(preset("flip", budget=trials), {}, policies, seed, environment)
+    kept = [json.loads(record.to_json()) for record in environment.practise(practice)]
     fitted = [json.loads(to_json(policy)) for policy in policies]
     without = [{key: row[key] for key in row if key not in ("clock", "bag")} for row in kept]
     return [{key: row[key] for key in row if key not in ("id", "arm")} for row in fitted], without

@@ -26,12 +26,12 @@ import numpy as np
 
 from hardware_sim.sensors import Encoders, Mocap
 from hardware_sim.world import World
+from reproduction.studies.flip_sessions import teach
 from wam_power_ros.control import torque_law
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.experiments.environment import Environment
-from wam_power_ros.experiments.studies.flip_sessions import teach
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tracking.tracker import Tracker

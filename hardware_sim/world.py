@@ -32,13 +32,14 @@ from wam_power_ros.tracking.marker_fit import LAYOUT
 
 QUIET = "-quiet"  # suffix of the id of a rollout without wind, offset and variation of the arm
 DROP_HEIGHT = 0.7  # [m]
+TRACE_RATE = 100.0  # [Hz] of the poses in `World.trace`
 CARRY_REST = 0.1  # [s] at its end, in which the filtered velocity becomes zero
 CARRY_SPEED = 1.0  # [rad/s] peak joint speed of an arm that is carried to a posture
 _SETTLE_STEPS = 900  # physics steps, at most, until bodies are at rest
 _SETTLE_CHECK = 50  # physics steps between checks for rest
 _SETTLE_SLICE = 10  # physics steps done within one tick
 _REST_SPEED = 0.003  # [m/s] and [rad/s] below which a body is at rest
-_TRACE_TICKS = 5  # ticks between poses of the trace: 100 Hz
+_TRACE_TICKS = round(1.0 / (TRACE_RATE * PERIOD))  # between poses of the trace
 
 
 class JointSample(NamedTuple):

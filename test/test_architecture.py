@@ -53,15 +53,17 @@ ALLOWED["view"] = {*BELOW, "console"} - {"conformance"}
 ALLOWED["nodes"] = BELOW - {"reporting"}
 ALLOWED["console"] = BELOW - {"reporting", "practice", "tasks"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
-ALLOWED["experiments"] = {*BELOW, "hardware_sim"} - {"ros"}
-ALLOWED["cli"] = {*BELOW, "nodes", "console", "experiments", "view"}
+ALLOWED["in_process"] = {*BELOW, "hardware_sim"} - {"ros"}
+ALLOWED["cli"] = {*BELOW, "nodes", "console", "view"}
 ALLOWED["robot"] = {"bags", "control", "learning", "params", "ros", "nodes", "cli"}
-ALLOWED["benchmark"] = {*ALLOWED, "cli"}
+ALLOWED["reproduction"] = ALLOWED["in_process"] | {"in_process"}
+ALLOWED["benchmark"] = {*ALLOWED}
 PURE = ("rotations", "arm_identity", "learning", "control", "tracking", "tasks", "conformance")
 SPEAK_ROS = {"params", "ros", "nodes", "console", "view", "robot", "hardware_sim", "benchmark"}
-SIMULATE = {"hardware_sim", "experiments", "benchmark"}
+SIMULATE = {"hardware_sim", "in_process", "benchmark"}
 
-MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])
+INSTALLED = (PACKAGE, STAND_INS)
+MODULES = sorted(path for top in (*INSTALLED, ROOT / "reproduction") for path in top.rglob("*.py"))
 BENCHMARKS = sorted((ROOT / "benchmark").rglob("*.py"))
 
 
@@ -100,7 +102,7 @@ def imported_folders(path: Path) -> set[str]:
         root, _, rest = name.partition(".")
         if root == "wam_power_ros" and rest and rest != "__version__":
             found.add(rest.partition(".")[0])
-        elif root in ("hardware_sim", "benchmark"):
+        elif root in ("hardware_sim", "reproduction", "benchmark"):
             found.add(root)
     return found - {folder(path)}
 
@@ -192,7 +194,7 @@ def test_every_module_says_its_licence_in_one_line() -> None:
 LOADED_AS_CODE = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "imp", "runpy"}
 RUNS_TEXT = {"eval", "exec", "compile", "__import__"}
 UNSAFE = {"yaml": {"load", "load_all", "full_load", "unsafe_load"}, "os": {"system", "popen"}}
-ANYWHERE = sorted([*MODULES, *(ROOT / "benchmark").rglob("*.py"), *(ROOT / "launch").rglob("*.py")])
+ANYWHERE = sorted([*MODULES, *BENCHMARKS, *(ROOT / "launch").rglob("*.py")])
 YAML_LOAD = {  # with loaders that are checked below
     ("plain_yaml.py", "yaml", "load"),
     ("parameter_file.py", "yaml", "load"),

@@ -28,12 +28,13 @@ PAGES = [
     "README.md",
     "CONTRIBUTING.md",
     "SECURITY.md",
+    "examples/README.md",
     *(str(path.relative_to(ROOT)) for path in ROOT.glob("docs/**/*.md")),
 ]
 CITATION = re.compile(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d)[],]")
 SOURCES = [
     path
-    for folder in ("wam_power_ros", "hardware_sim", "benchmark", "docs", "config")
+    for folder in ("wam_power_ros", "hardware_sim", "reproduction", "benchmark", "docs", "config")
     for path in (ROOT / folder).rglob("*")
     if path.suffix in (".py", ".md", ".yaml")
 ]

@@ -76,4 +76,4 @@ def test_the_shell_completes_commands(tmp_path: Path) -> None:
     }
     command = [sys.executable, "-c", "from wam_power_ros.cli.main import main; main()"]
     subprocess.run(command, env=os.environ | words, timeout=60, check=True)
-    assert answer.read_text().split() == ["report", "replay", "reproduce"]
+    assert answer.read_text().split() == ["report", "replay"]

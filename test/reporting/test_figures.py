@@ -65,14 +65,6 @@ def test_stiffness_about_its_own_mean_is_in_percent() -> None:
     np.testing.assert_allclose(relative.lines[2].get_ydata(), 10.0 * (part - 0.5), atol=1e-12)
 
 
-def test_a_filmstrip_goes_from_the_first_frame_to_the_last() -> None:
-    frames = [np.full((6, 8, 3), shade, np.uint8) for shade in range(20)]
-    strip = figures.filmstrip(frames, count=5, times=np.arange(20) / 10)
-    shades = [int(axes.images[0].get_array()[0, 0, 0]) for axes in strip.axes]
-    assert (shades[0], shades[-1], len(shades)) == (0, 19, 5)
-    assert strip.axes[-1].get_xlabel() == "1.90 s"
-
-
 def test_a_film_has_as_many_frames_as_it_was_given(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     frames = list(rng.integers(0, 255, (7, 24, 32, 3), dtype=np.uint8))

@@ -17,7 +17,7 @@ from hardware_sim.world import World
 from wam_power_ros.bags import reader
 from wam_power_ros.cli.launcher import DOMAIN_FILE
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.experiments.environment import Environment
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy

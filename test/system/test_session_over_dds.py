@@ -32,13 +32,13 @@ from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.experiments.environment import Environment
-from wam_power_ros.experiments.studies.flip_sessions import practise
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.params import overlay
+from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface, pose_messages
@@ -145,10 +145,9 @@ def candidate(demonstration: Path) -> Policy:
 @pytest.fixture(scope="module")
 def expected(candidate: Policy) -> list[dict[str, Any]]:
     """What the same session learns in one process."""
-    rows: list[str] = []
     bench = Environment(World(WorldSettings(), SEED))
-    practise(bench, [candidate], SETTINGS, SEED, lambda record: rows.append(record.to_json()))
-    return learnt(rows)
+    practice = Practice(SETTINGS, {}, [candidate], SEED, bench)
+    return learnt([record.to_json() for record in bench.practise(practice)])
 
 
 def begin(folder: Path, candidate: Policy, settings: SessionSettings = SETTINGS) -> Path:

@@ -318,7 +318,7 @@ def _report_with_film(folder: Path) -> None:
     """
     from wam_power_ros.reporting import session_report
 
-    command = [sys.executable, "-m", "wam_power_ros.experiments.session_answer", str(folder)]
+    command = [sys.executable, "-m", "wam_power_ros.in_process.session_answer", str(folder)]
     if (error := _last_error(command, os.environ.get("MUJOCO_GL", "egl"))) is not None:
         print(f"No film in the report: {error}")
         if (error := _last_error([*command, "--no-film", error], "disable")) is not None:
@@ -335,7 +335,7 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
     return (completed.stderr.strip().splitlines() or [f"status {completed.returncode}"])[-1]
 
 
-# Set-ups, bags, studies
+# Set-ups, bags
 
 
 def config(options: argparse.Namespace) -> None:
@@ -361,28 +361,3 @@ def play(options: argparse.Namespace) -> None:
 
     signal.signal(signal.SIGTERM, interrupt)
     play_bag.play(options.bag, options.rate, options.topics, options.wait)
-
-
-def reproduce(options: argparse.Namespace) -> int:
-    """Run the studies of the paper and write their report."""
-    from wam_power_ros.experiments import jobs, reproduce
-
-    folder = options.folder or Path("reproduction-quick" if options.quick else "reproduction")
-    signal.signal(signal.SIGTERM, interrupt)
-    try:
-        report = reproduce.run(
-            folder,
-            "quick" if options.quick else "full",
-            options.jobs,
-            options.scheduler,
-            options.only or reproduce.STUDIES,
-        )
-    except KeyboardInterrupt:
-        words = sys.argv[1:] if sys.argv[1:2] == ["reproduce"] else ["reproduce"]
-        _print_command(f"\nStopped. Finished results are in {folder}. To resume:", words)
-        return INTERRUPTED
-    except jobs.JobError as error:
-        print(f"wam-power: {error}Finished results are in {folder}.", file=sys.stderr)
-        return 1
-    print(f"Report: {short_path(report.resolve())}")
-    return 0

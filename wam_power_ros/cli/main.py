@@ -210,28 +210,6 @@ def _parser() -> argparse.ArgumentParser:
         "Publish /controller/enable: true while a key of this terminal is held down.",
     )
 
-    reproduce = add(
-        "reproduce",
-        commands.reproduce,
-        "run the studies of the paper in simulation and write a report; resumes where it stopped",
-    )
-    reproduce.add_argument(
-        "--folder", type=Path, help="folder of results and report (default: reproduction)"
-    )
-    reproduce.add_argument(
-        "--jobs", type=positive, default=os.cpu_count(), help="processes (default: one per core)"
-    )
-    reproduce.add_argument(
-        "--quick", action="store_true", help="run a few seeds only, as a check (minutes)"
-    )
-    reproduce.add_argument("--only", nargs="+", metavar="STUDY", help="only these studies")
-    reproduce.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        default=os.environ.get("DASK_SCHEDULER_ADDRESS"),
-        help="compute on this Dask cluster (default: $DASK_SCHEDULER_ADDRESS)",
-    )
-
     run = add(
         "run",
         _run,

@@ -147,33 +147,6 @@ def stiffness(profiles: Mapping[str, np.ndarray], *, paper: bool) -> Figure:
     return figure
 
 
-def filmstrip(frames: Sequence[np.ndarray], count: int = 8, times: Sequence[float] = ()) -> Figure:
-    """Frames of a film side by side, evenly selected from first to last.
-
-    Args:
-        frames: RGB images. Shapes (h, w, 3), uint8.
-        count: Maximum number of frames shown.
-        times: Times of the frames [s], shown below each; may be empty.
-
-    Raises:
-        ValueError: There are no frames.
-    """
-    if not frames:
-        raise ValueError("a filmstrip must have at least one frame, got none")
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))
-    high, wide = frames[0].shape[:2]
-    width = 10.0 / len(chosen)
-    figure = Figure(figsize=(10.0, width * high / wide + 0.25), layout="constrained")
-    strip = figure.subplots(1, len(chosen), squeeze=False)[0]
-    for axes, index in zip(strip, chosen, strict=True):
-        axes.imshow(frames[index])
-        axes.set(xticks=[], yticks=[])
-        axes.spines[:].set_visible(False)
-        if len(times):
-            axes.set_xlabel(f"{times[index]:.2f} s", fontsize=8, color=INK)
-    return figure
-
-
 def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
     """Write frames as an animated .webp image.
 

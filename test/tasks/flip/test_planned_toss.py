@@ -9,8 +9,8 @@ import pytest
 from toss_task import demonstrated_policy
 
 from hardware_sim.world import World
-from wam_power_ros.experiments.environment import Environment
-from wam_power_ros.experiments.studies.flip_sessions import teach
+from reproduction.studies.flip_sessions import teach
+from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization

@@ -3,8 +3,7 @@
 
 import numpy as np
 
-from wam_power_ros.experiments.studies.reaching_runs import NOISE
-from wam_power_ros.experiments.studies.synthetic_reach import synthetic
+from reproduction.studies.reaching_runs import NOISE, synthetic
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 

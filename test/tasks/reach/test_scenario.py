@@ -6,8 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from wam_power_ros.experiments.studies.reaching_runs import NOISE
-from wam_power_ros.experiments.studies.synthetic_reach import synthetic
+from reproduction.studies.reaching_runs import NOISE, synthetic
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy

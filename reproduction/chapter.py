@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A study of the report: its runs, and its chapter with the claims and figures that it names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from reproduction.jobs import Job, Results, Scale
+from wam_power_ros.reporting import figures, html_page
+from wam_power_ros.reporting.terminal import counted
+
+RUNS_MIN = 5  # for a verdict: with fewer runs, no rank-sum test reaches p < 0.01
+TEMPLATES = jinja2.Environment(
+    autoescape=True,
+    undefined=jinja2.StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    extensions=["jinja2.ext.do"],
+)
+TEMPLATES.filters["f"] = format
+TEMPLATES.globals |= {"counted": counted, "median": np.median}
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A row of the overview: a claim of the paper or of this project, and the measurement.
+
+    Attributes:
+        what: Claim in short, such as "Reaching, full stiffness, return after 100".
+        ours: Measured value, such as "0.754".
+        spread: Spread of the measured value, such as "sd 0.08" or "0.61 to 0.83"; may be empty.
+        count: Sample size, such as "40 seeds".
+        met: Whether the claim holds; None if there is no criterion and the value is only reported.
+        runs: Number of independent runs per condition; None if the verdict does not depend on it.
+        paper: Value in the paper, such as "0.73"; empty if it has none.
+        left_open: Decision that the paper leaves open; may be empty.
+    """
+
+    what: str
+    ours: str
+    spread: str
+    count: str
+    met: bool | None = None
+    runs: int | None = None
+    paper: str = ""
+    left_open: str = ""
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the claim holds; None without a criterion or with too few runs for a verdict."""
+        return None if self._too_few else self.met
+
+    @property
+    def verdict(self) -> str:
+        """One of "met", "not met", "reported" and "too few runs"."""
+        if self._too_few:
+            return "too few runs"
+        return {True: "met", False: "not met", None: "reported"}[self.met]
+
+    @property
+    def _too_few(self) -> bool:
+        return self.met is not None and self.runs is not None and self.runs < RUNS_MIN
+
+
+class Chapter:
+    """A chapter of the report.
+
+    The template calls `claim` with the fields of a `Claim`, `table` and `figure`; a figure that
+    could not be drawn is the reason as text.
+
+    Attributes:
+        title: Heading.
+        html: Content.
+        claims: Rows of the overview, in order.
+        figures: Name -> content of a .png file.
+
+    Args:
+        title: Heading.
+        template: Template of the content.
+        values: Names in the template.
+
+    Raises:
+        ValueError: Two figures have the same name, or a row and the head of its table differ.
+        jinja2.UndefinedError: The template uses a name that has no value.
+    """
+
+    def __init__(self, title: str, template: Path, values: Mapping[str, object]) -> None:
+        self.title = title
+        self.claims: list[Claim] = []
+        self.figures: dict[str, bytes] = {}
+        functions = {"claim": self._claim, "table": table, "figure": self._figure}
+        content = TEMPLATES.from_string(template.read_text()).render(values, **functions)
+        self.html = html_page.section(title, content=content)
+
+    def _claim(self, what: str, met: object = None, **fields: Any) -> None:  # noqa: ANN401
+        self.claims.append(Claim(what, met=None if met is None else bool(met), **fields))
+
+    def _figure(self, name: str, caption: str, drawn: Figure | str) -> Markup:
+        if isinstance(drawn, str):
+            return Markup(html_page.figure("", f"{caption} Not drawn on this machine: {drawn}."))
+        if name in self.figures:
+            raise ValueError(f"two figures with the same name: {name}")
+        self.figures[name] = png = figures.png(drawn)
+        photographs = any(axes.images for axes in drawn.axes)  # keep their colours in dark mode
+        style = "" if photographs else "drawn"
+        return Markup(html_page.figure(html_page.image(png, "image/png", caption, style), caption))
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study and its chapter of the report.
+
+    Attributes:
+        title: Heading of the chapter.
+        jobs: Runs at a scale.
+        values: Names of the template, computed from the results of the jobs.
+        template: File of the template.
+    """
+
+    title: str
+    jobs: Callable[[Scale], list[Job]]
+    values: Callable[[Results], Mapping[str, Any]]
+    template: Path
+
+    def chapter(self, results: Results) -> Chapter:
+        """Chapter on results of the jobs; those of other studies are ignored."""
+        return Chapter(self.title, self.template, self.values(results))
+
+
+def table(
+    caption: str,
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    best: Collection[tuple[int, int]] = (),
+) -> Markup:
+    """HTML of a table, for templates; see `html_page.table`."""
+    return Markup(html_page.table(head, rows, caption, best=best))

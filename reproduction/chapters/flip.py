@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Statistics, tables and figures of the pancake sessions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import mannwhitneyu
+
+from reproduction import figures, filmstrip
+from reproduction.chapter import Study
+from reproduction.jobs import Results
+from reproduction.studies import flip_sessions
+from reproduction.studies.flip_sessions import ABLATION, DEFAULT, LEARNT, LONG, PAPER
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.reporting import flip_figures
+from wam_power_ros.reporting.figures import paper_table, stiffness
+from wam_power_ros.reporting.terminal import counted
+
+Row = Mapping[str, Any]  # a rollout in a result of the study
+RELIABLE = 0.9  # share of the re-tests of a final policy
+PAPER_LABEL = "paper's settings"
+BLOCK = 10  # rollouts averaged in the ablation
+
+
+@dataclass(frozen=True)
+class Sessions:
+    """Sessions under one condition: results of `flip_sessions.session` and their statistics."""
+
+    runs: Sequence[Mapping[str, Any]]
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    @property
+    def retests(self) -> list[Row]:
+        """Re-tests of all sessions."""
+        return [row for run in self.runs for row in run["retests"]]
+
+    @property
+    def used(self) -> np.ndarray:
+        """Number of rollouts used by each session. Shape (n,)."""
+        return np.array([run["used"] for run in self.runs])
+
+    @property
+    def landed(self) -> np.ndarray:
+        """Share of each session's re-tests that landed. Shape (n,)."""
+        return np.array([share(run["retests"], "landed") for run in self.runs])
+
+    @property
+    def true_flips(self) -> np.ndarray:
+        """Share of each session's re-tests that were true flips. Shape (n,)."""
+        return np.array([share(run["retests"], "true_flip") for run in self.runs])
+
+    @property
+    def reproduced(self) -> int:
+        """Number of sessions in which the chosen reproduction was a true flip.
+
+        A session learns from the reproduction of highest return.
+        """
+        count = 0
+        for run in self.runs:
+            first = [trial for trial in run["trials"] if trial["kind"] == "reproduction"]
+            best = max(first, key=lambda trial: trial["ret"] or 0.0, default=None)
+            count += best is not None and bool(best["true_flip"])
+        return count
+
+    @property
+    def curves(self) -> list[list[float]]:
+        """Returns of the rollouts of each session, without those that have none."""
+        return [[ret for ret in run["curve"] if ret is not None] for run in self.runs]
+
+    @property
+    def gain(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean return of the first and of the last five rollouts of each session. Shapes (n,)."""
+        return figures.first_and_last_five(self.curves)
+
+    def means(self, name: str, form: str) -> list[str]:
+        """Cells: quantiles over sessions of the mean of a quantity over the re-tests, if any."""
+        tested = [run["retests"] for run in self.runs if run["retests"]]
+        return quantile_cells(np.array([column(rows, name).mean() for rows in tested]), form)
+
+    def stiffness(self, which: str) -> np.ndarray:
+        """K33 profile of each policy, "learnt" or "demonstrated". Shape (<= n, T)."""
+        return np.array([run["k33"][which] for run in self.runs if run["k33"]])
+
+    @property
+    def count(self) -> str:
+        """Number of sessions as text."""
+        return counted(len(self), "session")
+
+
+def values(results: Results) -> dict[str, Any]:
+    """Names of the template; ignores results of other studies."""
+    default, paper, long = (Sessions([*results[s].values()]) for s in (DEFAULT, PAPER, LONG))
+    learnt, ablated = (
+        {name.removeprefix(of): runs for name, runs in results.items() if name.startswith(of)}
+        for of in (LEARNT, ABLATION)
+    )
+    seeds = next(iter(ablated.values()))
+    ablated["full"] = {key: results[PAPER][key] for key in seeds}  # same seeds
+    conditions, ablation = (
+        {name: Sessions([*runs.values()]) for name, runs in some.items()}
+        for some in (learnt, ablated)
+    )
+    return {
+        "default": default,
+        "paper": paper,
+        "reliable": RELIABLE,
+        "block": BLOCK,
+        "default_shown": _shown(default),
+        "paper_shown": _shown(paper),
+        **_default(default),
+        **_robustness(default, conditions),
+        **_paper(paper, long),
+        **_stiffness(default, paper),
+        **_ablation(ablation),
+    }
+
+
+def _default(sessions: Sessions) -> dict[str, Any]:
+    """The shipped default."""
+    retests = sessions.retests
+    trials = [row for run in sessions.runs for row in run["trials"]]
+    peaks = np.array([row["peak_qd"] for row in retests]).max(axis=0)
+    return {
+        "trials": len(trials),
+        "faults": sum(bool(row["fault"]) for row in trials),
+        "confirmed": sum(run["ended_by"] == "confirmation" for run in sessions.runs),
+        "beyond": sum(row["beyond_no_load"] for row in retests),
+        "elbow": column(retests, "elbow_speed"),
+        "forearm": column(retests, "forearm_speed"),
+        "speeds": ", ".join(f"J{k} {peak:.1f}" for k, peak in enumerate(peaks, start=1)),
+        "default_rows": [
+            ["landed, share of re-tests", *quantile_cells(sessions.landed, ".0%")],
+            ["true flips, share of re-tests", *quantile_cells(sessions.true_flips, ".0%")],
+            ["angle at t_f, mean [degrees]", *sessions.means("angle_deg", ".0f")],
+            ["rollouts until the final policy", *quantile_cells(sessions.used, ".0f")],
+            ["miss at t_f, mean [m]", *sessions.means("miss", ".3f")],
+            ["apex, mean [m]", *sessions.means("apex", ".2f")],
+        ],
+    }
+
+
+def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> dict[str, Any]:
+    """Policies of the default in other conditions, and sessions under such conditions."""
+    carried: dict[str, list[Row]] = {}
+    for run in sessions.runs:
+        for condition, rows in run["carried"].items():
+            carried.setdefault(condition, []).extend(rows)
+    again = []
+    for name, others in learnt.items():
+        back = [row for run in others.runs for row in next(iter(run["carried"].values()), [])]
+        cells = [name, f"{len(others)}", f"{np.median(others.used):.0f}"]
+        again.append([*cells, *outcome_cells(others.retests), share_cell(back, "landed")])
+    conditions = {"as learnt": sessions.retests, **carried}
+    return {
+        "shares": {name: share(rows, "landed") for name, rows in carried.items()},
+        "condition_rows": [[n, f"{len(r)}", *outcome_cells(r)] for n, r in conditions.items()],
+        "learnt_rows": again,
+    }
+
+
+def _paper(sessions: Sessions, long: Sessions) -> dict[str, Any]:
+    """The paper's preset beside Fig. 5."""
+    six = Sessions(sessions.runs[:6])
+    rows = []
+    for name, some in (("50", sessions), ("50, the first six sessions", six), ("100", long)):
+        means = [f"{returns.mean():.2f}" for returns in some.gain]
+        apex = f"{column(some.retests, 'apex').mean():.2f}"
+        rows.append([name, f"{len(some)}", *means, *outcome_cells(some.retests)[:3], apex])
+    curves = {"first six": six.curves, "all": sessions.curves}
+    return {
+        "fig5": paper_table("fig5")[:, 1],
+        "fired": [run["fires"] for run in sessions.runs if run["fires"] is not None],
+        "paper_rows": rows,
+        "learning_curve": figures.sessions_over_paper(curves),
+    }
+
+
+def _stiffness(default: Sessions, paper: Sessions) -> dict[str, Any]:
+    """Variation of the vertical stiffness along the movements."""
+    profiles = {"default": default.stiffness("learnt"), PAPER_LABEL: paper.stiffness("learnt")}
+    ours, paper_like = (_variation(rows) for rows in profiles.values())
+    return {
+        "published": _variation(paper_table("k33")[:, 1]),
+        "variation": {
+            "demonstrated": _variation(paper.stiffness("demonstrated")),
+            "default": ours,
+            "paper": paper_like,
+        },
+        "profiles": stiffness(profiles, paper=True),
+    }
+
+
+def _ablation(ablation: Mapping[str, Sessions]) -> dict[str, Any]:
+    """The paper's settings with fewer matrix entries to learn."""
+    stacked = {name: figures.stack(sessions.curves) for name, sessions in ablation.items()}
+    finals = {name: np.nanmean(curves[:, -BLOCK:], axis=1) for name, curves in stacked.items()}
+    p = {name: _p(finals["full"], final) for name, final in finals.items()}
+    rows = []
+    for name, sessions in ablation.items():
+        curves, final = stacked[name], finals[name]
+        blocks = [np.nanmean(curves[:, k : k + BLOCK]) for k in range(0, curves.shape[1], BLOCK)]
+        returns = " ".join(f"{value:.2f}" for value in blocks)
+        cells = [returns, f"{final.mean():.3f} ± {final.std():.3f}"]
+        cells += [f"{shares.mean():.0%}" for shares in (sessions.landed, sessions.true_flips)]
+        rows.append([name, *cells, "" if name == "full" else f"{p[name]:.3g}"])
+    return {
+        "finals": finals,
+        "p": p,
+        "ablation_rows": rows,
+        "best": max(range(len(rows)), key=lambda k: finals[rows[k][0]].mean()),
+        "ablation_curves": figures.learner_curves(
+            {name: sessions.curves for name, sessions in ablation.items()},
+            ours=("full",),
+            ylabel="return (Eq. 5)",
+        ),
+    }
+
+
+def _shown(sessions: Sessions) -> dict[str, Any] | None:
+    """Figs. 3, 4 and 6 from the session that kept its paths, if any."""
+    shown = next((run["figure_paths"] for run in sessions.runs if run["figure_paths"]), None)
+    if shown is None:
+        return None
+    flights = {}
+    for key in ("demonstration", "reproduction", "answer"):
+        paths = shown[key]
+        pan, pancake = (
+            {k: np.array(v) for k, v in paths[body].items()} for body in ("pan", "pancake")
+        )
+        title = "final policy" if key == "answer" else key
+        flights[title] = (EndEffectorPath(key, **pan), BodyPath(key, **pancake), paths["t_f"])
+    last = shown["answer"]["t_f"] or 1.0
+    film = filmstrip.strip(shown["trace"], last + 0.25)
+    return {"flights": flip_figures.flights(flights), "film": film}
+
+
+def _variation(profiles: np.ndarray) -> np.ndarray:
+    """(Maximum - minimum) / mean of each profile (..., T). Shape (...)."""
+    return np.ptp(profiles, axis=-1) / profiles.mean(axis=-1)
+
+
+def _p(one: np.ndarray, other: np.ndarray) -> float:
+    return float(mannwhitneyu(one, other, alternative="two-sided").pvalue)
+
+
+def column(rows: Iterable[Row], name: str) -> np.ndarray:
+    """Values of a quantity in all rows. Shape (n,)."""
+    return np.array([row[name] for row in rows], dtype=float)
+
+
+def share(rows: Sequence[Row], name: str) -> float:
+    """Share of the rows in which a flag is set; 0 without rows."""
+    return float(column(rows, name).mean()) if rows else 0.0
+
+
+def share_cell(rows: Sequence[Row], name: str) -> str:
+    """Cell: share of the rows in which a flag is set; empty without rows."""
+    return f"{share(rows, name):.0%}" if rows else ""
+
+
+def outcome_cells(rows: Sequence[Row]) -> list[str]:
+    """Cells: landed, true flips, median angle, number beyond the motors' no-load speed."""
+    angle = f"{np.median(column(rows, 'angle_deg')):.0f}°" if rows else ""
+    beyond = f"{sum(row['beyond_no_load'] for row in rows)}"
+    return [share_cell(rows, "landed"), share_cell(rows, "true_flip"), angle, beyond]
+
+
+def quantile_cells(sample: np.ndarray, form: str) -> list[str]:
+    """Cells: minimum, lower quartile, median, upper quartile and maximum of a sample."""
+    return [f"{value:{form}}" for value in np.quantile(sample, (0.0, 0.25, 0.5, 0.75, 1.0))]
+
+
+STUDY = Study(
+    "Flipping a pancake (Sec. III-B, Figs. 3 to 6)",
+    flip_sessions.jobs,
+    values,
+    Path(__file__).with_suffix(".html.j2"),
+)

@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reaching (Eq. 4) with equal knowledge: every learner with and without the model, and a planner.
+
+    python -m reproduction.studies.equal_knowledge [--folder DIR] [--only ROW ...]
+
+prints, for each row, the learner's information and its final return without and with noise in the
+returns. The model is that of screened PoWER (`ReachModel`): Eqs. 1 and 4, start and goal, but no
+obstacle. Settings and exploration are those of `comparison.TUNED`, tuned without model and noise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import cmaes
+import numpy as np
+
+from reproduction import jobs as job_cache
+from reproduction.jobs import Job
+from reproduction.studies.comparison import TUNED
+from reproduction.studies.comparison_runs import VARIANT, learner_of
+from reproduction.studies.reaching_runs import (
+    demonstrated_return,
+    generator,
+    learn_many,
+    scales,
+    synthetic,
+)
+from wam_power_ros.learning.learner import Learner, Model
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.random_search import RandomSearch
+from wam_power_ros.tasks.reach.obstacle_model import ReachModel
+
+HELD_OUT = range(481, 493)  # seeds not used for tuning
+ROLLOUTS = 50
+NOISE = 0.02  # standard deviation of noise on a return; Eq. 4 is at most 1
+CONTACT_SIGMAS = 3.0  # standard deviations from the free path's return that count as contact
+CANDIDATES, HALF_LIFE = 200, 16.0  # of the screening, as in screened PoWER on this task
+GENERATIONS, POPULATION, STEP = 8, 25, 0.5  # of the planner: 200 predictions per rollout
+BLIND, MODEL = "return", "return, model"  # information of a learner
+LEARNERS = ("power", "shaped", "pi2", "cma", "random")
+ROWS = {
+    "nothing": "nothing: the demonstration",
+    **{name: BLIND for name in LEARNERS},
+    **{f"{name}+model": MODEL for name in LEARNERS},
+    "planner": MODEL,
+}
+
+
+class InformedLearner:
+    """A learner with noisy returns that, given a model, screens its candidates by it.
+
+    Args:
+        learner: Learner that receives the returns.
+        model: Model of the returns; None for no screening.
+        noise: Standard deviation of the noise.
+        rng: Random generator of the noise.
+    """
+
+    def __init__(
+        self, learner: Learner, model: Model | None, noise: float, rng: np.random.Generator
+    ) -> None:
+        self.size = learner.size
+        self._learner, self._model = learner, model
+        self._noise, self._rng = noise, rng
+        self._rollouts = 0
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Mean of the learner. Shape (size,)."""
+        return self._learner.mean
+
+    def ask(self) -> np.ndarray:
+        """Draw candidates, fewer with every rollout; return the one of highest predicted return."""
+        if self._model is None:
+            return self._learner.ask()
+        count = max(1, round(CANDIDATES * 0.5 ** (self._rollouts / HALF_LIFE)))
+        drawn = np.stack([self._learner.ask() for _ in range(count)])
+        return drawn[int(np.argmax(self._model.predict(drawn)))] if count > 1 else drawn[0]
+
+    def tell(self, z: np.ndarray, ret: float) -> None:
+        """Pass a rollout with its noisy return to learner and model."""
+        self._rollouts += 1
+        noisy = max(ret + self._noise * float(self._rng.standard_normal()), 0.0)
+        self._learner.tell(z, noisy)
+        if self._model is not None:
+            self._model.learn(z, noisy)
+
+
+class Planner(RandomSearch):
+    """Before every rollout, optimises on the model by CMA-ES from the best rollout so far."""
+
+    def __init__(self, size: int, rng: np.random.Generator, model: Model) -> None:
+        super().__init__(size, RandomSearch.Settings(), rng)
+        self._model = model
+
+    def ask(self) -> np.ndarray:
+        """Return the point of highest predicted return that the search finds. Shape (size,)."""
+        search = cmaes.CMA(
+            mean=self.mean,
+            sigma=STEP,
+            population_size=POPULATION,
+            seed=int(self._rng.integers(2**32)),
+        )
+        found, best_return = self.mean, -np.inf
+        for _ in range(GENERATIONS):
+            drawn = np.stack([search.ask() for _ in range(POPULATION)])
+            predicted = self._model.predict(drawn)
+            best = int(np.argmax(predicted))
+            if predicted[best] > best_return:
+                found, best_return = drawn[best], predicted[best]
+            search.tell(list(zip(drawn, -predicted, strict=True)))
+        return found
+
+    def tell(self, z: np.ndarray, ret: float) -> None:
+        """See `Learner.tell`; the model learns too."""
+        super().tell(z, ret)
+        self._model.learn(z, ret)
+
+
+def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, Any]:
+    """Run one row of the table.
+
+    Args:
+        row: A key of ROWS.
+        noise: Standard deviation of the noise on the returns.
+        seeds: One seed for each run.
+        rollouts: Number of rollouts of each run.
+
+    Returns:
+        Noise-free return of the mean of each run: "early" after 5 rollouts, "final" after the last.
+    """
+    scenario = synthetic()
+    name, _, model = row.partition("+")
+    choice = TUNED["reaching"]["screened" if name in ("planner", "nothing") else name]
+    noises = scales(choice.stiffness, choice.attractor)
+    parameters = Parametrization(scenario.policy, VARIANT, noises)
+    if name == "nothing":
+        returns = [demonstrated_return(scenario)] * len(seeds)
+        return {"early": returns, "final": returns}
+    learners = []
+    for seed in seeds:
+        free_path = ReachModel(parameters, scenario, max(CONTACT_SIGMAS * noise, 1e-9))
+        rng = np.random.default_rng([seed, 1])
+        if name == "planner":
+            learner: Learner = Planner(parameters.size, generator(seed), free_path)
+        else:
+            learner = learner_of(choice.settings, parameters.size, seed, free_path)
+        learners.append(InformedLearner(learner, free_path if model else None, noise, rng))
+    executed = learn_many(learners, parameters, scenario, rollouts)
+    early = min(5, rollouts) - 1
+    return {
+        "early": [float(run.means[early]) for run in executed],
+        "final": [run.final for run in executed],
+    }
+
+
+def jobs(rows: list[str], seeds: list[int], rollouts: int = ROLLOUTS) -> list[Job]:
+    """Runs of the given rows, without and with noise."""
+    return [
+        Job(
+            "equal-knowledge",
+            f"{row.replace('+', '-')}-{noise}",
+            runs,
+            {"row": row, "noise": noise, "seeds": seeds, "rollouts": rollouts},
+        )
+        for row in rows
+        for noise in (0.0, NOISE)
+    ]
+
+
+def main() -> None:
+    """Run the rows and print their statistics."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--folder", type=Path, default=Path("equal-knowledge"))
+    parser.add_argument("--only", nargs="+", choices=ROWS, default=list(ROWS), metavar="ROW")
+    args = parser.parse_args()
+    results = job_cache.run(jobs(args.only, list(HELD_OUT)), args.folder)["equal-knowledge"]
+    for row in args.only:
+        cells = []
+        for noise in (0.0, NOISE):
+            one = results[f"{row.replace('+', '-')}-{noise}"]
+            final, early = np.array(one["final"]), np.mean(one["early"])
+            spread = f"{final.mean():.3f} (sd {final.std(ddof=1):.3f}; {early:.3f} after 5)"
+            cells.append(f"noise {noise}: {spread}")
+        sys.stdout.write(f"{row:13} learns from {ROWS[row]:27} {'; '.join(cells)}\n")
+
+
+if __name__ == "__main__":
+    main()

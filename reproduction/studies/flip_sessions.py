@@ -1,0 +1,328 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whole sessions of the pancake task in one process: teach, choose, practise, re-test.
+
+`jobs` are the sessions of the reproduction: the shipped default and its policies in other
+conditions, the paper's preset beside Fig. 5, and the ablation of the paper's stiffness matrices.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from hardware_sim.ground_truth import Truth
+from hardware_sim.scenes.flip import TossScript, wrist_flick
+from hardware_sim.settings import PITCH_RATE, SceneSettings, WorldSettings
+from hardware_sim.world import World
+from reproduction.jobs import Job, Scale
+from wam_power_ros import rotations
+from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.learning.demonstration import from_joint_samples
+from wam_power_ros.learning.dmp import activations, fit
+from wam_power_ros.learning.policy import Policy, with_id
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.settings import SessionSettings, preset
+from wam_power_ros.tasks.flip.flight import observe_flight
+from wam_power_ros.tasks.flip.returns import pancake_return
+from wam_power_ros.tasks.flip.settings import FLIP_FIT
+
+DEFAULT, PAPER, LONG = "pancake-default", "pancake-paper", "pancake-paper-100"  # studies
+LEARNT, ABLATION = "pancake-learnt-", "pancake-ablation-"
+HELD_OUT = range(301, 331)  # seeds not used for tuning
+TUNING = range(21, 23)  # for "quick"
+NOVICE = 5.0  # [rad/s] intended pitch rate of the demonstrator for Fig. 5
+PROFILE = 41  # points of a stiffness profile
+FIRES = (3, 0.9)  # rollouts in a row of at least this return: "reproducible" in the paper
+CONDITIONS: dict[str, dict[str, Any]] = {
+    "wind 0.2 m/s": {"wind_sd": 0.2},
+    "wind 0.3 m/s": {"wind_sd": 0.3},
+    "pan believed 20 % lighter": {"believed_pan": 0.8},
+    "pan believed 20 % heavier": {"believed_pan": 1.2},
+    "pancake on pan: friction 0.15": {"friction": 0.15},
+    "pancake on pan: friction 0.3": {"friction": 0.3},
+    "joint friction halved": {"friction_share": 0.5},
+    "joint friction half as much again": {"friction_share": 1.5},
+    "2 ms more delay": {"command_delay_ticks": 3},
+    "80 V": {"bus_voltage": 80.0},
+}
+# Conditions in which whole sessions are run too.
+LEARNT_UNDER = ("wind 0.2 m/s", "wind 0.3 m/s", "2 ms more delay", "80 V")
+LESS = ("attractors", "diagonal", "symmetric")  # variants that learn less than full matrices
+
+
+def stand_in(
+    seed: int,
+    *,
+    friction: float | None = None,
+    believed_pan: float = 1.0,
+    level: bool = False,
+    **world: Any,  # noqa: ANN401 - checked by WorldSettings
+) -> Environment:
+    """Environment with sensors and motors of the stand-in, in its normal or another condition.
+
+    Args:
+        seed: Seed of all noise.
+        friction: Friction coefficient between pancake and pan; None for the stand-in's.
+        believed_pan: Mass of the pan in the controller's model, as a fraction of its mass.
+        level: True if demonstrations begin with the pan level and the pancake in its middle.
+        **world: Fields of `WorldSettings`.
+    """
+    scene = SceneSettings(level=level)
+    if friction is not None:
+        scene = replace(scene, friction=friction)
+    world_ = World(WorldSettings(scene=scene, **world), seed)
+    return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))
+
+
+def _with_pan(urdf: str, share: float) -> str:
+    """Robot description with mass and inertia of the pan scaled by `share`."""
+    if share == 1.0:
+        return urdf
+    tree = ElementTree.fromstring(urdf)
+    inertial = tree.find("./link[@name='pan']/inertial")
+    if inertial is None:
+        raise ValueError("the robot description has no link 'pan' with an inertia")
+    for element in (*inertial.iter("mass"), *inertial.iter("inertia")):
+        for name, value in element.items():
+            element.set(name, repr(share * float(value)))
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def teach(
+    environment: Environment, seed: int, count: int, pitch_rate: float = PITCH_RATE
+) -> list[Policy]:
+    """Fit a policy to each demonstration of a small series by the simulated demonstrator.
+
+    Args:
+        environment: Environment to teach in.
+        seed: Seed of the demonstrator; demonstration k of a seed is always the same.
+        count: Number of demonstrations.
+        pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
+    """
+    policies = []
+    for number in range(count):
+        script = _script(environment, seed, number, pitch_rate)
+        stamps_ns, q = environment.demonstrate(script, f"demonstration-{number}")
+        demonstration = from_joint_samples(environment.arm, stamps_ns, q)
+        policies.append(fit([demonstration], FLIP_FIT, f"demonstration-{number + 1}"))
+    return policies
+
+
+def _script(environment: Environment, seed: int, number: int, pitch_rate: float) -> TossScript:
+    rng = np.random.default_rng([seed, number])
+    level = environment.world.settings.scene.level
+    return wrist_flick(rng, pitch_rate=pitch_rate, level=level)
+
+
+# The sessions of the reproduction
+
+
+def session(
+    seed: int,
+    name: str,
+    demonstrations: int = 3,
+    pitch_rate: float = PITCH_RATE,
+    changes: Mapping[str, Any] | None = None,
+    condition: Mapping[str, Any] | None = None,
+    carried: Mapping[str, Mapping[str, Any]] | None = None,
+    repeats: int = 3,
+    keep_paths: bool = False,
+) -> dict[str, Any]:
+    """Run a session from its first demonstration to its last re-test; return plain data.
+
+    Args:
+        seed: Seed of the demonstrator, the stand-in and the exploration.
+        name: Name of the preset.
+        demonstrations: Number of demonstrations.
+        pitch_rate: Pitch rate of the demonstrator, see `wrist_flick` [rad/s].
+        changes: Changes to the preset.
+        condition: Condition of the environment, arguments of `stand_in`.
+        carried: Name -> other condition to run the final policy in.
+        repeats: Runs of the final policy in each of these.
+        keep_paths: True to keep the paths of demonstration, reproduction and final policy.
+    """
+    environment = stand_in(seed, **(condition or {}))
+    candidates = teach(environment, seed, demonstrations, pitch_rate=pitch_rate)
+    settings = preset("flip", name, **(changes or {}))
+    practice = Practice(settings, {}, candidates, seed, environment)
+    records, best = [*environment.practise(practice)], practice.best
+    trials = [record for record in records if record.kind != "retest"]
+    parameters = practice.parametrization
+    chosen = "" if parameters is None else parameters.policy0.id
+    curve = [record.ret for record in trials if record.demonstration == chosen]
+    result = {
+        "stopped": practice.stopped,
+        "ended_by": "confirmation" if _confirmed(practice, settings) else "budget",
+        "choice": practice.choice,
+        "used": practice.used,
+        "trials": [_kept(record) for record in trials],
+        "retests": [_kept(record) for record in records if record.kind == "retest"],
+        "curve": curve,  # returns with the chosen demonstration, its reproduction first
+        "fires": _fires(curve),
+        "carried": {},
+        "k33": {},
+        "figure_paths": None,
+    }
+    if best is None or parameters is None:  # no demonstration could be reproduced
+        return result
+    demonstrated, answer = parameters.policy0, best.policy
+    result["k33"] = {
+        "demonstrated": _k33(demonstrated),
+        "learnt": _k33(answer),
+        "duration": answer.basis.duration,
+    }
+    for place, (where, other) in enumerate((carried or {}).items()):
+        elsewhere = stand_in(seed, **other)
+        runs = [elsewhere.run(with_id(answer, f"carried-{place}-{k}")) for k in range(repeats)]
+        result["carried"][where] = [
+            _outcome(truth, "" if rollout.fault is None else rollout.fault.text)
+            for rollout, truth in runs
+        ]
+    if keep_paths:
+        paths = _figure_paths(environment, seed, pitch_rate, demonstrated, answer)
+        result["figure_paths"] = paths
+    return result
+
+
+def _confirmed(practice: Practice, settings: SessionSettings) -> bool:
+    """Whether a session stopped because a mean succeeded often enough in a row."""
+    wanted = settings.practice.confirm
+    usable = [r for r in practice.records if r.kind != "retest" and r.ret is not None]
+    last = usable[-wanted:] if wanted else []
+    return len(last) == wanted > 0 and all(
+        r.kind == "mean" and r.z == last[0].z and r.success and practice.task.confirms(r)
+        for r in last
+    )
+
+
+def _kept(record: Record) -> dict[str, Any]:
+    """Part of a record that a result keeps."""
+    flight = record.observation
+    return {
+        "kind": record.kind,
+        "ret": record.ret,
+        "success": record.success,
+        "seen_angle_deg": None if flight is None else math.degrees(flight["angle"]),
+        **_outcome(record.truth or {}, record.fault),
+    }
+
+
+def _outcome(truth: Truth, fault: str) -> dict[str, Any]:
+    return {
+        "landed": truth["caught"] and truth["flipped"],
+        "true_flip": truth["true_flip"],
+        "angle_deg": truth["angle_deg"],
+        "apex": truth["apex"],
+        "miss": math.hypot(*truth["landing_error"]),
+        "peak_qd": truth["peak_qd"],
+        "elbow_speed": truth["peak_elbow_speed"],
+        "forearm_speed": truth["peak_forearm_speed"],
+        "pan_speed": truth["peak_pan_speed"],
+        "beyond_no_load": truth["beyond_no_load"],
+        "fault": fault,
+    }
+
+
+def _fires(returns: Sequence[float | None]) -> int | None:
+    """Rollout at which the paper's rule stops, after enough good returns in a row, or None."""
+    wanted, level = FIRES
+    good = [(ret or 0.0) >= level for ret in returns]
+    ends = range(wanted, len(good) + 1)
+    return next((end for end in ends if all(good[end - wanted : end])), None)
+
+
+def _k33(policy: Policy) -> list[float]:
+    """Vertical stiffness sum_i h_i K_i,33 at PROFILE evenly spaced times [1/s^2]."""
+    t = np.linspace(0.0, policy.basis.duration, PROFILE)
+    return (activations(policy.basis, t) @ policy.stiffness[:, 2, 2]).tolist()
+
+
+def _figure_paths(
+    environment: Environment, seed: int, pitch_rate: float, demonstrated: Policy, answer: Policy
+) -> dict[str, Any]:
+    """Paths of demonstration, reproduction and final policy, and the trace of the last."""
+    number = int(demonstrated.id.rpartition("-")[2]) - 1  # as `teach` named it
+    world = environment.world
+    script = _script(environment, seed, number, pitch_rate)
+    world.trace = []
+    environment.demonstrate(script, f"demonstration-{number}")
+    shown = {"demonstration": _traced(environment, world.trace)}
+    for name, policy in (("reproduction", demonstrated), ("answer", answer)):
+        rollout, _ = environment.run(policy)
+        pan, pancake = rollout.tool, rollout.body
+        flight = observe_flight(pan, pancake)
+        shown[name] = {
+            "pan": _plain(pan.t, pan.position, pan.quat_xyzw),
+            "pancake": _plain(pancake.t, pancake.position, pancake.quat_xyzw),
+            "t_f": flight.t_f if flight.tossed else None,
+            "eq5": pancake_return(flight).total,
+        }
+    shown["trace"] = [row.round(5).tolist() for row in world.trace]
+    world.trace = None
+    return shown
+
+
+def _traced(environment: Environment, trace: Sequence[np.ndarray]) -> dict[str, Any]:
+    """Paths of pan and pancake in a trace of the world, at 100 Hz."""
+    rows = np.array(trace)
+    t = 0.01 * np.arange(len(rows))
+    n = environment.arm.n
+    poses = [environment.arm.tool_pose(q) for q in rows[:, :n]]
+    position = np.stack([place for place, _ in poses])
+    turned = np.stack([rotations.quat_xyzw(matrix) for _, matrix in poses])
+    pancake = rows[::3]
+    return {
+        "pan": _plain(t, position, turned),
+        "pancake": _plain(t[::3], pancake[:, n : n + 3], pancake[:, [n + 4, n + 5, n + 6, n + 3]]),
+        "t_f": None,
+    }
+
+
+def _plain(t: np.ndarray, position: np.ndarray, quat_xyzw: np.ndarray) -> dict[str, Any]:
+    return {
+        "t": t.round(4).tolist(),
+        "position": position.round(5).tolist(),
+        "quat_xyzw": quat_xyzw.round(6).tolist(),
+    }
+
+
+def jobs(scale: Scale) -> list[Job]:
+    """Sessions of the chapter; "quick" is the same code with few seeds and tiny budgets."""
+    quick = scale == "quick"
+    seeds = TUNING if quick else HELD_OUT
+    one = slice(1 if quick else None)  # only the first of several items in "quick"
+    series = 2 if quick else 3  # demonstrations
+    # The paper's rollouts do not include reproductions of demonstrations that are not chosen.
+    budgets = {count: series - 1 + (3 if quick else count) for count in (50, 100)}
+    retests = {"retests": 1 if quick else 30}
+    fewer = {"retests": 1 if quick else 10}
+    common = {"demonstrations": series, "repeats": 1 if quick else 3}
+    default = {**common, "name": "flip", "changes": {**retests, **({"budget": 4} if quick else {})}}
+    paper = {**common, "name": "paper", "pitch_rate": NOVICE}
+    conditions = dict(list(CONDITIONS.items())[one])
+    changes = {count: {**fewer, "budget": budgets[count], "confirm": 0} for count in budgets}
+    wanted: list[Job] = []
+
+    def add(study: str, some: Sequence[int], **arguments: object) -> None:
+        for seed in some:
+            wanted.append(Job(study, f"seed-{seed}", session, {"seed": seed, **arguments}))
+
+    for seed in seeds:
+        add(DEFAULT, [seed], **default, carried=conditions, keep_paths=seed == seeds[0])
+    for name in LEARNT_UNDER[one]:
+        study = f"{LEARNT}{name.replace(' ', '-').replace('/', '-')}"
+        here = {"condition": CONDITIONS[name], "carried": {"as it is": {}}}
+        add(study, seeds[:5][one], **default, **here)
+    for seed in seeds[one]:
+        add(PAPER, [seed], **paper, changes=changes[50], keep_paths=seed == seeds[0])
+    add(LONG, seeds[:4][one], **paper, changes=changes[100])
+    for variant in LESS[2 if quick else 0 :]:
+        some = {**changes[50], "variant": variant}
+        add(f"{ABLATION}{variant}", seeds[:8][one], **paper, changes=some)
+    return wanted

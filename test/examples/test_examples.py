@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every example runs as it is, in an empty folder; those over DDS are in test/system."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+EXAMPLES = ROOT / "examples"
+OVER_DDS = "10_teach_learn_replay"
+PRINTS = {  # expressions of which each line of the output is to have one, in this order
+    "01_fit_a_bag": [r"8 spring-dampers", r"reproduced within \d\d? mm"],
+    "02_learn_a_reach": [r"demonstrated: 0\.[1-3]", r"learnt:       0\.[6-9]"],
+    "03_optimise_your_return": [r"trial-\d+: return 0\.\d+, the pancake rose by \d"] * 15,
+    "04_write_a_learner": [
+        r"at first: return 0\.0",
+        r"Elite: return 0\.[3-9]",
+        r"Power: return 0\.[3-9]",
+    ],
+    "07_check_a_policy": [
+        r"0\.5 .* elbow at most [\d.]+ m/s",
+        r"1\.0 ",
+        r"1\.5 .* would end in a fault",
+    ],
+    "09_bring_your_simulator": [r"positions in [\d.]+ s, no fault", r"from .* to .*"],
+}
+
+
+def output(name: str, folder: Path, seconds: float = 120.0) -> list[str]:
+    """Lines that an example prints."""
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / f"{name}.py")],
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "disable"},
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_the_examples_are_ordered_by_their_page_and_all_tested() -> None:
+    names = sorted(path.stem for path in EXAMPLES.glob("*.py"))
+    listed = re.findall(r"^\| \[(\w+)\.py\]", (EXAMPLES / "README.md").read_text(), re.M)
+    assert names == listed
+    others = {"05_practise_in_process", "06_resume_a_session", "08_use_your_arm", OVER_DDS}
+    assert {*PRINTS, *others} == {*names}
+
+
+@pytest.mark.parametrize("name", PRINTS)
+def test_an_example_prints_what_it_promises(name: str, tmp_path: Path) -> None:
+    lines = output(name, tmp_path)
+    assert len(lines) == len(PRINTS[name])
+    for line, expression in zip(lines, PRINTS[name], strict=True):
+        assert re.search(expression, line), lines
+
+
+def test_the_session_of_the_examples_goes_through_every_kind_of_rollout(tmp_path: Path) -> None:
+    *rollouts, end = output("05_practise_in_process", tmp_path)
+    kinds = [line.split()[1] for line in rollouts]
+    assert kinds[:3] == ["reproduction"] * 3 and kinds[-3:] == ["retest"] * 3
+    assert "explore" in kinds and end.startswith("ended: ")
+
+
+def test_the_resumed_session_of_the_examples_ends_with_a_report(tmp_path: Path) -> None:
+    lines = output("06_resume_a_session", tmp_path)
+    assert lines[0] == "resumed after 3 rollouts" and "ended after 8 rollouts" in lines[-1]
+    assert "<title>Session of seed 5" in (tmp_path / "session/report.html").read_text()
+    assert len((tmp_path / "session/rollouts.jsonl").read_text().splitlines()) == 8
+
+
+def test_the_arm_of_the_examples_is_described_by_its_set_up(tmp_path: Path) -> None:
+    lines = output("08_use_your_arm", tmp_path)
+    assert lines[0].startswith("cobot7: 7 joints") and len(lines) == 9
+    assert lines[-1] == "the tool may move at 0.5 m/s"

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of many runs show the data they are given, beside the paper's."""
+
+import numpy as np
+import pytest
+
+from reproduction import figures as study_figures
+from wam_power_ros.reporting import figures
+
+
+def test_figure_5_has_our_mean_and_the_gain_from_the_first_five_to_the_last() -> None:
+    runs = [[0.5] * 5 + [None] + [0.9] * 5, [0.7] * 5 + [1.1] * 5]
+    early, late = study_figures.first_and_last_five(runs)
+    np.testing.assert_allclose(early, [0.5, 0.7])
+    np.testing.assert_allclose(late, [0.9, 1.1])
+    axes, gain = study_figures.sessions_over_paper({"ours": runs}).axes
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), figures.paper_table("fig5")[:, 1])
+    ours = axes.containers[0].lines[0].get_ydata()
+    np.testing.assert_allclose(ours[[0, 5, 6]], [0.6, 1.1, 1.0])  # of those that are there
+    assert [text.get_text() for text in gain.texts] == ["+0.35", "+0.40"]
+
+
+def test_learner_curves_are_medians_and_every_learner_is_named_once() -> None:
+    curves = {f"learner {k}": [[0.1 * k, 0.2], [0.1 * k, 0.4], [0.1 * k]] for k in range(12)}
+    settings = {"ours": ["learner 3"], "ylabel": "return", "marks": {"paper": 0.73}}
+    axes = study_figures.learner_curves(curves, **settings).axes[0]
+    np.testing.assert_allclose(axes.lines[3].get_ydata(), [0.3, 0.3])
+    assert len(axes.collections) == len(curves)  # a band of quartiles each
+    assert sorted(t.get_text() for t in axes.texts) == sorted(["paper", *curves])
+    places = sorted(t.xyann[1] for t in axes.texts if t.get_text() != "paper")
+    assert min(np.diff(places)) > 0.04  # no name over another
+
+
+def test_curves_without_a_run_are_refused() -> None:
+    with pytest.raises(ValueError, match="no run"):
+        study_figures.learner_curves({"none": []}, ylabel="return")

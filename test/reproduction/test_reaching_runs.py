@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of learners on a reach: reproducible, and better than the demonstration."""
+
+import numpy as np
+import pytest
+
+from reproduction.studies.reaching import TUNING
+from reproduction.studies.reaching_runs import (
+    NOISE,
+    POWER,
+    Run,
+    generator,
+    learn_many,
+    study,
+    synthetic,
+)
+from wam_power_ros.learning.learner import Learner
+from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.power import Power
+from wam_power_ros.learning.random_search import RandomSearch
+from wam_power_ros.learning.screened_power import ScreenedPower
+from wam_power_ros.tasks.reach.obstacle_model import ReachModel
+
+SCENARIO = synthetic()
+FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
+
+
+def evaluated(policy: Policy) -> float:
+    """Return of a policy (Eq. 4)."""
+    ret, _ = SCENARIO.evaluate(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])
+    return float(ret[0])
+
+
+def run(learner: Learner, rollouts: int) -> Run:
+    return learn_many([learner], FULL, SCENARIO, rollouts)[0]
+
+
+def test_the_same_seed_learns_the_same_whatever_the_number_of_workers() -> None:
+    once = study("full", range(12), 10, SCENARIO, workers=1)
+    again = study("full", range(12), 10, SCENARIO, workers=2)
+    for first, second in zip(once, again, strict=True):
+        np.testing.assert_array_equal(first.returns, second.returns)
+        np.testing.assert_array_equal(first.mean, second.mean)
+    assert once[0].final != once[1].final
+
+
+@pytest.mark.parametrize("variant", ["full", "diagonal"])
+def test_power_gets_far_beyond_the_demonstration(variant: str) -> None:
+    start = evaluated(SCENARIO.policy)
+    final = [run.final for run in study(variant, range(10), 60, SCENARIO)]
+    assert np.mean(final) > start + 0.15
+
+
+def test_a_run_has_its_best_rollout_and_its_final_mean() -> None:
+    learner = Power(FULL.size, POWER, generator(5))
+    done = run(learner, 30)
+    assert len(learner._rollouts) == 30 and done.returns.shape == done.means.shape == (30,)
+    assert done.best == done.returns.max()
+    policy, _ = FULL.policy(learner.mean, "mean")
+    assert done.final == pytest.approx(evaluated(policy), rel=1e-12)
+
+
+def test_the_final_policy_of_random_search_is_its_best_rollout() -> None:
+    done = run(RandomSearch(FULL.size, RandomSearch.Settings(), generator(5)), 20)
+    assert done.final == pytest.approx(done.best, rel=1e-9)
+
+
+def test_screening_needs_clearly_fewer_rollouts_than_power() -> None:
+    settings = ScreenedPower.Settings()
+    screened, power = (
+        learn_many(
+            [
+                ScreenedPower(FULL.size, settings, generator(seed), ReachModel(FULL, SCENARIO))
+                if screens
+                else Power(FULL.size, POWER, generator(seed))
+                for seed in TUNING[:4]
+            ],
+            FULL,
+            SCENARIO,
+            25,
+        )
+        for screens in (True, False)
+    )
+    gain = np.median([run.final for run in screened]) - np.median([run.final for run in power])
+    assert gain > 0.1

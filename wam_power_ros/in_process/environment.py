@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated world, controller and tracker in one process, connected by calls instead of topics.
+
+They exchange the same arrays in the same order as the nodes do over DDS, so a rollout with the same
+seed and id is bit for bit the same in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from hardware_sim.demonstrator import Demonstrator, Script
+from hardware_sim.ground_truth import Truth
+from hardware_sim.world import World
+from wam_power_ros.control.controller import Controller
+from wam_power_ros.control.feasibility import simulate_policy, speed_margin
+from wam_power_ros.control.modes import Mode
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
+from wam_power_ros.params.resources import share
+from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.session_log import Record
+from wam_power_ros.tracking.tracker import Tracker
+
+_STILL_TICKS = 25  # for which the arm is held before a rollout, so that its state repeats
+_HELD_TICKS = 75  # for which the arm is held before it is guided, see `control.unexplained_torque`
+_FRAME_WAIT_TICKS = 100  # longest wait for the last camera frame of a rollout
+
+
+class Environment:
+    """One simulated arm that executes demonstrations and policies, one at a time.
+
+    Attributes:
+        world: Simulated world.
+        arm: The controller's model of the arm.
+        controller: Torque controller.
+        tracker: Tracker of the scene's body.
+    """
+
+    def __init__(self, world: World, urdf: str | None = None) -> None:
+        """Connect a world to a controller and a tracker with the parameters of config/.
+
+        Args:
+            world: Simulated world; the controller has the same obstacle, if any.
+            urdf: Robot description for the controller; the world's if omitted.
+        """
+        self.world = world
+        files = [share(f"config/{name}.yaml") for name in ("torque_controller", "simulation")]
+        params = TorqueControllerParams.of_file(files[0], "torque_controller", files[1])
+        configured = params.controller(urdf or world.urdf)
+        self.arm = configured.arm
+        obstacle = world.settings.scene.obstacle
+        self.controller = Controller(self.arm, replace(configured.settings, obstacle=obstacle))
+        tracker_file = share("config/pancake_tracker.yaml")
+        tracked = PancakeTrackerParams.of_file(tracker_file, "pancake_tracker")
+        self._tracker_settings = tracked.settings()
+        self.tracker = Tracker(self._tracker_settings)
+        self._truth: Truth | None = None  # of the last rollout
+
+    def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
+        """See `practice.ArmModel`."""
+        margin = speed_margin(overruns)
+        return simulate_policy(self.arm, self.controller.settings, policy, margin).fault
+
+    def tool_position(self, q: np.ndarray) -> np.ndarray:
+        """Position of the tool at joint angles q [m]. Shape (3,)."""
+        return self.arm.tool_pose(q)[0]
+
+    def tick(self) -> None:
+        """Run one control period: state to torque, torque to state."""
+        world = self.world
+        stamp_ns, q, qd, _ = world.joint_state()
+        mode = self.controller.mode
+        tau = self.controller.step(stamp_ns, q, qd)
+        if mode is Mode.ROLLOUT and self.controller.mode is not mode:
+            self._truth = world.truth()  # before the step, like the stand-in
+        world.step(tau)
+        for frame in world.mocap_frames():
+            quat_xyzw = frame.quat_xyzw / float(np.linalg.norm(frame.quat_xyzw))  # like a message
+            self.tracker.add(frame.stamp_ns, frame.position, quat_xyzw)
+
+    def demonstrate(self, script: Script, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Let the simulated demonstrator move the gravity-compensated arm from its home posture.
+
+        Returns:
+            Stamps (M,) [ns] and joint positions (M, 7) [rad] as the driver reported them.
+        """
+        world = self.world
+        self.place(name, world.scene.home)
+        controller = self.controller
+        for _ in range(_HELD_TICKS):
+            self.tick()
+        controller.set_gravity_compensation(True)
+        for _ in range(_STILL_TICKS):
+            self.tick()
+        world.release()
+        world.attach(Demonstrator(script, *world.pan_pose))
+        stamps, q = [], []
+        while world.pulled:
+            sample = world.joint_state()
+            stamps.append(sample.stamp_ns)
+            q.append(sample.q)
+            self.tick()
+        controller.set_gravity_compensation(False)
+        return np.array(stamps), np.array(q)
+
+    def run(self, policy: Policy) -> tuple[Rollout, Truth]:
+        """Execute a policy; return its rollout and the simulator's ground truth."""
+        world = self.world
+        self.place(policy.id, policy.q_start)
+        controller = self.controller
+        controller.load(policy)
+        controller.move_to_start()
+        while not controller.ready:
+            self.tick()
+        for _ in range(_STILL_TICKS):
+            self.tick()
+        controller.execute()
+        world.release()
+        while controller.mode is Mode.ROLLOUT:
+            self.tick()
+        truth, start_ns = self._truth, controller.rollout_stamp_ns
+        tool = controller.take_finished()
+        if tool is None or start_ns is None or truth is None:
+            raise RuntimeError(f"rollout {policy.id} has no path")
+        body = None
+        if world.scene.body:
+            end_ns = start_ns + round(float(tool.t[-1]) * 1e9)
+            for _ in range(_FRAME_WAIT_TICKS):
+                if self.tracker.latest_ns >= end_ns:
+                    break
+                self.tick()
+            body = self.tracker.path(policy.id, start_ns, end_ns)
+        return Rollout(tool, body, controller.latched), truth
+
+    def practise(self, practice: Practice) -> Iterator[Record]:
+        """Execute the trials of a session one after another, learn from each, yield its record."""
+        while (trial := practice.next_trial()) is not None:
+            rollout, truth = self.run(trial.policy)
+            yield practice.learn(trial, rollout, truth=truth)
+
+    def place(self, rollout_id: str, q_start: np.ndarray) -> None:
+        """Reset the world with the arm at a posture and hold it there."""
+        self.world.reset(rollout_id, q_start)
+        self.controller = Controller(self.arm, self.controller.settings)
+        self.tracker = Tracker(self._tracker_settings)
+        self.tick()
+        self.controller.hold()
