@@ -35,17 +35,18 @@ ALLOWED: dict[str, set[str]] = {
     "plain_yaml": {"durable_files"},  # another, for files that somebody may have been given
     "plain_json": {"durable_files"},  # another
     "entry": set(),  # imported first by every process
+    "faults": set(),
     "rotations": set(),
     "arm_identity": {"plain_json"},
     "bags": {"durable_files", "plain_yaml", "plain_json", "arm_identity"},
-    "learning": {"plain_json", "rotations", "arm_identity"},
-    "control": {"rotations", "arm_identity", "learning"},
+    "learning": {"plain_json", "faults", "rotations", "arm_identity"},
+    "control": {"faults", "rotations", "arm_identity", "learning"},
     "tracking": {"rotations", "learning"},
-    "tasks": {"rotations", "learning"},
-    "practice": {"durable_files", "plain_yaml", "plain_json", "learning", "tasks"},
-    "params": {"durable_files", "rotations", "learning", "control", "tracking"},
+    "tasks": {"faults", "rotations", "learning"},
+    "practice": {"durable_files", "plain_yaml", "plain_json", "faults", "learning", "tasks"},
+    "params": {"durable_files", "faults", "rotations", "learning", "control", "tracking"},
     "conformance": {"rotations", "learning", "control", "tracking"},
-    "ros": {"entry", "plain_json", "rotations", "learning", "params", "bags"},
+    "ros": {"entry", "plain_json", "faults", "rotations", "learning", "params", "bags"},
     "reporting": {"durable_files", "rotations", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
@@ -57,7 +58,16 @@ ALLOWED["experiments"] = {*BELOW, "hardware_sim"} - {"ros"}
 ALLOWED["cli"] = {*BELOW, "nodes", "console", "experiments", "view"}
 ALLOWED["robot"] = {"bags", "control", "learning", "params", "ros", "nodes", "cli"}
 ALLOWED["benchmark"] = {*ALLOWED, "cli"}
-PURE = ("rotations", "arm_identity", "learning", "control", "tracking", "tasks", "conformance")
+PURE = (
+    "faults",
+    "rotations",
+    "arm_identity",
+    "learning",
+    "control",
+    "tracking",
+    "tasks",
+    "conformance",
+)
 SPEAK_ROS = {"params", "ros", "nodes", "console", "view", "robot", "hardware_sim", "benchmark"}
 SIMULATE = {"hardware_sim", "experiments", "benchmark"}
 

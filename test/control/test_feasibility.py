@@ -12,8 +12,8 @@ from wam_power_ros.control.arm import WAM_GUARDED_POINTS, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import Feasibility, simulate_policy, speed_margin
 from wam_power_ros.control.safety import limits_of
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import Basis, Policy
-from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.params.resources import share
 from wam_power_ros.rotations import quat_xyzw
 

@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from std_msgs.msg import String
 
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])

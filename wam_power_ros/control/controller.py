@@ -35,8 +35,9 @@ from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.control.unexplained_torque import UnexplainedTorque
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
+from wam_power_ros.learning.rollout import EndEffectorPath
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
 

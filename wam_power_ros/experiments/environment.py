@@ -17,8 +17,9 @@ from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams

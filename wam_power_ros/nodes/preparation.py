@@ -26,8 +26,9 @@ from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.dmp import Tables
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault
+from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.ros.process_channel import Channel, Message, pair
 
 NAME = "torque_controller_preparation"  # node of the process

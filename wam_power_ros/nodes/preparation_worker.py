@@ -32,8 +32,9 @@ from wam_power_ros.control import prepared_policy, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
+from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.nodes.preparation import (
     MOVEMENT,
     NAME,

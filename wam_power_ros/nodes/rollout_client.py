@@ -26,9 +26,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.control.modes import Mode
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.ros import diagnostics, interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.pose_messages import Finished, GroundTruth, PathReading, StateReading

@@ -9,8 +9,8 @@ import numpy as np
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.feasibility import simulate_policy, speed_margin
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy, to_json, with_id
-from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 

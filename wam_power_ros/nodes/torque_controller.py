@@ -35,7 +35,7 @@ from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.controller_report import Condition, ControllerReport
 from wam_power_ros.nodes.motion_requests import MotionRequests, attempt, fill
 from wam_power_ros.nodes.preparation import Preparation

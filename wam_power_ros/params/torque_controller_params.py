@@ -14,7 +14,7 @@ from wam_power_ros.control.arm import Arm, guarded_points
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.guarded_controller import GuardedController
 from wam_power_ros.control.safety import limits_of
-from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.faults import Fault
 from wam_power_ros.params.node_params import Params
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
 
 from wam_power_ros import plain_json
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.ros.stamps import nanoseconds, sensor_stamp, time_message
 
 if TYPE_CHECKING:

@@ -15,11 +15,12 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from pydantic import BaseModel
 
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.learning.rollout import Rollout
 
 MISSING_MAX = 0.05  # largest missing part at the end of a path that counts as complete [s]
 

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.reach.returns import reaching_return
 from wam_power_ros.tasks.reach.scenario import midpoint, resampled
