@@ -36,15 +36,24 @@ ALLOWED: dict[str, set[str]] = {
     "plain_json": {"durable_files"},  # another
     "entry": set(),  # imported first by every process
     "faults": set(),
+    "regions": set(),
     "rotations": set(),
     "arm_identity": {"plain_json"},
     "bags": {"durable_files", "plain_yaml", "plain_json", "arm_identity"},
     "learning": {"plain_json", "faults", "rotations", "arm_identity"},
-    "control": {"faults", "rotations", "arm_identity", "learning"},
+    "control": {"faults", "regions", "rotations", "arm_identity", "learning"},
     "tracking": {"rotations", "learning"},
-    "tasks": {"faults", "rotations", "learning"},
+    "tasks": {"faults", "regions", "rotations", "learning"},
     "practice": {"durable_files", "plain_yaml", "plain_json", "faults", "learning", "tasks"},
-    "params": {"durable_files", "faults", "rotations", "learning", "control", "tracking"},
+    "params": {
+        "durable_files",
+        "faults",
+        "regions",
+        "rotations",
+        "learning",
+        "control",
+        "tracking",
+    },
     "conformance": {"rotations", "learning", "control", "tracking"},
     "ros": {"entry", "plain_json", "faults", "rotations", "learning", "params", "bags"},
     "reporting": {"durable_files", "rotations", "learning", "tasks", "practice"},
@@ -60,6 +69,7 @@ ALLOWED["robot"] = {"bags", "control", "learning", "params", "ros", "nodes", "cl
 ALLOWED["benchmark"] = {*ALLOWED, "cli"}
 PURE = (
     "faults",
+    "regions",
     "rotations",
     "arm_identity",
     "learning",

@@ -152,7 +152,7 @@ def recorded_rollout(
         if (finished.id, finished.start_ns) != (policy.id, path.start_ns):
             raise ValueError(f"the paths do not belong to the policy {policy.id}")
         if cut_short(policy, rollout, task.settle_time):
-            rollout = replace(rollout, fault=finished.fault)
+            rollout = replace(rollout, fault=finished.fault, stopped_in=finished.stopped_in)
     return policy, rollout
 
 
@@ -207,6 +207,7 @@ def _context(
     """Context of the session that a bag belongs to, else of a session on this bag alone."""
     from wam_power_ros.bags import reader
     from wam_power_ros.learning.demonstration import from_joint_samples
+    from wam_power_ros.params.torque_controller_params import TorqueControllerParams
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.session import Session
 
@@ -215,8 +216,8 @@ def _context(
         kept: dict[str, Any] = plain_json.read(folder / "task.json")
         return kept
     demonstration = from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
-    obstacle = setup["torque_controller"]["obstacle"]
-    return plugins.task_type(task).context_of([demonstration], obstacle)
+    controller = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
+    return plugins.task_type(task).context_of([demonstration], controller.region)
 
 
 def _outcome(assessed: Assessment) -> str:

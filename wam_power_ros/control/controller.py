@@ -138,6 +138,11 @@ class Controller:
         return self._rollouts.start_ns
 
     @property
+    def stopped_in(self) -> str:
+        """Name of the guarded region that ended the last ended rollout; "" if none did."""
+        return self._rollouts.stopped_in
+
+    @property
     def at_rest(self) -> bool:
         """Whether the arm was at rest in the last state."""
         return not self._rest_violation()

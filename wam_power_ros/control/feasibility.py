@@ -83,7 +83,7 @@ def simulate_policy(
         limits=tight,
         driver_compensates_gravity=False,
         hold_to_run=False,
-        obstacle=(0.0, 0.0, 0.0, 0.0),  # the whole movement must be feasible
+        region=None,  # the whole movement must be feasible
     )
     controller = Controller(arm, model_settings)
     period_ns = round(settings.period * 1e9)

@@ -44,7 +44,7 @@ class Environment:
         """Connect a world to a controller and a tracker with the parameters of config/.
 
         Args:
-            world: Simulated world; the controller has the same obstacle, if any.
+            world: Simulated world; the controller has the same guarded region, if any.
             urdf: Robot description for the controller; the world's if omitted.
         """
         self.world = world
@@ -52,8 +52,8 @@ class Environment:
         params = TorqueControllerParams.of_file(files[0], "torque_controller", files[1])
         configured = params.controller(urdf or world.urdf)
         self.arm = configured.arm
-        obstacle = world.settings.scene.obstacle
-        self.controller = Controller(self.arm, replace(configured.settings, obstacle=obstacle))
+        region = world.settings.scene.region
+        self.controller = Controller(self.arm, replace(configured.settings, region=region))
         tracker_file = share("config/pancake_tracker.yaml")
         tracked = PancakeTrackerParams.of_file(tracker_file, "pancake_tracker")
         self._tracker_settings = tracked.settings()
@@ -134,7 +134,7 @@ class Environment:
                     break
                 self.tick()
             body = self.tracker.path(policy.id, start_ns, end_ns)
-        return Rollout(tool, body, controller.latched), truth
+        return Rollout(tool, body, controller.latched, controller.stopped_in), truth
 
     def place(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Reset the world with the arm at a posture and hold it there."""

@@ -72,6 +72,7 @@ class Rollout:
         tool: Path of the tool.
         body: Path of the tracked body, None for a task that tracks none.
         fault: Controller fault that ended the rollout, None without a fault.
+        stopped_in: Name of the guarded region that ended the rollout, "" if none did.
 
     Raises:
         ValueError: If the two paths belong to different policies.
@@ -80,6 +81,7 @@ class Rollout:
     tool: EndEffectorPath
     body: BodyPath | None = None
     fault: Fault | None = None
+    stopped_in: str = ""
 
     def __post_init__(self) -> None:
         if self.body is not None and self.body.id != self.tool.id:

@@ -91,7 +91,7 @@ class Demonstrations:
             ValueError: It cannot be fitted or is not feasible; names the bags and the reason.
         """
         policy = self.fit(group, bags, f"demonstration-{number}")
-        task = settings.make_task(self._kind.context_of(group, self._arm.obstacle))
+        task = settings.make_task(self._kind.context_of(group, self._arm.region))
         if fault := self._arm.infeasible(reproduction_of(policy, task)):
             raise ValueError(f"{bags}: would end in a fault: {fault.text}")
         return policy

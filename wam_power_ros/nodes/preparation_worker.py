@@ -141,7 +141,9 @@ class PreparationWorker(Node):
         message = pose_messages.path_message(path, values["start_ns"], values["frame"])
         self._paths.publish(message)
         fault = values["fault"] and Fault(FaultKind(values["fault"][0]), values["fault"][1])
-        finished = pose_messages.Finished(path.id, values["start_ns"], fault, values["digest"])
+        finished = pose_messages.Finished(
+            path.id, values["start_ns"], fault, values["digest"], values["stopped_in"]
+        )
         self._finished.publish(pose_messages.finished_message(finished))
 
     def _do_report(self, values: dict[str, Any], _: object) -> None:

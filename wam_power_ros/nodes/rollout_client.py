@@ -160,7 +160,7 @@ class RolloutClient:
             text = f"another policy was executed under the id {policy.id}: {self._senders()}"
             self._log.error(text)
             fault = Fault(FaultKind.OTHER_POLICY, text)
-        return Executed(Rollout(tool, body, fault), bag, truth)
+        return Executed(Rollout(tool, body, fault, finished.stopped_in), bag, truth)
 
     def until(
         self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float

@@ -44,7 +44,7 @@ class SimulatedArm:
         own, *over = (share(file) for file in controller)
         controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
         self._controller = controller_params.controller(urdf)
-        self.obstacle = controller_params.obstacle
+        self.region = controller_params.region
         self._report = report
         # movement and number of overruns -> fault that ends it, None if it is feasible
         self._verdicts: dict[tuple[str, int], Fault | None] = {}

@@ -308,7 +308,8 @@ class TorqueController(LifecycleNode):
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
             digest = self._requests.executed
-            self._preparation.publish_path(path, start_ns, self._frame, controller.latched, digest)
+            end = (controller.latched, digest, controller.stopped_in)
+            self._preparation.publish_path(path, start_ns, self._frame, *end)
         self._requests.answer(controller)
         return None
 

@@ -21,6 +21,7 @@ from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.regions import Region
 
 MISSING_MAX = 0.05  # largest missing part at the end of a path that counts as complete [s]
 
@@ -131,13 +132,13 @@ class Task(Protocol):
 
     @classmethod
     def context_of(
-        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
     ) -> dict[str, Any]:
         """Data that the session stores for the constructor, as JSON data.
 
         Args:
             demonstrations: All demonstrations of the session.
-            obstacle: Sphere that ends a rollout, x, y, z and radius [m]; radius 0 for none.
+            region: Guarded region of the controller, None for none.
         """
 
     @property
@@ -208,4 +209,5 @@ def cut_short(policy: Policy, rollout: Rollout, settle_time: float) -> str:
     t = rollout.tool.t
     if len(t) and t[-1] >= duration - MISSING_MAX:
         return ""
-    return f"cut short at {t[-1] if len(t) else 0.0:.2f} s of {duration:.2f} s"
+    how = f"stopped in the region {rollout.stopped_in!r}" if rollout.stopped_in else "cut short"
+    return f"{how} at {t[-1] if len(t) else 0.0:.2f} s of {duration:.2f} s"

@@ -15,6 +15,7 @@ from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.regions import Region
 from wam_power_ros.tasks.flip import assessment as flip_assessment
 from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
@@ -48,7 +49,7 @@ class Flip:
 
     @classmethod
     def context_of(
-        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
     ) -> dict[str, Any]:
         """No data is needed; see `Task`."""
         return {}

@@ -14,6 +14,7 @@ from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.regions import Region, region_of
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 from wam_power_ros.tasks.reach.returns import reaching_terms
 from wam_power_ros.tasks.reach.scenario import Scenario, resampled
@@ -27,8 +28,6 @@ from wam_power_ros.tasks.task import (
     fault_assessment,
 )
 
-_CONTACT_MARGIN = 0.01  # distance from the obstacle within which a stopped tool touched it [m]
-
 
 class Reach:
     """The task `reach`; see `tasks.task.Task`.
@@ -40,8 +39,7 @@ class Reach:
         settings: Settings of the task.
         settle_time: Time that a rollout continues after the movement [s].
         demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
-        obstacle: Centre of the sphere [m]. Shape (3,).
-        radius: Radius of the sphere, 0 for none [m].
+        region: Obstacle, a guarded region of the controller; None for none.
     """
 
     name: ClassVar[str] = "reach"
@@ -55,8 +53,7 @@ class Reach:
         self.settings = settings
         self.settle_time = settings.settle_time
         self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
-        *centre, radius = context["obstacle"]
-        self.obstacle, self.radius = np.array(centre, dtype=float), float(radius)
+        self.region = region_of("obstacle", context["obstacle"])
 
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
@@ -65,12 +62,12 @@ class Reach:
 
     @classmethod
     def context_of(
-        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
     ) -> dict[str, Any]:
         """Return the mean demonstration x_D, which ends at the goal, and the obstacle."""
         return {
             "demonstrated": resampled(demonstrations).mean(axis=0).tolist(),
-            "obstacle": [float(value) for value in obstacle],
+            "obstacle": [0.0] * 4 if region is None else [*region.centre, region.radius],
         }
 
     def parametrization(self, policy: Policy) -> Parametrization:
@@ -90,13 +87,10 @@ class Reach:
         t = np.arange(scenario.steps) * scenario.period
         path = np.stack([np.interp(t, tool.t, x) for x in tool.position.T], axis=1)  # (T, 3)
         stopped, collided = scenario.stopped_paths(path[np.newaxis])
-        touched = bool(collided[0])
+        touched = bool(collided[0] or rollout.stopped_in)  # perhaps between two samples
         why = cut_short(policy, rollout, self.settle_time)
-        if why and not touched:  # the controller may stop at a contact between the samples
-            distance = float(np.linalg.norm(tool.position[-1] - scenario.obstacle))
-            touched = self.radius > 0.0 and distance < self.radius + _CONTACT_MARGIN
-            if not touched:
-                return Assessment(None, why=why)
+        if why and not touched:
+            return Assessment(None, why=why)
         tracking, goal = (
             float(term[0]) for term in reaching_terms(stopped, scenario.demonstrated, scenario.goal)
         )
@@ -150,4 +144,7 @@ class Reach:
     def _scenario(self, policy: Policy, start: np.ndarray) -> Scenario:
         period = policy.basis.duration / (len(self.demonstrated) - 1)
         paths = self.demonstrated[np.newaxis]
-        return Scenario(paths, period, self.radius, policy, start, self.obstacle)
+        centre, radius = np.zeros(3), 0.0
+        if self.region is not None:
+            centre, radius = np.array(self.region.centre), self.region.radius
+        return Scenario(paths, period, radius, policy, start, centre)

@@ -14,6 +14,7 @@ from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 from wam_power_ros.tasks.task import (
     Assessment,
@@ -59,7 +60,7 @@ class Carry:
 
     @classmethod
     def context_of(
-        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
     ) -> dict[str, Any]:
         return {"goal": np.mean([d.position[-1] for d in demonstrations], axis=0).tolist()}
 
