@@ -37,13 +37,14 @@ ALLOWED: dict[str, set[str]] = {
     "entry": set(),  # imported first by every process
     "faults": set(),
     "regions": set(),
+    "plotting": set(),
     "rotations": set(),
     "arm_identity": {"plain_json"},
     "bags": {"durable_files", "plain_yaml", "plain_json", "arm_identity"},
     "learning": {"plain_json", "faults", "rotations", "arm_identity"},
     "control": {"faults", "regions", "rotations", "arm_identity", "learning"},
     "tracking": {"rotations", "learning"},
-    "tasks": {"faults", "regions", "rotations", "learning"},
+    "tasks": {"faults", "plotting", "regions", "rotations", "learning"},
     "practice": {"durable_files", "plain_yaml", "plain_json", "faults", "learning", "tasks"},
     "params": {
         "durable_files",
@@ -56,7 +57,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "conformance": {"rotations", "learning", "control", "tracking"},
     "ros": {"entry", "plain_json", "faults", "rotations", "learning", "params", "bags"},
-    "reporting": {"durable_files", "rotations", "learning", "tasks", "practice"},
+    "reporting": {"durable_files", "plotting", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
 ALLOWED["view"] = {*BELOW, "console"} - {"conformance"}

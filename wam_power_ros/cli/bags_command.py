@@ -152,7 +152,8 @@ def show(options: argparse.Namespace) -> None:
 
 def plot(options: argparse.Namespace) -> None:
     """Draw takes into a file."""
-    from wam_power_ros.reporting import figures, take_figures
+    from wam_power_ros import plotting
+    from wam_power_ros.reporting import take_figures
 
     names, arm = arm_of(overlay.setup(options.config))
     takes = {path.resolve().name: inspect(path, names, arm) for path in options.bag}
@@ -162,7 +163,7 @@ def plot(options: argparse.Namespace) -> None:
     output = options.output or Path(f"{options.bag[0].resolve().name}.png")
     if output.suffix not in (".png", ".svg"):
         raise UsageError(f"{output} must end in .png or .svg")
-    output.write_bytes(figures.png(drawn) if output.suffix == ".png" else figures.svg(drawn))
+    output.write_bytes(plotting.png(drawn) if output.suffix == ".png" else plotting.svg(drawn))
     print(f"Figure: {output}")
 
 

@@ -9,7 +9,8 @@ from html import escape
 
 from matplotlib.figure import Figure as MatplotlibFigure
 
-from wam_power_ros.reporting import figures, html_page
+from wam_power_ros import plotting
+from wam_power_ros.reporting import html_page
 
 RUNS_MIN = 5  # for a verdict: with fewer runs, no rank-sum test reaches p < 0.01
 
@@ -92,7 +93,7 @@ class Figure:
     def of(cls, name: str, caption: str, drawn: MatplotlibFigure) -> Figure:
         """Create a figure from one drawn by matplotlib, such as those of `reporting.figures`."""
         has_photographs = any(axes.images for axes in drawn.axes)
-        return cls(name, caption, figures.png(drawn), not has_photographs)
+        return cls(name, caption, plotting.png(drawn), not has_photographs)
 
 
 @dataclass(frozen=True)

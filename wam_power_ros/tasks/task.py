@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Protocol of a task: everything that a session needs to know about one skill.
 
-A class that satisfies `Task` is found by its entry point in the group `wam_power_ros.tasks`, so a
+A class derived from `Task` is found by its entry point in the group `wam_power_ros.tasks`, so a
 laboratory can keep its task in a package of its own. Everything specific to one task (its return,
-its tracked body, its corrections) belongs to its class and nowhere else.
+its tracked body, its corrections, its figures and the words of its reports) belongs to its class
+and nowhere else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import BaseModel
@@ -22,6 +23,9 @@ from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MISSING_MAX = 0.05  # largest missing part at the end of a path that counts as complete [s]
 
@@ -96,8 +100,54 @@ class LoggedRollout(Protocol):
         """Ground truth of the simulator; None on a real arm."""
 
 
+@dataclass(frozen=True)
+class Goal:
+    """What a task is to achieve, in the words of its reports.
+
+    Attributes:
+        achieved: Completes "Rollout 2 was the first that ...".
+        first: Mark of that rollout in a figure.
+        retests: Completes "re-tests ...".
+        question: Completes "On ..., the observation agreed with the simulator"; "" for none.
+        observed: Key of its answer in the observation of a rollout.
+        true: Key of its answer in the ground truth of a rollout.
+    """
+
+    achieved: str = "succeeded"
+    first: str = "first success"
+    retests: str = "that succeeded"
+    question: str = ""
+    observed: str = ""
+    true: str = ""
+
+
+class Curve(NamedTuple):
+    """Published curve, which a figure shows behind a session's own."""
+
+    label: str
+    values: np.ndarray  # its points, shape (n, 2)
+    remark: str  # a sentence
+
+
+@dataclass(frozen=True, eq=False)
+class Published:
+    """What a publication reports on a task.
+
+    Attributes:
+        name: Name of its return, such as "Eq. 5".
+        ret: Its return of a rollout, whatever the session learns from; NaN if unknown.
+        returns: Return by rollout.
+        stiffness: K33 [1/s^2] by time [s] of the learnt policy.
+    """
+
+    name: str
+    ret: Callable[[LoggedRollout], float]
+    returns: Curve
+    stiffness: Curve
+
+
 class Task(Protocol):
-    """One skill under one set of settings.
+    """One skill under one set of settings; derive from it. What has a default may be left out.
 
     Class attributes:
         name: Name of the task, as in `--task NAME`.
@@ -108,6 +158,12 @@ class Task(Protocol):
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. The first preset is the default.
+        goal: What is to be achieved, in the words of the reports.
+        published: What a publication reports on the task, None for nothing.
+
+    Attributes:
+        settle_time: Time that a rollout continues after the movement [s].
+        region: Guarded region at which the controller ends its rollouts, None for none.
 
     A task is constructed from its settings and from `context`: the session stores what `context_of`
     derives from the demonstrations at its start.
@@ -118,6 +174,10 @@ class Task(Protocol):
     single_policy: ClassVar[bool]
     Settings: ClassVar[type[BaseModel]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
+    goal: ClassVar[Goal] = Goal()
+    published: ClassVar[Published | None] = None
+    settle_time: float
+    region: Region | None = None
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
         """Construct the task; `settings` is an instance of `Settings`."""
@@ -140,10 +200,7 @@ class Task(Protocol):
             demonstrations: All demonstrations of the session.
             region: Guarded region of the controller, None for none.
         """
-
-    @property
-    def settle_time(self) -> float:
-        """Time that a rollout continues after the movement [s]."""
+        return {}
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy and their exploration noise."""
@@ -155,6 +212,7 @@ class Task(Protocol):
             body: State of the tracked body, None if it is not seen or there is none.
             tool: Pose of the tool at the start of the policy.
         """
+        return ""
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
@@ -171,9 +229,11 @@ class Task(Protocol):
             Shifts of z, shape (size,) each, one for each error, empty for no correction; if the sum
             is not feasible, they are applied one after another, each as far as is feasible.
         """
+        return ()
 
     def confirms(self, record: LoggedRollout) -> bool:
         """Whether a successful rollout of the mean counts towards the stopping rule."""
+        return True
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Model of the returns for learners that screen candidates; None if the task has none.
@@ -182,12 +242,26 @@ class Task(Protocol):
             parametrization: Map from coordinates to policies.
             start: Position of the tool at the start of the policy [m]. Shape (3,).
         """
+        return None
 
     def outcome(self, record: LoggedRollout) -> str:
         """Outcome of a logged rollout in a few words, for one cell of a table."""
 
     def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         """Lines that summarise a session, printed at its end and in its report."""
+        return []
+
+    def achieved(self, record: LoggedRollout) -> bool:
+        """Whether a rollout achieved the goal, regardless of the settings of success."""
+        return record.success
+
+    def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
+        """Values measured in the re-tests, by label, for the report and the terminal."""
+        return {}
+
+    def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
+        """Figure of a rollout, and a sentence on it, which may be empty; None for no figure."""
+        return None
 
 
 def fault_assessment(fault: Fault) -> Assessment:

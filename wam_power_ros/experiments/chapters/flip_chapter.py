@@ -23,9 +23,11 @@ from wam_power_ros.experiments.chapters.flip_statistics import (
 from wam_power_ros.experiments.jobs import Results
 from wam_power_ros.experiments.studies.flip_sessions import ABLATION, DEFAULT, LEARNT, LONG, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.reporting import figures, flip_figures, study_figures
+from wam_power_ros.reporting import figures, study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 from wam_power_ros.reporting.terminal import counted
+from wam_power_ros.tasks.flip.figures import flights as draw_flights
+from wam_power_ros.tasks.flip.paper import FIG5, K33, STIFFNESS
 
 PAPER_LABEL = "paper's settings"
 BLOCK = 10  # rollouts averaged in the ablation
@@ -179,7 +181,7 @@ def _robustness(sessions: Sessions, learnt: Mapping[str, Sessions]) -> Chapter:
 def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
     early, late = sessions.gain
     gain = late - early
-    fig5 = figures.paper_table("fig5")[:, 1]
+    fig5 = FIG5[:, 1]
     paper_early, paper_late = fig5[:5].mean(), fig5[-5:].mean()
     fired = [run["fires"] for run in sessions.runs if run["fires"] is not None]
     landed, true = sessions.landed, sessions.true_flips
@@ -251,7 +253,7 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
                 "fig5-learning-curve",
                 "Fig. 5. Return of Eq. 5 while learning with the paper's settings, mean and "
                 "standard deviation, over the paper's curve.",
-                study_figures.sessions_over_paper(curves),
+                study_figures.sessions_over_paper(curves, FIG5),
             ),
             *_flights(sessions, "paper", "the paper's settings"),
         ],
@@ -259,7 +261,7 @@ def _paper(sessions: Sessions, long: Sessions, default: Sessions) -> Chapter:
 
 
 def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessions]) -> Chapter:
-    table = figures.paper_table("k33")[:, 1]
+    table = K33[:, 1]
     published = f"{float(np.ptp(table)) / table.mean():.0%}"
     profiles = {"default": default.stiffness("learnt"), PAPER_LABEL: paper.stiffness("learnt")}
     ours, paper_like = (_variation(rows) for rows in profiles.values())
@@ -323,7 +325,7 @@ def _stiffness(default: Sessions, paper: Sessions, ablation: Mapping[str, Sessio
                 "k33-profiles",
                 "Vertical stiffness along the learnt movements: median and 80 % of the sessions, "
                 "with the paper's.",
-                figures.stiffness(profiles, paper=True),
+                figures.stiffness(profiles, STIFFNESS),
             ),
             Figure.of(
                 "pancake-ablation",
@@ -367,7 +369,7 @@ def _flights(sessions: Sessions, name: str, settings: str) -> list[Figure]:
             f"fig3-4-flights-{name}",
             f"Figs. 3 and 4. One session with {settings}: the demonstration, its first "
             "reproduction and the final policy, from the side.",
-            flip_figures.flights(flights),
+            draw_flights(flights),
         ),
         filmstrip.strip(f"fig6-film-{name}", film, shown["trace"], last + 0.25),
     ]

@@ -15,8 +15,9 @@ from wam_power_ros.experiments.jobs import Results
 from wam_power_ros.experiments.studies.reaching import SYNTHETIC
 from wam_power_ros.experiments.studies.reaching_arm import EXECUTED, PRACTISED, TAUGHT
 from wam_power_ros.experiments.studies.reaching_runs import VARIANTS
-from wam_power_ros.reporting import reach_figures, study_figures
+from wam_power_ros.reporting import study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
+from wam_power_ros.tasks.reach import figures as reach_figures
 
 PAPER_RETURNS = {"full": 0.73, "diagonal": 0.61}  # after 100 rollouts, mean of 10 experiments
 PAPER_RUNS = 10

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -21,15 +21,18 @@ from wam_power_ros.tasks.reach.scenario import Scenario, resampled
 from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
 from wam_power_ros.tasks.task import (
     Assessment,
-    BodyState,
+    Goal,
     LoggedRollout,
-    Pose,
+    Task,
     cut_short,
     fault_assessment,
 )
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-class Reach:
+
+class Reach(Task):
     """The task `reach`; see `tasks.task.Task`.
 
     The controller stops a rollout whose tool enters the obstacle. Its return is that of a path
@@ -47,6 +50,7 @@ class Reach:
     single_policy: ClassVar[bool] = True
     Settings: ClassVar[type[ReachSettings]] = ReachSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
+    goal = Goal(question="whether the obstacle was touched", observed="touched", true="touched")
 
     def __init__(self, settings: ReachSettings, context: Mapping[str, Any]) -> None:
         """Construct the task; `context` is the data of `context_of`."""
@@ -74,10 +78,6 @@ class Reach:
         """Learnt parameters of a policy; see `Task`."""
         return Parametrization(policy, self.settings.variant, self.settings.noise)
 
-    def ready(self, body: BodyState | None, tool: Pose) -> str:
-        """Always ready; see `Task`."""
-        return ""
-
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return (Eq. 4) and success of a rollout of `policy`."""
         if rollout.fault is not None:
@@ -103,16 +103,6 @@ class Reach:
             success=not touched and goal_distance <= self.settings.goal_tolerance,
             why="stopped at the obstacle" if touched else "",
         )
-
-    def hindsight(
-        self, assessment: Assessment, parametrization: Parametrization
-    ) -> Sequence[np.ndarray]:
-        """No hindsight correction; see `Task`."""
-        return ()
-
-    def confirms(self, record: LoggedRollout) -> bool:
-        """Every success counts; see `Task`."""
-        return True
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Path of Eq. 1, with contacts inferred from earlier rollouts; see `Task`."""
@@ -140,6 +130,16 @@ class Reach:
             f"re-tests of the final policy: {clear} of {len(seen)} passed the obstacle, "
             f"smallest clearance {1000 * clearance:.0f} mm"
         ]
+
+    def figure(self, rollout: Rollout) -> tuple[Figure, str]:
+        """Demonstrated and executed path around the obstacle; see `Task`."""
+        from wam_power_ros.tasks.reach.figures import Panel, paths  # imports matplotlib: slow
+
+        centre, radius = self.demonstrated[0], 0.0
+        if self.region is not None:
+            centre, radius = np.array(self.region.centre), self.region.radius
+        panel = Panel([self.demonstrated], centre, radius, learnt=rollout.tool.position)
+        return paths({f"{rollout.tool.id}, executed": panel}), ""
 
     def _scenario(self, policy: Policy, start: np.ndarray) -> Scenario:
         period = policy.basis.duration / (len(self.demonstrated) - 1)

@@ -7,8 +7,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from pydantic import BaseModel
 
+from wam_power_ros import plotting
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
@@ -19,8 +21,10 @@ from wam_power_ros.tasks.reach.settings import REACH_FIT
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
+    Goal,
     LoggedRollout,
     Pose,
+    Task,
     cut_short,
     fault_assessment,
 )
@@ -33,13 +37,14 @@ class CarrySettings(BaseModel):
     settle_time: float = 0.5
 
 
-class Carry:
+class Carry(Task):
     """See `wam_power_ros.tasks.task.Task`."""
 
     name = "carry"
     body = "ball"
     single_policy = False
     Settings = CarrySettings
+    goal = Goal(achieved="kept the ball in the middle", first="first calm one", retests="calm")
     presets = {
         "carry": {
             "learner": {"name": "power"},
@@ -85,18 +90,16 @@ class Carry:
         terms = {"calm": 0.5 * np.exp(-off / 0.05), "goal": 0.5 * np.exp(-missed / 0.1)}
         return Assessment(sum(terms.values()), terms, {"off": off}, off < 0.06)
 
-    def hindsight(self, assessment: Assessment, parametrization: Parametrization) -> tuple[()]:
-        return ()
-
-    def confirms(self, record: LoggedRollout) -> bool:
-        return True
-
-    def model(self, parametrization: Parametrization, start: np.ndarray) -> None:
-        return None
-
     def outcome(self, record: LoggedRollout) -> str:
         seen = record.observation
         return record.why if seen is None else f"ball {1000 * seen['off']:.0f} mm off"
 
     def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         return [f"calm in {sum(record.success for record in records)} of {len(records)} rollouts"]
+
+    def figure(self, rollout: Rollout) -> tuple[Figure, str]:
+        figure, (axes,) = plotting.side_by_side(7.2, 3.0, 1.0)
+        for name, path in (("pan", rollout.tool), ("ball", rollout.body)):
+            axes.plot(path.t, path.position[:, 1], label=f"y of the {name}")
+        plotting.legend(axes)
+        return figure, "The ball follows the pan."

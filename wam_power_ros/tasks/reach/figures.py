@@ -11,9 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.reporting.figures import INK, PAN, dress, shared_legend
-from wam_power_ros.tasks.reach.task import Reach
+from wam_power_ros.plotting import BLUE, INK, dress, shared_legend
 
 OBSTACLE, GOAL, LEARNT, ROLLOUT, EXECUTED = "#c8504f", "#2f855a", "#1d5c3a", "#8fc3a5", "#e3a72f"
 MARGIN = 0.03  # around the paths [m]
@@ -94,12 +92,6 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     return figure
 
 
-def final_rollout(task: Reach, rollout: Rollout) -> Figure:
-    """Figure of a rollout of the final policy in the report of its session."""
-    panel = Panel([task.demonstrated], task.obstacle, task.radius, learnt=rollout.tool.position)
-    return paths({f"{rollout.tool.id}, executed": panel})
-
-
 def _views(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
     """Axes of the side view, along and up, and of the top view, along and left. Shapes (2, 3)."""
     level = (panel.goal - panel.start) * np.array([1.0, 1.0, 0.0])
@@ -119,7 +111,7 @@ def _draw(axes: Axes, panel: Panel, view: np.ndarray) -> None:
     for path in panel.rollouts:
         plot(path, color=ROLLOUT, lw=0.6, alpha=0.8, label="rollouts while learning")
     for path in panel.demonstrations:
-        plot(path, color=PAN, lw=1.1, label="demonstrations")
+        plot(path, color=BLUE, lw=1.1, label="demonstrations")
     if panel.learnt is not None:
         plot(panel.learnt, color=LEARNT, lw=2.6, label="learnt")
     if panel.executed is not None:
