@@ -17,7 +17,7 @@ from wam_power_ros.experiments.studies.flip_sessions import NOVICE, teach
 from wam_power_ros.experiments.studies.reaching_runs import generator, learn_many, scales
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
 from wam_power_ros.learning.learner import Learner, Model
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
@@ -39,7 +39,7 @@ def reaching_runs(
         after each rollout.
     """
     scenario = synthetic()
-    parameters = Parametrization(scenario.policy, VARIANT, scales(stiffness, attractor))
+    parameters = parametrization_of(scenario.policy, VARIANT, scales(stiffness, attractor))
     size, model = parameters.size, lambda: ReachModel(parameters, scenario)
     learners = [learner_of(settings, size, seed, model()) for seed in seeds]
     runs = learn_many(learners, parameters, scenario, rollouts)

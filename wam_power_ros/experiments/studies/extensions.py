@@ -17,7 +17,7 @@ from wam_power_ros.experiments.jobs import Job, Scale
 from wam_power_ros.experiments.studies.flip_sessions import NOVICE, rollouts, stand_in, teach
 from wam_power_ros.experiments.studies.reaching_runs import NOISE, POWER, evaluate, generator
 from wam_power_ros.experiments.studies.synthetic_reach import synthetic
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
@@ -47,7 +47,7 @@ def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> d
         Of each run, the noise-free return of the "final" mean and the median elite size "sigma".
     """
     scenario = synthetic()
-    parameters = Parametrization(scenario.policy, "full", NOISE["full"])
+    parameters = parametrization_of(scenario.policy, "full", NOISE["full"])
     settings = Power.Settings(sigma=sigma, decay=POWER.decay)
     learners = [Power(parameters.size, settings, generator(seed)) for seed in seeds]
     noise_rngs = [np.random.default_rng([seed, 1]) for seed in seeds]

@@ -11,7 +11,7 @@ import numpy as np
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Model
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region, region_of
@@ -76,7 +76,7 @@ class Reach(Task):
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
-        return Parametrization(policy, self.settings.variant, self.settings.noise)
+        return parametrization_of(policy, self.settings.variant, self.settings.noise)
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return (Eq. 4) and success of a rollout of `policy`."""

@@ -13,7 +13,7 @@ from pydantic import BaseModel
 from wam_power_ros import plotting
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.dmp import fit
-from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
+from wam_power_ros.learning.parametrization import NoiseScales, Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.regions import Region
@@ -70,7 +70,7 @@ class Carry(Task):
         return {"goal": np.mean([d.position[-1] for d in demonstrations], axis=0).tolist()}
 
     def parametrization(self, policy: Policy) -> Parametrization:
-        return Parametrization(policy, "full", self.settings.noise)
+        return parametrization_of(policy, "full", self.settings.noise)
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
         off = np.inf if body is None else float(np.linalg.norm(body.position - tool.position))
