@@ -162,12 +162,11 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
 
     from wam_power_ros import rotations
     from wam_power_ros.bags import layout, reader
-    from wam_power_ros.learning.demonstration import from_joint_samples
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
     from wam_power_ros.ros import interface
 
     stamps, q = reader.read_demonstration(bag, joint_names)
-    demonstration = from_joint_samples(arm, stamps, q)
+    demonstration = task.demonstration_of(arm, stamps, q)
     policy = task.policy_of([demonstration], "demonstration")
     # From the start of the movement, at the rate of the paths that the controller publishes.
     near = np.abs(q - demonstration.q[0]).sum(axis=1)
@@ -206,7 +205,6 @@ def _context(
 ) -> dict[str, Any]:
     """Context of the session that a bag belongs to, else of a session on this bag alone."""
     from wam_power_ros.bags import reader
-    from wam_power_ros.learning.demonstration import from_joint_samples
     from wam_power_ros.params.torque_controller_params import TorqueControllerParams
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.session import Session
@@ -215,9 +213,10 @@ def _context(
     if Session.exists(folder) and Session.task_of(folder) == task:
         kept: dict[str, Any] = plain_json.read(folder / "task.json")
         return kept
-    demonstration = from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
+    kind = plugins.task_type(task)
+    demonstration = kind.demonstration_of(arm, *reader.read_demonstration(bag, joint_names))
     controller = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
-    return plugins.task_type(task).context_of([demonstration], controller.region)
+    return kind.context_of([demonstration], controller.region)
 
 
 def _outcome(assessed: Assessment) -> str:

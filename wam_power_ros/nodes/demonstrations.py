@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wam_power_ros.arm_identity import remark
 from wam_power_ros.bags.reader import noted_arm, read_states
-from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
+from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.practice.course import reproduction_of
@@ -105,7 +105,7 @@ class Demonstrations:
                 self._log.info(f"{bag}: {found.text}")
             if note := remark(noted_arm(Path(bag)), identity):
                 self._log.info(f"{bag} {note}")
-            return from_joint_samples(self._arm.kinematics, states.stamps, states.q)
+            return self._kind.demonstration_of(self._arm.kinematics, states.stamps, states.q)
         except (ValueError, OSError) as error:
             raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
 

@@ -17,7 +17,8 @@ import numpy as np
 from pydantic import BaseModel
 
 from wam_power_ros.faults import Fault
-from wam_power_ros.learning.demonstration import Demonstration
+from wam_power_ros.learning.demonstration import Demonstration, ToolPose, from_joint_samples
+from wam_power_ros.learning.dmp import FitSettings, fit
 from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
@@ -154,6 +155,7 @@ class Task(Protocol):
         body: Name of the tracked rigid body, which its topics contain; "" for none.
         single_policy: Whether one policy is fitted to all demonstrations; otherwise one to each,
             and learning starts from the one that reproduces best.
+        fit_settings: How a demonstration is cut out of a recording, and a policy fitted to it.
         Settings: Model of the task's settings; frozen, unknown fields refused.
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
@@ -172,6 +174,7 @@ class Task(Protocol):
     name: ClassVar[str]
     body: ClassVar[str]
     single_policy: ClassVar[bool]
+    fit_settings: ClassVar[FitSettings]
     Settings: ClassVar[type[BaseModel]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
     goal: ClassVar[Goal] = Goal()
@@ -183,12 +186,20 @@ class Task(Protocol):
         """Construct the task; `settings` is an instance of `Settings`."""
 
     @classmethod
+    def demonstration_of(
+        cls, arm: ToolPose, stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray
+    ) -> Demonstration:
+        """Cut the movement out of a recording; see `from_joint_samples`."""
+        return from_joint_samples(arm, stamps_ns, q, cls.fit_settings.movement)
+
+    @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
         """Fit a policy to demonstrations.
 
         Raises:
             ValueError: If no policy can be fitted; the message gives the reason.
         """
+        return fit(demonstrations, cls.fit_settings, policy_id)
 
     @classmethod
     def context_of(

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
@@ -54,6 +52,7 @@ class Flip(Task):
     name: ClassVar[str] = "flip"
     body: ClassVar[str] = "pancake"
     single_policy: ClassVar[bool] = False
+    fit_settings = FLIP_FIT
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
     goal = Goal(
@@ -70,11 +69,6 @@ class Flip(Task):
         """Construct the task; no context is needed."""
         self.settings = settings
         self.settle_time = settings.settle_time
-
-    @classmethod
-    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        """Fit a policy of eight spring-dampers; see `Task`."""
-        return fit(demonstrations, FLIP_FIT, policy_id)
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
@@ -48,6 +47,7 @@ class Reach(Task):
     name: ClassVar[str] = "reach"
     body: ClassVar[str] = ""
     single_policy: ClassVar[bool] = True
+    fit_settings = REACH_FIT
     Settings: ClassVar[type[ReachSettings]] = ReachSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
     goal = Goal(question="whether the obstacle was touched", observed="touched", true="touched")
@@ -58,11 +58,6 @@ class Reach(Task):
         self.settle_time = settings.settle_time
         self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
         self.region = region_of("obstacle", context["obstacle"])
-
-    @classmethod
-    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        """Fit one policy of two spring-dampers to all demonstrations; see `Task`."""
-        return fit(demonstrations, REACH_FIT, policy_id)
 
     @classmethod
     def context_of(

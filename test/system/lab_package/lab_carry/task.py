@@ -12,7 +12,6 @@ from pydantic import BaseModel
 
 from wam_power_ros import plotting
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.parametrization import NoiseScales, Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
@@ -43,6 +42,7 @@ class Carry(Task):
     name = "carry"
     body = "ball"
     single_policy = False
+    fit_settings = REACH_FIT
     Settings = CarrySettings
     goal = Goal(achieved="kept the ball in the middle", first="first calm one", retests="calm")
     presets = {
@@ -58,10 +58,6 @@ class Carry(Task):
     def __init__(self, settings: CarrySettings, context: Mapping[str, Any]) -> None:
         self.settings, self._goal = settings, np.array(context["goal"])
         self.settle_time = settings.settle_time
-
-    @classmethod
-    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        return fit(demonstrations, REACH_FIT, policy_id)
 
     @classmethod
     def context_of(
