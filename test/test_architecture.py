@@ -205,6 +205,40 @@ def test_only_some_folders_speak_ros_and_only_some_simulate() -> None:
             assert not roots(imports(path)) & SIMULATOR, label(path)
 
 
+def test_no_module_outside_a_tasks_folder_knows_a_task() -> None:
+    folders = {path.name for path in (PACKAGE / "tasks").iterdir() if path.is_dir()}
+    tasks = folders - {"__pycache__"}
+    assert {"flip", "reach"} <= tasks
+    for path in MODULES:
+        if folder(path) in ("tasks", "experiments", "hardware_sim"):
+            continue
+        named = {name.split(".")[2] for name in imports(path) if name.startswith(TASKS)} & tasks
+        assert not named, label(path)
+        for node in nodes(path):
+            assert not decides(node) & tasks, label(path)
+
+
+TASKS = "wam_power_ros.tasks."
+
+
+def decides(node: ast.AST) -> set[object]:
+    """Texts that a node compares with, or chooses by."""
+    parts: list[ast.expr | None] = []
+    if isinstance(node, ast.Compare):
+        for part in (node.left, *node.comparators):
+            parts += part.elts if isinstance(part, (ast.Tuple, ast.List, ast.Set)) else [part]
+    elif isinstance(node, ast.Dict):
+        parts += node.keys
+    elif isinstance(node, ast.Subscript):
+        parts.append(node.slice)
+    return {part.value for part in parts if isinstance(part, ast.Constant)}
+
+
+def test_a_decision_by_the_name_of_a_task_would_be_found() -> None:
+    for text in ("x == 'flip'", "x in ('flip', 'reach')", "{'flip': 1}", "x['flip']"):
+        assert "flip" in set().union(*map(decides, ast.walk(ast.parse(text)))), text
+
+
 def test_every_module_says_its_licence_in_one_line() -> None:
     licence = "# SPDX-License-Identifier: Apache-2.0"
     assert [label(p) for p in MODULES if p.read_text().splitlines()[0] != licence] == []

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from wam_power_ros import plain_json
 from wam_power_ros.cli.launcher import UsageError, arm_of, task_setup
+from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("score", help=text, description=f"{text.capitalize()}.")
     parser.set_defaults(command=score)
     parser.add_argument("recorded", type=Path, nargs="+", help="bags, or folder of a session")
-    parser.add_argument("--task", metavar="NAME", help="task (default: the session's, else flip)")
+    default = f"task (default: the session's, else {DEFAULT_TASK})"
+    parser.add_argument("--task", metavar="NAME", help=default)
     parser.add_argument(
         "--preset", metavar="NAME", help="settings of the task (default: its first)"
     )
@@ -50,7 +52,7 @@ def _score_bag(bag: Path, options: argparse.Namespace) -> bool:
     """Print the score of a bag; return False if it has none."""
     from wam_power_ros.practice.settings import preset
 
-    name = options.task or "flip"
+    name = options.task or DEFAULT_TASK
     setup = overlay.setup(options.config, task=task_setup(name))
     names, arm = _arm(setup)
     try:
