@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Protocol of a task: everything that a session needs to know about one skill.
+"""Base of a task: everything that a session needs to know about one skill.
 
 A class derived from `Task` is found by its entry point in the group `wam_power_ros.tasks`, so a
 laboratory can keep its task in a package of its own. Everything specific to one task (its return,
@@ -9,6 +9,7 @@ and nowhere else.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
@@ -147,7 +148,7 @@ class Published:
     stiffness: Curve
 
 
-class Task(Protocol):
+class Task(ABC):
     """One skill under one set of settings; derive from it. What has a default may be left out.
 
     Class attributes:
@@ -164,6 +165,7 @@ class Task(Protocol):
         published: What a publication reports on the task, None for nothing.
 
     Attributes:
+        settings: Settings of the task.
         settle_time: Time that a rollout continues after the movement [s].
         region: Guarded region at which the controller ends its rollouts, None for none.
 
@@ -179,11 +181,12 @@ class Task(Protocol):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
     goal: ClassVar[Goal] = Goal()
     published: ClassVar[Published | None] = None
-    settle_time: float
     region: Region | None = None
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
-        """Construct the task; `settings` is an instance of `Settings`."""
+        """Construct the task from `Settings`, which include `settle_time`; no context is used."""
+        self.settings = settings
+        self.settle_time: float = settings.settle_time
 
     @classmethod
     def demonstration_of(
@@ -213,6 +216,7 @@ class Task(Protocol):
         """
         return {}
 
+    @abstractmethod
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy and their exploration noise."""
 
@@ -225,6 +229,7 @@ class Task(Protocol):
         """
         return ""
 
+    @abstractmethod
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
 
@@ -255,6 +260,7 @@ class Task(Protocol):
         """
         return None
 
+    @abstractmethod
     def outcome(self, record: LoggedRollout) -> str:
         """Outcome of a logged rollout in a few words, for one cell of a table."""
 

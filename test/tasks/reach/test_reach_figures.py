@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from wam_power_ros.reporting.reach_figures import Panel
 
+from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reach import figures
 
 
@@ -15,7 +16,7 @@ def a_panel(executed: np.ndarray | None = None) -> Panel:
     path = np.linspace([0.4, -0.25, 0.3], [0.4, 0.25, 0.3], 21)
     demonstrations = [path, path + np.array([0.0, 0.0, 0.01])]
     learnt = path + np.array([0.0, 0.0, 0.1])
-    return Panel(demonstrations, np.array([0.4, 0.0, 0.3]), 0.09, learnt, [path], executed)
+    return Panel(demonstrations, Region("box", (0.4, 0.0, 0.3), 0.09), learnt, [path], executed)
 
 
 def test_reaching_is_drawn_along_the_movement_with_the_obstacle_half_way() -> None:
@@ -39,8 +40,10 @@ def test_no_path_leaves_the_view() -> None:
 
 
 def test_a_panel_without_a_learnt_path_shows_the_demonstrations() -> None:
-    bare = dataclasses.replace(a_panel(), learnt=None, rollouts=[])
-    labels = {line.get_label() for line in figures.paths({"": bare}).axes[0].lines}
+    bare = dataclasses.replace(a_panel(), learnt=None, rollouts=[], obstacle=None)
+    axes = figures.paths({"": bare}).axes[0]
+    labels = {line.get_label() for line in axes.lines}
+    assert not axes.patches
     assert {"demonstrations", "start", "goal"} <= labels and "learnt" not in labels
 
 

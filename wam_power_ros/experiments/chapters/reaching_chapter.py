@@ -15,6 +15,7 @@ from wam_power_ros.experiments.jobs import Results
 from wam_power_ros.experiments.studies.reaching import SYNTHETIC
 from wam_power_ros.experiments.studies.reaching_arm import EXECUTED, PRACTISED, TAUGHT
 from wam_power_ros.experiments.studies.reaching_runs import VARIANTS
+from wam_power_ros.regions import Region
 from wam_power_ros.reporting import study_figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 from wam_power_ros.tasks.reach import figures as reach_figures
@@ -57,7 +58,8 @@ class Runs:
         means, best, stuck, paths = joined
         first = parts[0]
         shown = [np.array(path) for path in first["demonstrations"]]
-        panel = reach_figures.Panel(shown, np.array(first["obstacle"]), first["radius"])
+        obstacle = Region("obstacle", tuple(first["obstacle"]), first["radius"])
+        panel = reach_figures.Panel(shown, obstacle)
         arrays = [np.array(path) for path in paths]
         return cls(np.array(means), best, stuck, arrays, first["start"], panel)
 

@@ -65,11 +65,6 @@ class Flip(Task):
     )
     published = Published("Eq. 5", equation_5, paper.RETURNS, paper.STIFFNESS)
 
-    def __init__(self, settings: FlipSettings, context: Mapping[str, Any]) -> None:
-        """Construct the task; no context is needed."""
-        self.settings = settings
-        self.settle_time = settings.settle_time
-
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
         return flip_parametrization(policy, self.settings.variant, self.settings.noise)

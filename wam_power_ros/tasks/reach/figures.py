@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from wam_power_ros.plotting import BLUE, INK, dress, shared_legend
+from wam_power_ros.regions import Region
 
 OBSTACLE, GOAL, LEARNT, ROLLOUT, EXECUTED = "#c8504f", "#2f855a", "#1d5c3a", "#8fc3a5", "#e3a72f"
 MARGIN = 0.03  # around the paths [m]
@@ -23,16 +24,14 @@ class Panel:
 
     Attributes:
         demonstrations: Demonstrated positions [m]. Shapes (T, 3).
-        obstacle: Centre of the sphere [m]. Shape (3,).
-        radius: Radius of the sphere [m].
+        obstacle: The obstacle, None for none.
         learnt: Path of the learnt policy [m], drawn bold. Shape (T, 3); None if there is none.
         rollouts: Further paths [m]. Shapes (T, 3); may be empty.
         executed: Path executed by the arm [m]. Shape (M, 3); None if there is none.
     """
 
     demonstrations: Sequence[np.ndarray]
-    obstacle: np.ndarray
-    radius: float
+    obstacle: Region | None
     learnt: np.ndarray | None = None
     rollouts: Sequence[np.ndarray] = ()
     executed: np.ndarray | None = None
@@ -63,9 +62,10 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
         raise ValueError("a figure of reaching must have at least one panel, got none")
     boxes = []  # lowest and highest drawn coordinates of each panel and view
     for panel in panels.values():
-        corners = panel.obstacle + panel.radius * np.array([[-1.0] * 3, [1.0] * 3])
         other = [path for path in (panel.learnt, panel.executed) if path is not None]
-        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other, corners])
+        if (sphere := panel.obstacle) is not None:
+            other.append(sphere.centre + sphere.radius * np.array([[-1.0] * 3, [1.0] * 3]))
+        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other])
         for view in _views(panel):
             seen = (drawn - panel.start) @ view.T
             boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))
@@ -106,8 +106,9 @@ def _draw(axes: Axes, panel: Panel, view: np.ndarray) -> None:
         axes.plot(*(view @ (np.atleast_2d(path) - panel.start).T), *style, **other)
 
     dress(axes)
-    centre = view @ (panel.obstacle - panel.start)
-    axes.add_patch(Circle(centre, panel.radius, color=OBSTACLE, alpha=0.28, lw=0, label="obstacle"))
+    if (sphere := panel.obstacle) is not None:
+        style = {"color": OBSTACLE, "alpha": 0.28, "lw": 0, "label": "obstacle"}
+        axes.add_patch(Circle(view @ (sphere.centre - panel.start), sphere.radius, **style))
     for path in panel.rollouts:
         plot(path, color=ROLLOUT, lw=0.6, alpha=0.8, label="rollouts while learning")
     for path in panel.demonstrations:

@@ -54,8 +54,7 @@ class Reach(Task):
 
     def __init__(self, settings: ReachSettings, context: Mapping[str, Any]) -> None:
         """Construct the task; `context` is the data of `context_of`."""
-        self.settings = settings
-        self.settle_time = settings.settle_time
+        super().__init__(settings, context)
         self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
         self.region = region_of("obstacle", context["obstacle"])
 
@@ -130,10 +129,7 @@ class Reach(Task):
         """Demonstrated and executed path around the obstacle; see `Task`."""
         from wam_power_ros.tasks.reach.figures import Panel, paths  # imports matplotlib: slow
 
-        centre, radius = self.demonstrated[0], 0.0
-        if self.region is not None:
-            centre, radius = np.array(self.region.centre), self.region.radius
-        panel = Panel([self.demonstrated], centre, radius, learnt=rollout.tool.position)
+        panel = Panel([self.demonstrated], self.region, learnt=rollout.tool.position)
         return paths({f"{rollout.tool.id}, executed": panel}), ""
 
     def _scenario(self, policy: Policy, start: np.ndarray) -> Scenario:

@@ -56,8 +56,8 @@ class Carry(Task):
     }
 
     def __init__(self, settings: CarrySettings, context: Mapping[str, Any]) -> None:
-        self.settings, self._goal = settings, np.array(context["goal"])
-        self.settle_time = settings.settle_time
+        super().__init__(settings, context)
+        self._goal = np.array(context["goal"])
 
     @classmethod
     def context_of(
