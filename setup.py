@@ -44,7 +44,6 @@ setup(
     maintainer_email="wam_power_ros@users.noreply.github.com",
     python_requires=">=3.10,<3.14",
     packages=find_packages(include=[NAME, f"{NAME}.*", "hardware_sim", "hardware_sim.*"]),
-    package_data={NAME: ["data/*.csv"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

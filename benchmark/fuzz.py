@@ -19,9 +19,9 @@ from std_msgs.msg import Float64MultiArray
 from benchmark.nodes import PERIOD_NS
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.ros import cdr, joint_messages
 from wam_power_ros.ros.stamps import time_message
 

@@ -38,7 +38,7 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.safety import REST_SPEED
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 
 PERIOD = PERIOD_NS * 1e-9
 STALE_PERIODS = 3  # [periods] of silence until the controller uses its model

@@ -22,7 +22,7 @@ from benchmark.hidden_arm import KNOWN, HiddenArm, draw
 from benchmark.moments import PERIOD, Loop
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.safety import REST_SPEED
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 
 TRAVEL_MAX = 0.05  # [m] largest travel of the tool after a fault
 HANDS_OFF_SPEED = 0.3  # [m/s] largest speed of an arm that leaves by itself until it is stopped

@@ -34,7 +34,7 @@ from benchmark.reactions import (
     all_arms,
     row,
 )
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.ros import interface, scheduling
 
 READY_TIMEOUT = 20.0  # [s] until an arm that is not its model holds at the start of its policy

@@ -7,7 +7,7 @@ from hardware_sim.wam import JOINTS
 from wam_power_ros.bags import reader
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
+from wam_power_ros.learning.parametrization import NoiseScales, parametrization_of
 from wam_power_ros.learning.power import Power
 from wam_power_ros.params.resources import share
 from wam_power_ros.tasks.reach.scenario import scenario_of
@@ -18,7 +18,7 @@ scenario = scenario_of(
     [from_joint_samples(arm, *reader.read_demonstration(bag, JOINTS)) for bag in bags]
 )
 noise = NoiseScales(stiffness=0.6, attractor=0.00625, rotation=0.1)
-parameters = Parametrization(scenario.policy, "full", noise)
+parameters = parametrization_of(scenario.policy, "full", noise)
 learner = Power(parameters.size, Power.Settings(sigma=3, decay=0.965), np.random.default_rng(1))
 
 

@@ -9,7 +9,7 @@ from wam_power_ros.bags import reader
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.cma_es import CmaEs
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
+from wam_power_ros.learning.parametrization import NoiseScales, parametrization_of
 from wam_power_ros.params.resources import share
 from wam_power_ros.tasks.flip.task import Flip
 
@@ -18,7 +18,7 @@ bag = min(share("bags").glob("demo_*"))
 demonstration = from_joint_samples(environment.arm, *reader.read_demonstration(bag, JOINTS))
 taught = Flip.policy_of([demonstration], "taught")
 noise = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
-parameters = Parametrization(taught, "diagonal", noise)
+parameters = parametrization_of(taught, "diagonal", noise)
 learner = CmaEs(parameters.size, CmaEs.Settings(population=5), np.random.default_rng(1))
 
 for number in range(15):

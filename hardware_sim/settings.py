@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Literal
 
 from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import JOINTS, N, check_range
 from wam_power_ros.control.arm import WAM_GUARDED_POINTS, GuardedPoint
+from wam_power_ros.regions import Region
 
 PITCH_RATE = 7.6  # [rad/s] of an expert: most reproductions turn by 90 degrees or more
 
@@ -53,7 +53,7 @@ class SceneSettings:
     Attributes:
         friction: Sliding friction between pan and body.
         body_offset_sd: Standard deviation of the body's initial position in the pan, per axis [m].
-        obstacle: Centre and radius of a sphere in the base frame [m]; four, radius 0 for none.
+        region: Guarded region of the controller, which a scene may show; None for none.
         body_mass: Mass of the body, relative to nominal.
         body_size: Radius of the body, relative to nominal.
         pitch_rate: Intended pitch rate of a demonstrated toss at the release [rad/s].
@@ -65,7 +65,7 @@ class SceneSettings:
 
     friction: float = 0.2
     body_offset_sd: float = 0.003
-    obstacle: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    region: Region | None = None
     body_mass: float = 1.0
     body_size: float = 1.0
     pitch_rate: float = PITCH_RATE
@@ -74,9 +74,6 @@ class SceneSettings:
     def __post_init__(self) -> None:
         check_range(self, 0.0, 10.0, "friction", "body_offset_sd")
         check_range(self, 0.1, 10.0, "body_mass", "body_size", "pitch_rate")
-        values = self.obstacle
-        if len(values) != 4 or not all(map(math.isfinite, values)) or values[3] < 0.0:
-            raise ValueError(f"obstacle {values} must be x, y, z and a radius of at least 0")
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from hardware_sim.wam import FOLDED, PERIOD, N
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm, GuardedPoint, guarded_points
 from wam_power_ros.params.node_params import Names, Params
+from wam_power_ros.regions import region_of
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
 
@@ -82,7 +83,7 @@ class WamSimParams(Params):
     unknown: Literal["", "session", "rollout"]
     friction: Spread
     body_offset_sd: Spread
-    obstacle: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]]
+    guarded_region: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]]
 
     def world(self, mocap: MocapSettings) -> WorldSettings:
         """Settings of the world; without guarded points, the speed of the tool is logged."""
@@ -92,7 +93,10 @@ class WamSimParams(Params):
         shared = WorldSettings.__dataclass_fields__.keys() & type(self).model_fields.keys()
         settings = {name: getattr(self, name) for name in shared} | {
             "scene": SceneSettings(
-                self.friction, self.body_offset_sd, self.obstacle, pitch_rate=self.pitch_rate
+                self.friction,
+                self.body_offset_sd,
+                region_of("region", self.guarded_region),
+                pitch_rate=self.pitch_rate,
             ),
             "mocap": mocap,
             "arm": ArmSettings(

@@ -14,7 +14,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from reproduction.jobs import Job, Results, Scale
-from wam_power_ros.reporting import figures, html_page
+from wam_power_ros import plotting
+from wam_power_ros.reporting import html_page
 from wam_power_ros.reporting.terminal import counted
 
 RUNS_MIN = 5  # for a verdict: with fewer runs, no rank-sum test reaches p < 0.01
@@ -108,7 +109,7 @@ class Chapter:
             return Markup(html_page.figure("", f"{caption} Not drawn on this machine: {drawn}."))
         if name in self.figures:
             raise ValueError(f"two figures with the same name: {name}")
-        self.figures[name] = png = figures.png(drawn)
+        self.figures[name] = png = plotting.png(drawn)
         photographs = any(axes.images for axes in drawn.axes)  # keep their colours in dark mode
         style = "" if photographs else "drawn"
         return Markup(html_page.figure(html_page.image(png, "image/png", caption, style), caption))

@@ -15,15 +15,16 @@ from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from wam_power_ros.reporting import figures
-from wam_power_ros.reporting.figures import CYCLE, INK, PAPER, STEEL, dress, legend, paper_table
+from wam_power_ros.plotting import CYCLE, GREY, INK, STEEL, dress, legend, side_by_side
 from wam_power_ros.reporting.terminal import counted
 
 COLORS = (*CYCLE, "#1f1b3d", "#a890a8", "#d878f0", "#45279c", "#780060")
 HALO = [patheffects.withStroke(linewidth=3, foreground="white")]
 
 
-def sessions_over_paper(sessions: Mapping[str, Sequence[Sequence[float | None]]]) -> Figure:
+def sessions_over_paper(
+    sessions: Mapping[str, Sequence[Sequence[float | None]]], paper: np.ndarray
+) -> Figure:
     """Fig. 5: mean return per rollout with standard deviations over the digitised curve.
 
     A second panel shows the gain: mean of the first and of the last five rollouts of each session.
@@ -31,6 +32,7 @@ def sessions_over_paper(sessions: Mapping[str, Sequence[Sequence[float | None]]]
     Args:
         sessions: Name -> returns of each session, None or NaN where a rollout was not usable;
             sessions of one name may differ in length.
+        paper: Rollout and mean return in the paper. Shape (n, 2).
 
     Raises:
         ValueError: A name has no session.
@@ -39,9 +41,8 @@ def sessions_over_paper(sessions: Mapping[str, Sequence[Sequence[float | None]]]
     axes, gain = figure.subplots(1, 2, width_ratios=(2.7, 1.0), sharey=True)
     dress(axes)
     dress(gain)
-    paper = paper_table("fig5")
-    axes.plot(*paper.T, "s-", ms=2.6, lw=1.1, color=PAPER, label="paper, Fig. 5, 6 sessions")
-    _gain_line(gain, 0, paper[:5, 1].mean(), paper[-5:, 1].mean(), PAPER)
+    axes.plot(*paper.T, "s-", ms=2.6, lw=1.1, color=GREY, label="paper, Fig. 5, 6 sessions")
+    _gain_line(gain, 0, paper[:5, 1].mean(), paper[-5:, 1].mean(), GREY)
     names = ["paper"]
     for place, (name, runs) in enumerate(sessions.items(), start=1):
         stacked = stack(runs)
@@ -101,7 +102,7 @@ def learner_curves(
         ylabel: Label of the values.
         marks: Text -> value of a horizontal line, such as "paper, full" -> 0.73.
     """
-    figure, (axes,) = figures.side_by_side(8.6, 4.4, 1.0)
+    figure, (axes,) = side_by_side(8.6, 4.4, 1.0)
     ends, longest = [], 0
     for place, (name, runs) in enumerate(curves.items()):
         stacked = stack(runs)
@@ -118,7 +119,7 @@ def learner_curves(
             axes.fill_between(x, low, high, color=color, alpha=alpha, lw=0)
         ends.append((float(middle[-1]), int(x[-1]), name, color, strong))
     for text, value in (marks or {}).items():
-        axes.axhline(value, color=PAPER, lw=1.0, ls=":")
+        axes.axhline(value, color=GREY, lw=1.0, ls=":")
         style = {"ha": "right", "fontsize": 8, "color": STEEL, "path_effects": HALO}
         above = {"xytext": (-3, 2), "textcoords": "offset points"}
         axes.annotate(text, (longest, value), **above, **style)

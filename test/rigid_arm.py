@@ -12,8 +12,8 @@ from wam_power_ros.control import replay_trajectory, safety
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.controller_settings import ControllerSettings
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Basis, Policy
-from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.params.resources import share
 
 URDF = share("urdf/wam7.urdf").read_text()

@@ -35,18 +35,29 @@ ALLOWED: dict[str, set[str]] = {
     "plain_yaml": {"durable_files"},  # another, for files that somebody may have been given
     "plain_json": {"durable_files"},  # another
     "entry": set(),  # imported first by every process
+    "faults": set(),
+    "regions": set(),
+    "plotting": set(),
     "rotations": set(),
     "arm_identity": {"plain_json"},
     "bags": {"durable_files", "plain_yaml", "plain_json", "arm_identity"},
-    "learning": {"plain_json", "rotations", "arm_identity"},
-    "control": {"rotations", "arm_identity", "learning"},
+    "learning": {"plain_json", "faults", "rotations", "arm_identity"},
+    "control": {"faults", "regions", "rotations", "arm_identity", "learning"},
     "tracking": {"rotations", "learning"},
-    "tasks": {"rotations", "learning"},
-    "practice": {"durable_files", "plain_yaml", "plain_json", "learning", "tasks"},
-    "params": {"durable_files", "rotations", "learning", "control", "tracking"},
+    "tasks": {"faults", "plotting", "regions", "rotations", "learning"},
+    "practice": {"durable_files", "plain_yaml", "plain_json", "faults", "learning", "tasks"},
+    "params": {
+        "durable_files",
+        "faults",
+        "regions",
+        "rotations",
+        "learning",
+        "control",
+        "tracking",
+    },
     "conformance": {"rotations", "learning", "control", "tracking"},
-    "ros": {"entry", "plain_json", "rotations", "learning", "params", "bags"},
-    "reporting": {"durable_files", "rotations", "learning", "tasks", "practice"},
+    "ros": {"entry", "plain_json", "faults", "rotations", "learning", "params", "bags"},
+    "reporting": {"durable_files", "plotting", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
 ALLOWED["view"] = {*BELOW, "console"} - {"conformance"}
@@ -58,7 +69,17 @@ ALLOWED["cli"] = {*BELOW, "nodes", "console", "view"}
 ALLOWED["robot"] = {"bags", "control", "learning", "params", "ros", "nodes", "cli"}
 ALLOWED["reproduction"] = ALLOWED["in_process"] | {"in_process"}
 ALLOWED["benchmark"] = {*ALLOWED}
-PURE = ("rotations", "arm_identity", "learning", "control", "tracking", "tasks", "conformance")
+PURE = (
+    "faults",
+    "regions",
+    "rotations",
+    "arm_identity",
+    "learning",
+    "control",
+    "tracking",
+    "tasks",
+    "conformance",
+)
 SPEAK_ROS = {"params", "ros", "nodes", "console", "view", "robot", "hardware_sim", "benchmark"}
 SIMULATE = {"hardware_sim", "in_process", "benchmark"}
 
@@ -184,6 +205,40 @@ def test_only_some_folders_speak_ros_and_only_some_simulate() -> None:
             assert not roots(imports(path)) & ROS, label(path)
         if folder(path) not in SIMULATE:
             assert not roots(imports(path)) & SIMULATOR, label(path)
+
+
+def test_no_module_outside_a_tasks_folder_knows_a_task() -> None:
+    folders = {path.name for path in (PACKAGE / "tasks").iterdir() if path.is_dir()}
+    tasks = folders - {"__pycache__"}
+    assert {"flip", "reach"} <= tasks
+    for path in MODULES:
+        if folder(path) in ("tasks", "reproduction", "hardware_sim"):
+            continue
+        named = {name.split(".")[2] for name in imports(path) if name.startswith(TASKS)} & tasks
+        assert not named, label(path)
+        for node in nodes(path):
+            assert not decides(node) & tasks, label(path)
+
+
+TASKS = "wam_power_ros.tasks."
+
+
+def decides(node: ast.AST) -> set[object]:
+    """Texts that a node compares with, or chooses by."""
+    parts: list[ast.expr | None] = []
+    if isinstance(node, ast.Compare):
+        for part in (node.left, *node.comparators):
+            parts += part.elts if isinstance(part, (ast.Tuple, ast.List, ast.Set)) else [part]
+    elif isinstance(node, ast.Dict):
+        parts += node.keys
+    elif isinstance(node, ast.Subscript):
+        parts.append(node.slice)
+    return {part.value for part in parts if isinstance(part, ast.Constant)}
+
+
+def test_a_decision_by_the_name_of_a_task_would_be_found() -> None:
+    for text in ("x == 'flip'", "x in ('flip', 'reach')", "{'flip': 1}", "x['flip']"):
+        assert "flip" in set().union(*map(decides, ast.walk(ast.parse(text)))), text
 
 
 def test_every_module_says_its_licence_in_one_line() -> None:

@@ -14,7 +14,7 @@ import yaml
 
 from wam_power_ros.cli import main
 from wam_power_ros.cli.main import NODES
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import interface

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.learner import generator_state
 from wam_power_ros.learning.policy import Basis, Policy, from_json
 from wam_power_ros.learning.power import Power
-from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Line, Record

@@ -30,17 +30,16 @@ class Reach:
     home_sd = 0.008
 
     def __init__(self, settings: SceneSettings) -> None:
-        *centre, self._radius = settings.obstacle
-        self._centre = np.array(centre)
+        self._region = settings.region
 
     def build(self, spec: mujoco.MjSpec) -> None:
         """Draw the obstacle."""
-        if self._radius > 0.0:
+        if (region := self._region) is not None:
             spec.worldbody.add_geom(
                 name="obstacle",
                 type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                size=[self._radius, 0.0, 0.0],
-                pos=self._centre.tolist(),
+                size=[region.radius, 0.0, 0.0],
+                pos=region.centre,
                 rgba=[0.8, 0.2, 0.15, 0.6],
                 contype=0,
                 conaffinity=0,
@@ -65,8 +64,9 @@ class Reach:
         """
         path = np.vstack([log.start.position, log.tool])
         clearance = None
-        if self._radius > 0.0:
-            clearance = float(np.linalg.norm(path - self._centre, axis=1).min() - self._radius)
+        if (region := self._region) is not None:
+            nearest = np.linalg.norm(path - region.centre, axis=1).min()
+            clearance = float(nearest - region.radius)
         return {
             "touched": clearance is not None and clearance < TOUCH_TOLERANCE,
             "clearance": clearance,

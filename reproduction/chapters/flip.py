@@ -17,9 +17,10 @@ from reproduction.jobs import Results
 from reproduction.studies import flip_sessions
 from reproduction.studies.flip_sessions import ABLATION, DEFAULT, LEARNT, LONG, PAPER
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.reporting import flip_figures
-from wam_power_ros.reporting.figures import paper_table, stiffness
+from wam_power_ros.reporting.figures import stiffness
 from wam_power_ros.reporting.terminal import counted
+from wam_power_ros.tasks.flip.figures import flights as draw_flights
+from wam_power_ros.tasks.flip.paper import FIG5, K33, STIFFNESS
 
 Row = Mapping[str, Any]  # a rollout in a result of the study
 RELIABLE = 0.9  # share of the re-tests of a final policy
@@ -175,10 +176,10 @@ def _paper(sessions: Sessions, long: Sessions) -> dict[str, Any]:
         rows.append([name, f"{len(some)}", *means, *outcome_cells(some.retests)[:3], apex])
     curves = {"first six": six.curves, "all": sessions.curves}
     return {
-        "fig5": paper_table("fig5")[:, 1],
+        "fig5": FIG5[:, 1],
         "fired": [run["fires"] for run in sessions.runs if run["fires"] is not None],
         "paper_rows": rows,
-        "learning_curve": figures.sessions_over_paper(curves),
+        "learning_curve": figures.sessions_over_paper(curves, FIG5),
     }
 
 
@@ -187,13 +188,13 @@ def _stiffness(default: Sessions, paper: Sessions) -> dict[str, Any]:
     profiles = {"default": default.stiffness("learnt"), PAPER_LABEL: paper.stiffness("learnt")}
     ours, paper_like = (_variation(rows) for rows in profiles.values())
     return {
-        "published": _variation(paper_table("k33")[:, 1]),
+        "published": _variation(K33[:, 1]),
         "variation": {
             "demonstrated": _variation(paper.stiffness("demonstrated")),
             "default": ours,
             "paper": paper_like,
         },
-        "profiles": stiffness(profiles, paper=True),
+        "profiles": stiffness(profiles, STIFFNESS),
     }
 
 
@@ -238,7 +239,7 @@ def _shown(sessions: Sessions) -> dict[str, Any] | None:
         flights[title] = (EndEffectorPath(key, **pan), BodyPath(key, **pancake), paths["t_f"])
     last = shown["answer"]["t_f"] or 1.0
     film = filmstrip.strip(shown["trace"], last + 0.25)
-    return {"flights": flip_figures.flights(flights), "film": film}
+    return {"flights": draw_flights(flights), "film": film}
 
 
 def _variation(profiles: np.ndarray) -> np.ndarray:

@@ -18,7 +18,8 @@ from reproduction.studies import reaching
 from reproduction.studies.reaching import SYNTHETIC
 from reproduction.studies.reaching_arm import EXECUTED, PRACTISED, TAUGHT
 from reproduction.studies.reaching_runs import VARIANTS
-from wam_power_ros.reporting import reach_figures
+from wam_power_ros.regions import Region
+from wam_power_ros.tasks.reach import figures as reach_figures
 
 PAPER_RETURNS = {"full": 0.73, "diagonal": 0.61}  # after 100 rollouts, mean of 10 experiments
 PAPER_RUNS = 10
@@ -54,7 +55,8 @@ class Runs:
         means, best, stuck, paths = joined
         first = parts[0]
         shown = [np.array(path) for path in first["demonstrations"]]
-        panel = reach_figures.Panel(shown, np.array(first["obstacle"]), first["radius"])
+        obstacle = Region("obstacle", tuple(first["obstacle"]), first["radius"])
+        panel = reach_figures.Panel(shown, obstacle)
         arrays = [np.array(path) for path in paths]
         return cls(np.array(means), best, stuck, arrays, first["start"], panel)
 

@@ -16,7 +16,7 @@ from reproduction.studies.flip_sessions import NOVICE, teach
 from reproduction.studies.reaching_runs import generator, learn_many, scales, synthetic
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.learner import Learner, Model
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.practice import plugins
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess
@@ -38,7 +38,7 @@ def reaching_runs(
         after each rollout.
     """
     scenario = synthetic()
-    parameters = Parametrization(scenario.policy, VARIANT, scales(stiffness, attractor))
+    parameters = parametrization_of(scenario.policy, VARIANT, scales(stiffness, attractor))
     size, model = parameters.size, lambda: ReachModel(parameters, scenario)
     learners = [learner_of(settings, size, seed, model()) for seed in seeds]
     runs = learn_many(learners, parameters, scenario, rollouts)

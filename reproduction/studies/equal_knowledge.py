@@ -30,7 +30,7 @@ from reproduction.studies.reaching_runs import (
     synthetic,
 )
 from wam_power_ros.learning.learner import Learner, Model
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.random_search import RandomSearch
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
@@ -137,7 +137,7 @@ def runs(row: str, noise: float, seeds: list[int], rollouts: int) -> dict[str, A
     name, _, model = row.partition("+")
     choice = TUNED["reaching"]["screened" if name in ("planner", "nothing") else name]
     noises = scales(choice.stiffness, choice.attractor)
-    parameters = Parametrization(scenario.policy, VARIANT, noises)
+    parameters = parametrization_of(scenario.policy, VARIANT, noises)
     if name == "nothing":
         returns = [demonstrated_return(scenario)] * len(seeds)
         return {"early": returns, "final": returns}

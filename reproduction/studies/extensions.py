@@ -16,7 +16,7 @@ from hardware_sim.settings import PITCH_RATE
 from reproduction.jobs import Job, Scale
 from reproduction.studies.flip_sessions import NOVICE, stand_in, teach
 from reproduction.studies.reaching_runs import NOISE, POWER, evaluate, generator, synthetic
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import with_id
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
@@ -46,7 +46,7 @@ def search(sigma: int | str, seeds: list[int], noise: float, rollouts: int) -> d
         Of each run, the noise-free return of the "final" mean and the median elite size "sigma".
     """
     scenario = synthetic()
-    parameters = Parametrization(scenario.policy, "full", NOISE["full"])
+    parameters = parametrization_of(scenario.policy, "full", NOISE["full"])
     settings = Power.Settings(sigma=sigma, decay=POWER.decay)
     learners = [Power(parameters.size, settings, generator(seed)) for seed in seeds]
     noise_rngs = [np.random.default_rng([seed, 1]) for seed in seeds]

@@ -22,7 +22,7 @@ from reproduction.studies.reaching_runs import NOISE, POWER, VARIANTS, as_data, 
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.params.resources import share
@@ -59,7 +59,7 @@ def executed_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
     """Execute the final policy of PoWER on the arm; compare its path with the plan of Eq. 1."""
     scenario = taught_scenario()
     (run,) = study(variant, [seed], rollouts, scenario)
-    parameters = Parametrization(scenario.policy, variant, NOISE[variant])
+    parameters = parametrization_of(scenario.policy, variant, NOISE[variant])
     policy, _ = parameters.policy(run.mean, "reach-0001")
     executed, fault = _executed(Environment(World(seed=NOISE_SEED)), policy, scenario)
     planned = scenario.free_paths(policy.stiffness[np.newaxis], policy.attractors[np.newaxis])[0]
@@ -90,7 +90,7 @@ def practised_run(variant: str, seed: int, rollouts: int) -> dict[str, Any]:
         "return", "clearance" from the sphere [m] and "fault" of the executed final mean.
     """
     scenario = taught_scenario()
-    parameters = Parametrization(scenario.policy, variant, NOISE[variant])
+    parameters = parametrization_of(scenario.policy, variant, NOISE[variant])
     learner = Power(parameters.size, POWER, reaching_runs.generator(seed))
     environment = Environment(World(seed=seed))
 

@@ -13,7 +13,7 @@ from joblib import Parallel, delayed
 from wam_power_ros.learning.demonstration import from_positions
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Learner
-from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
+from wam_power_ros.learning.parametrization import NoiseScales, Parametrization, parametrization_of
 from wam_power_ros.learning.power import Power
 from wam_power_ros.tasks.reach.scenario import RADIUS, STEPS, Scenario, midpoint
 from wam_power_ros.tasks.reach.settings import REACH_FIT
@@ -119,7 +119,7 @@ def study(
     workers: int = 1,
 ) -> list[Run]:
     """Run PoWER on one variant for every seed; the number of workers does not change results."""
-    parameters = Parametrization(scenario.policy, variant, noise or NOISE[variant])
+    parameters = parametrization_of(scenario.policy, variant, noise or NOISE[variant])
 
     def runs(chunk: Sequence[int]) -> list[Run]:
         learners = [Power(parameters.size, POWER, generator(seed)) for seed in chunk]
@@ -139,7 +139,7 @@ def as_data(
     runs: Sequence[Run], seeds: Sequence[int], variant: str, scenario: Scenario
 ) -> dict[str, Any]:
     """Runs of one variant as JSON data, with the paths of their last means."""
-    parameters = Parametrization(scenario.policy, variant, NOISE[variant])
+    parameters = parametrization_of(scenario.policy, variant, NOISE[variant])
     stiffness, attractors, _ = parameters.arrays(np.stack([run.mean for run in runs]))
     path, _ = scenario.stopped_paths(scenario.free_paths(stiffness, attractors))
     shown = np.linspace(0, scenario.steps - 1, PATH_SAMPLES).round().astype(int)

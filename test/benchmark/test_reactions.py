@@ -10,7 +10,7 @@ from benchmark import reactions
 from benchmark.hidden_arm import KNOWN, draw
 from benchmark.moments import Loop
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 
 
 @pytest.mark.requirement("S-121")

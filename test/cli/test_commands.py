@@ -161,10 +161,10 @@ def test_the_obstacle_of_reaching_is_half_way_along_the_nominal_demonstration() 
     script = reach(np.random.default_rng(0), spread=0.0)
     half_way = script.end - 0.5 * script.duration
     target = script.target(half_way, *arm.tool_pose(HOME))
-    *centre, radius = setup["torque_controller"]["obstacle"]
+    *centre, radius = setup["torque_controller"]["guarded_region"]
     np.testing.assert_allclose(centre, target.position, atol=1e-3)
     assert radius == 0.09
-    assert setup["wam_sim"]["obstacle"] == setup["torque_controller"]["obstacle"]
+    assert setup["wam_sim"]["guarded_region"] == setup["torque_controller"]["guarded_region"]
 
 
 @pytest.mark.parametrize(

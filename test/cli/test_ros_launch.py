@@ -103,7 +103,7 @@ def test_a_task_without_a_body_has_no_tracker(tmp_path: Path) -> None:
     ):
         assert "pancake_tracker" not in plan.executables
         assert plan.setup["learner"]["task"] == "reach"
-        assert plan.setup["torque_controller"]["obstacle"][3] > 0.0
+        assert plan.setup["torque_controller"]["guarded_region"][3] > 0.0
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,9 @@ from toss_task import ANY_ARM, demonstrated_policy
 
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros.pose_messages import Finished, finished_message, path_message

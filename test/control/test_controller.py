@@ -294,9 +294,6 @@ def test_invalid_settings_are_refused_by_name() -> None:
         {"move_speed": math.nan},
         {"stiffness_max": -1.0},
         {"settle_time": math.inf},
-        {"obstacle": (0.0, 0.0, 0.0, -0.1)},
-        {"obstacle": (0.0, 0.0, 0.1)},
-        {"obstacle": (math.nan, 0.0, 0.0, 0.1)},
         {"limits": safety.limits_of(Arm(URDF, NAMES[:4]))},
     ):
         with pytest.raises(ValueError, match=next(iter(wrong))):

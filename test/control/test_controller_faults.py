@@ -26,8 +26,8 @@ from rigid_arm import (
 from wam_power_ros.control import safety, torque_law
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode, Refusal
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import with_id
-from wam_power_ros.learning.rollout import FaultKind
 
 
 @pytest.mark.requirement("S-13")

@@ -27,6 +27,7 @@ from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.learning import dmp
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.regions import Region
 
 
 def rollout(controller: Controller, plant: Plant) -> SimpleNamespace:
@@ -214,17 +215,17 @@ def test_the_torque_comes_to_a_fixed_point_while_a_state_repeats() -> None:
         assert all(np.array_equal(answers[-1], tau) for tau in answers[25:])
 
 
-def test_a_rollout_ends_without_a_fault_where_the_tool_enters_the_obstacle() -> None:
+def test_a_rollout_ends_without_a_fault_where_the_tool_enters_the_guarded_region() -> None:
     free_controller, free_plant = begin()
     free = rollout(free_controller, free_plant).path
     lowest = int(np.argmin(free.position[:, 2]))
     centre = free.position[lowest]
-    controller, plant = begin(controller=make(obstacle=(*centre, 0.02)))
+    controller, plant = begin(controller=make(region=Region("box", tuple(centre), 0.02)))
     controller.execute()
     torques = run(controller, plant, 3.0, until=lambda: controller.mode is not Mode.ROLLOUT)
     path = controller.take_finished()
     assert (controller.mode, controller.latched) == (Mode.HOLD, None)
-    assert controller.counters["faults"] == 0
+    assert controller.counters["faults"] == 0 and controller.stopped_in == "box"
     distance = np.linalg.norm(path.position - centre, axis=1)
     assert distance[-1] < 0.02 and np.all(distance[:-1] >= 0.02)
     assert path.t[-1] == pytest.approx(0.002 * (len(torques) - 1), abs=1e-9)  # the same state
@@ -246,9 +247,9 @@ def rollout_to_end(controller: Controller, plant: Plant) -> EndEffectorPath:
     return controller.take_finished()
 
 
-def test_a_rollout_that_begins_in_the_obstacle_ends_with_its_first_state() -> None:
+def test_a_rollout_that_begins_in_the_guarded_region_ends_with_its_first_state() -> None:
     centre = MODEL.tool_pose(HOME)[0]
-    controller, plant = begin(controller=make(obstacle=(*centre, 0.1)))
+    controller, plant = begin(controller=make(region=Region("box", tuple(centre), 0.1)))
     controller.execute()
     run(controller, plant, 0.01)
     assert controller.mode is Mode.HOLD
@@ -257,13 +258,13 @@ def test_a_rollout_that_begins_in_the_obstacle_ends_with_its_first_state() -> No
     np.testing.assert_allclose(path.position[0], centre, atol=1e-3)
 
 
-def test_outside_rollouts_an_obstacle_has_no_effect() -> None:
+def test_outside_rollouts_a_guarded_region_has_no_effect() -> None:
     centre = MODEL.tool_pose(HOME)[0]
     t = np.linspace(0.0, 0.5, 51)
     still = SimpleNamespace(t=t, q=np.tile(HOME, (51, 1)))
     torques = []
-    for obstacle in ((0.0, 0.0, 0.0, 0.0), (*centre, 0.5)):
-        controller, plant = begin(HOME + 0.1, controller=make(obstacle=obstacle))
+    for region in (None, Region("box", tuple(centre), 0.5)):
+        controller, plant = begin(HOME + 0.1, controller=make(region=region))
         controller.move_to_start()
         sent = run(controller, plant, 4.0)
         controller.set_gravity_compensation(True)
@@ -275,18 +276,11 @@ def test_outside_rollouts_an_obstacle_has_no_effect() -> None:
     assert np.array_equal(*torques)
 
 
-def test_an_obstacle_of_radius_zero_never_ends_a_rollout() -> None:
-    centre = MODEL.tool_pose(HOME)[0]
-    paths = []
-    for obstacle in ((0.0, 0.0, 0.0, 0.0), (*centre, 0.0)):
-        controller, plant = begin(controller=make(obstacle=obstacle))
-        paths.append(rollout(controller, plant).path.position)
-    assert np.array_equal(*paths)
-
-
-def test_a_policy_that_met_the_obstacle_does_not_count_as_completed() -> None:
+def test_a_policy_that_was_stopped_in_a_region_does_not_count_as_completed() -> None:
     centre = MODEL.tool_pose(HOME)[0] + np.array([0.0, 0.0, -0.06])
-    controller, plant = begin(controller=make(obstacle=(*centre, 0.03), hold_to_run=True))
+    controller, plant = begin(
+        controller=make(region=Region("box", tuple(centre), 0.03), hold_to_run=True)
+    )
     controller.enabled = True
     controller.execute()
     assert rollout_to_end(controller, plant).t[-1] < 1.0

@@ -12,9 +12,10 @@ from wam_power_ros.control.arm import WAM_GUARDED_POINTS, Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.feasibility import Feasibility, simulate_policy, speed_margin
 from wam_power_ros.control.safety import limits_of
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import Basis, Policy
-from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.params.resources import share
+from wam_power_ros.regions import Region
 from wam_power_ros.rotations import quat_xyzw
 
 JOINTS = [f"wam_j{i}" for i in range(1, 8)]
@@ -64,9 +65,9 @@ def test_a_movement_that_is_too_fast_ends_in_the_fault_it_would_cause(arm: Arm) 
     assert simulated.fault.kind is FaultKind.GUARDED_SPEED and "limit" in simulated.fault.text
 
 
-def test_the_whole_movement_is_simulated_whether_or_not_an_obstacle_would_end_it(arm: Arm) -> None:
-    obstacle = ControllerSettings(obstacle=(*arm.tool_pose(START)[0], 0.05))
-    ended, whole = (simulate_policy(arm, s, lift(arm, 0.1)) for s in (obstacle, SETTINGS))
+def test_the_whole_movement_is_simulated_whether_or_not_a_region_would_end_it(arm: Arm) -> None:
+    guarded = ControllerSettings(region=Region("box", tuple(arm.tool_pose(START)[0]), 0.05))
+    ended, whole = (simulate_policy(arm, s, lift(arm, 0.1)) for s in (guarded, SETTINGS))
     assert ended.fault is None and ended.tool_peak == whole.tool_peak > 0.1
 
 

@@ -15,7 +15,7 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.guarded_controller import BrakeWithoutModel, GuardedController
 from wam_power_ros.control.modes import ControllerError, Mode, Refusal
 from wam_power_ros.control.state_checks import JointState
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 
 DYNAMICS = ("gravity", "mass_matrix", "bias", "dynamics", "inverse_dynamics")
 ALL = (*DYNAMICS, "motion", "speeds", "tool_pose", "jacobian")

@@ -15,7 +15,7 @@ from wam_power_ros.control.modes import (
     Refusal,
     check_transition,
 )
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.ros.answers import Code
 
 FAULT = Fault(FaultKind.PLANE, "wrist is 0.012 m behind the plane")

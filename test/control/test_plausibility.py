@@ -23,7 +23,7 @@ from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.plausibility import Bound, Interval, TorqueCheck, VelocityCheck
 from wam_power_ros.control.state_checks import JointState
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 
 State = tuple[int, np.ndarray, np.ndarray]
 Falsification = Callable[[State], State]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One rollout: its end, its path, the obstacle."""
+"""One rollout: its end, its path, the guarded region."""
 
 from dataclasses import replace
 
@@ -15,6 +15,7 @@ from wam_power_ros.control.prepared_policy import prepare
 from wam_power_ros.control.tracking_error import TrackingLost
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.params.resources import share
+from wam_power_ros.regions import Region
 
 ARM = Arm(share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)])
 LIMITS = safety.limits_of(ARM)
@@ -22,6 +23,7 @@ SETTINGS = ControllerSettings(settle_time=0.1)
 HOME = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 STILL = np.zeros(7)
 POSITION, ROTATION = ARM.tool_pose(HOME)
+REGION = Region("box", tuple(POSITION), 0.05)
 POLICY = Policy(
     id="trial-0001",
     basis=Basis(4, 0.4, 0.0025),
@@ -77,25 +79,25 @@ def test_stamps_with_jitter_count_as_the_nearest_tick_and_no_sample_comes_twice(
     np.testing.assert_allclose(rollout.path(HOME, STILL).t, [0.0, 0.01, 0.02])
 
 
-def test_the_tool_in_the_obstacle_ends_the_rollout_with_a_sample_of_that_state() -> None:
+def test_the_tool_in_the_region_ends_the_rollout_with_a_sample_of_that_state() -> None:
     outside = HOME + np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    rollout = execution(settings=replace(SETTINGS, obstacle=(*POSITION, 0.05)))
+    rollout = execution(settings=replace(SETTINGS, region=REGION))
     for tick in range(7):
         assert answer(rollout, tick, outside) is not None
     assert answer(rollout, 7) is None
-    assert not rollout.complete
+    assert not rollout.complete and rollout.stopped_in == REGION.name
     path = rollout.path(HOME, STILL)
     np.testing.assert_allclose(path.t, [0.0, 0.01, 0.014])
     np.testing.assert_allclose(path.position[-1], POSITION)
 
 
-def test_an_obstacle_met_in_a_sampled_tick_leaves_a_valid_path() -> None:
+def test_a_region_entered_in_a_sampled_tick_leaves_a_valid_path() -> None:
     outside = HOME + np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    rollout = execution(settings=replace(SETTINGS, obstacle=(*POSITION, 0.05)))
+    rollout = execution(settings=replace(SETTINGS, region=REGION))
     answer(rollout, 0, outside)
     assert answer(rollout, 0.4) is None  # still tick 0
     assert rollout.path(HOME, STILL).t.tolist() == [0.0]
-    later = execution(settings=replace(SETTINGS, obstacle=(*POSITION, 0.05)))
+    later = execution(settings=replace(SETTINGS, region=REGION))
     for tick in (0, 5, 10):
         answer(later, tick, outside)
     assert answer(later, 10.4) is None

@@ -13,6 +13,7 @@ from wam_power_ros.control.prepared_policy import prepare
 from wam_power_ros.control.rollouts import Rollouts
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.learning.policy import with_id
+from wam_power_ros.regions import Region
 
 SETTINGS = ControllerSettings(hold_to_run=True, settle_time=0.1)
 STILL = np.zeros(7)
@@ -75,11 +76,15 @@ def test_a_policy_counts_as_completed_only_after_a_whole_rollout_whatever_its_id
     assert not them.completed_before
 
 
-def test_a_rollout_that_ends_in_the_obstacle_does_not_count_as_completed() -> None:
-    them = rollouts(dataclasses.replace(SETTINGS, obstacle=(*MOTION.position.tolist(), 0.01)))
-    assert run(them, 1000) == 0
+def test_a_rollout_that_ends_in_a_region_does_not_count_as_completed() -> None:
+    region = Region("box", tuple(MOTION.position), 0.01)
+    them = rollouts(dataclasses.replace(SETTINGS, region=region))
+    assert run(them, 1000) == 0 and them.stopped_in == ""
     them.end(state(0))
-    assert not them.completed_before
+    assert not them.completed_before and them.stopped_in == "box"
+    them.begin()
+    them.end(state(0))
+    assert them.stopped_in == ""  # of the last one
 
 
 def test_a_path_is_returned_once_and_dropped_when_the_next_rollout_begins() -> None:

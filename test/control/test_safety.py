@@ -13,7 +13,7 @@ from wam_power_ros.control import safety
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.safety import Limits
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.params.resources import share
 
 NAMES = [f"wam_j{i}" for i in range(1, 8)]

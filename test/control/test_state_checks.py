@@ -15,7 +15,7 @@ from wam_power_ros.control.state_checks import (
     StateChecks,
     plausible,
 )
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 
 MS = 1_000_000
 Q = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])

@@ -11,7 +11,7 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.state_checks import JointState
 from wam_power_ros.control.supervision import AGREEMENT, REST_NS, TRUST_STATES, Supervision
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 
 STILL = np.zeros(7)
 GRAVITY = MODEL.gravity(HOME)

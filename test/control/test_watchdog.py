@@ -4,7 +4,7 @@
 import pytest
 
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 
 MS = 1_000_000
 

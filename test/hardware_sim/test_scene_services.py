@@ -78,9 +78,9 @@ def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
     probe: Probe, processes: Processes
 ) -> None:
     arm, policy = arm_model(), lift("reach-0001")
-    start = arm.tool_pose(policy.q_start)[0].tolist()  # obstacle at the start of rollouts
+    start = arm.tool_pose(policy.q_start)[0].tolist()  # region at the start of rollouts
     hardware = Hardware(
-        probe, processes, "lockstep", body="", scene="reach", obstacle=[*start, 0.02]
+        probe, processes, "lockstep", body="", scene="reach", guarded_region=[*start, 0.02]
     )
     assert hardware.reset_service == "scene/reset"
     topics = {name for name, _ in probe.node.get_topic_names_and_types()}

@@ -28,8 +28,6 @@ from hardware_sim.settings import (
         (SceneSettings, {"body_mass": 0.0}),
         (SceneSettings, {"body_size": math.nan}),
         (SceneSettings, {"body_offset_sd": math.nan}),
-        (SceneSettings, {"obstacle": (0.5, 0.0, 0.5, -0.1)}),
-        (SceneSettings, {"obstacle": (0.5, math.inf, 0.5, 0.1)}),
         (ArmSettings, {"joints": ("a", "b")}),
         (ArmSettings, {"home": (0.0,) * 6}),
         (ArmSettings, {"guarded": ()}),

@@ -19,6 +19,7 @@ from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.params.resources import share
+from wam_power_ros.regions import Region
 
 
 @pytest.fixture(scope="module")
@@ -47,15 +48,15 @@ def test_a_policy_that_is_too_fast_is_infeasible_and_ends_in_that_fault(toss: Po
     assert foreseen.kind.of_policy and rollout.fault.kind.of_policy
 
 
-def test_a_scene_without_a_body_gives_no_path_of_one_and_its_obstacle_ends_a_rollout() -> None:
+def test_a_scene_without_a_body_gives_no_path_of_one_and_its_region_ends_a_rollout() -> None:
     policy = taught_scenario().policy
     free = Environment(World(WorldSettings(), 21, scene_type("reach")))
     whole, _ = free.run(policy)
     assert whole.body is None
     x, y, z = whole.tool.position[len(whole.tool.t) // 3].tolist()
-    settings = WorldSettings(scene=SceneSettings(obstacle=(x, y, z, 0.05)))
+    settings = WorldSettings(scene=SceneSettings(region=Region("box", (x, y, z), 0.05)))
     stopped, truth = Environment(World(settings, 21, scene_type("reach"))).run(policy)
-    assert stopped.fault is None
+    assert (stopped.fault, stopped.stopped_in, whole.stopped_in) == (None, "box", "")
     assert abs(truth["clearance"]) < 0.002  # stopped where the encoders see the tool enter it
     assert stopped.tool.t[-1] < whole.tool.t[-1]
 

@@ -10,7 +10,9 @@ from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning import demonstration
 from wam_power_ros.learning.demonstration import (
+    MOVEMENT,
     Demonstration,
+    Movement,
     from_joint_samples,
     from_positions,
     rotation_from,
@@ -20,6 +22,7 @@ from wam_power_ros.params.resources import share
 
 HOME = np.radians([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])
 PERIOD_NS = 2_000_000
+WHOLE = Movement(start=0.0, end=0.0)
 LENGTH = 0.9  # duration of the movement [s]
 COUNT = 2.0 * math.pi / 4096 / 20  # resolution of an encoder at the joint [rad]
 
@@ -58,7 +61,7 @@ def same(a: Demonstration, b: Demonstration) -> bool:
 
 
 def test_position_velocity_and_acceleration_are_those_of_the_arm(arm: Arm) -> None:
-    demonstration = from_joint_samples(arm, *recording(seed=1), trim=False)
+    demonstration = from_joint_samples(arm, *recording(seed=1), WHOLE)
     t = np.arange(-0.5, LENGTH + 0.5 + 1e-9, 0.002)
     fine = 1e-4
     now, later, earlier = (
@@ -87,8 +90,8 @@ def test_orientation_is_that_of_the_arm_and_its_vector_starts_at_zero(arm: Arm) 
 
 def test_smoothing_does_not_delay(arm: Arm) -> None:
     stamps, q = recording()
-    forward = from_joint_samples(arm, stamps, q, trim=False)
-    backward = from_joint_samples(arm, stamps, q[::-1], trim=False)
+    forward = from_joint_samples(arm, stamps, q, WHOLE)
+    backward = from_joint_samples(arm, stamps, q[::-1], WHOLE)
     assert backward.position[::-1] == pytest.approx(forward.position, abs=1e-12)
     assert backward.velocity[::-1] == pytest.approx(-forward.velocity, abs=1e-9)
 
@@ -101,7 +104,7 @@ def test_trimming_forgets_how_long_the_arm_rested(arm: Arm, before: float, after
 
 
 def test_the_trimmed_movement_is_a_stretch_of_the_whole(arm: Arm) -> None:
-    whole = from_joint_samples(arm, *recording(seed=3), trim=False)
+    whole = from_joint_samples(arm, *recording(seed=3), WHOLE)
     part = from_joint_samples(arm, *recording(seed=3))
     first = int(np.argmin(np.linalg.norm(whole.q - part.q[0], axis=1)))
     stretch = slice(first, first + len(part.t))
@@ -119,7 +122,7 @@ def test_an_earlier_smaller_movement_is_left_out(arm: Arm) -> None:
 def test_late_and_lost_samples_change_little(arm: Arm) -> None:
     rng = np.random.default_rng(0)
     stamps, q = recording()
-    base = from_joint_samples(arm, stamps, q, trim=False)
+    base = from_joint_samples(arm, stamps, q, WHOLE)
     # Sampled at their stamps, but off the grid; a tenth of the samples is lost.
     jitter = rng.integers(-400_000, 400_000, len(stamps))
     late = stamps + jitter
@@ -127,7 +130,7 @@ def test_late_and_lost_samples_change_little(arm: Arm) -> None:
     kept = rng.uniform(size=len(stamps)) > 0.1
     kept[[0, -1]] = True
     late[[0, -1]] = stamps[[0, -1]]
-    other = from_joint_samples(arm, late[kept], q_late[kept], trim=False)
+    other = from_joint_samples(arm, late[kept], q_late[kept], WHOLE)
     assert len(other.t) == len(base.t)
     assert np.abs(other.position - base.position).max() < 0.0005
     assert np.abs(other.velocity - base.velocity).max() < 0.03
@@ -238,7 +241,7 @@ def test_a_movement_begins_at_15_percent_of_the_peak_speed_and_ends_at_5() -> No
     rising, falling = np.arange(42) / 42.0, 1.0 - np.arange(203) / 202.0
     slow = np.full(100, 0.04)  # at a peak of 1 [m/s]
     speed = np.concatenate([slow, rising, falling, slow])
-    assert demonstration._movement(speed) == (100 + 7, 142 + 191)
+    assert demonstration._extent(speed, MOVEMENT) == (100 + 7, 142 + 191)
     with pytest.raises(ValueError, match=r"at least 0\.05 m/s"):
         demonstration._movement(0.0499 * speed)
     assert demonstration._movement(0.05 * speed) == (107, 333)
@@ -247,9 +250,18 @@ def test_a_movement_begins_at_15_percent_of_the_peak_speed_and_ends_at_5() -> No
 def test_a_turning_point_belongs_to_a_movement_and_a_longer_pause_ends_it() -> None:
     for pause, extent in ((124, (0, 223)), (125, (0, 49))):  # samples of 2 ms
         speed = np.concatenate([np.ones(50), np.zeros(pause), np.full(50, 0.5)])
-        assert demonstration._movement(speed) == extent
-        backwards = demonstration._movement(speed[::-1])
+        assert demonstration._extent(speed, MOVEMENT) == extent
+        backwards = demonstration._extent(speed[::-1], MOVEMENT)
         assert backwards == (len(speed) - 1 - extent[1], len(speed) - 1)
+
+
+def test_a_movement_is_cut_and_smoothed_as_its_task_says(arm: Arm) -> None:
+    base = from_joint_samples(arm, *recording(seed=3))
+    later = from_joint_samples(arm, *recording(seed=3), Movement(start=0.5))
+    assert later.duration < base.duration
+    np.testing.assert_array_equal(later.q, base.q[-len(later.q) :])
+    rougher = from_joint_samples(arm, *recording(seed=3), Movement(cutoff=40.0))
+    assert np.abs(rougher.acceleration).max() > 1.5 * np.abs(base.acceleration).max()
 
 
 def test_the_shortest_recording_is_as_long_as_the_smoothing_reaches() -> None:
@@ -262,7 +274,7 @@ def test_the_shortest_recording_is_as_long_as_the_smoothing_reaches() -> None:
 
 def test_a_whole_recording_is_smoothed_without_trimming(arm: Arm) -> None:
     t, q = smooth_joints(*recording(seed=1))
-    whole = from_joint_samples(arm, *recording(seed=1), trim=False)
+    whole = from_joint_samples(arm, *recording(seed=1), WHOLE)
     np.testing.assert_array_equal(t, whole.t)
     np.testing.assert_array_equal(q, whole.q)
     still = np.tile(HOME, (100, 1))  # the arm need not move

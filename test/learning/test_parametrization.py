@@ -11,22 +11,41 @@ from toss_task import demonstrated_policy
 
 from wam_power_ros.learning.parametrization import (
     EIGENVALUE_FLOOR,
-    VARIANTS,
+    Arrays,
+    Attractors,
     Direction,
+    Group,
     NoiseScales,
     Parametrization,
+    Rotation,
+    Stiffness,
+    parametrization_of,
 )
-from wam_power_ros.learning.policy import symmetric_part, to_json
+from wam_power_ros.learning.policy import Policy, symmetric_part, to_json
 
 NOISE = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
 PATTERN = 0.05 * np.arange(24.0).reshape(8, 3) * [1.0, 0.0, 1.0]
-LIFT = Direction("lift", 0.03, attractors=PATTERN, rotation=np.zeros((8, 3)))
-TWIST = Direction("twist", 0.02, attractors=np.zeros((8, 3)), rotation=PATTERN[::-1])
-variants = pytest.mark.parametrize("variant", VARIANTS)
+LIFT = Direction(0.03, "lift", attractors=PATTERN, rotation=np.zeros((8, 3)))
+TWIST = Direction(0.02, "twist", attractors=np.zeros((8, 3)), rotation=PATTERN[::-1])
+GROUPS = {
+    "full": (Stiffness(0.1), Attractors(0.01)),
+    "diagonal": (Stiffness(0.1, "diagonal"), Attractors(0.01)),
+    "symmetric": (Stiffness(0.1, "symmetric"), Attractors(0.01)),
+    "attractors": (Attractors(0.01),),
+    "planar": (Stiffness(0.1, "symmetric", (0, 2)), Attractors(0.01, (0, 2)), Rotation(0.05, (1,))),
+}
+variants = pytest.mark.parametrize("variant", GROUPS)
+
+
+def of(variant: str, *others: Group, seed: int = 0) -> Parametrization:
+    policy = demonstrated_policy(seed=seed)
+    if variant == "diagonal":
+        policy = replace(policy, stiffness=policy.stiffness * np.eye(3))
+    return Parametrization(policy, (*GROUPS[variant], *others))
 
 
 def parametrization(variant: str, seed: int = 0) -> Parametrization:
-    return Parametrization(demonstrated_policy(seed=seed), variant, NOISE, (LIFT, TWIST))
+    return of(variant, LIFT, TWIST, seed=seed)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +160,7 @@ ENTRIES = {  # learnt entries of K_i, mu_i and r_i, in the order of the paramete
 
 @variants
 def test_each_parameter_moves_its_own_entry_to_its_value_and_no_other(variant: str) -> None:
-    p = Parametrization(demonstrated_policy(), variant, NOISE)
+    p = of(variant)
     matrices, axes, turned = ENTRIES[variant]
     places = [("stiffness", (i, *entry)) for i in range(8) for entry in matrices]
     places += [("attractors", (i, axis)) for i in range(8) for axis in axes]
@@ -187,20 +206,22 @@ def test_noise_is_a_share_up_to_one(name: str) -> None:
 
 def test_what_cannot_be_is_refused_with_its_reason() -> None:
     p = parametrization("full")
-    with pytest.raises(ValueError, match="'cubic' is not one of full, diagonal"):
-        Parametrization(demonstrated_policy(), "cubic", NOISE)
-    with pytest.raises(ValueError, match=r"shape \(3,\), variant 'full' has \(98,\)"):
+    with pytest.raises(ValueError, match="'cubic' is not one of full, symmetric, diagonal"):
+        parametrization_of(demonstrated_policy(), "cubic", NOISE)
+    with pytest.raises(ValueError, match="must be two or three"):
+        Stiffness(0.1, axes=(2,))
+    with pytest.raises(ValueError, match=r"shape \(3,\), the parameters have \(98,\)"):
         p.policy(np.zeros(3), "a")
     with pytest.raises(ValueError, match="not finite"):
         p.clip(np.full(98, np.nan))
     with pytest.raises(ValueError, match="'lift' has 8 attractors, policy 'flick-1' has 4"):
-        Parametrization(demonstrated_policy(count=4), "full", NOISE, (LIFT,))
-    with pytest.raises(ValueError, match="'attractors' of a direction is already used"):
-        Parametrization(demonstrated_policy(), "full", NOISE, (replace(LIFT, name="attractors"),))
-    with pytest.raises(ValueError, match=r"scale = 0\.0"):
-        Direction("lift", 0.0, PATTERN, PATTERN)
+        Parametrization(demonstrated_policy(count=4), (LIFT,))
+    with pytest.raises(ValueError, match="'attractors' is used by two groups"):
+        of("full", replace(LIFT, name="attractors"))
+    with pytest.raises(ValueError, match=r"noise = 0\.0"):
+        Direction(0.0, "lift", PATTERN, PATTERN)
     with pytest.raises(ValueError, match=r"rotation has shape \(7, 3\)"):
-        Direction("lift", 1.0, PATTERN, PATTERN[1:])
+        Direction(1.0, "lift", PATTERN, PATTERN[1:])
 
 
 def test_the_floor_is_below_every_demonstrated_stiffness() -> None:
@@ -210,6 +231,37 @@ def test_the_floor_is_below_every_demonstrated_stiffness() -> None:
         assert (
             p.stiffness_min == pytest.approx(EIGENVALUE_FLOOR * low) and 0.0 < p.stiffness_min < low
         )
+
+
+@pytest.mark.parametrize("variant", ["full", "diagonal", "symmetric", "attractors"])
+def test_a_variant_by_name_is_that_of_its_groups(variant: str) -> None:
+    named, p = parametrization_of(demonstrated_policy(), variant, NOISE), of(variant)
+    z = 6.0 * np.random.default_rng(3).standard_normal(p.size)
+    assert named.groups == p.groups
+    assert to_json(named.policy(z, "a")[0]) == to_json(p.policy(z, "a")[0])
+
+
+class Lead(Group):
+    """A group of a task: the first attractor along x alone."""
+
+    def values(self, policy: Policy) -> np.ndarray:
+        """See `Group`."""
+        return policy.attractors[0, :1]
+
+    def move(self, arrays: Arrays, delta: np.ndarray) -> None:
+        """See `Group`."""
+        arrays.attractors[..., 0, 0] += delta[..., 0]
+
+
+def test_a_task_may_choose_attractors_in_a_plane_alone_and_add_a_group_of_its_own() -> None:
+    p = Parametrization(demonstrated_policy(), [Attractors(0.01, (1, 2)), Lead(0.1, "lead")])
+    assert p.size == 17 and list(p.groups) == ["attractors", "lead"]
+    z = np.zeros(17)
+    z[p.groups["lead"]] = 3.0
+    moved = p.policy(z, "a")[0].attractors - p.policy0.attractors
+    assert moved[0, 0] == pytest.approx(0.3) and np.count_nonzero(moved) == 1
+    np.testing.assert_array_equal(p.theta(z)[16], p.policy0.attractors[0, 0] + 0.1 * 3.0)
+    assert not (p.arrays(z[np.newaxis])[0] - p.policy0.stiffness).any()
 
 
 @variants

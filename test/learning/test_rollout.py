@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, FaultKind, Rollout
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 
 T = np.array([0.0, 0.01, 0.03])
 LEVEL = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
@@ -63,15 +63,3 @@ def test_the_two_paths_of_a_rollout_are_of_one_policy() -> None:
     assert Rollout(tool, path()).body.id == "a"
     with pytest.raises(ValueError, match="body path of rollout 'b', but tool path of 'a'"):
         Rollout(tool, path(id="b"))
-
-
-def test_limits_of_motion_are_faults_of_the_policy_and_no_others_are() -> None:
-    of_policy = {kind.value for kind in FaultKind if kind.of_policy}
-    assert of_policy == {
-        "joint_position",
-        "joint_speed",
-        "guarded_speed",
-        "tool_speed",
-        "workspace",
-        "plane",
-    }

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault, FaultKind
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.nodes.simulated_arm import SimulatedArm

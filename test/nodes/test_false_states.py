@@ -20,7 +20,7 @@ from std_srvs.srv import Trigger
 from benchmark.false_states import FALSE_STATES, Driver, inject
 from benchmark.lab import Lab
 from wam_power_ros.control.safety import REST_SPEED
-from wam_power_ros.learning.rollout import FaultKind
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.ros import interface
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every message has markers of the policy, the last rollout, the body and the obstacle."""
+"""Every message has markers of the policy, the last rollout, the body and the guarded region."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from nav_msgs.msg import Odometry
 from visualization_msgs.msg import Marker, MarkerArray
 
 from wam_power_ros.nodes.markers import ARROW_LENGTH, Markers
+from wam_power_ros.regions import Region
 from wam_power_ros.ros import interface, pose_messages
 
 POLICY = lift("trial-0001")
 START = POLICY.attractors[0] + [0.0, 0.1, 0.0]
-ALL = {"planned", "stiffness", "executed", "normal", "obstacle"}
+ALL = {"planned", "stiffness", "executed", "normal", "region"}
 
 
 def points(marker: Marker) -> np.ndarray:
@@ -21,7 +22,7 @@ def points(marker: Marker) -> np.ndarray:
 
 
 def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) -> None:
-    markers = Markers(probe.node, "pancake", (0.7, 0.0, 0.6, 0.09))
+    markers = Markers(probe.node, "pancake", Region("box", (0.7, 0.0, 0.6), 0.09))
     states = probe.publisher(
         Odometry, interface.body_topic("pancake", "state"), interface.STATE_OUT
     )
@@ -49,14 +50,14 @@ def test_who_comes_late_sees_everything_in_the_frame_of_the_arm(probe: Probe) ->
     np.testing.assert_array_equal(points(by_name["executed"]), executed)
     normal = points(by_name["normal"]) - where
     np.testing.assert_allclose(normal[1], ARROW_LENGTH * np.array([0.0, -np.sin(0.4), np.cos(0.4)]))
-    assert by_name["obstacle"].scale.x == 0.18
+    assert by_name["region"].scale.x == 0.18
     ellipsoids = [marker for marker in drawn if marker.ns == "stiffness"]
     centres = [[getattr(marker.pose.position, axis) for axis in "xyz"] for marker in ellipsoids]
     np.testing.assert_array_equal(centres, POLICY.attractors)
 
 
-def test_without_a_body_and_an_obstacle_there_is_neither(probe: Probe) -> None:
+def test_without_a_body_and_a_region_there_is_neither(probe: Probe) -> None:
     received = probe.listen(MarkerArray, interface.LEARNER_MARKERS, interface.LATCHED)
-    Markers(probe.node, "", (0.0, 0.0, 0.0, 0.0)).plan(POLICY, START)
+    Markers(probe.node, "", None).plan(POLICY, START)
     (message,) = probe.until(lambda: received, "the markers")
     assert {marker.ns for marker in message.markers[1:]} == {"planned", "stiffness"}

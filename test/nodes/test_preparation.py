@@ -31,6 +31,7 @@ from wam_power_ros.nodes.preparation import (
     settings_of,
     settings_values,
 )
+from wam_power_ros.regions import Region
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.answers import Answer, Code, read
 
@@ -249,13 +250,12 @@ def test_what_a_process_died_of_is_refused_and_not_read_again(
 
 def test_settings_arrive_as_they_were() -> None:
     arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), NAMES)
-    settings = ControllerSettings(
-        limits=limits_of(arm), obstacle=(0.1, 0.2, 0.3, 0.05), arm=arm.identity()
-    )
+    region = Region("box", (0.1, 0.2, 0.3), 0.05)
+    settings = ControllerSettings(limits=limits_of(arm), region=region, arm=arm.identity())
     text = json.dumps(settings_values(settings))
     values = json.loads(text)
     assert json.dumps(settings_values(settings_of(values))) == text
-    assert settings_of(values).arm == settings.arm
+    assert settings_of(values).arm == settings.arm and settings_of(values).region == region
     assert settings_of(values).limits.q_max.tolist() == settings.limits.q_max.tolist()
 
 

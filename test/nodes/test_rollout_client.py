@@ -19,8 +19,9 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.nodes import rollout_client
 from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
 from wam_power_ros.ros import interface, pose_messages, service_client

@@ -21,8 +21,8 @@ from std_msgs.msg import Bool, Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import digest, to_json
-from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code, read
 

@@ -18,8 +18,8 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from wam_power_ros.control.safety import REST_SPEED
+from wam_power_ros.faults import FaultKind
 from wam_power_ros.learning.policy import to_json
-from wam_power_ros.learning.rollout import FaultKind
 from wam_power_ros.ros import interface
 
 BREAKING = """

@@ -159,7 +159,7 @@ def test_the_last_file_wins_and_may_override_derived_parameters(tmp_path: Path) 
         ("torque_controller: !!python/object:os.system {}", "not a file of ROS parameters"),
         ("a: {", "not a file of ROS parameters"),
         ("torque_controller: {ros__parameters: {urdf: 3}}", "urdf .* is 3; allowed is text"),
-        ("torque_controller: {ros__parameters: {obstacle: 1.0}}", "list, each a number"),
+        ("torque_controller: {ros__parameters: {guarded_region: 1.0}}", "list, each a number"),
         ("torque_controller: {ros__parameters: {joint_names: [a, 2]}}", "list, each text"),
         ("pancake_tracker: {ros__parameters: {body: }}", "body .* is None; allowed is text"),
         ("wam_sim: {ros__parameters: {rate: fast}}", "no parameter 'rate'"),

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 from wam_power_ros.params import parameter_file
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
+from wam_power_ros.regions import Region
 
 FILE = share("config/torque_controller.yaml")
 URDF = share("urdf/wam7.urdf").read_text()
@@ -29,17 +30,21 @@ def test_every_parameter_of_motion_reaches_the_controller(tmp_path: Path) -> Non
         "period": 0.004,
         "driver_compensates_gravity": True,
         "hold_to_run": True,
-        "obstacle": [0.5, 0.1, 0.3, 0.06],
         "move_speed": 0.2,
         "start_tolerance": 0.04,
         "settle_time": 0.5,
         "velocity_cutoff": 90.0,
         "stiffness_max": 900.0,
     }
-    settings = params(tmp_path, **changes, law="virtual_mass").controller(URDF).settings
+    sphere = {"guarded_region": [0.5, 0.1, 0.3, 0.06], "guarded_region_name": "box"}
+    given = params(tmp_path, **changes, **sphere, law="virtual_mass")
+    settings = given.controller(URDF).settings
     for name, value in changes.items():
-        assert getattr(settings, name) == (tuple(value) if isinstance(value, list) else value)
+        assert getattr(settings, name) == value
     assert settings.law == "virtual_mass"
+    assert settings.region == given.region == Region("box", (0.5, 0.1, 0.3), 0.06)
+    sphere["guarded_region"] = [0.5, 0.1, 0.3, 0.0]
+    assert params(tmp_path, **sphere).controller(URDF).settings.region is None
 
 
 def test_every_limit_reaches_the_controller(tmp_path: Path) -> None:
@@ -65,10 +70,10 @@ def test_every_limit_reaches_the_controller(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("obstacle", [0.5, 0.1, 0.3, -0.06]),
-        ("obstacle", [0.5, 0.1, 0.3]),
-        ("obstacle", [0.5, 0.1, float("nan"), 0.06]),
-        ("obstacle", 0.06),
+        ("guarded_region", [0.5, 0.1, 0.3, -0.06]),
+        ("guarded_region", [0.5, 0.1, 0.3]),
+        ("guarded_region", [0.5, 0.1, float("nan"), 0.06]),
+        ("guarded_region", 0.06),
         ("torque_share", 1.5),
         ("law", "jacobian_transpose"),
         ("plane", [0.0, 0.0, 1.0]),

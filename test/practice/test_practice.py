@@ -10,14 +10,9 @@ import numpy as np
 import pytest
 from toss_task import AnyArm, demonstrated_policy, learner_state, practice_of, toss
 
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy, to_json
-from wam_power_ros.learning.rollout import (
-    BodyPath,
-    EndEffectorPath,
-    Fault,
-    FaultKind,
-    Rollout,
-)
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.choose_demonstration import choose_demonstration
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record, parse_line

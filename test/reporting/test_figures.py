@@ -7,22 +7,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from wam_power_ros import plotting
 from wam_power_ros.reporting import figures
+from wam_power_ros.tasks.task import Curve
+
+PUBLISHED = Curve("published", np.array([[1.0, 0.2], [2.0, 0.4]]), "A remark.")
 
 
-def test_the_papers_tables_hold_its_anchors() -> None:
-    fig5, k33 = figures.paper_table("fig5"), figures.paper_table("k33")
-    assert fig5.shape == (50, 2)
-    assert fig5[:5, 1].mean() == pytest.approx(0.683, abs=0.001)
-    assert fig5[-5:, 1].mean() == pytest.approx(1.034, abs=0.001)
-    assert k33[0].tolist() == [0.0, 322.6]
-
-
-def test_a_learning_curve_holds_every_usable_return_and_the_papers() -> None:
+def test_a_learning_curve_holds_every_usable_return_and_the_published_ones() -> None:
     returns = np.array([0.5, np.nan, 0.7, 0.8])
-    axes = figures.learning_curve(returns, marks={3: "first flip"}, paper=True).axes[0]
+    axes = figures.learning_curve(returns, marks={3: "first flip"}, published=PUBLISHED).axes[0]
     paper, dots, mean = (line.get_ydata() for line in axes.lines[:3])
-    np.testing.assert_array_equal(paper, figures.paper_table("fig5")[:, 1])
+    np.testing.assert_array_equal(paper, [0.2, 0.4])
     np.testing.assert_array_equal(dots, returns)
     np.testing.assert_allclose(mean, [0.5, 0.5, 0.6, 2.0 / 3.0])
     assert [text.get_text() for text in axes.texts] == ["first flip"]
@@ -31,7 +27,7 @@ def test_a_learning_curve_holds_every_usable_return_and_the_papers() -> None:
 def test_each_kind_of_rollout_has_points_of_its_own_and_only_explorations_are_averaged() -> None:
     kinds = ["reproduction", "reproduction", *["explore"] * 2, "mean", "explore", *["retest"] * 3]
     returns = [0.3, 0.4, 0.5, 0.7, 0.8, 0.6, 0.9, 0.9, 0.9]
-    axes = figures.learning_curve(returns, kinds, paper=False).axes[0]
+    axes = figures.learning_curve(returns, kinds).axes[0]
     found = {line.get_label(): line for line in axes.lines}
     for kind, (label, *_) in figures.POINTS.items():
         at = [k + 1 for k, other in enumerate(kinds) if other == kind]
@@ -57,7 +53,7 @@ def test_stiffness_about_its_own_mean_is_in_percent() -> None:
     part = np.linspace(0.0, 1.0, 11)
     profile = 300.0 + 30.0 * (part - 0.5)
     figure = figures.stiffness(
-        {"level": np.full(5, 450.0), "learnt": profile * np.ones((3, 1))}, paper=True
+        {"level": np.full(5, 450.0), "learnt": profile * np.ones((3, 1))}, PUBLISHED
     )
     absolute, relative = figure.axes
     np.testing.assert_allclose(absolute.lines[1].get_ydata(), 450.0)
@@ -74,6 +70,6 @@ def test_a_film_has_as_many_frames_as_it_was_given(tmp_path: Path) -> None:
 
 
 def test_the_same_figure_is_the_same_file() -> None:
-    one, other = (figures.svg(figures.learning_curve([0.5, 0.6], paper=False)) for _ in range(2))
+    one, other = (plotting.svg(figures.learning_curve([0.5, 0.6])) for _ in range(2))
     assert one == other
     assert b"<svg" in one

@@ -15,6 +15,7 @@ from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session import Session, SessionError
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import session_report, terminal
+from wam_power_ros.tasks.flip.task import Flip
 
 TURNS = [math.radians(degrees) for degrees in (60, 100, 150, 170, 175, 180)]
 
@@ -158,3 +159,26 @@ def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:
 def test_a_folder_without_a_session_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SessionError, match=r"no session\.yaml"):
         session_report.write(tmp_path)
+
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "docs/extending.md"
+
+
+def test_a_task_derived_from_the_flip_keeps_its_figure_its_eq_5_and_every_sentence(
+    folder: Path,
+) -> None:
+    (code,) = re.findall(r"```python\n(.*?class HighFlip.*?)```", EXAMPLE.read_text(), re.DOTALL)
+    exec(code, derived := {})
+    header, candidates, records = session.read(folder)
+    tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in records]
+    shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
+
+    def of(task: Flip) -> list[str]:
+        html = session_report.render(header, task, None, candidates[0], tests, shown)
+        return re.sub(r"base64,[^\"]*|task \w+<", "", html).splitlines()
+
+    flip = session.read_task(folder)
+    high = derived["HighFlip"](flip.settings, {})
+    assert of(high) == of(flip)
+    assert any("Return of the paper, Eq. 5" in line for line in of(high))
+    assert terminal.summary(tests, high) == terminal.summary(tests, flip)

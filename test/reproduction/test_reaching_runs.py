@@ -15,7 +15,7 @@ from reproduction.studies.reaching_runs import (
     synthetic,
 )
 from wam_power_ros.learning.learner import Learner
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.power import Power
 from wam_power_ros.learning.random_search import RandomSearch
@@ -23,7 +23,7 @@ from wam_power_ros.learning.screened_power import ScreenedPower
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 SCENARIO = synthetic()
-FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
+FULL = parametrization_of(SCENARIO.policy, "full", NOISE["full"])
 
 
 def evaluated(policy: Policy) -> float:

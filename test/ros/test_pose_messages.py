@@ -12,7 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from std_msgs.msg import String
 
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
@@ -107,10 +108,10 @@ def test_a_path_whose_time_stands_still_is_refused() -> None:
 
 
 @given(st.integers(1, 10**18), st.sampled_from([None, *FaultKind]), st.text(max_size=40))
-def test_the_end_of_a_rollout_keeps_its_id_start_and_fault(
+def test_the_end_of_a_rollout_keeps_its_id_start_fault_and_region(
     start_ns: int, kind: FaultKind | None, text: str
 ) -> None:
-    there = pose_messages.Finished("trial-0007", start_ns, kind and Fault(kind, text))
+    there = pose_messages.Finished("trial-0007", start_ns, kind and Fault(kind, text), "", text)
     assert pose_messages.finished(pose_messages.finished_message(there)) == there
 
 

@@ -36,7 +36,7 @@ SETTINGS = preset("flip", budget=5, retests=0)
 def fitted(bag: Path) -> Policy:
     arm = Arm((ROOT / "urdf/wam7.urdf").read_text(), JOINTS)
     stamps_ns, q = reader.read_demonstration(bag, JOINTS)
-    return fit([from_joint_samples(arm, stamps_ns, q, trim=True)], FLIP_FIT, "demonstration-1")
+    return fit([from_joint_samples(arm, stamps_ns, q)], FLIP_FIT, "demonstration-1")
 
 
 def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing(

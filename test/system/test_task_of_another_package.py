@@ -56,6 +56,7 @@ def test_it_is_taught_practised_and_reported_through_its_entry_points(
     assert "mm off" in output and "calm in" in output
     report = (tmp_path / "s/report.html").read_text()
     assert "mm off" in report and "carry" in report
+    assert "The ball follows the pan." in report and "kept the ball in the middle" in report
     (tmp_path / "s/report.html").unlink()
     wam_power(environment, tmp_path, "report", "s")
     assert (tmp_path / "s/report.html").read_text() == report

@@ -18,6 +18,7 @@ from wam_power_ros.cli.launcher import (
     task_stems,
 )
 from wam_power_ros.cli.node_log import progress_messages
+from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
@@ -85,7 +86,8 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     help_joints = "names of the arm's joints in that bag, base to tip"
     imported.add_argument("--joints", nargs="+", default=[], metavar="NAME", help=help_joints)
     imported.add_argument("--topic", default="", help="of the joint states (default: the only one)")
-    imported.add_argument("--task", default="flip", help="of the demonstration (default: flip)")
+    help_task = f"of the demonstration (default: {DEFAULT_TASK})"
+    imported.add_argument("--task", default=DEFAULT_TASK, help=help_task)
     _config_option(imported)
     for command, name in ((trimmed, "trimmed"), (merged, "merged"), (imported, "TASK_NAME")):
         command.add_argument("--output", type=Path, help=f"new bag (default: BAG_{name})")
@@ -152,7 +154,8 @@ def show(options: argparse.Namespace) -> None:
 
 def plot(options: argparse.Namespace) -> None:
     """Draw takes into a file."""
-    from wam_power_ros.reporting import figures, take_figures
+    from wam_power_ros import plotting
+    from wam_power_ros.reporting import take_figures
 
     names, arm = arm_of(overlay.setup(options.config))
     takes = {path.resolve().name: inspect(path, names, arm) for path in options.bag}
@@ -162,7 +165,7 @@ def plot(options: argparse.Namespace) -> None:
     output = options.output or Path(f"{options.bag[0].resolve().name}.png")
     if output.suffix not in (".png", ".svg"):
         raise UsageError(f"{output} must end in .png or .svg")
-    output.write_bytes(figures.png(drawn) if output.suffix == ".png" else figures.svg(drawn))
+    output.write_bytes(plotting.png(drawn) if output.suffix == ".png" else plotting.svg(drawn))
     print(f"Figure: {output}")
 
 

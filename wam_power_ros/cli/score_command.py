@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from wam_power_ros import plain_json
 from wam_power_ros.cli.launcher import UsageError, arm_of, task_setup
+from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
@@ -26,7 +27,8 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     parser = subparsers.add_parser("score", help=text, description=f"{text.capitalize()}.")
     parser.set_defaults(command=score)
     parser.add_argument("recorded", type=Path, nargs="+", help="bags, or folder of a session")
-    parser.add_argument("--task", metavar="NAME", help="task (default: the session's, else flip)")
+    default = f"task (default: the session's, else {DEFAULT_TASK})"
+    parser.add_argument("--task", metavar="NAME", help=default)
     parser.add_argument(
         "--preset", metavar="NAME", help="settings of the task (default: its first)"
     )
@@ -50,7 +52,7 @@ def _score_bag(bag: Path, options: argparse.Namespace) -> bool:
     """Print the score of a bag; return False if it has none."""
     from wam_power_ros.practice.settings import preset
 
-    name = options.task or "flip"
+    name = options.task or DEFAULT_TASK
     setup = overlay.setup(options.config, task=task_setup(name))
     names, arm = _arm(setup)
     try:
@@ -152,7 +154,7 @@ def recorded_rollout(
         if (finished.id, finished.start_ns) != (policy.id, path.start_ns):
             raise ValueError(f"the paths do not belong to the policy {policy.id}")
         if cut_short(policy, rollout, task.settle_time):
-            rollout = replace(rollout, fault=finished.fault)
+            rollout = replace(rollout, fault=finished.fault, stopped_in=finished.stopped_in)
     return policy, rollout
 
 
@@ -162,12 +164,11 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
 
     from wam_power_ros import rotations
     from wam_power_ros.bags import layout, reader
-    from wam_power_ros.learning.demonstration import from_joint_samples
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
     from wam_power_ros.ros import interface
 
     stamps, q = reader.read_demonstration(bag, joint_names)
-    demonstration = from_joint_samples(arm, stamps, q)
+    demonstration = task.demonstration_of(arm, stamps, q)
     policy = task.policy_of([demonstration], "demonstration")
     # From the start of the movement, at the rate of the paths that the controller publishes.
     near = np.abs(q - demonstration.q[0]).sum(axis=1)
@@ -206,7 +207,7 @@ def _context(
 ) -> dict[str, Any]:
     """Context of the session that a bag belongs to, else of a session on this bag alone."""
     from wam_power_ros.bags import reader
-    from wam_power_ros.learning.demonstration import from_joint_samples
+    from wam_power_ros.params.torque_controller_params import TorqueControllerParams
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.session import Session
 
@@ -214,9 +215,10 @@ def _context(
     if Session.exists(folder) and Session.task_of(folder) == task:
         kept: dict[str, Any] = plain_json.read(folder / "task.json")
         return kept
-    demonstration = from_joint_samples(arm, *reader.read_demonstration(bag, joint_names))
-    obstacle = setup["torque_controller"]["obstacle"]
-    return plugins.task_type(task).context_of([demonstration], obstacle)
+    kind = plugins.task_type(task)
+    demonstration = kind.demonstration_of(arm, *reader.read_demonstration(bag, joint_names))
+    controller = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
+    return kind.context_of([demonstration], controller.region)
 
 
 def _outcome(assessed: Assessment) -> str:

@@ -35,8 +35,9 @@ from wam_power_ros.control.supervision import REST_NS, Supervision
 from wam_power_ros.control.torque_output import TorqueOutput
 from wam_power_ros.control.tracking_error import TrackingError, TrackingLost
 from wam_power_ros.control.unexplained_torque import UnexplainedTorque
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
+from wam_power_ros.learning.rollout import EndEffectorPath
 
 Law = Callable[[JointState, Motion | Speeds], np.ndarray]
 
@@ -135,6 +136,11 @@ class Controller:
     def rollout_stamp_ns(self) -> int | None:
         """Stamp of the first state of the last ended rollout [ns]; None during one."""
         return self._rollouts.start_ns
+
+    @property
+    def stopped_in(self) -> str:
+        """Name of the guarded region that ended the last ended rollout; "" if none did."""
+        return self._rollouts.stopped_in
 
     @property
     def at_rest(self) -> bool:

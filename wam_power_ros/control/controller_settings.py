@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.regions import Region
 
 LAWS = ("operational_space", "virtual_mass")  # functions of `torque_law`
 
@@ -20,8 +21,7 @@ class ControllerSettings:
         hold_to_run: Teaching, replay and the first run of a policy need `Controller.enabled`.
         law: Name of the torque law, one of LAWS.
         limits: Limits of the arm, None for those of its URDF with the defaults of `safety.Limits`.
-        obstacle: Centre in the base frame and radius [m] of a sphere; a rollout ends when the
-            tool's centre enters it. Radius 0 for none.
+        region: Guarded region, which ends a rollout; None for none.
         move_speed: Peak joint speed of a move to the start [rad/s].
         start_tolerance: Largest joint error at which a rollout may start [rad].
         settle_time: Time that a rollout continues after the end of its movement [s].
@@ -46,7 +46,7 @@ class ControllerSettings:
     hold_to_run: bool = False
     law: str = "operational_space"
     limits: Limits | None = None
-    obstacle: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    region: Region | None = None
     move_speed: float = 0.3
     start_tolerance: float = 0.05
     settle_time: float = 1.0
@@ -63,6 +63,3 @@ class ControllerSettings:
         for name, value in vars(self).items():
             if isinstance(value, float) and not 0.0 < value < math.inf:
                 raise ValueError(f"{name} = {value} must be positive and finite")
-        sphere = tuple(self.obstacle)
-        if len(sphere) != 4 or not all(map(math.isfinite, sphere)) or sphere[3] < 0.0:
-            raise ValueError(f"obstacle = {sphere} must be x, y, z and a radius that is 0 or more")

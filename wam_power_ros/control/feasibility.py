@@ -19,8 +19,8 @@ from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.estimate import TORQUE_DELAY
 from wam_power_ros.control.modes import ControllerError, Mode
 from wam_power_ros.control.safety import Limits, limits_of
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault, FaultKind
 
 _REST_TICKS = 60  # control periods at rest until the controller reaches its fixed point
 _SUBSTEPS = 2  # integration steps of the model in a control period
@@ -83,7 +83,7 @@ def simulate_policy(
         limits=tight,
         driver_compensates_gravity=False,
         hold_to_run=False,
-        obstacle=(0.0, 0.0, 0.0, 0.0),  # the whole movement must be feasible
+        region=None,  # the whole movement must be feasible
     )
     controller = Controller(arm, model_settings)
     period_ns = round(settings.period * 1e9)

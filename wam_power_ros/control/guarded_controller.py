@@ -21,7 +21,7 @@ from wam_power_ros.control.fault_hold import feedback_max
 from wam_power_ros.control.joint_control import BANDWIDTH, DAMPING_RATIO
 from wam_power_ros.control.modes import ControllerError, Mode, Refusal
 from wam_power_ros.control.state_checks import JointState
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 
 REMEMBERED_STATES = 10  # states after which gravity and mass matrix are computed again: 20 ms
 STANDSTILL = 0.05  # [rad/s] largest joint speed of an arm at rest, where no tool speed is known

@@ -4,7 +4,7 @@
 import enum
 from collections.abc import Mapping
 
-from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.faults import Fault
 
 
 class Mode(enum.Enum):

@@ -21,7 +21,7 @@ import numpy as np
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.estimate import STANDSTILL_SPEED, TORQUE_DELAY, Estimate
 from wam_power_ros.control.state_checks import JointState
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 
 RESIDUAL_TIME_CONSTANT = 0.015  # [s]
 MISMATCH_WINDOWS = ((0.02, 0.003), (0.1, 0.008))  # [s] time constant, [rad] bound on the mismatch

@@ -28,7 +28,8 @@ class Execution:
     Attributes:
         id: Id of the policy.
         start_ns: Stamp of the first state [ns], None before it.
-        complete: Whether the movement has run to its end and did not meet the obstacle.
+        complete: Whether the movement has run to its end.
+        stopped_in: Name of the guarded region that has ended it, "" for none.
 
     Args:
         prepared: Policy to execute.
@@ -40,16 +41,17 @@ class Execution:
         self.id = prepared.id
         self.start_ns: int | None = None
         self.complete = False
+        self.stopped_in = ""
         self._arm, self._tables = arm, prepared.tables
         self._law: Law = getattr(torque_law, settings.law)
         self._reference = rotations.matrix(prepared.orientation_reference).T
-        *self._obstacle, self._obstacle_radius = settings.obstacle
+        self._region = settings.region
         self._period_ns = round(settings.period * 1e9)
         self._last_tick = round((prepared.duration + settings.settle_time) / settings.period)
         self._sample_ticks = max(1, round(PATH_PERIOD / settings.period))
         self._next_sample = 0  # tick
         self._count = 0  # samples of the path so far
-        # Three more: the first sample, the last, and one in the obstacle.
+        # Three more: the first sample, the last, and one in the region.
         size = self._last_tick // self._sample_ticks + 3
         self._t = np.empty(size)
         self._position, self._quat_xyzw = np.empty((size, 3)), np.empty((size, 4))
@@ -79,9 +81,8 @@ class Execution:
         if k > self._last_tick:
             self.complete = True
             return None
-        if self._obstacle_radius and (
-            math.dist(motion.position.tolist(), self._obstacle) < self._obstacle_radius
-        ):
+        if self._region is not None and self._region.contains(motion.position):
+            self.stopped_in = self._region.name
             self._sample(k, motion)
             return None
         if k >= self._next_sample:

@@ -19,6 +19,7 @@ class Rollouts:
         policy: Loaded policy, None before the first.
         start_ns: Stamp of the first state of the last finished or aborted rollout [ns]; None before
             the first and during a rollout.
+        stopped_in: Name of the guarded region that ended it, "" if none did.
 
     Args:
         arm: Model of the arm.
@@ -28,6 +29,7 @@ class Rollouts:
     def __init__(self, arm: Arm, settings: ControllerSettings) -> None:
         self.policy: PreparedPolicy | None = None
         self.start_ns: int | None = None
+        self.stopped_in = ""
         self._arm, self._settings = arm, settings
         self._completed: set[str] = set()  # contents of policies that have run to their end
         self._execution: Execution | None = None
@@ -101,7 +103,7 @@ class Rollouts:
         execution, self._execution = self._execution, None
         if execution is not None and last is not None:
             self._finished = execution.path(last.q, last.qd)
-            self.start_ns = execution.start_ns
+            self.start_ns, self.stopped_in = execution.start_ns, execution.stopped_in
 
     def take_path(self) -> EndEffectorPath | None:
         """Return the path of the last finished or aborted rollout, once; then None."""

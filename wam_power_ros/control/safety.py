@@ -16,7 +16,7 @@ import numpy as np
 
 from wam_power_ros.control.arm import Arm, Motion, Speeds
 from wam_power_ros.control.modes import MOVING_MODES, PASSIVE_MODES, WORKSPACE_MODES, Mode
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 
 # Shapes that are not (n,)
 _SHAPES = {name: () for name in ("elbow_speed", "tool_speed", "teaching_tool_speed")} | {

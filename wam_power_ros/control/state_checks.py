@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 
 STATE_LOSS_TIMEOUT = 0.02  # [s] without a joint state until the loss of states is a fault
 IMPLAUSIBLE_Q = 20.0  # [rad] positions from here on are refused: no joint turns that far

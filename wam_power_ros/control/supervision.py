@@ -17,7 +17,7 @@ from wam_power_ros.control.estimate import Estimate
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.control.plausibility import Bound, Plausibility
 from wam_power_ros.control.state_checks import JointState
-from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.faults import Fault
 
 INERTIAL_SHARE = 0.3  # of the accelerating torque, may be unexplained: sensors and motors lag
 STANDING_SHARE = 0.05  # share of a torque limit: bound at a joint that stands still in a rollout

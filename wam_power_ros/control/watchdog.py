@@ -7,7 +7,7 @@ They read no clock: every time is an argument, from a steady clock [ns].
 from dataclasses import dataclass
 
 from wam_power_ros.control.state_checks import STATE_LOSS_TIMEOUT
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 
 IDLE_TIMEOUT = 0.1  # [s] without a joint state after which the driver is asked to idle
 MISSED_WARNING, MISSED_FAULT = 0.01, 0.05  # shares of the periods of a second

@@ -18,8 +18,9 @@ from hardware_sim.world import World
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
@@ -46,7 +47,7 @@ class Environment:
         """Connect a world to a controller and a tracker with the parameters of config/.
 
         Args:
-            world: Simulated world; the controller has the same obstacle, if any.
+            world: Simulated world; the controller has the same guarded region, if any.
             urdf: Robot description for the controller; the world's if omitted.
         """
         self.world = world
@@ -54,8 +55,8 @@ class Environment:
         params = TorqueControllerParams.of_file(files[0], "torque_controller", files[1])
         configured = params.controller(urdf or world.urdf)
         self.arm = configured.arm
-        obstacle = world.settings.scene.obstacle
-        self.controller = Controller(self.arm, replace(configured.settings, obstacle=obstacle))
+        region = world.settings.scene.region
+        self.controller = Controller(self.arm, replace(configured.settings, region=region))
         tracker_file = share("config/pancake_tracker.yaml")
         tracked = PancakeTrackerParams.of_file(tracker_file, "pancake_tracker")
         self._tracker_settings = tracked.settings()
@@ -136,7 +137,7 @@ class Environment:
                     break
                 self.tick()
             body = self.tracker.path(policy.id, start_ns, end_ns)
-        return Rollout(tool, body, controller.latched), truth
+        return Rollout(tool, body, controller.latched, controller.stopped_in), truth
 
     def practise(self, practice: Practice) -> Iterator[Record]:
         """Execute the trials of a session one after another, learn from each, yield its record."""

@@ -27,7 +27,6 @@ from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.params import parameter_file
 from wam_power_ros.practice import session
 from wam_power_ros.reporting import figures, session_report
-from wam_power_ros.tasks.reach.task import Reach
 from wam_power_ros.tasks.task import Task
 
 FILM_RATE = 25.0  # [Hz], real time
@@ -61,8 +60,7 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     if not saved.exists():
         raise session.SessionError(f"{folder} has no policy yet")
     answer = policy.from_json(saved.read_text())
-    obstacle = (*task.obstacle, task.radius) if isinstance(task, Reach) else (0.0, 0.0, 0.0, 0.0)
-    settings = WorldSettings(scene=SceneSettings(obstacle=obstacle), unknown=_unknown(folder))
+    settings = WorldSettings(scene=SceneSettings(region=task.region), unknown=_unknown(folder))
     world = World(settings, header.seed, scene_type(task.name))
     world.trace = []
     environment = Environment(world)

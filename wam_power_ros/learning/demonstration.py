@@ -12,15 +12,8 @@ from wam_power_ros import rotations
 from wam_power_ros.learning.policy import ANGLE_MAX, PERIOD, read_only
 
 CUTOFF = 9.0  # -3 dB of the smoothing, above hand motion, below quantisation noise [Hz]
-# Half the window of the Savitzky-Golay filter with this cutoff; degrees 2 and 3 smooth alike
-# [Schafer2011] [samples]
-HALF_WINDOW = math.ceil((1.5 / (PERIOD * CUTOFF) + 4.6) / 3.2)
-WINDOW = 2 * HALF_WINDOW + 1  # [samples]
 GAP_MAX = 0.05  # longest gap that is interpolated [s]
 SPEED_MIN = 0.05  # smallest peak speed of a movement [m/s]
-TRIM_START = 0.15  # fraction of the peak speed; a slow start would coarsen the fit [1]
-TRIM_END = 0.05  # fraction of the peak speed; the slow end of a catch is kept [1]
-PAUSE_MAX = 0.25  # longest pause at a turning point; a longer one ends the movement [s]
 
 
 class ToolPose(Protocol):
@@ -78,12 +71,32 @@ class Demonstration:
         return float(self.t[-1])
 
 
+@dataclass(frozen=True)
+class Movement:
+    """How a movement is cut out of a recording, around the peak speed of the tool, and smoothed.
+
+    Attributes:
+        cutoff: -3 dB of the smoothing [Hz].
+        start: Fraction of the peak speed at which it begins [1]; a slow start would coarsen the
+            fit.
+        end: Fraction of the peak speed at which it ends [1].
+        pause_max: Longest pause at a turning point; a longer one ends it [s].
+    """
+
+    cutoff: float = CUTOFF
+    start: float = 0.15
+    end: float = 0.05
+    pause_max: float = 0.25
+
+
+MOVEMENT = Movement()
+
+
 def from_joint_samples(
     arm: ToolPose,
     stamps_ns: Sequence[int] | np.ndarray,
     q: np.ndarray,
-    *,
-    trim: bool = True,
+    movement: Movement = MOVEMENT,
 ) -> Demonstration:
     """Resample by the device's stamps, smooth without delay, differentiate and trim.
 
@@ -94,31 +107,29 @@ def from_joint_samples(
         arm: Arm model, for its forward kinematics.
         stamps_ns: Header stamps, strictly increasing [ns]. Shape (M,).
         q: Joint angles [rad]. Shape (M, arm.n).
-        trim: Whether to keep only the movement around the peak speed of the tool: it ends where
-            the speed stays below a fraction of the peak for longer than PAUSE_MAX.
+        movement: How to trim and smooth; fractions of 0 keep the whole recording.
 
     Raises:
         ValueError: If stamps do not increase, there is a gap, a value is not finite, a shape is
             wrong, the recording is too short or the tool does not move.
     """
-    q = _resampled(stamps_ns, q, arm.n)  # (N, nj)
+    half = half_window(movement.cutoff)
+    q = _resampled(stamps_ns, q, arm.n, half)  # (N, nj)
     poses = [arm.tool_pose(row) for row in q]
     position = np.array([pose[0] for pose in poses])
     matrix = np.array([pose[1] for pose in poses])
-    first, last = 0, len(q) - 1
-    if trim:
-        first, last = _movement(np.linalg.norm(_smoothed(position, 1), axis=1))
+    first, last = _extent(np.linalg.norm(_smoothed(position, half, 1), axis=1), movement)
     # Smoothing reaches half a window beyond the movement.
-    start = min(max(first - HALF_WINDOW, 0), len(q) - WINDOW)
-    stop = max(min(last + HALF_WINDOW + 1, len(q)), start + WINDOW)
+    start = min(max(first - half, 0), len(q) - (2 * half + 1))
+    stop = max(min(last + half + 1, len(q)), start + 2 * half + 1)
     kept = slice(first - start, last - start + 1)
 
     def smooth(values: np.ndarray, derivative: int) -> np.ndarray:
-        return _smoothed(values[start:stop], derivative)[kept]
+        return _smoothed(values[start:stop], half, derivative)[kept]
 
     relative = np.matmul(matrix[start:stop], matrix[first].T)
     vectors = rotations.continuous(rotations.log(relative))
-    vectors = _smoothed(vectors)[kept]
+    vectors = _smoothed(vectors, half)[kept]
     quat = rotations.multiply(rotations.quat_of_vector(vectors), rotations.quat_xyzw(matrix[first]))
     return Demonstration(
         t=np.arange(last - first + 1) * PERIOD,
@@ -148,8 +159,9 @@ def smooth_joints(
         ValueError: As `from_joint_samples`, except that the arm need not move.
     """
     joints = np.shape(q)[1] if np.ndim(q) == 2 else 1
-    q = _resampled(stamps_ns, q, joints)
-    return np.arange(len(q)) * PERIOD, _smoothed(q)
+    half = half_window(CUTOFF)
+    q = _resampled(stamps_ns, q, joints, half)
+    return np.arange(len(q)) * PERIOD, _smoothed(q, half)
 
 
 def from_positions(position: np.ndarray, period: float) -> Demonstration:
@@ -209,7 +221,17 @@ def _checked_stamps(stamps_ns: Sequence[int] | np.ndarray) -> np.ndarray:
     return stamps
 
 
-def _resampled(stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray, joints: int) -> np.ndarray:
+def half_window(cutoff: float) -> int:
+    """Half the window of the Savitzky-Golay filter with this cutoff [Hz], in samples.
+
+    Degrees 2 and 3 smooth alike [Schafer2011].
+    """
+    return math.ceil((1.5 / (PERIOD * cutoff) + 4.6) / 3.2)
+
+
+def _resampled(
+    stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray, joints: int, half: int
+) -> np.ndarray:
     """Interpolate samples linearly at the multiples of the period. Shape (N, joints)."""
     stamps = _checked_stamps(stamps_ns)
     q = read_only("q", q, (len(stamps), joints))
@@ -223,35 +245,36 @@ def _resampled(stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray, joints: int
     first = -(-int(stamps[0]) // period_ns)
     last = int(stamps[-1]) // period_ns
     grid = np.arange(first, last + 1, dtype=np.int64) * period_ns
-    if len(grid) < WINDOW:
+    if len(grid) <= 2 * half:
         raise ValueError(
-            f"recording of {len(grid)} samples at {PERIOD} s; smoothing needs at least {WINDOW}"
+            f"recording of {len(grid)} samples at {PERIOD} s; smoothing needs at least "
+            f"{2 * half + 1}"
         )
     left = np.clip(np.searchsorted(stamps, grid, side="right") - 1, 0, len(stamps) - 2)
     share = (grid - stamps[left]) / (stamps[left + 1] - stamps[left])
     return q[left] + share[:, None] * (q[left + 1] - q[left])
 
 
-def _smoothed(values: np.ndarray, derivative: int = 0) -> np.ndarray:
+def _smoothed(values: np.ndarray, half: int, derivative: int = 0) -> np.ndarray:
     """Smooth along the first axis by a cubic Savitzky-Golay filter, or differentiate by it."""
     # Imported here: the import is slow, and the controller does not need it at its start.
     from scipy.signal import savgol_filter
 
-    return savgol_filter(values, WINDOW, 3, deriv=derivative, delta=PERIOD, axis=0)
+    return savgol_filter(values, 2 * half + 1, 3, deriv=derivative, delta=PERIOD, axis=0)
 
 
-def _movement(speed: np.ndarray) -> tuple[int, int]:
+def _extent(speed: np.ndarray, movement: Movement) -> tuple[int, int]:
     """First and last sample of the movement around the peak of `speed` [m/s] (N,)."""
     peak = int(np.argmax(speed))
     if speed[peak] < SPEED_MIN:
         raise ValueError(f"peak speed {speed[peak]} m/s; a movement has at least {SPEED_MIN} m/s")
-    before = _extent(speed[peak::-1] >= TRIM_START * speed[peak])
-    after = _extent(speed[peak:] >= TRIM_END * speed[peak])
+    before = _moving(speed[peak::-1] >= movement.start * speed[peak], movement.pause_max)
+    after = _moving(speed[peak:] >= movement.end * speed[peak], movement.pause_max)
     return peak - before, peak + after
 
 
-def _extent(fast: np.ndarray) -> int:
-    """Index of the last fast sample before the first pause longer than PAUSE_MAX."""
+def _moving(fast: np.ndarray, pause_max: float) -> int:
+    """Index of the last fast sample before the first pause longer than `pause_max` [s]."""
     samples = np.flatnonzero(fast)
-    pauses = np.flatnonzero(np.diff(samples) * PERIOD > PAUSE_MAX)
+    pauses = np.flatnonzero(np.diff(samples) * PERIOD > pause_max)
     return int(samples[pauses[0]] if len(pauses) else samples[-1])

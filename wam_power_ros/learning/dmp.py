@@ -13,7 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wam_power_ros.learning.demonstration import Demonstration, rotation_from
+from wam_power_ros.learning.demonstration import (
+    MOVEMENT,
+    Demonstration,
+    Movement,
+    rotation_from,
+)
 from wam_power_ros.learning.policy import PERIOD, Basis, Policy, symmetric_part
 
 ROTATION_STIFFNESS = 400.0  # stiffness of the orientation [1/s^2]
@@ -190,7 +195,7 @@ def reproduce_many(
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Settings of the fit of a policy to demonstrations.
+    """Settings of the fit of a policy to demonstrations, from the recording on.
 
     Attributes:
         count: Number of spring-dampers.
@@ -201,6 +206,7 @@ class FitSettings:
         damping: Damping kappa_V [1/s].
         refit: Whether to solve the attractors again for the fitted K_i; if not, as in the paper's
             reference [21], they are those of the mean stiffness.
+        movement: How the movement is cut out of a recording.
 
     Raises:
         ValueError: If a value is out of range.
@@ -212,6 +218,7 @@ class FitSettings:
     k_max: float
     damping: float
     refit: bool = True
+    movement: Movement = MOVEMENT
 
     def __post_init__(self) -> None:
         if not 0.0 < self.k_min <= self.k_max < np.inf:

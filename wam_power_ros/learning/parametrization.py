@@ -3,13 +3,15 @@
 
 Stiffness is several hundred 1/s^2 and attractors are tenths of a metre, so "the sigma_i are
 different" ([Kormushev2010], footnote 3). Hence theta = theta0 + scale * z with one scale per group,
-and every learner explores z with unit standard deviation.
+and every learner explores z with unit standard deviation. A task chooses the groups; it may add its
+own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,7 +21,7 @@ from wam_power_ros.learning.policy import Policy, at_tempo, read_only, symmetric
 
 # Smallest eigenvalue of a sampled K_i, as a fraction of the smallest one of the demonstration [1]
 EIGENVALUE_FLOOR = 0.1
-_XZ = np.ix_((0, 2), (0, 2))
+FORMS = ("full", "symmetric", "diagonal")  # of the learnt part of a stiffness matrix
 
 
 class NoiseScales(BaseModel):
@@ -38,145 +40,243 @@ class NoiseScales(BaseModel):
     rotation: float = Field(gt=0.0, le=1.0)
 
 
+class Arrays(NamedTuple):
+    """Arrays of one policy of n spring-dampers, or of many at once."""
+
+    stiffness: np.ndarray  # K_i [1/s^2], shape (..., n, 3, 3)
+    attractors: np.ndarray  # mu_i [m], shape (..., n, 3)
+    rotation: np.ndarray  # r_i [rad], shape (..., n, 3)
+
+
 @dataclass(frozen=True, eq=False)
-class Direction:
+class Group:
+    """Learnt parameters of one kind, k of them; here one, which changes no array.
+
+    Attributes:
+        noise: Standard deviation of the exploration noise, in units of a parameter.
+        name: Name, unique in a parametrization.
+    """
+
+    noise: float
+    name: str
+
+    def values(self, policy: Policy) -> np.ndarray:
+        """Parameters of a policy. Shape (k,)."""
+        return np.zeros(1)
+
+    def scale(self, policy: Policy) -> float:
+        """Standard deviation of the exploration noise around a policy, in units of a parameter."""
+        return self.noise
+
+    def move(self, arrays: Arrays, delta: np.ndarray) -> None:
+        """Change the parameters by delta (..., k), in place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stiffness(Group):
+    """Entries of each K_i.
+
+    Attributes:
+        noise: Noise of every entry, as a fraction of the policy's mean stiffness [1].
+        form: "full", "symmetric" (entries (i, j) and (j, i) change together) or "diagonal".
+        axes: Axes of the learnt entries: all three, or two that span a plane.
+
+    Raises:
+        ValueError: The form is unknown, or the number of axes is wrong.
+    """
+
+    name: str = field(default="stiffness", init=False)
+    form: str = "full"
+    axes: tuple[int, ...] = (0, 1, 2)
+
+    def __post_init__(self) -> None:
+        if self.form not in FORMS:
+            raise ValueError(f"form {self.form!r} is not one of {', '.join(FORMS)}")
+        if len(set(self.axes)) not in (2, 3):
+            raise ValueError(f"axes {self.axes} must be two or three")
+
+    @property
+    def entries(self) -> list[tuple[int, int]]:
+        """Learnt entries, row and column."""
+        pairs = [(i, j) for i in self.axes for j in self.axes]
+        if self.form == "full":
+            return pairs
+        upper = [(i, j) for i, j in pairs if i < j and self.form == "symmetric"]
+        return [(i, i) for i in self.axes] + upper
+
+    def entries_of(self, stiffness: np.ndarray) -> np.ndarray:
+        """Learnt entries of matrices (m, 3, 3). Shape (m k / n,)."""
+        if self.form == "symmetric":
+            stiffness = symmetric_part(stiffness)
+        columns = [stiffness[:, row, column] for row, column in self.entries]
+        return np.stack(columns, axis=1).ravel()
+
+    def values(self, policy: Policy) -> np.ndarray:
+        """See `Group`."""
+        return self.entries_of(policy.stiffness)
+
+    def scale(self, policy: Policy) -> float:
+        """See `Group`."""
+        symmetric = symmetric_part(policy.stiffness)  # (n, 3, 3)
+        return self.noise * float(np.trace(symmetric, axis1=1, axis2=2).mean() / 3.0)
+
+    def move(self, arrays: Arrays, delta: np.ndarray) -> None:
+        """See `Group`."""
+        entries, stiffness = self.entries, arrays.stiffness
+        moved = delta.reshape(*delta.shape[:-1], -1, len(entries))
+        for k, (row, column) in enumerate(entries):
+            stiffness[..., row, column] += moved[..., k]
+            if self.form == "symmetric" and row != column:
+                stiffness[..., column, row] += moved[..., k]
+
+    def raised(self, stiffness: np.ndarray, k_min: float) -> np.ndarray:
+        """Make matrices (m, 3, 3) positive definite, changing only learnt entries.
+
+        Args:
+            stiffness: Stiffness matrices [1/s^2]; diagonal if the form is.
+            k_min: Smallest eigenvalue of their symmetric parts [1/s^2].
+        """
+        if len(self.axes) == 3:
+            return positive_definite(stiffness, k_min)
+        # The entry K_ff of the other axis and its coupling b are fixed. K - k_min 1 is positive
+        # semidefinite if and only if the Schur complement P - k_min 1 - b b^T / (K_ff - k_min) is:
+        # clip the latter.
+        (fixed,) = {0, 1, 2} - set(self.axes)
+        plane = np.ix_(self.axes, self.axes)
+        symmetric = symmetric_part(stiffness)
+        raised = stiffness.copy()
+        for k, matrix in enumerate(symmetric):
+            b = matrix[self.axes, fixed]
+            coupling = np.outer(b, b) / (matrix[fixed, fixed] - k_min)
+            uncoupled = np.zeros((3, 3))
+            uncoupled[fixed, fixed] = matrix[fixed, fixed]
+            uncoupled[plane] = matrix[plane] - coupling
+            clipped = positive_definite(uncoupled[np.newaxis], k_min)[0]
+            raised[k][plane] += clipped[plane] - uncoupled[plane]
+        return raised
+
+
+@dataclass(frozen=True, eq=False)
+class Attractors(Group):
+    """Elements of each mu_i [m].
+
+    Attributes:
+        axes: Axes of the learnt elements.
+    """
+
+    name: str = field(default="attractors", init=False)
+    axes: tuple[int, ...] = (0, 1, 2)
+
+    def values(self, policy: Policy) -> np.ndarray:
+        """See `Group`."""
+        return policy.attractors[:, self.axes].ravel()
+
+    def move(self, arrays: Arrays, delta: np.ndarray) -> None:
+        """See `Group`."""
+        moved = delta.reshape(*delta.shape[:-1], -1, len(self.axes))
+        arrays.attractors[..., self.axes] += moved
+
+
+@dataclass(frozen=True, eq=False)
+class Rotation(Attractors):
+    """Elements of each r_i [rad]."""
+
+    name: str = field(default="rotation", init=False)
+
+    def values(self, policy: Policy) -> np.ndarray:
+        """See `Group`."""
+        return policy.rotation_attractors[:, self.axes].ravel()
+
+    def move(self, arrays: Arrays, delta: np.ndarray) -> None:
+        """See `Group`."""
+        super().move(arrays._replace(attractors=arrays.rotation), delta)
+
+
+@dataclass(frozen=True, eq=False)
+class Direction(Group):
     """One parameter that moves all attractors together along a fixed pattern.
 
     Attributes:
-        name: Name of its group.
-        scale: Standard deviation of the exploration noise, in units of the parameter.
         attractors: Displacement of every mu_i for a parameter of one [m]. Shape (n, 3).
         rotation: Displacement of every r_i for a parameter of one [rad]. Shape (n, 3).
 
     Raises:
-        ValueError: If the scale is not positive, or a pattern is not finite or of another shape.
+        ValueError: If the noise is not positive, or a pattern is not finite or of another shape.
     """
 
-    name: str
-    scale: float
     attractors: np.ndarray
     rotation: np.ndarray
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.scale < np.inf:
-            raise ValueError(f"{self.name}: scale = {self.scale} must be positive")
+        if not 0.0 < self.noise < np.inf:
+            raise ValueError(f"{self.name}: noise = {self.noise} must be positive")
         shape = (len(self.attractors), 3)
-        for field in ("attractors", "rotation"):
-            pattern = read_only(f"{self.name}: {field}", getattr(self, field), shape)
-            object.__setattr__(self, field, pattern)
+        for name in ("attractors", "rotation"):
+            pattern = read_only(f"{self.name}: {name}", getattr(self, name), shape)
+            object.__setattr__(self, name, pattern)
+
+    def values(self, policy: Policy) -> np.ndarray:
+        """See `Group`."""
+        if (n := policy.basis.count) != len(self.attractors):
+            raise ValueError(
+                f"direction {self.name!r} has {len(self.attractors)} attractors, "
+                f"policy {policy.id!r} has {n}"
+            )
+        return np.zeros(1)
+
+    def move(self, arrays: Arrays, delta: np.ndarray) -> None:
+        """See `Group`."""
+        step = delta[..., np.newaxis]  # (..., 1, 1)
+        np.add(arrays.attractors, step * self.attractors, out=arrays.attractors)
+        np.add(arrays.rotation, step * self.rotation, out=arrays.rotation)
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Learnt entries of each K_i, mu_i and r_i."""
+@dataclass(frozen=True, eq=False)
+class Tempo(Group):
+    """Logarithm of the tempo, see `at_tempo`."""
 
-    entries: tuple[tuple[int, int], ...]  # learnt entries of K_i
-    symmetric: bool  # entry (column, row) of K_i changes together with (row, column)
-    axes: tuple[int, ...]  # learnt elements of mu_i
-    rotation_axes: tuple[int, ...] = ()  # learnt elements of r_i
-
-
-_DIAGONAL = ((0, 0), (1, 1), (2, 2))
-_LAYOUTS = {
-    "full": _Layout(tuple((i, j) for i in range(3) for j in range(3)), False, (0, 1, 2)),
-    "diagonal": _Layout(_DIAGONAL, False, (0, 1, 2)),
-    "symmetric": _Layout((*_DIAGONAL, (0, 1), (0, 2), (1, 2)), True, (0, 1, 2)),
-    "attractors": _Layout((), False, (0, 1, 2)),
-    "planar": _Layout(((0, 0), (2, 2), (0, 2)), True, (0, 2), (1,)),
-}
-VARIANTS = tuple(_LAYOUTS)
+    name: str = field(default="tempo", init=False)
 
 
 class Parametrization:
     """Map from coordinates z to policies around one demonstrated policy.
 
-    Variants, for a mixture of n spring-dampers:
-        full: K_i and mu_i, 9 n + 3 n parameters (the paper's).
-        diagonal: The diagonal of K_i, and mu_i, 3 n + 3 n; off-diagonal entries are zero.
-        symmetric: The symmetric part of K_i, and mu_i, 6 n + 3 n.
-        attractors: mu_i, 3 n.
-        planar: A movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, and the rotation
-            attractor about y (pitch), 6 n.
-    Each direction adds one parameter, and so does the logarithm of the tempo, see `at_tempo`.
-    Everything else is as in `policy0`.
+    Everything that no group moves is as in `policy0`.
 
     Attributes:
         size: Number of parameters.
-        variant: Name of the variant.
         policy0: Policy at z = 0.
-        theta0: Parameters of `policy0` [1/s^2, m, rad, units of the directions]. Shape (size,).
+        theta0: Parameters of `policy0`, in the units of the groups. Shape (size,).
         scale: Standard deviation of the exploration noise, in the units of theta. Shape (size,).
-        groups: Slice of each group in theta and z: "stiffness", "attractors", "rotation", and the
-            directions by name, "tempo"; groups without parameters are left out.
+        groups: Name of each group -> its slice in theta and z.
         stiffness_min: Smallest eigenvalue of the symmetric part of a sampled K_i [1/s^2].
     """
 
-    def __init__(
-        self,
-        policy0: Policy,
-        variant: str,
-        noise: NoiseScales,
-        directions: Sequence[Direction] = (),
-        tempo: float = 0.0,
-    ) -> None:
-        """Combine the parameters of `variant` with the directions and the tempo.
+    def __init__(self, policy0: Policy, groups: Sequence[Group]) -> None:
+        """Combine groups of parameters.
 
         Args:
             policy0: Policy at z = 0.
-            variant: Name of the variant.
-            noise: Standard deviation of the exploration noise of the variant's parameters.
-            directions: Additional parameters that move all attractors together.
-            tempo: Standard deviation of the exploration noise of the logarithm of the tempo; 0: the
-                tempo is not learnt.
+            groups: Learnt parameters, in the order of theta.
 
         Raises:
-            ValueError: If the variant is unknown, a pattern is not one of n spring-dampers, or the
-                name of a direction is already in use.
+            ValueError: A group does not fit the policy, or two have the same name.
         """
-        if variant not in _LAYOUTS:
-            raise ValueError(f"variant {variant!r} is not one of {', '.join(VARIANTS)}")
-        layout = _LAYOUTS[variant]
-        n = policy0.basis.count
-        for direction in directions:
-            if len(direction.attractors) != n:
-                raise ValueError(
-                    f"direction {direction.name!r} has {len(direction.attractors)} attractors, "
-                    f"policy {policy0.id!r} has {n}"
-                )
-        if variant == "diagonal":
-            policy0 = replace(policy0, stiffness=policy0.stiffness * np.eye(3))
-        symmetric = symmetric_part(policy0.stiffness)  # (n, 3, 3)
-        mean_stiffness = float(np.trace(symmetric, axis1=1, axis2=2).mean() / 3.0)
-        self.variant = variant
         self.policy0 = policy0
+        symmetric = symmetric_part(policy0.stiffness)  # (n, 3, 3)
         self.stiffness_min = EIGENVALUE_FLOOR * float(np.linalg.eigvalsh(symmetric).min())
-        self._layout = layout
-        self._directions = tuple(directions)
-        self._n = n
-
-        blocks: list[tuple[str, np.ndarray, float]] = []
-        if layout.entries:
-            value = self._entries(policy0.stiffness)
-            blocks.append(("stiffness", value, noise.stiffness * mean_stiffness))
-        value = policy0.attractors[:, layout.axes].ravel()
-        blocks.append(("attractors", value, noise.attractor))
-        if layout.rotation_axes:
-            value = policy0.rotation_attractors[:, layout.rotation_axes].ravel()
-            blocks.append(("rotation", value, noise.rotation))
-        for direction in directions:
-            blocks.append((direction.name, np.zeros(1), direction.scale))
-        if tempo:
-            blocks.append(("tempo", np.zeros(1), tempo))
-
-        self.theta0 = np.concatenate([value for _, value, _ in blocks])
-        self.scale = np.concatenate([np.full(len(value), scale) for _, value, scale in blocks])
+        self._members = tuple(groups)
+        self._stiffness = next((each for each in groups if isinstance(each, Stiffness)), None)
+        values = [each.values(policy0) for each in groups]
+        scales = [np.full(len(v), g.scale(policy0)) for g, v in zip(groups, values, strict=True)]
+        self.theta0, self.scale = np.concatenate(values), np.concatenate(scales)
         self.size = len(self.theta0)
         self.groups: dict[str, slice] = {}
         start = 0
-        for group, value, _ in blocks:
-            if group in self.groups:
-                raise ValueError(f"name {group!r} of a direction is already used by another group")
-            self.groups[group] = slice(start, start + len(value))
+        for group, value in zip(groups, values, strict=True):
+            if group.name in self.groups:
+                raise ValueError(f"name {group.name!r} is used by two groups")
+            self.groups[group.name] = slice(start, start + len(value))
             start += len(value)
         self.theta0.setflags(write=False)
         self.scale.setflags(write=False)
@@ -197,12 +297,11 @@ class Parametrization:
             `policy(clip(z), policy_id)` is the same policy, bit for bit.
         """
         z = self.clip(z)
-        delta = self.scale * z
-        attractors, rotation = self._attractors(delta)
+        stiffness, attractors, rotation = self._moved(z)
         policy = replace(
             self.policy0,
             id=policy_id,
-            stiffness=self._stiffness(delta),
+            stiffness=stiffness,
             attractors=attractors,
             rotation_attractors=rotation,
         )
@@ -215,24 +314,20 @@ class Parametrization:
         index = self.groups["tempo"].start
         return np.exp(self.scale[index] * z[..., index])
 
-    def arrays(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def arrays(self, z: np.ndarray) -> Arrays:
         """Arrays of the policies at many z at once, at the tempo of `policy0`.
 
         At a tempo of one they equal those of `policy` up to rounding.
 
         Args:
             z: Requested coordinates. Shape (B, size).
-
-        Returns:
-            Positive definite stiffness (B, n, 3, 3), attractors and rotation attractors (B, n, 3).
         """
-        delta = self.scale * np.asarray(z, dtype=float)
-        stiffness = self._stiffness(delta)
-        if "stiffness" in self.groups:
-            each = stiffness.reshape(-1, 3, 3)  # a view
+        arrays = self._moved(np.asarray(z, dtype=float))
+        if self._stiffness is not None:
+            each = arrays.stiffness.reshape(-1, 3, 3)  # a view
             bad = np.linalg.eigvalsh(symmetric_part(each))[:, 0] < self.stiffness_min
-            each[bad] = self._raised(each[bad])
-        return stiffness, *self._attractors(delta)
+            each[bad] = self._stiffness.raised(each[bad], self.stiffness_min)
+        return arrays
 
     def clip(self, z: np.ndarray) -> np.ndarray:
         """Coordinates of the nearest policy with positive definite stiffness matrices.
@@ -242,17 +337,17 @@ class Parametrization:
         clipped vectors need no clipping. Shape (size,).
         """
         z = self._checked(z).copy()
-        if "stiffness" not in self.groups:
+        if (group := self._stiffness) is None:
             return z
-        stiffness = self._stiffness(self.scale * z)
+        stiffness = self._moved(z).stiffness
         low = np.linalg.eigvalsh(symmetric_part(stiffness))[:, 0]  # (n,)
         # A clipped matrix may be below the limit by a rounding error; do not clip it again.
         bad = low < self.stiffness_min * (1.0 - 1e-9)
         if bad.any():
-            raised = self._raised(stiffness[bad])
-            block = z[self.groups["stiffness"]].reshape(self._n, -1)  # a view into z
-            difference = self._entries(raised) - self._entries(self.policy0.stiffness[bad])
-            scale = self.scale[self.groups["stiffness"]][0]
+            raised = group.raised(stiffness[bad], self.stiffness_min)
+            block = z[self.groups[group.name]].reshape(len(low), -1)  # a view into z
+            difference = group.entries_of(raised) - group.entries_of(self.policy0.stiffness[bad])
+            scale = self.scale[self.groups[group.name]][0]
             block[bad] = difference.reshape(-1, block.shape[1]) / scale
         return z
 
@@ -260,59 +355,33 @@ class Parametrization:
         """Coordinates as floats; ValueError if the shape is wrong or a value is not finite."""
         z = np.asarray(z, dtype=float)
         if z.shape != (self.size,):
-            raise ValueError(f"z has shape {z.shape}, variant {self.variant!r} has ({self.size},)")
+            raise ValueError(f"z has shape {z.shape}, the parameters have ({self.size},)")
         if not np.isfinite(z).all():
             raise ValueError(f"z is not finite: {z[~np.isfinite(z)][:3]}")
         return z
 
-    def _entries(self, stiffness: np.ndarray) -> np.ndarray:
-        """Learnt entries of matrices (m, 3, 3), flattened."""
-        if self._layout.symmetric:
-            stiffness = symmetric_part(stiffness)
-        columns = [stiffness[:, row, column] for row, column in self._layout.entries]
-        return np.stack(columns, axis=1).ravel()
+    def _moved(self, z: np.ndarray) -> Arrays:
+        """Arrays of policy0, moved to z (..., size)."""
+        delta, policy0 = self.scale * z, self.policy0
+        own = (policy0.stiffness, policy0.attractors, policy0.rotation_attractors)
+        arrays = Arrays(*(np.broadcast_to(a, (*z.shape[:-1], *a.shape)).copy() for a in own))
+        for group, part in zip(self._members, self.groups.values(), strict=True):
+            group.move(arrays, delta[..., part])
+        return arrays
 
-    def _stiffness(self, delta: np.ndarray) -> np.ndarray:
-        """Stiffness matrices of policy0 moved by delta (..., size). Shape (..., n, 3, 3)."""
-        batch = delta.shape[:-1]
-        stiffness = np.broadcast_to(self.policy0.stiffness, (*batch, self._n, 3, 3)).copy()
-        if self._layout.entries:
-            moved = delta[..., self.groups["stiffness"]].reshape(*batch, self._n, -1)
-            for k, (row, column) in enumerate(self._layout.entries):
-                stiffness[..., row, column] += moved[..., k]
-                if self._layout.symmetric and row != column:
-                    stiffness[..., column, row] += moved[..., k]
-        return stiffness
 
-    def _attractors(self, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Attractors and rotation attractors of policy0 moved by delta. Shape (..., n, 3) each."""
-        batch, axes = delta.shape[:-1], self._layout.axes
-        shape = (*batch, self._n, 3)
-        attractors = np.broadcast_to(self.policy0.attractors, shape).copy()
-        attractors[..., axes] += delta[..., self.groups["attractors"]].reshape(*batch, self._n, -1)
-        rotation = np.broadcast_to(self.policy0.rotation_attractors, shape).copy()
-        axes = self._layout.rotation_axes
-        if axes:
-            rotation[..., axes] += delta[..., self.groups["rotation"]].reshape(*batch, self._n, -1)
-        for direction in self._directions:
-            step = delta[..., self.groups[direction.name], np.newaxis]  # (..., 1, 1)
-            attractors += step * direction.attractors
-            rotation += step * direction.rotation
-        return attractors, rotation
+def parametrization_of(policy0: Policy, variant: str, noise: NoiseScales) -> Parametrization:
+    """Stiffness and attractors in all directions, as in the paper.
 
-    def _raised(self, stiffness: np.ndarray) -> np.ndarray:
-        """Make matrices (m, 3, 3) positive definite, changing only learnt entries."""
-        if self.variant != "planar":
-            return positive_definite(stiffness, self.stiffness_min)
-        # K_yy and the coupling b of y to x and z are fixed. K - k_min 1 is positive semidefinite if
-        # and only if the Schur complement P - k_min 1 - b b^T / (K_yy - k_min) is: clip the latter.
-        symmetric = symmetric_part(stiffness)
-        raised = stiffness.copy()
-        for k, matrix in enumerate(symmetric):
-            b = matrix[[0, 2], 1]
-            coupling = np.outer(b, b) / (matrix[1, 1] - self.stiffness_min)
-            uncoupled = np.diag([0.0, matrix[1, 1], 0.0])
-            uncoupled[_XZ] = matrix[_XZ] - coupling
-            clipped = positive_definite(uncoupled[np.newaxis], self.stiffness_min)[0]
-            raised[k][_XZ] += clipped[_XZ] - uncoupled[_XZ]
-        return raised
+    Args:
+        policy0: Policy at z = 0.
+        variant: Form of the stiffness, one of `FORMS`; "diagonal" sets the other entries of
+            `policy0` to zero. "attractors": the attractors alone.
+        noise: Standard deviation of the exploration noise.
+    """
+    attractors = Attractors(noise.attractor)
+    if variant == "attractors":
+        return Parametrization(policy0, [attractors])
+    if variant == "diagonal":
+        policy0 = replace(policy0, stiffness=policy0.stiffness * np.eye(3))
+    return Parametrization(policy0, [Stiffness(noise.stiffness, variant), attractors])

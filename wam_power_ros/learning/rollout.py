@@ -3,59 +3,12 @@
 
 from __future__ import annotations
 
-import enum
 from dataclasses import dataclass
 
 import numpy as np
 
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import check_id, read_only
-
-
-class FaultKind(str, enum.Enum):
-    """Kind of a controller fault; decisions depend on the kind, never on the fault's text."""
-
-    # Caused by the policy: the return of the rollout is 0 and the policy is not retried.
-    JOINT_POSITION = "joint_position"  # joint position limit exceeded
-    JOINT_SPEED = "joint_speed"
-    GUARDED_SPEED = "guarded_speed"  # speed of a guarded point, such as the elbow or the forearm
-    TOOL_SPEED = "tool_speed"
-    WORKSPACE = "workspace"  # the tool left its box
-    PLANE = "plane"  # a guarded point or the tool is behind the keep-out plane
-    # Not caused by the policy: the rollout is not learnt from.
-    TRACKING = "tracking"  # a joint is far from its reference
-    COMPUTATION = "computation"  # computed torque missing or not finite
-    STATES_LOST = "states_lost"  # no joint state for too long
-    STATES_REFUSED = "states_refused"  # too many invalid joint states
-    JUMP = "jump"  # joint position jumped from one state to the next
-    VELOCITY = "velocity"  # positions and velocities contradict each other
-    EXTERNAL_TORQUE = "external_torque"  # motion not explained by the commanded torques
-    STAMPS = "stamps"  # the stamps do not advance with real time
-    RELEASED = "released"  # the enabling switch was released
-    OTHER_POLICY = "other_policy"  # another publisher's policy was executed under this id
-    SECOND_COMMANDER = "second_commander"  # another node publishes torques
-    OVERLOAD = "overload"  # too many control periods missed
-    SOFTWARE = "software"  # a callback raised an exception
-
-    @property
-    def of_policy(self) -> bool:
-        """Whether the policy caused the fault by exceeding a motion limit."""
-        return self in _OF_POLICY
-
-
-_OF_POLICY = frozenset(list(FaultKind)[:6])
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A latched fault of the controller.
-
-    Attributes:
-        kind: Kind of the fault.
-        text: Description for the operator, with the value and the limit.
-    """
-
-    kind: FaultKind
-    text: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +72,7 @@ class Rollout:
         tool: Path of the tool.
         body: Path of the tracked body, None for a task that tracks none.
         fault: Controller fault that ended the rollout, None without a fault.
+        stopped_in: Name of the guarded region that ended the rollout, "" if none did.
 
     Raises:
         ValueError: If the two paths belong to different policies.
@@ -127,6 +81,7 @@ class Rollout:
     tool: EndEffectorPath
     body: BodyPath | None = None
     fault: Fault | None = None
+    stopped_in: str = ""
 
     def __post_init__(self) -> None:
         if self.body is not None and self.body.id != self.tool.id:

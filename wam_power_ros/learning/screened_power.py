@@ -14,7 +14,7 @@ class ScreenedPower(GaussianLearner):
     """PoWER with screened exploration. Not in the paper.
 
     Much of a skill is known before the first rollout: the path of Eq. 1 and the return of a path.
-    The environment is unknown: an obstacle, how a pancake leaves the pan. A model predicts the
+    The environment is unknown: an obstacle, how an object leaves the tool. A model predicts the
     known part and learns the rest from rollouts (`Model`). Every exploration then has three steps:
 
     1. Draw `candidates` samples from PoWER's distribution, the mean plus noise.

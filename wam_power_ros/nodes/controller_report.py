@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.faults import Fault
 from wam_power_ros.nodes.preparation import Preparation
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from wam_power_ros.arm_identity import remark
 from wam_power_ros.bags.reader import noted_arm, read_states
-from wam_power_ros.learning.demonstration import Demonstration, from_joint_samples
+from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.practice.course import reproduction_of
@@ -91,7 +91,7 @@ class Demonstrations:
             ValueError: It cannot be fitted or is not feasible; names the bags and the reason.
         """
         policy = self.fit(group, bags, f"demonstration-{number}")
-        task = settings.make_task(self._kind.context_of(group, self._arm.obstacle))
+        task = settings.make_task(self._kind.context_of(group, self._arm.region))
         if fault := self._arm.infeasible(reproduction_of(policy, task)):
             raise ValueError(f"{bags}: would end in a fault: {fault.text}")
         return policy
@@ -105,7 +105,7 @@ class Demonstrations:
                 self._log.info(f"{bag}: {found.text}")
             if note := remark(noted_arm(Path(bag)), identity):
                 self._log.info(f"{bag} {note}")
-            return from_joint_samples(self._arm.kinematics, states.stamps, states.q)
+            return self._kind.demonstration_of(self._arm.kinematics, states.stamps, states.q)
         except (ValueError, OSError) as error:
             raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
 

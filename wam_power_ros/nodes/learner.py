@@ -129,7 +129,7 @@ class Learner(Node):
         self._kind = self._task_type()
         self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
         self._rollouts = RolloutClient(self, executor_for(self), params, self._kind.body)
-        self._markers = Markers(self, self._kind.body, self._arm.obstacle)
+        self._markers = Markers(self, self._kind.body, self._arm.region)
 
     # Requests of a person
 
@@ -251,7 +251,7 @@ class Learner(Node):
             settings = self._settings()
             named = list(filter(None, params.demonstrations))
             bags, demonstrations, candidates = self._demonstrations.candidates(settings, named)
-            context = self._kind.context_of(demonstrations, self._arm.obstacle)
+            context = self._kind.context_of(demonstrations, self._arm.region)
             session = Session.begin(
                 folder, settings, params.seed, candidates, context=context, demonstrations=bags
             )

@@ -19,12 +19,13 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.policy_shapes import ellipsoids, plan
+from wam_power_ros.regions import Region
 from wam_power_ros.ros import interface, pose_messages
 
 # Colours, RGBA
 PLANNED, EXECUTED = (0.15, 0.39, 0.92, 1.0), (0.92, 0.35, 0.05, 1.0)
 STIFFNESS, NORMAL = (0.05, 0.58, 0.53, 0.4), (0.98, 0.79, 0.43, 1.0)
-OBSTACLE = (0.86, 0.15, 0.15, 0.5)
+REGION = (0.86, 0.15, 0.15, 0.5)
 LINE_WIDTH = 0.006  # of a path [m]
 ARROW_LENGTH = 0.15  # of the normal of a body [m]
 BODY_PERIOD = 0.5  # between two messages for the body alone [s of wall time]
@@ -36,10 +37,10 @@ class Markers:
     Args:
         node: Node that publishes them.
         body: Name of the tracked body, "" for none.
-        obstacle: Centre in the base frame and radius [m]; radius 0 for none. Shape (4,).
+        region: Guarded region, None for none.
     """
 
-    def __init__(self, node: Node, body: str, obstacle: Sequence[float]) -> None:
+    def __init__(self, node: Node, body: str, region: Region | None) -> None:
         self._frame = interface.frame(node.get_namespace(), interface.BASE_FRAME)
         self._drawn: dict[str, list[Marker]] = {}  # by namespace of RViz
         self._published = 0.0
@@ -49,10 +50,10 @@ class Markers:
         if body:
             state = interface.body_topic(body, "state")
             node.create_subscription(Odometry, state, self._on_body, interface.STATE_IN)
-        if obstacle[3] > 0.0:
-            sphere = self._marker("obstacle", Marker.SPHERE, OBSTACLE, [2.0 * obstacle[3]] * 3)
-            sphere.pose.position = _point(obstacle[:3])
-            self._drawn["obstacle"] = [sphere]
+        if region is not None:
+            sphere = self._marker("region", Marker.SPHERE, REGION, [2.0 * region.radius] * 3)
+            sphere.pose.position = _point(region.centre)
+            self._drawn["region"] = [sphere]
 
     def plan(self, policy: Policy, start: np.ndarray) -> None:
         """Draw a policy: attractors with their stiffness, and its path from `start` (3,) [m]."""

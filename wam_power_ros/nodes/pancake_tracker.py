@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pancake tracker: motion capture in; the pancake's state, and its path through a rollout, out.
+"""Tracker of one body: motion capture in; its state, and its path through a rollout, out.
 
 Wraps `tracker.Tracker`. The path of a rollout has the frames whose stamps lie within it, whenever
 they arrived. It is published once a frame at or after its end has come, or none for a while.

@@ -26,8 +26,10 @@ from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.dmp import Tables
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.regions import Region
 from wam_power_ros.ros.process_channel import Channel, Message, pair
 
 NAME = "torque_controller_preparation"  # node of the process
@@ -122,6 +124,7 @@ class Preparation:
         frame: str,
         fault: Fault | None = None,
         digest: str = "",
+        stopped_in: str = "",
     ) -> None:
         """Publish the path of a rollout.
 
@@ -131,10 +134,11 @@ class Preparation:
             frame: Frame of the path.
             fault: Fault at its end, None without one.
             digest: Digest of the executed policy, see `policy.digest`.
+            stopped_in: Name of the guarded region that ended it, "" if none did.
         """
         values: dict[str, object] = {"what": "path", "id": path.id, "start_ns": start_ns}
         values |= {"frame": frame, "fault": fault and [fault.kind.value, fault.text]}
-        values["digest"] = digest
+        values |= {"digest": digest, "stopped_in": stopped_in}
         self._path = (values, {"t": path.t, "position": path.position, "quat_xyzw": path.quat_xyzw})
         self._send(*self._path)
 
@@ -298,7 +302,8 @@ def settings_values(settings: ControllerSettings) -> dict[str, Any]:
 
     if settings.limits is None:
         raise ValueError("settings without limits")
-    return {**plain(settings), "limits": plain(settings.limits)}
+    region = settings.region and [*vars(settings.region).values()]
+    return {**plain(settings), "limits": plain(settings.limits), "region": region}
 
 
 def settings_of(values: Mapping[str, Any]) -> ControllerSettings:
@@ -307,7 +312,9 @@ def settings_of(values: Mapping[str, Any]) -> ControllerSettings:
     if arm is not None:  # a list of lists in JSON
         name, joint_names, *digests = arm
         arm = ArmIdentity(name, tuple(joint_names), *digests)
-    return ControllerSettings(**{**values, "limits": Limits(**values["limits"]), "arm": arm})
+    region = values["region"] and Region(*values["region"])
+    limits = Limits(**values["limits"])
+    return ControllerSettings(**{**values, "limits": limits, "arm": arm, "region": region})
 
 
 def channel_of_process() -> Channel:

@@ -32,8 +32,9 @@ from wam_power_ros.control import prepared_policy, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind
+from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.nodes.preparation import (
     MOVEMENT,
     NAME,
@@ -140,7 +141,9 @@ class PreparationWorker(Node):
         message = pose_messages.path_message(path, values["start_ns"], values["frame"])
         self._paths.publish(message)
         fault = values["fault"] and Fault(FaultKind(values["fault"][0]), values["fault"][1])
-        finished = pose_messages.Finished(path.id, values["start_ns"], fault, values["digest"])
+        finished = pose_messages.Finished(
+            path.id, values["start_ns"], fault, values["digest"], values["stopped_in"]
+        )
         self._finished.publish(pose_messages.finished_message(finished))
 
     def _do_report(self, values: dict[str, Any], _: object) -> None:

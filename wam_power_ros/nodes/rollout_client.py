@@ -26,9 +26,10 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.control.modes import Mode
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.ros import diagnostics, interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.pose_messages import Finished, GroundTruth, PathReading, StateReading
@@ -159,7 +160,7 @@ class RolloutClient:
             text = f"another policy was executed under the id {policy.id}: {self._senders()}"
             self._log.error(text)
             fault = Fault(FaultKind.OTHER_POLICY, text)
-        return Executed(Rollout(tool, body, fault), bag, truth)
+        return Executed(Rollout(tool, body, fault, finished.stopped_in), bag, truth)
 
     def until(
         self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float

@@ -9,8 +9,8 @@ import numpy as np
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.feasibility import simulate_policy, speed_margin
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy, to_json, with_id
-from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 
@@ -44,7 +44,7 @@ class SimulatedArm:
         own, *over = (share(file) for file in controller)
         controller_params = TorqueControllerParams.of_file(own, "torque_controller", *over)
         self._controller = controller_params.controller(urdf)
-        self.obstacle = controller_params.obstacle
+        self.region = controller_params.region
         self._report = report
         # movement and number of overruns -> fault that ends it, None if it is feasible
         self._verdicts: dict[tuple[str, int], Fault | None] = {}

@@ -35,7 +35,7 @@ from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.controller_report import Condition, ControllerReport
 from wam_power_ros.nodes.motion_requests import MotionRequests, attempt, fill
 from wam_power_ros.nodes.preparation import Preparation
@@ -308,7 +308,8 @@ class TorqueController(LifecycleNode):
         if path is not None:
             start_ns = controller.rollout_stamp_ns or stamp_ns
             digest = self._requests.executed
-            self._preparation.publish_path(path, start_ns, self._frame, controller.latched, digest)
+            end = (controller.latched, digest, controller.stopped_in)
+            self._preparation.publish_path(path, start_ns, self._frame, *end)
         self._requests.answer(controller)
         return None
 

@@ -30,6 +30,7 @@ NODES = (
 )
 STAND_INS = ("wam_sim", "optitrack_sim")
 SOURCES = ("torque_controller", "pancake_tracker")  # the others' parameters are derived from theirs
+REGION = "guarded_region"  # parameter of the controller; a simulated scene has the same one
 SIMULATION = "simulation"  # file in config/ with what a simulation changes
 MOVE_SPEED = 1.0  # [rad/s] of a simulated arm in lockstep, when it moves to a start
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
@@ -88,7 +89,7 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         derived["learner"]["controller"] = limits
     if names or simulated:
         derived |= _stand_ins(chosen["torque_controller"], chosen["pancake_tracker"])
-    derived.setdefault("wam_sim", {})["obstacle"] = chosen["torque_controller"]["obstacle"]
+    derived.setdefault("wam_sim", {})[REGION] = chosen["torque_controller"][REGION]
     tracked = {name: chosen["pancake_tracker"][name] for name in ("body", "pose_topic")}
     derived["optitrack_sim"] = tracked | derived.get("optitrack_sim", {})
     parameters = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
@@ -145,7 +146,7 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
             return {name: mocap[name] for name in ("pose_topic", "markers_topic")}
         derived = {**_derived(arm, mocap), **_stand_ins(arm, mocap)}.get(node, {})
         if node == "wam_sim":
-            derived["obstacle"] = arm["obstacle"]
+            derived[REGION] = arm[REGION]
         return derived | ({"controller": list(controller)} if node == "learner" else {})
 
     before = derive()

@@ -38,7 +38,7 @@ class PancakeTrackerParams(Params):
     noise: float = Field(
         ge=1e-6,
         le=0.05,
-        description="in m: above any camera's resolution; 0.05 is half a pancake's radius",
+        description="in m: above any camera's resolution; more than 0.05 hides any toss",
     )
     silence: float = Field(
         ge=0.05, le=60.0, description="in s: above the period of 30 Hz, and at most a minute"

@@ -14,8 +14,9 @@ from wam_power_ros.control.arm import Arm, guarded_points
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.guarded_controller import GuardedController
 from wam_power_ros.control.safety import limits_of
-from wam_power_ros.learning.rollout import Fault
+from wam_power_ros.faults import Fault
 from wam_power_ros.params.node_params import Params
+from wam_power_ros.regions import Region, region_of
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -98,9 +99,10 @@ class TorqueControllerParams(Params):
     plane: tuple[Unit, Unit, Unit, Length] = Field(
         description="a unit normal, and a distance within 5 m"
     )
-    obstacle: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]] = Field(
+    guarded_region: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]] = Field(
         description="in m: a sphere within reach, with a radius up to 2"
     )
+    guarded_region_name: str = Field(min_length=1)
     law: Literal["operational_space", "virtual_mass"]
     move_speed: float = Field(
         ge=0.01,
@@ -175,6 +177,11 @@ class TorqueControllerParams(Params):
                         "(simulation: false)"
                     )
         return self
+
+    @property
+    def region(self) -> Region | None:
+        """Guarded region, None for none."""
+        return region_of(self.guarded_region_name, self.guarded_region)
 
     def controller(self, urdf: str, latched: Fault | None = None) -> GuardedController:
         """Build the controller for the arm of a URDF, with a fault that is still latched.

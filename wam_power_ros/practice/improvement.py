@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from wam_power_ros.faults import Fault
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault
 from wam_power_ros.practice.feasible_sampler import sample, shrink
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import SessionSettings

@@ -1,53 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of a session: functions from data to matplotlib figures.
-
-Figures are created without pyplot: no window, no global state, any number at a time.
-"""
+"""Figures of a session of any task: functions from data to matplotlib figures."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Mapping, Sequence
-from importlib import resources
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-INK, GRID, PAPER, STEEL = "#24292f", "#e3e6ea", "#8b949e", "#5b6570"
-PAN, PANCAKE, ACCENT = "#3b6ea5", "#d98324", "#2f855a"
-# Distinct for colour-blind readers, too (CIELAB distances of 12 and more, deutan to tritan).
-CYCLE = (PAN, PANCAKE, ACCENT, "#9b3fe0", "#8a1c1c")
+from wam_power_ros.plotting import (
+    BLUE,
+    CYCLE,
+    GREEN,
+    GREY,
+    GRID,
+    ORANGE,
+    STEEL,
+    legend,
+    shared_legend,
+    side_by_side,
+)
+from wam_power_ros.tasks.task import Curve
+
 POINTS = {  # kind of a rollout -> label, marker and colour
     "reproduction": ("reproductions", "D", STEEL),
-    "explore": ("explorations", "o", PAN),
-    "mean": ("the mean", "s", PANCAKE),
-    "retest": ("re-tests", "^", ACCENT),
+    "explore": ("explorations", "o", BLUE),
+    "mean": ("the mean", "s", ORANGE),
+    "retest": ("re-tests", "^", GREEN),
 }
-
-
-def paper_table(name: str) -> np.ndarray:
-    """Curve digitised from a plot of the paper. Shape (n, 2).
-
-    Args:
-        name: `"fig5"`, rollout and mean return of six sessions (Fig. 5); or `"k33"`, time [s] and
-            vertical stiffness [1/s^2] of the learnt policy.
-
-    Raises:
-        FileNotFoundError: There is no curve of this name.
-    """
-    text = (resources.files("wam_power_ros") / "data" / f"{name}.csv").read_text()
-    return np.array(list(csv.reader(io.StringIO(text)))[1:], dtype=float)
 
 
 def learning_curve(
     returns: Sequence[float],
     kinds: Sequence[str] = (),
     marks: Mapping[int, str] | None = None,
-    *,
-    paper: bool,
+    published: Curve | None = None,
 ) -> Figure:
     """Return over the rollouts of a session by their kind, with a running mean of explorations.
 
@@ -58,7 +46,7 @@ def learning_curve(
         returns: Return of each rollout, NaN where it was not usable. Length n.
         kinds: Kind of each rollout, see `session_log.Kind`; all explorations if omitted.
         marks: Rollout number -> text above it, such as "first success".
-        paper: Draw Fig. 5 of the paper behind the data: returns must be those of Eq. 5.
+        published: Published returns by rollout, drawn behind the data.
     """
     figure, (axes,) = side_by_side(7.2, 3.8, 1.0)
     values = np.asarray(returns, dtype=float)
@@ -67,9 +55,8 @@ def learning_curve(
     tests = rollout[rollout_kinds == "retest"]
     if len(tests):
         axes.axvspan(tests[0] - 0.5, tests[-1] + 0.5, color=GRID, alpha=0.6, lw=0)
-    if paper:
-        mean_of_six = paper_table("fig5").T
-        axes.plot(*mean_of_six, color=PAPER, lw=1.2, label="paper, Fig. 5 (mean of 6 sessions)")
+    if published is not None:
+        axes.plot(*published.values.T, color=GREY, lw=1.2, label=published.label)
     first = values[(rollout_kinds == "reproduction") & np.isfinite(values)][:1]
     for level in first:
         axes.axhline(level, color=STEEL, lw=1.0, ls="--", label="first reproduction")
@@ -82,12 +69,12 @@ def learning_curve(
     if explored.any():
         means = _running_mean(values[explored], 5)
         axes.plot(
-            rollout[explored], means, color=PAN, lw=2, label="mean of up to five explorations"
+            rollout[explored], means, color=BLUE, lw=2, label="mean of up to five explorations"
         )
     top = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "va": "top"}
     for number, text in (marks or {}).items():
-        axes.axvline(number, color=ACCENT, lw=0.8, ls=":")
-        axes.annotate(text, (number, 1.0), xytext=(3, -4), fontsize=8, color=ACCENT, **top)
+        axes.axvline(number, color=GREEN, lw=0.8, ls=":")
+        axes.annotate(text, (number, 1.0), xytext=(3, -4), fontsize=8, color=GREEN, **top)
     axes.set(xlabel="rollout", ylabel="return")
     axes.xaxis.get_major_locator().set_params(integer=True)
     axes.set_ylim(0.0, 1.08 * axes.dataLim.y1)
@@ -115,21 +102,21 @@ def terms(numbers: Sequence[int], values: Mapping[str, Sequence[float | None]]) 
     return figure
 
 
-def stiffness(profiles: Mapping[str, np.ndarray], *, paper: bool) -> Figure:
+def stiffness(profiles: Mapping[str, np.ndarray], published: Curve | None = None) -> Figure:
     """Vertical stiffness K33 over the movement, absolute and relative to its mean.
 
     Args:
         profiles: Name -> K33 at evenly spaced times [1/s^2], of one policy, shape (T,), or several,
             shape (n, T), of which the median and the middle 80 % are drawn.
-        paper: Draw the learnt policy of the paper, too.
+        published: Published K33 by time, drawn behind the data.
     """
     figure, (absolute, relative) = side_by_side(9.4, 3.6, 1.0, 1.0)
-    if paper:
-        time, k33 = paper_table("k33").T
+    if published is not None:
+        time, k33 = published.values.T
         part = time / time[-1]
         own = np.interp(np.linspace(0.0, 1.0, 101), part, k33).mean()  # not evenly sampled
-        absolute.plot(part, k33, "s--", ms=3, lw=1.2, color=PAPER, label="paper, learnt")
-        relative.plot(part, 100.0 * (k33 / own - 1.0), "s--", ms=3, lw=1.2, color=PAPER)
+        absolute.plot(part, k33, "s--", ms=3, lw=1.2, color=GREY, label=published.label)
+        relative.plot(part, 100.0 * (k33 / own - 1.0), "s--", ms=3, lw=1.2, color=GREY)
     for color, (name, given) in zip(CYCLE, profiles.items(), strict=False):
         rows = np.atleast_2d(np.asarray(given, dtype=float))
         t = np.linspace(0.0, 1.0, rows.shape[1])
@@ -165,58 +152,6 @@ def save_film(frames: Sequence[np.ndarray], path: Path, rate: float) -> None:
     first, *others = (Image.fromarray(np.ascontiguousarray(frame)) for frame in frames)
     settings = {"duration": round(1000 / rate), "loop": 0, "quality": 70, "method": 4}
     first.save(path, format="WEBP", save_all=True, append_images=others, **settings)
-
-
-def svg(figure: Figure) -> bytes:
-    """Content of an SVG file of a figure, the same bytes for the same figure."""
-    from matplotlib import rc_context
-
-    buffer = io.BytesIO()
-    with rc_context({"svg.hashsalt": "wam_power_ros"}):
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
-
-
-def png(figure: Figure) -> bytes:
-    """Content of a PNG file of a figure, the same bytes for the same figure."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def side_by_side(width: float, height: float, *widths: float) -> tuple[Figure, list[Axes]]:
-    """Create a figure of this size [inch] with axes side by side, of these relative widths."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    row = list(figure.subplots(1, len(widths), squeeze=False, width_ratios=widths)[0])
-    for axes in row:
-        dress(axes)
-    return figure, row
-
-
-def dress(axes: Axes) -> None:
-    """Apply the common style to axes."""
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.spines[["left", "bottom"]].set_color(GRID)
-    axes.grid(color=GRID, lw=0.7)
-    axes.set_axisbelow(True)
-    axes.tick_params(colors=INK, labelsize=8, length=0)
-    axes.xaxis.label.set(color=INK, size=9)
-    axes.yaxis.label.set(color=INK, size=9)
-
-
-def legend(axes: Axes) -> None:
-    """Add a legend above the axes, where it hides no data."""
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4, frameon=False, fontsize=8)
-
-
-def shared_legend(figure: Figure, many: Iterable[Axes], columns: int) -> None:
-    """Add a legend below a figure with each label of its axes once."""
-    found = {}
-    for axes in many:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    place = {"loc": "outside lower center", "frameon": False, "fontsize": 8}
-    figure.legend(list(found.values()), list(found), ncols=columns, **place)
 
 
 def _running_mean(values: np.ndarray, width: int) -> np.ndarray:

@@ -2,14 +2,14 @@
 """Report of a session as one self-contained HTML file, figures and film included.
 
 All figures and sentences are computed from the session's records; the same folder gives the same
-file. Parts specific to a task, such as Eq. 5 of the paper for the pancake, are shown for it only.
+file. What is specific to a task comes from the task.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
-from wam_power_ros import durable_files
+from wam_power_ros import durable_files, plotting
 from wam_power_ros.learning import policy
 from wam_power_ros.learning.dmp import activations
 from wam_power_ros.learning.rollout import Rollout
@@ -27,16 +27,11 @@ from wam_power_ros.practice import session
 from wam_power_ros.practice.best_policy import reproduction_learnt_from
 from wam_power_ros.practice.session import SessionHeader
 from wam_power_ros.practice.session_log import Record
-from wam_power_ros.reporting import figures, flip_figures, html_page, reach_figures
+from wam_power_ros.reporting import figures, html_page
 from wam_power_ros.reporting.terminal import before_and_after, counted, number, returned, term_names
-from wam_power_ros.tasks.task import Task
+from wam_power_ros.tasks.task import Curve, Task
 
 VL2 = 1.0  # factory fault speed of the WAM's safety board, elbow and forearm [m/s]
-ROLLOUT_FIGURES = {"flip": flip_figures.final_rollout, "reach": reach_figures.final_rollout}
-AGREEMENT = {  # task -> question, and the keys of its answer in ground truth and in the observation
-    "flip": ("whether the pancake was caught", "caught", "resting"),
-    "reach": ("whether the obstacle was touched", "touched", "touched"),
-}
 
 
 @dataclass(frozen=True)
@@ -83,9 +78,10 @@ def render(
         profiles = {} if start is None else {"start": vertical_stiffness(start)}
         profiles[answer.id] = vertical_stiffness(answer)
         text = f"Vertical stiffness over the movement: the demonstration's and that of {answer.id}."
-        if task.name == "flip":
-            text += " The paper's policy changed by a few percent."
-        drawn = figures.stiffness(profiles, paper=task.name == "flip")
+        published = None if task.published is None else task.published.stiffness
+        if published is not None:
+            text += f" {published.remark}"
+        drawn = figures.stiffness(profiles, published)
         parts.append(html_page.section("Stiffness", [text], _svg(drawn)))
     parts += [_speeds(records), _table(task, records), _settings(header)]
     return html_page.page(f"Session of seed {header.seed}, task {task.name}", parts)
@@ -119,13 +115,13 @@ def vertical_stiffness(of: policy.Policy) -> np.ndarray:
     return activations(of.basis, t) @ of.stiffness[:, 2, 2]
 
 
-def _achieved(task: Task, record: Record) -> bool:
-    """Whether a rollout achieved the goal of the task, regardless of the settings of success."""
-    return flip_figures.flipped_and_caught(record) if task.name == "flip" else record.success
+def _first(task: Task, records: Sequence[Record]) -> int | None:
+    """Number of the first rollout that achieved the goal, None if there is none."""
+    return next((record.number for record in records if task.achieved(record)), None)
 
 
 def _svg(drawn: Figure) -> str:
-    return html_page.image(figures.svg(drawn), style="drawn")
+    return html_page.image(plotting.svg(drawn), style="drawn")
 
 
 def _cards(task: Task, records: Sequence[Record]) -> str:
@@ -139,11 +135,9 @@ def _cards(task: Task, records: Sequence[Record]) -> str:
             cards.append(("return of the reproduction, before learning", number(first.ret)))
         cards.append((f"mean return of the last {len(last)}", f"{statistics.mean(last):.3f}"))
     if tests:
-        achieved = sum(_achieved(task, record) for record in tests)
-        what = "flipped and caught" if task.name == "flip" else "that succeeded"
-        cards.append((f"re-tests {what}", f"{achieved} of {len(tests)}"))
-    if task.name == "flip" and (angle := flip_figures.median_angle(tests)):
-        cards.append(("median angle of the re-tests", angle))
+        achieved = sum(task.achieved(record) for record in tests)
+        cards.append((f"re-tests {task.goal.retests}", f"{achieved} of {len(tests)}"))
+    cards += task.measured(tests).items()
     return html_page.cards(cards)
 
 
@@ -154,12 +148,11 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
         f"learner {settings.learner!r} and may use "
         f"{counted(settings.practice.budget, 'rollout')}."
     ]
-    first = next((record.number for record in records if _achieved(task, record)), None)
-    goal = "flipped and caught the pancake" if task.name == "flip" else "succeeded"
-    if first is not None:
-        text.append(f"Rollout {first} was the first that {goal}.")
+    goal = task.goal
+    if (first := _first(task, records)) is not None:
+        text.append(f"Rollout {first} was the first that {goal.achieved}.")
     elif records:
-        text.append(f"No rollout {goal} yet.")
+        text.append(f"No rollout {goal.achieved} yet.")
     if ratings := [record.adjustment for record in records if record.adjustment is not None]:
         rewarded = sum(rating > 0.0 for rating in ratings)
         text.append(
@@ -171,16 +164,14 @@ def _verdict(header: SessionHeader, task: Task, records: Sequence[Record]) -> st
         text.append(f"Demonstrations added while learning: {', '.join(added)}.")
     if unusable := sum(record.ret is None for record in records):
         text.append(f"Without a return, and not learnt from: {counted(unusable, 'rollout')}.")
-    if task.name in AGREEMENT:
-        question, true, seen = AGREEMENT[task.name]
-        pairs = [(r.truth, r.observation) for r in records if r.truth and r.observation]
-        answers = [(t[true], o[seen]) for t, o in pairs if true in t and seen in o]
-        if answers:
-            agree = sum(bool(one) == bool(other) for one, other in answers)
-            text.append(
-                f"On {question}, the observation agreed with the simulator in {agree} of "
-                f"{counted(len(answers), 'rollout')}."
-            )
+    pairs = [(r.truth, r.observation) for r in records if r.truth and r.observation]
+    true, seen = goal.true, goal.observed
+    if answers := [(t[true], o[seen]) for t, o in pairs if true in t and seen in o]:
+        agree = sum(bool(one) == bool(other) for one, other in answers)
+        text.append(
+            f"On {goal.question}, the observation agreed with the simulator in {agree} of "
+            f"{counted(len(answers), 'rollout')}."
+        )
     lines = [*before_and_after(records, task), *task.summary(records)]
     text += [f"{line[0].upper()}{line[1:]}." for line in lines]
     if decisions := [record.note for record in records if record.note]:
@@ -195,35 +186,50 @@ def _shown(task: Task, shown: ShownRollout, why_no_film: str) -> str:
     else:
         content = f'<p class="quiet">No film: {escape(why_no_film)}</p>'
     text = shown.caption
-    if task.name == "flip":
-        text += (
-            " Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the paper; dots "
-            "are camera frames."
-        )
-    if task.name in ROLLOUT_FIGURES:
-        content += _svg(ROLLOUT_FIGURES[task.name](task, rollout))
+    if (drawn := task.figure(rollout)) is not None:
+        figure, remark = drawn
+        text = f"{text} {remark}".rstrip()
+        content += _svg(figure)
     return html_page.section(f"The session's policy, {rollout.tool.id}", [text], content)
 
 
 def _curves(task: Task, records: Sequence[Record]) -> str:
-    flip = task.name == "flip"
-    first = next((record.number for record in records if _achieved(task, record)), None)
-    marks = {} if first is None else {first: "first flip" if flip else "first success"}
-    own = [math.nan if record.ret is None else record.ret for record in records]
-    eq5 = [flip_figures.equation_5(record) for record in records] if flip else None
+    first = _first(task, records)
+    marks = {} if first is None else {first: task.goal.first}
     kinds = [record.kind for record in records]
-    learnt_eq5 = own == eq5
-    paper = " The paper's curve is the mean of six sessions; it has no re-tests."
-    drawn = figures.learning_curve(own, kinds, marks, paper=learnt_eq5)
-    text = f"The session's return of every rollout, without ratings.{paper if learnt_eq5 else ''}"
-    html = html_page.section("Learning curve", [text], _svg(drawn))
-    if eq5 is not None and not learnt_eq5:
-        drawn = figures.learning_curve(eq5, kinds, marks, paper=True)
-        text = f"Eq. 5 of every rollout; this session did not learn from it.{paper}"
-        html += html_page.section("Return of the paper, Eq. 5", [text], _svg(drawn))
+    own = [math.nan if record.ret is None else record.ret for record in records]
+    text = "The session's return of every rollout, without ratings."
+    if (published := task.published) is None:
+        return _curve("Learning curve", text, own, kinds, marks) + _terms(records)
+    theirs = [published.ret(record) for record in records]
+    if np.array_equal(own, theirs, equal_nan=True):
+        html = _curve("Learning curve", text, own, kinds, marks, published.returns)
+    else:
+        html = _curve("Learning curve", text, own, kinds, marks)
+        title = f"Return of the paper, {published.name}"
+        text = f"{published.name} of every rollout; this session did not learn from it."
+        html += _curve(title, text, theirs, kinds, marks, published.returns)
+    return html + _terms(records)
+
+
+def _curve(
+    title: str,
+    text: str,
+    returns: Sequence[float],
+    kinds: Sequence[str],
+    marks: Mapping[int, str],
+    published: Curve | None = None,
+) -> str:
+    drawn = figures.learning_curve(returns, kinds, marks, published)
+    if published is not None:
+        text = f"{text} {published.remark}"
+    return html_page.section(title, [text], _svg(drawn))
+
+
+def _terms(records: Sequence[Record]) -> str:
     values = {name: [record.terms.get(name) for record in records] for name in term_names(records)}
     drawn = figures.terms([record.number for record in records], values)
-    return html + html_page.section("Terms", content=_svg(drawn))
+    return html_page.section("Terms", content=_svg(drawn))
 
 
 def _speeds(records: Sequence[Record]) -> str:

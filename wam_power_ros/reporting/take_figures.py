@@ -9,7 +9,7 @@ from itertools import cycle
 import numpy as np
 from matplotlib.figure import Figure
 
-from wam_power_ros.reporting.figures import CYCLE, STEEL, dress, shared_legend
+from wam_power_ros.plotting import CYCLE, STEEL, dress, shared_legend
 
 Limits = tuple[np.ndarray, np.ndarray, np.ndarray]  # lowest, highest [rad], fastest [rad/s]
 

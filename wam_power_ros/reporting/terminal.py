@@ -99,13 +99,14 @@ def summary(records: Sequence[Record], task: Task) -> str:
     if not returns:
         return f"{counted(len(records), 'rollout')}, none usable"
     best, last = max(records, key=lambda record: record.ret or 0.0), returns[-5:]
+    retests = [record for record in records if record.kind == "retest"]
     lines = [
         f"{counted(len(records), 'rollout')}; return {sum(last) / len(last):.3f} over the last "
         f"{len(last)}, best {best.ret:.3f} in rollout {best.number} ({task.outcome(best)})",
         *before_and_after(records, task),
         *task.summary(records),
-        *_angles(records),
-        *_peaks([r.truth for r in records if r.kind == "retest" and r.truth]),
+        *(f"  {label} {value}" for label, value in task.measured(retests).items()),
+        *_peaks([record.truth for record in retests if record.truth]),
     ]
     if notes := [record.note for record in records if record.note]:
         lines.append(f"last decision: {notes[-1]}")
@@ -142,14 +143,6 @@ def before_and_after(records: Sequence[Record], task: Task) -> list[str]:
             f"{succeeded} of {len(tests)} re-tests succeeded"
         )
     return [line]
-
-
-def _angles(records: Sequence[Record]) -> list[str]:
-    """Median angle of the re-tests, as in the report; empty for a task without an angle."""
-    from wam_power_ros.reporting.flip_figures import median_angle  # imports matplotlib: slow
-
-    angle = median_angle([record for record in records if record.kind == "retest"])
-    return [f"  median angle of the re-tests {angle}"] if angle else []
 
 
 def _peaks(truths: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -56,7 +56,7 @@ _RESERVED = {SCENE, "end_effector", "finished"}
 
 
 def body_topic(body: str, leaf: str) -> str:
-    """Topic or service of a tracked body, such as `pancake/state`.
+    """Topic or service of a tracked body, such as `ball/state`.
 
     Args:
         body: Name of the body; empty for a task without one, which has `scene/truth` and
@@ -73,7 +73,7 @@ def body_topic(body: str, leaf: str) -> str:
 
 
 def rollout_topic(body: str) -> str:
-    """Topic of a tracked body's path through a rollout, such as `rollout/pancake`.
+    """Topic of a tracked body's path through a rollout, such as `rollout/ball`.
 
     Raises:
         ValueError: When the name of the body is not acceptable.

@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
 
 from wam_power_ros import plain_json
-from wam_power_ros.learning.rollout import Fault, FaultKind
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.ros.stamps import nanoseconds, sensor_stamp, time_message
 
 if TYPE_CHECKING:
@@ -219,6 +219,7 @@ class Finished(NamedTuple):
     start_ns: int  # stamp of its start and of its paths
     fault: Fault | None  # latched at its end
     digest: str = ""  # of the executed policy, see `policy.digest`; empty if unknown
+    stopped_in: str = ""  # name of the guarded region that ended it, empty if none did
 
 
 def finished_message(finished: Finished) -> String:
@@ -230,6 +231,7 @@ def finished_message(finished: Finished) -> String:
         "start": {"sec": sec, "nanosec": nanosec},
         "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
         "digest": finished.digest,
+        "stopped_in": finished.stopped_in,
     }
     return String(data=json.dumps(values))
 
@@ -246,7 +248,8 @@ def finished(message: String) -> Finished:
         start_ns = int(start["sec"]) * 1_000_000_000 + int(start["nanosec"])
         if fault is not None:
             fault = Fault(FaultKind(fault["kind"]), str(fault["text"]))
-        return Finished(str(values["id"]), start_ns, fault, str(values.get("digest", "")))
+        optional = (str(values.get(name, "")) for name in ("digest", "stopped_in"))
+        return Finished(str(values["id"]), start_ns, fault, *optional)
     except (KeyError, TypeError, OverflowError) as error:
         text = f"{message.data[:200]!r} must describe the end of a rollout: {error!r}"
         raise ValueError(text) from error

@@ -1,25 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Protocol of a task: everything that a session needs to know about one skill.
+"""Base of a task: everything that a session needs to know about one skill.
 
-A class that satisfies `Task` is found by its entry point in the group `wam_power_ros.tasks`, so a
+A class derived from `Task` is found by its entry point in the group `wam_power_ros.tasks`, so a
 laboratory can keep its task in a package of its own. Everything specific to one task (its return,
-its tracked body, its corrections) belongs to its class and nowhere else.
+its tracked body, its corrections, its figures and the words of its reports) belongs to its class
+and nowhere else.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from pydantic import BaseModel
 
-from wam_power_ros.learning.demonstration import Demonstration
+from wam_power_ros.faults import Fault
+from wam_power_ros.learning.demonstration import Demonstration, ToolPose, from_joint_samples
+from wam_power_ros.learning.dmp import FitSettings, fit
 from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.regions import Region
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MISSING_MAX = 0.05  # largest missing part at the end of a path that counts as complete [s]
 
@@ -94,18 +102,72 @@ class LoggedRollout(Protocol):
         """Ground truth of the simulator; None on a real arm."""
 
 
-class Task(Protocol):
-    """One skill under one set of settings.
+@dataclass(frozen=True)
+class Goal:
+    """What a task is to achieve, in the words of its reports.
+
+    Attributes:
+        achieved: Completes "Rollout 2 was the first that ...".
+        first: Mark of that rollout in a figure.
+        retests: Completes "re-tests ...".
+        question: Completes "On ..., the observation agreed with the simulator"; "" for none.
+        observed: Key of its answer in the observation of a rollout.
+        true: Key of its answer in the ground truth of a rollout.
+    """
+
+    achieved: str = "succeeded"
+    first: str = "first success"
+    retests: str = "that succeeded"
+    question: str = ""
+    observed: str = ""
+    true: str = ""
+
+
+class Curve(NamedTuple):
+    """Published curve, which a figure shows behind a session's own."""
+
+    label: str
+    values: np.ndarray  # its points, shape (n, 2)
+    remark: str  # a sentence
+
+
+@dataclass(frozen=True, eq=False)
+class Published:
+    """What a publication reports on a task.
+
+    Attributes:
+        name: Name of its return, such as "Eq. 5".
+        ret: Its return of a rollout, whatever the session learns from; NaN if unknown.
+        returns: Return by rollout.
+        stiffness: K33 [1/s^2] by time [s] of the learnt policy.
+    """
+
+    name: str
+    ret: Callable[[LoggedRollout], float]
+    returns: Curve
+    stiffness: Curve
+
+
+class Task(ABC):
+    """One skill under one set of settings; derive from it. What has a default may be left out.
 
     Class attributes:
         name: Name of the task, as in `--task NAME`.
         body: Name of the tracked rigid body, which its topics contain; "" for none.
         single_policy: Whether one policy is fitted to all demonstrations; otherwise one to each,
             and learning starts from the one that reproduces best.
+        fit_settings: How a demonstration is cut out of a recording, and a policy fitted to it.
         Settings: Model of the task's settings; frozen, unknown fields refused.
         presets: Name -> settings of a session: fields of `Settings`, fields of
             `practice.settings.PracticeSettings`, and `learner`, a mapping with a learner's name and
             settings. The first preset is the default.
+        goal: What is to be achieved, in the words of the reports.
+        published: What a publication reports on the task, None for nothing.
+
+    Attributes:
+        settings: Settings of the task.
+        settle_time: Time that a rollout continues after the movement [s].
+        region: Guarded region at which the controller ends its rollouts, None for none.
 
     A task is constructed from its settings and from `context`: the session stores what `context_of`
     derives from the demonstrations at its start.
@@ -114,11 +176,24 @@ class Task(Protocol):
     name: ClassVar[str]
     body: ClassVar[str]
     single_policy: ClassVar[bool]
+    fit_settings: ClassVar[FitSettings]
     Settings: ClassVar[type[BaseModel]]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]]
+    goal: ClassVar[Goal] = Goal()
+    published: ClassVar[Published | None] = None
+    region: Region | None = None
 
     def __init__(self, settings: Any, context: Mapping[str, Any]) -> None:  # noqa: ANN401
-        """Construct the task; `settings` is an instance of `Settings`."""
+        """Construct the task from `Settings`, which include `settle_time`; no context is used."""
+        self.settings = settings
+        self.settle_time: float = settings.settle_time
+
+    @classmethod
+    def demonstration_of(
+        cls, arm: ToolPose, stamps_ns: Sequence[int] | np.ndarray, q: np.ndarray
+    ) -> Demonstration:
+        """Cut the movement out of a recording; see `from_joint_samples`."""
+        return from_joint_samples(arm, stamps_ns, q, cls.fit_settings.movement)
 
     @classmethod
     def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
@@ -127,22 +202,21 @@ class Task(Protocol):
         Raises:
             ValueError: If no policy can be fitted; the message gives the reason.
         """
+        return fit(demonstrations, cls.fit_settings, policy_id)
 
     @classmethod
     def context_of(
-        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
     ) -> dict[str, Any]:
         """Data that the session stores for the constructor, as JSON data.
 
         Args:
             demonstrations: All demonstrations of the session.
-            obstacle: Sphere that ends a rollout, x, y, z and radius [m]; radius 0 for none.
+            region: Guarded region of the controller, None for none.
         """
+        return {}
 
-    @property
-    def settle_time(self) -> float:
-        """Time that a rollout continues after the movement [s]."""
-
+    @abstractmethod
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy and their exploration noise."""
 
@@ -153,7 +227,9 @@ class Task(Protocol):
             body: State of the tracked body, None if it is not seen or there is none.
             tool: Pose of the tool at the start of the policy.
         """
+        return ""
 
+    @abstractmethod
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return and success of a rollout of `policy`."""
 
@@ -169,9 +245,11 @@ class Task(Protocol):
             Shifts of z, shape (size,) each, one for each error, empty for no correction; if the sum
             is not feasible, they are applied one after another, each as far as is feasible.
         """
+        return ()
 
     def confirms(self, record: LoggedRollout) -> bool:
         """Whether a successful rollout of the mean counts towards the stopping rule."""
+        return True
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Model of the returns for learners that screen candidates; None if the task has none.
@@ -180,12 +258,27 @@ class Task(Protocol):
             parametrization: Map from coordinates to policies.
             start: Position of the tool at the start of the policy [m]. Shape (3,).
         """
+        return None
 
+    @abstractmethod
     def outcome(self, record: LoggedRollout) -> str:
         """Outcome of a logged rollout in a few words, for one cell of a table."""
 
     def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         """Lines that summarise a session, printed at its end and in its report."""
+        return []
+
+    def achieved(self, record: LoggedRollout) -> bool:
+        """Whether a rollout achieved the goal, regardless of the settings of success."""
+        return record.success
+
+    def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
+        """Values measured in the re-tests, by label, for the report and the terminal."""
+        return {}
+
+    def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
+        """Figure of a rollout, and a sentence on it, which may be empty; None for no figure."""
+        return None
 
 
 def fault_assessment(fault: Fault) -> Assessment:
@@ -207,4 +300,5 @@ def cut_short(policy: Policy, rollout: Rollout, settle_time: float) -> str:
     t = rollout.tool.t
     if len(t) and t[-1] >= duration - MISSING_MAX:
         return ""
-    return f"cut short at {t[-1] if len(t) else 0.0:.2f} s of {duration:.2f} s"
+    how = f"stopped in the region {rollout.stopped_in!r}" if rollout.stopped_in else "cut short"
+    return f"{how} at {t[-1] if len(t) else 0.0:.2f} s of {duration:.2f} s"

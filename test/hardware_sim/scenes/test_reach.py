@@ -15,6 +15,7 @@ from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
+from wam_power_ros.regions import region_of
 
 POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
 
@@ -39,7 +40,9 @@ def test_every_reach_goes_from_rest_to_rest_in_an_arc_with_constant_orientation(
 
 def world_with(*obstacle: float) -> World:
     """A world with an obstacle: x, y, z, radius [m]."""
-    settings = WorldSettings(scene=SceneSettings(obstacle=obstacle or (0.0,) * 4))
+    settings = WorldSettings(
+        scene=SceneSettings(region=region_of("obstacle", obstacle or (0.0,) * 4))
+    )
     return World(settings, seed=1, make_scene=Reach)
 
 

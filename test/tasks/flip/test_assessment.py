@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from toss_task import demonstrated_policy
 
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.faults import Fault, FaultKind
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import assess, flight_of
 from wam_power_ros.tasks.task import Assessment

@@ -9,7 +9,7 @@ import pytest
 from toss_task import demonstrated_policy
 
 from wam_power_ros.learning.dmp import reproduce_many
-from wam_power_ros.learning.parametrization import VARIANTS, NoiseScales, Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.tasks.flip.parametrization import FlipNoise, flip_parametrization
 
@@ -91,16 +91,21 @@ def test_the_tempo_makes_the_same_movement_faster() -> None:
     np.testing.assert_array_equal(after.rotation_attractors, before.rotation_attractors)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own(variant: str) -> None:
+def test_only_the_planar_variant_has_a_tempo_and_parameters_of_its_own() -> None:
     policy = demonstrated_policy()
-    noise = NoiseScales(stiffness=0.1, attractor=0.01, rotation=0.05)
-    p, plain = flip_parametrization(policy, variant, NOISE), Parametrization(policy, variant, noise)
-    extra = ["vigour", "flick", "catch_shift", "tempo"] if variant == "planar" else []
-    assert list(p.groups) == [*plain.groups, *extra]
-    assert p.size == plain.size + len(extra)
-    same = [q.policy(np.zeros(q.size), "a")[0] for q in (p, plain)]
-    assert to_json(same[0]) == to_json(same[1])
+    for variant in ("full", "diagonal", "symmetric", "attractors"):
+        p, plain = (
+            make(policy, variant, NOISE) for make in (flip_parametrization, parametrization_of)
+        )
+        assert p.groups == plain.groups
+        same = [q.policy(np.ones(q.size), "a")[0] for q in (p, plain)]
+        assert to_json(same[0]) == to_json(same[1])
+    p = flip_parametrization(policy, "planar", NOISE)
+    own = ["vigour", "flick", "catch_shift", "tempo"]
+    assert list(p.groups) == ["stiffness", "attractors", "rotation", *own]
+    assert p.size == 6 * policy.basis.count + len(own)
+    unchanged = p.policy(np.zeros(p.size), policy.id)[0]
+    assert to_json(unchanged) == to_json(policy)
 
 
 def test_a_policy_with_too_few_attractors_for_a_catch_shift_is_refused() -> None:

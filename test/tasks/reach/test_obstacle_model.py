@@ -4,11 +4,11 @@
 import numpy as np
 
 from reproduction.studies.reaching_runs import NOISE, synthetic
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 
 SCENARIO = synthetic()
-FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
+FULL = parametrization_of(SCENARIO.policy, "full", NOISE["full"])
 
 
 def test_a_model_predicts_a_free_path_exactly_and_a_stopped_one_better_each_time() -> None:

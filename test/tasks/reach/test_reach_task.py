@@ -8,9 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.demonstration import Demonstration, from_positions
-from wam_power_ros.learning.rollout import EndEffectorPath, Fault, FaultKind, Rollout
+from wam_power_ros.learning.rollout import EndEffectorPath, Rollout
 from wam_power_ros.practice.settings import preset
+from wam_power_ros.regions import region_of
 from wam_power_ros.tasks.reach.returns import reaching_return
 from wam_power_ros.tasks.reach.scenario import midpoint, resampled
 from wam_power_ros.tasks.reach.task import Reach
@@ -32,7 +34,7 @@ POLICY = Reach.policy_of(DEMONSTRATIONS, "trial-0001")
 
 
 def task(obstacle: list[float] = OBSTACLE) -> Reach:
-    return Reach(SETTINGS, Reach.context_of(DEMONSTRATIONS, obstacle))
+    return Reach(SETTINGS, Reach.context_of(DEMONSTRATIONS, region_of("obstacle", obstacle)))
 
 
 def path(y: np.ndarray, z: np.ndarray) -> EndEffectorPath:
@@ -88,13 +90,13 @@ def test_a_rollout_that_somebody_stopped_says_nothing() -> None:
     assert early.ret is None and early.why.startswith("cut short")
 
 
-def test_one_that_was_stopped_within_a_centimetre_of_the_obstacle_has_touched_it() -> None:
-    for away, touched in ((0.006, True), (0.014, False)):
-        share = (0.25 - RADIUS - away) / 0.5  # of the way, on which the obstacle is in the middle
-        stopped = Rollout(cut(straight(), share * POLICY.basis.duration))
-        assert (task().assess(POLICY, stopped).ret is not None) == touched
-        free = task([*OBSTACLE[:3], 0.0]).assess(POLICY, stopped)
-        assert free.ret is None and free.why.startswith("cut short")
+def test_a_rollout_that_the_controller_stopped_in_its_region_has_touched_the_obstacle() -> None:
+    share = (0.25 - RADIUS - 0.006) / 0.5  # of the way, on which the obstacle is in the middle
+    path = cut(straight(), share * POLICY.basis.duration)
+    assert task().assess(POLICY, Rollout(path)).ret is None
+    assessment = task().assess(POLICY, Rollout(path, stopped_in="obstacle"))
+    assert assessment.observation["touched"] and assessment.ret is not None
+    assert assessment.why == "stopped at the obstacle"
 
 
 @pytest.mark.parametrize(

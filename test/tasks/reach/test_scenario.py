@@ -8,11 +8,11 @@ import pytest
 
 from reproduction.studies.reaching_runs import NOISE, synthetic
 from wam_power_ros.learning.dmp import activations
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import parametrization_of
 from wam_power_ros.learning.policy import Policy
 
 SCENARIO = synthetic()
-FULL = Parametrization(SCENARIO.policy, "full", NOISE["full"])
+FULL = parametrization_of(SCENARIO.policy, "full", NOISE["full"])
 
 
 def drawn(count: int, seed: int = 0) -> list[Policy]:

@@ -6,9 +6,19 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from wam_power_ros.learning.parametrization import Direction, NoiseScales, Parametrization
+from wam_power_ros.learning.parametrization import (
+    Attractors,
+    Direction,
+    NoiseScales,
+    Parametrization,
+    Rotation,
+    Stiffness,
+    Tempo,
+    parametrization_of,
+)
 from wam_power_ros.learning.policy import Policy
 
+PLANE = (0, 2)  # axes of the movement
 CATCH_PROFILE = (0.5, 1.0, 1.0)  # shift of the last three attractors per unit of catch shift [1]
 TURN_OF_FLICK = 2.0  # additional rotation per unit of flick, measured on wrist flicks [rad]
 TURN_OF_VIGOUR = 3.0  # additional rotation per unit of vigour [rad]
@@ -36,7 +46,8 @@ class FlipNoise(NoiseScales):
 def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Parametrization:
     """Parametrization of a toss around a demonstrated policy.
 
-    The variant "planar" also has the tempo and three more parameters:
+    The variant "planar" is of a movement in the x-z plane: K_xx, K_zz and K_xz, mu_x and mu_z, the
+    rotation attractor about y (pitch), the tempo, and three more parameters:
         vigour: Scales the demonstrated movement in the plane, mu_i - mu_1 and r_i - r_1, by
             1 + vigour [1]. Eq. 1 is linear in its attractors, so all speeds and accelerations grow
             by the same factor, in the same time.
@@ -47,7 +58,7 @@ def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Para
         ValueError: If the variant is unknown, or "planar" with fewer than three attractors.
     """
     if variant != "planar":
-        return Parametrization(policy, variant, noise)
+        return parametrization_of(policy, variant, noise)
     n = policy.basis.count
     if n < len(CATCH_PROFILE):
         raise ValueError(
@@ -59,9 +70,13 @@ def flip_parametrization(policy: Policy, variant: str, noise: FlipNoise) -> Para
     pitch = policy.rotation_attractors[:, 1]
     turn[:, 1] = pitch - pitch[0]
     shift[-len(CATCH_PROFILE) :, 0] = CATCH_PROFILE
-    directions = (
-        Direction("vigour", noise.vigour, attractors=swing, rotation=turn),
-        Direction("flick", noise.flick, attractors=zeros, rotation=turn),
-        Direction("catch_shift", noise.catch_shift, attractors=shift, rotation=zeros),
+    groups = (
+        Stiffness(noise.stiffness, "symmetric", PLANE),
+        Attractors(noise.attractor, PLANE),
+        Rotation(noise.rotation, (1,)),
+        Direction(noise.vigour, "vigour", attractors=swing, rotation=turn),
+        Direction(noise.flick, "flick", attractors=zeros, rotation=turn),
+        Direction(noise.catch_shift, "catch_shift", attractors=shift, rotation=zeros),
+        Tempo(noise.tempo),
     )
-    return Parametrization(policy, variant, noise, directions, noise.tempo)
+    return Parametrization(policy, groups)

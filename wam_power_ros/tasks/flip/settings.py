@@ -9,13 +9,21 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from wam_power_ros.learning.demonstration import Movement
 from wam_power_ros.learning.dmp import FitSettings
 from wam_power_ros.tasks.flip.flight import DELTA_H
 from wam_power_ros.tasks.flip.parametrization import FlipNoise
 from wam_power_ros.tasks.flip.returns import LandingWeights, PancakeWeights
 
 # 8 spring-dampers as in the paper; the other values are tuned for a movement of about 0.85 s.
-FLIP_FIT = FitSettings(count=8, width=0.5, k_min=150.0, k_max=500.0, damping=32.0)
+FLIP_FIT = FitSettings(
+    count=8,
+    width=0.5,
+    k_min=150.0,
+    k_max=500.0,
+    damping=32.0,
+    movement=Movement(end=0.05),  # the slow end of a catch is kept
+)
 
 
 class FlipSettings(BaseModel):

@@ -5,53 +5,65 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Model
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
 from wam_power_ros.tasks.flip import assessment as flip_assessment
+from wam_power_ros.tasks.flip import paper
+from wam_power_ros.tasks.flip.flight import observe_flight
 from wam_power_ros.tasks.flip.landing_correction import landing_correction
 from wam_power_ros.tasks.flip.parametrization import flip_parametrization
 from wam_power_ros.tasks.flip.planned_toss import TossModel
+from wam_power_ros.tasks.flip.returns import pancake_return
 from wam_power_ros.tasks.flip.settings import FLIP_FIT, PRESETS, FlipSettings
-from wam_power_ros.tasks.task import Assessment, BodyState, LoggedRollout, Pose
+from wam_power_ros.tasks.task import (
+    Assessment,
+    BodyState,
+    Goal,
+    LoggedRollout,
+    Pose,
+    Published,
+    Task,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _OFFSET_MAX = 0.10  # largest distance of the pancake from the pan's centre before a rollout [m]
 _HEIGHT_RANGE = (-0.01, 0.03)  # height of its centre above the pan's floor before a rollout [m]
 _REST_SPEED_MAX = 0.05  # largest speed at rest [m/s]
 
 
-class Flip:
+def equation_5(record: LoggedRollout) -> float:
+    """Eq. 5 of a rollout, regardless of the session's return; NaN if no pancake was observed."""
+    seen = None if record.ret is None else record.observation
+    flight = None if seen is None else flip_assessment.flight_of(seen)
+    return math.nan if flight is None else pancake_return(flight).total
+
+
+class Flip(Task):
     """The task `flip`; see `tasks.task.Task`."""
 
     name: ClassVar[str] = "flip"
     body: ClassVar[str] = "pancake"
     single_policy: ClassVar[bool] = False
+    fit_settings = FLIP_FIT
     Settings: ClassVar[type[FlipSettings]] = FlipSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
-
-    def __init__(self, settings: FlipSettings, context: Mapping[str, Any]) -> None:
-        """Construct the task; no context is needed."""
-        self.settings = settings
-        self.settle_time = settings.settle_time
-
-    @classmethod
-    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        """Fit a policy of eight spring-dampers; see `Task`."""
-        return fit(demonstrations, FLIP_FIT, policy_id)
-
-    @classmethod
-    def context_of(
-        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
-    ) -> dict[str, Any]:
-        """No data is needed; see `Task`."""
-        return {}
+    goal = Goal(
+        achieved="flipped and caught the pancake",
+        first="first flip",
+        retests="flipped and caught",
+        question="whether the pancake was caught",
+        observed="resting",
+        true="caught",
+    )
+    published = Published("Eq. 5", equation_5, paper.RETURNS, paper.STIFFNESS)
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
@@ -116,7 +128,7 @@ class Flip:
         seen = [record.observation for record in retests if record.observation]
         caught = sum(bool(flight.get("flipped") and flight.get("resting")) for flight in seen)
         flights = [flight for each in seen if (flight := flip_assessment.flight_of(each))]
-        returns = [flip_assessment.pancake_return(flight).total for flight in flights]
+        returns = [pancake_return(flight).total for flight in flights]
         eq5 = f"; Eq. 5 {np.mean(returns):.3f}, at least {min(returns):.3f}" if returns else ""
         lines = [
             f"re-tests of the final policy: {caught} of {len(retests)} flipped and caught{eq5}"
@@ -130,3 +142,26 @@ class Flip:
                 "by a true flip (150 to 240 degrees in the air)"
             )
         return lines
+
+    def achieved(self, record: LoggedRollout) -> bool:
+        """Whether the observed pancake flipped and came to rest in the pan."""
+        seen = record.observation or {}
+        return bool(not record.fault and seen.get("flipped") and seen.get("resting"))
+
+    def measured(self, retests: Sequence[LoggedRollout]) -> Mapping[str, str]:
+        """Median rotation of the pancake at t_f; see `Task`."""
+        angles = [(record.observation or {}).get("angle") for record in retests]
+        known = [abs(math.degrees(angle)) for angle in angles if angle is not None]
+        return {"median angle of the re-tests": f"{np.median(known):.0f}°"} if known else {}
+
+    def figure(self, rollout: Rollout) -> tuple[Figure, str] | None:
+        """Pan and pancake from the side; see `Task`."""
+        from wam_power_ros.tasks.flip.figures import side_view  # imports matplotlib: slow
+
+        if rollout.body is None:
+            return None
+        flight = observe_flight(rollout.tool, rollout.body, self.settings.delta_h)
+        return side_view(rollout.tool, rollout.body, flight.t_f), (
+            "Arrows are the normals of pan and pancake, as in Figs. 3 and 4 of the paper; dots are "
+            "camera frames."
+        )

@@ -4,33 +4,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.learner import Model
-from wam_power_ros.learning.parametrization import Parametrization
+from wam_power_ros.learning.parametrization import Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.regions import Region, region_of
 from wam_power_ros.tasks.reach.obstacle_model import ReachModel
 from wam_power_ros.tasks.reach.returns import reaching_terms
 from wam_power_ros.tasks.reach.scenario import Scenario, resampled
 from wam_power_ros.tasks.reach.settings import PRESETS, REACH_FIT, ReachSettings
 from wam_power_ros.tasks.task import (
     Assessment,
-    BodyState,
+    Goal,
     LoggedRollout,
-    Pose,
+    Task,
     cut_short,
     fault_assessment,
 )
 
-_CONTACT_MARGIN = 0.01  # distance from the obstacle within which a stopped tool touched it [m]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-class Reach:
+class Reach(Task):
     """The task `reach`; see `tasks.task.Task`.
 
     The controller stops a rollout whose tool enters the obstacle. Its return is that of a path
@@ -40,46 +41,36 @@ class Reach:
         settings: Settings of the task.
         settle_time: Time that a rollout continues after the movement [s].
         demonstrated: x_D, the mean demonstration [m]. Shape (T, 3).
-        obstacle: Centre of the sphere [m]. Shape (3,).
-        radius: Radius of the sphere, 0 for none [m].
+        region: Obstacle, a guarded region of the controller; None for none.
     """
 
     name: ClassVar[str] = "reach"
     body: ClassVar[str] = ""
     single_policy: ClassVar[bool] = True
+    fit_settings = REACH_FIT
     Settings: ClassVar[type[ReachSettings]] = ReachSettings
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = PRESETS
+    goal = Goal(question="whether the obstacle was touched", observed="touched", true="touched")
 
     def __init__(self, settings: ReachSettings, context: Mapping[str, Any]) -> None:
         """Construct the task; `context` is the data of `context_of`."""
-        self.settings = settings
-        self.settle_time = settings.settle_time
+        super().__init__(settings, context)
         self.demonstrated = np.array(context["demonstrated"], dtype=float)  # (T, 3)
-        *centre, radius = context["obstacle"]
-        self.obstacle, self.radius = np.array(centre, dtype=float), float(radius)
-
-    @classmethod
-    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        """Fit one policy of two spring-dampers to all demonstrations; see `Task`."""
-        return fit(demonstrations, REACH_FIT, policy_id)
+        self.region = region_of("obstacle", context["obstacle"])
 
     @classmethod
     def context_of(
-        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
     ) -> dict[str, Any]:
         """Return the mean demonstration x_D, which ends at the goal, and the obstacle."""
         return {
             "demonstrated": resampled(demonstrations).mean(axis=0).tolist(),
-            "obstacle": [float(value) for value in obstacle],
+            "obstacle": [0.0] * 4 if region is None else [*region.centre, region.radius],
         }
 
     def parametrization(self, policy: Policy) -> Parametrization:
         """Learnt parameters of a policy; see `Task`."""
-        return Parametrization(policy, self.settings.variant, self.settings.noise)
-
-    def ready(self, body: BodyState | None, tool: Pose) -> str:
-        """Always ready; see `Task`."""
-        return ""
+        return parametrization_of(policy, self.settings.variant, self.settings.noise)
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         """Return (Eq. 4) and success of a rollout of `policy`."""
@@ -90,13 +81,10 @@ class Reach:
         t = np.arange(scenario.steps) * scenario.period
         path = np.stack([np.interp(t, tool.t, x) for x in tool.position.T], axis=1)  # (T, 3)
         stopped, collided = scenario.stopped_paths(path[np.newaxis])
-        touched = bool(collided[0])
+        touched = bool(collided[0] or rollout.stopped_in)  # perhaps between two samples
         why = cut_short(policy, rollout, self.settle_time)
-        if why and not touched:  # the controller may stop at a contact between the samples
-            distance = float(np.linalg.norm(tool.position[-1] - scenario.obstacle))
-            touched = self.radius > 0.0 and distance < self.radius + _CONTACT_MARGIN
-            if not touched:
-                return Assessment(None, why=why)
+        if why and not touched:
+            return Assessment(None, why=why)
         tracking, goal = (
             float(term[0]) for term in reaching_terms(stopped, scenario.demonstrated, scenario.goal)
         )
@@ -109,16 +97,6 @@ class Reach:
             success=not touched and goal_distance <= self.settings.goal_tolerance,
             why="stopped at the obstacle" if touched else "",
         )
-
-    def hindsight(
-        self, assessment: Assessment, parametrization: Parametrization
-    ) -> Sequence[np.ndarray]:
-        """No hindsight correction; see `Task`."""
-        return ()
-
-    def confirms(self, record: LoggedRollout) -> bool:
-        """Every success counts; see `Task`."""
-        return True
 
     def model(self, parametrization: Parametrization, start: np.ndarray) -> Model | None:
         """Path of Eq. 1, with contacts inferred from earlier rollouts; see `Task`."""
@@ -147,7 +125,17 @@ class Reach:
             f"smallest clearance {1000 * clearance:.0f} mm"
         ]
 
+    def figure(self, rollout: Rollout) -> tuple[Figure, str]:
+        """Demonstrated and executed path around the obstacle; see `Task`."""
+        from wam_power_ros.tasks.reach.figures import Panel, paths  # imports matplotlib: slow
+
+        panel = Panel([self.demonstrated], self.region, learnt=rollout.tool.position)
+        return paths({f"{rollout.tool.id}, executed": panel}), ""
+
     def _scenario(self, policy: Policy, start: np.ndarray) -> Scenario:
         period = policy.basis.duration / (len(self.demonstrated) - 1)
         paths = self.demonstrated[np.newaxis]
-        return Scenario(paths, period, self.radius, policy, start, self.obstacle)
+        centre, radius = np.zeros(3), 0.0
+        if self.region is not None:
+            centre, radius = np.array(self.region.centre), self.region.radius
+        return Scenario(paths, period, radius, policy, start, centre)

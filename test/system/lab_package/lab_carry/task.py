@@ -7,19 +7,23 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from pydantic import BaseModel
 
+from wam_power_ros import plotting
 from wam_power_ros.learning.demonstration import Demonstration
-from wam_power_ros.learning.dmp import fit
-from wam_power_ros.learning.parametrization import NoiseScales, Parametrization
+from wam_power_ros.learning.parametrization import NoiseScales, Parametrization, parametrization_of
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 from wam_power_ros.tasks.task import (
     Assessment,
     BodyState,
+    Goal,
     LoggedRollout,
     Pose,
+    Task,
     cut_short,
     fault_assessment,
 )
@@ -32,13 +36,15 @@ class CarrySettings(BaseModel):
     settle_time: float = 0.5
 
 
-class Carry:
+class Carry(Task):
     """See `wam_power_ros.tasks.task.Task`."""
 
     name = "carry"
     body = "ball"
     single_policy = False
+    fit_settings = REACH_FIT
     Settings = CarrySettings
+    goal = Goal(achieved="kept the ball in the middle", first="first calm one", retests="calm")
     presets = {
         "carry": {
             "learner": {"name": "power"},
@@ -50,21 +56,17 @@ class Carry:
     }
 
     def __init__(self, settings: CarrySettings, context: Mapping[str, Any]) -> None:
-        self.settings, self._goal = settings, np.array(context["goal"])
-        self.settle_time = settings.settle_time
-
-    @classmethod
-    def policy_of(cls, demonstrations: Sequence[Demonstration], policy_id: str) -> Policy:
-        return fit(demonstrations, REACH_FIT, policy_id)
+        super().__init__(settings, context)
+        self._goal = np.array(context["goal"])
 
     @classmethod
     def context_of(
-        cls, demonstrations: Sequence[Demonstration], obstacle: Sequence[float]
+        cls, demonstrations: Sequence[Demonstration], region: Region | None
     ) -> dict[str, Any]:
         return {"goal": np.mean([d.position[-1] for d in demonstrations], axis=0).tolist()}
 
     def parametrization(self, policy: Policy) -> Parametrization:
-        return Parametrization(policy, "full", self.settings.noise)
+        return parametrization_of(policy, "full", self.settings.noise)
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
         off = np.inf if body is None else float(np.linalg.norm(body.position - tool.position))
@@ -84,18 +86,16 @@ class Carry:
         terms = {"calm": 0.5 * np.exp(-off / 0.05), "goal": 0.5 * np.exp(-missed / 0.1)}
         return Assessment(sum(terms.values()), terms, {"off": off}, off < 0.06)
 
-    def hindsight(self, assessment: Assessment, parametrization: Parametrization) -> tuple[()]:
-        return ()
-
-    def confirms(self, record: LoggedRollout) -> bool:
-        return True
-
-    def model(self, parametrization: Parametrization, start: np.ndarray) -> None:
-        return None
-
     def outcome(self, record: LoggedRollout) -> str:
         seen = record.observation
         return record.why if seen is None else f"ball {1000 * seen['off']:.0f} mm off"
 
     def summary(self, records: Sequence[LoggedRollout]) -> list[str]:
         return [f"calm in {sum(record.success for record in records)} of {len(records)} rollouts"]
+
+    def figure(self, rollout: Rollout) -> tuple[Figure, str]:
+        figure, (axes,) = plotting.side_by_side(7.2, 3.0, 1.0)
+        for name, path in (("pan", rollout.tool), ("ball", rollout.body)):
+            axes.plot(path.t, path.position[:, 1], label=f"y of the {name}")
+        plotting.legend(axes)
+        return figure, "The ball follows the pan."

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.reporting import flip_figures
+from wam_power_ros.tasks.flip import figures
 
 
 def a_toss() -> tuple[EndEffectorPath, BodyPath]:
@@ -22,22 +22,22 @@ def a_toss() -> tuple[EndEffectorPath, BodyPath]:
 
 
 def test_the_normal_of_a_flipped_pancake_points_down_in_the_figure() -> None:
-    side = flip_figures.side_view(*a_toss(), t_f=0.9).axes[0]
+    side = figures.side_view(*a_toss(), t_f=0.9).axes[0]
     pan, pancake = side.collections
     assert np.all(pan.V > 0.0)
-    assert pancake.V[0] == pytest.approx(flip_figures.NORMAL_LENGTH)
-    assert pancake.V[-1] == pytest.approx(-flip_figures.NORMAL_LENGTH)
+    assert pancake.V[0] == pytest.approx(figures.NORMAL_LENGTH)
+    assert pancake.V[-1] == pytest.approx(-figures.NORMAL_LENGTH)
 
 
 def test_a_rollout_without_a_single_frame_is_drawn_all_the_same() -> None:
     pan, _ = a_toss()
     empty = BodyPath("toss", np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4)))
-    assert len(flip_figures.side_view(pan, empty).axes[0].lines) == 1
+    assert len(figures.side_view(pan, empty).axes[0].lines) == 1
 
 
 def test_a_flipped_pancake_shows_its_other_side() -> None:
     pan, pancake = a_toss()
-    axes = flip_figures.flights({"flipped": (pan, pancake, 0.9)}).axes[0]
+    axes = figures.flights({"flipped": (pan, pancake, 0.9)}).axes[0]
     upper = [np.mean(line.get_ydata()) for line in axes.lines if line.get_color() == "#e3a72f"]
     lower = [np.mean(line.get_ydata()) for line in axes.lines if line.get_color() == "#7a4a1c"]
     lower = lower[1:]  # the first brown line is the path
@@ -48,4 +48,4 @@ def test_a_flipped_pancake_shows_its_other_side() -> None:
 
 def test_a_figure_without_a_flight_is_refused() -> None:
     with pytest.raises(ValueError, match="at least one"):
-        flip_figures.flights({})
+        figures.flights({})

@@ -3,64 +3,31 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wam_power_ros import rotations
-from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
-from wam_power_ros.practice.session_log import Record
-from wam_power_ros.reporting import figures
-from wam_power_ros.reporting.figures import ACCENT, INK, PAN, PANCAKE, STEEL, dress, legend
-from wam_power_ros.tasks.flip.assessment import flight_of
-from wam_power_ros.tasks.flip.flight import observe_flight
-from wam_power_ros.tasks.flip.returns import pancake_return
-from wam_power_ros.tasks.flip.task import Flip
+from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
+from wam_power_ros.plotting import (
+    BLUE,
+    GREEN,
+    INK,
+    ORANGE,
+    STEEL,
+    dress,
+    legend,
+    shared_legend,
+    side_by_side,
+)
 
+PAN, PANCAKE = BLUE, ORANGE
 YELLOW, BROWN = "#e3a72f", "#7a4a1c"
 PANCAKE_RADIUS, PAN_RADIUS = 0.09, 0.14  # as drawn [m]
 MARGIN = 0.03  # around the drawn paths [m]
 NORMAL_LENGTH = 0.06  # as drawn [m]
-
-
-def flipped_and_caught(record: Record) -> bool:
-    """Whether the observed pancake flipped and came to rest in the pan."""
-    seen = record.observation or {}
-    return bool(not record.fault and seen.get("flipped") and seen.get("resting"))
-
-
-def angle_deg(record: Record) -> float | None:
-    """Rotation of the pancake at t_f [degree], None if unknown."""
-    turned = (record.observation or {}).get("angle")
-    return None if turned is None else abs(math.degrees(turned))
-
-
-def median_angle(records: Sequence[Record]) -> str:
-    """Median rotation of the pancake at t_f as text, empty if all are unknown."""
-    angles = [turned for record in records if (turned := angle_deg(record)) is not None]
-    return f"{np.median(angles):.0f}°" if angles else ""
-
-
-def equation_5(record: Record) -> float:
-    """Eq. 5 of a rollout, regardless of the session's return; NaN if no pancake was observed."""
-    seen = None if record.ret is None else record.observation
-    flight = None if seen is None else flight_of(seen)
-    return math.nan if flight is None else pancake_return(flight).total
-
-
-def final_rollout(task: Flip, rollout: Rollout) -> Figure:
-    """Figure of a rollout of the final policy in the report of its session.
-
-    Raises:
-        ValueError: The rollout has no path of the pancake.
-    """
-    if rollout.body is None:
-        raise ValueError(f"rollout {rollout.tool.id} of the task flip has no path of the pancake")
-    flight = observe_flight(rollout.tool, rollout.body, task.settings.delta_h)
-    return side_view(rollout.tool, rollout.body, flight.t_f)
 
 
 def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None) -> Figure:
@@ -74,7 +41,7 @@ def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None)
         pancake: Path of the pancake; may be empty.
         t_f: Time at which the fall was assessed [s], marked if given.
     """
-    figure, (side, height) = figures.side_by_side(8.6, 4.0, 1.15, 1.0)
+    figure, (side, height) = side_by_side(8.6, 4.0, 1.15, 1.0)
     every = max(1, round(len(pan.t) / 18))
     pan_normals = rotations.matrix(pan.quat_xyzw)[:, :, 2]  # (T, 3)
     side.plot(pan.position[:, 0], pan.position[:, 2], color=PAN, lw=1.5, label="pan")
@@ -88,7 +55,7 @@ def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None)
         _arrows(side, pancake.position, _normals(pancake, pan_normals[first]), PANCAKE)
         height.plot(pancake.t, z, "o", label="pancake (camera)", **dots)
     if t_f is not None:
-        height.axvline(t_f, color=ACCENT, lw=0.8, ls=":", label="$t_f$")
+        height.axvline(t_f, color=GREEN, lw=0.8, ls=":", label="$t_f$")
     side.set_aspect("equal", adjustable="datalim")
     side.set(xlabel="x, outward [m]", ylabel="z, up [m]")
     height.set(xlabel="time [s]", ylabel="z, up [m]")
@@ -139,11 +106,11 @@ def flights(rollouts: Mapping[str, tuple[EndEffectorPath, BodyPath, float | None
                 _disc(axes, pose, PANCAKE_RADIUS, (YELLOW, BROWN), 0.95)
             if t_f is not None:
                 at = [np.interp(t_f, pancake.t, values) for values in (x, z)]
-                axes.plot(*at, "o", ms=9, mfc="none", mec=ACCENT, mew=1.4, label="$t_f$")
+                axes.plot(*at, "o", ms=9, mfc="none", mec=GREEN, mew=1.4, label="$t_f$")
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, outward [m]")
         axes.set_aspect("equal")
     row[0].set_ylabel("z, up [m]")
-    figures.shared_legend(figure, row, 3)
+    shared_legend(figure, row, 3)
     return figure
 
 

@@ -11,9 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.reporting.figures import INK, PAN, dress, shared_legend
-from wam_power_ros.tasks.reach.task import Reach
+from wam_power_ros.plotting import BLUE, INK, dress, shared_legend
+from wam_power_ros.regions import Region
 
 OBSTACLE, GOAL, LEARNT, ROLLOUT, EXECUTED = "#c8504f", "#2f855a", "#1d5c3a", "#8fc3a5", "#e3a72f"
 MARGIN = 0.03  # around the paths [m]
@@ -25,16 +24,14 @@ class Panel:
 
     Attributes:
         demonstrations: Demonstrated positions [m]. Shapes (T, 3).
-        obstacle: Centre of the sphere [m]. Shape (3,).
-        radius: Radius of the sphere [m].
+        obstacle: The obstacle, None for none.
         learnt: Path of the learnt policy [m], drawn bold. Shape (T, 3); None if there is none.
         rollouts: Further paths [m]. Shapes (T, 3); may be empty.
         executed: Path executed by the arm [m]. Shape (M, 3); None if there is none.
     """
 
     demonstrations: Sequence[np.ndarray]
-    obstacle: np.ndarray
-    radius: float
+    obstacle: Region | None
     learnt: np.ndarray | None = None
     rollouts: Sequence[np.ndarray] = ()
     executed: np.ndarray | None = None
@@ -65,9 +62,10 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
         raise ValueError("a figure of reaching must have at least one panel, got none")
     boxes = []  # lowest and highest drawn coordinates of each panel and view
     for panel in panels.values():
-        corners = panel.obstacle + panel.radius * np.array([[-1.0] * 3, [1.0] * 3])
         other = [path for path in (panel.learnt, panel.executed) if path is not None]
-        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other, corners])
+        if (sphere := panel.obstacle) is not None:
+            other.append(sphere.centre + sphere.radius * np.array([[-1.0] * 3, [1.0] * 3]))
+        drawn = np.concatenate([*panel.demonstrations, *panel.rollouts, *other])
         for view in _views(panel):
             seen = (drawn - panel.start) @ view.T
             boxes.append((seen.min(axis=0) - MARGIN, seen.max(axis=0) + MARGIN))
@@ -94,12 +92,6 @@ def paths(panels: Mapping[str, Panel]) -> Figure:
     return figure
 
 
-def final_rollout(task: Reach, rollout: Rollout) -> Figure:
-    """Figure of a rollout of the final policy in the report of its session."""
-    panel = Panel([task.demonstrated], task.obstacle, task.radius, learnt=rollout.tool.position)
-    return paths({f"{rollout.tool.id}, executed": panel})
-
-
 def _views(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
     """Axes of the side view, along and up, and of the top view, along and left. Shapes (2, 3)."""
     level = (panel.goal - panel.start) * np.array([1.0, 1.0, 0.0])
@@ -114,12 +106,13 @@ def _draw(axes: Axes, panel: Panel, view: np.ndarray) -> None:
         axes.plot(*(view @ (np.atleast_2d(path) - panel.start).T), *style, **other)
 
     dress(axes)
-    centre = view @ (panel.obstacle - panel.start)
-    axes.add_patch(Circle(centre, panel.radius, color=OBSTACLE, alpha=0.28, lw=0, label="obstacle"))
+    if (sphere := panel.obstacle) is not None:
+        style = {"color": OBSTACLE, "alpha": 0.28, "lw": 0, "label": "obstacle"}
+        axes.add_patch(Circle(view @ (sphere.centre - panel.start), sphere.radius, **style))
     for path in panel.rollouts:
         plot(path, color=ROLLOUT, lw=0.6, alpha=0.8, label="rollouts while learning")
     for path in panel.demonstrations:
-        plot(path, color=PAN, lw=1.1, label="demonstrations")
+        plot(path, color=BLUE, lw=1.1, label="demonstrations")
     if panel.learnt is not None:
         plot(panel.learnt, color=LEARNT, lw=2.6, label="learnt")
     if panel.executed is not None:
