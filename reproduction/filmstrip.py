@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from hardware_sim.world import TRACE_RATE, World
 from wam_power_ros.in_process.render import render
-from wam_power_ros.reporting.figures import INK
+from wam_power_ros.plotting import INK
 
 RENDER_TIMEOUT = 120.0  # [s]
 FRAMES = 8  # of a strip
