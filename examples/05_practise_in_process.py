@@ -17,7 +17,7 @@ for number, bag in enumerate(sorted(share("bags").glob("demo_*")), start=1):
     taught = from_joint_samples(environment.arm, *reader.read_demonstration(bag, JOINTS))
     policies.append(Flip.policy_of([taught], f"demonstration-{number}"))
 
-settings = preset("flip", budget=12, retests=3)  # every setting: wam_power_ros/tasks/flip
+settings = preset("flip", budget=8, retests=2)  # every setting: wam_power_ros/tasks/flip
 practice = Practice(settings, {}, policies, seed=4, arm=environment)
 for record in environment.practise(practice):
     print(f"{record.number:3d} {record.kind:12s} {practice.task.outcome(record)}")

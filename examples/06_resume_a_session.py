@@ -21,9 +21,9 @@ bag = min(share("bags").glob("demo_*"))
 demonstration = from_joint_samples(environment.arm, *reader.read_demonstration(bag, JOINTS))
 policy = Flip.policy_of([demonstration], "demonstration-1")
 
-settings = preset("flip", "paper", budget=6, retests=2)
+settings = preset("flip", budget=4, retests=1)
 with Session.begin(folder, settings, seed=5, candidates=[policy]) as session:
-    for record in islice(environment.practise(session.practice(environment)), 3):
+    for record in islice(environment.practise(session.practice(environment)), 2):
         session.append(record)  # a rollout counts once it is on disk
 
 with Session.open(folder) as session:  # goes on with the policy that would have come next

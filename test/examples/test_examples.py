@@ -30,7 +30,7 @@ PRINTS = {  # expressions of which each line of the output is to have one, in th
 }
 
 
-def output(name: str, folder: Path, seconds: float = 120.0) -> list[str]:
+def output(name: str, folder: Path) -> list[str]:
     """Lines that an example prints."""
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / f"{name}.py")],
@@ -38,7 +38,7 @@ def output(name: str, folder: Path, seconds: float = 120.0) -> list[str]:
         env=os.environ | {"PYTHONPATH": str(ROOT), "MUJOCO_GL": "disable"},
         capture_output=True,
         text=True,
-        timeout=seconds,
+        timeout=600.0,  # a busy machine
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.splitlines()
@@ -63,15 +63,15 @@ def test_an_example_prints_what_it_promises(name: str, tmp_path: Path) -> None:
 def test_the_session_of_the_examples_goes_through_every_kind_of_rollout(tmp_path: Path) -> None:
     *rollouts, end = output("05_practise_in_process", tmp_path)
     kinds = [line.split()[1] for line in rollouts]
-    assert kinds[:3] == ["reproduction"] * 3 and kinds[-3:] == ["retest"] * 3
+    assert kinds[:3] == ["reproduction"] * 3 and kinds[-2:] == ["retest"] * 2
     assert "explore" in kinds and end.startswith("ended: ")
 
 
 def test_the_resumed_session_of_the_examples_ends_with_a_report(tmp_path: Path) -> None:
     lines = output("06_resume_a_session", tmp_path)
-    assert lines[0] == "resumed after 3 rollouts" and "ended after 8 rollouts" in lines[-1]
+    assert lines[0] == "resumed after 2 rollouts" and "ended after 5 rollouts" in lines[-1]
     assert "<title>Session of seed 5" in (tmp_path / "session/report.html").read_text()
-    assert len((tmp_path / "session/rollouts.jsonl").read_text().splitlines()) == 8
+    assert len((tmp_path / "session/rollouts.jsonl").read_text().splitlines()) == 5
 
 
 def test_the_arm_of_the_examples_is_described_by_its_set_up(tmp_path: Path) -> None:
