@@ -4,6 +4,7 @@
 import numpy as np
 import pytest
 
+from wam_power_ros import plotting
 from wam_power_ros.reporting import chapter, figures
 from wam_power_ros.reporting.chapter import Chapter, Claim, Figure, Table
 
@@ -11,7 +12,7 @@ CLAIM = Claim("return <after> 100", "0.73", "0.754", "sd 0.08", "40 seeds", True
 
 
 def test_a_chapter_shows_text_tables_figures_and_parts_in_this_order() -> None:
-    drawn = Figure.of("a", "A figure.", figures.learning_curve([0.5, 0.7], paper=False))
+    drawn = Figure.of("a", "A figure.", figures.learning_curve([0.5, 0.7]))
     missing = Figure("b", "No picture: there is no OpenGL.", b"")
     part = Chapter("A part", ["Words & more."], [CLAIM], figures=[missing])
     table = Table("A table.", ["who", "return"], [["PoWER", "0.7"], ["none", "0.5"]], {(0, 1)})
@@ -55,7 +56,7 @@ def test_a_few_runs_are_no_ground_for_a_verdict(met: bool) -> None:
 
 
 def test_colours_of_drawings_are_inverted_in_the_dark_and_those_of_photographs_not() -> None:
-    drawn = Figure.of("a", "", figures.learning_curve([0.5, 0.7], paper=False))
+    drawn = Figure.of("a", "", figures.learning_curve([0.5, 0.7]))
     photographs = Figure.of("b", "", figures.filmstrip([np.zeros((6, 8, 3), np.uint8)]))
     html = chapter.html(Chapter("t", figures=[drawn, photographs]))
     assert html.count('class="drawn"') == 1
@@ -67,5 +68,5 @@ def test_a_row_of_another_width_than_the_head_is_refused() -> None:
 
 
 def test_the_same_figure_gives_the_same_bytes() -> None:
-    one, two = (figures.png(figures.learning_curve([0.5, 0.7], paper=False)) for _ in range(2))
+    one, two = (plotting.png(figures.learning_curve([0.5, 0.7])) for _ in range(2))
     assert one == two

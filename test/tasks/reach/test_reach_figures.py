@@ -5,10 +5,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from wam_power_ros.reporting.reach_figures import Panel
 
 from wam_power_ros.regions import Region
 from wam_power_ros.tasks.reach import figures
+from wam_power_ros.tasks.reach.figures import Panel
 
 
 def a_panel(executed: np.ndarray | None = None) -> Panel:
