@@ -54,7 +54,7 @@ def values(results: Results) -> dict[str, Any]:
     return {
         "means": np.array(means),
         "rows": [[key, f"{mean:.3f}"] for key, mean in zip(results["draws"], means, strict=True)],
-        "drawn": figures.learning_curve(means, paper=False),
+        "drawn": figures.learning_curve(means),
     }
 
 

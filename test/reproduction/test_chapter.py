@@ -9,6 +9,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from reproduction.chapter import Chapter, Claim
+from wam_power_ros import plotting
 from wam_power_ros.reporting import figures
 
 CLAIM = """{% do claim("return <after> 100", ours="0.754", spread="", count="40 seeds") %}"""
@@ -26,7 +27,7 @@ def rendered(template: Path, text: str, **values: object) -> Chapter:
 
 
 def drawing() -> Figure:
-    return figures.learning_curve([0.5, 0.7], paper=False)
+    return figures.learning_curve([0.5, 0.7])
 
 
 def photographs() -> Figure:
@@ -80,4 +81,4 @@ def test_colours_of_drawings_are_inverted_in_the_dark_and_those_of_photographs_n
 
 
 def test_the_same_figure_gives_the_same_bytes() -> None:
-    assert figures.png(drawing()) == figures.png(drawing())
+    assert plotting.png(drawing()) == plotting.png(drawing())

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -48,7 +49,7 @@ def side_view(pan: EndEffectorPath, pancake: BodyPath, t_f: float | None = None)
     _arrows(side, pan.position[::every], pan_normals[::every], PAN)
     height.plot(pan.t, pan.position[:, 2], color=PAN, lw=1.5, label="pan")
     if len(pancake.t):
-        dots = {"ms": 2.5, "color": PANCAKE}
+        dots: dict[str, Any] = {"ms": 2.5, "color": PANCAKE}
         x, _, z = pancake.position.T
         side.plot(x, z, "o--", lw=0.8, label="pancake", **dots)
         first = np.abs(pan.t - pancake.t[0]).argmin()
@@ -132,7 +133,7 @@ def _apart(positions: np.ndarray, distance: float) -> list[int]:
 def _arrows(axes: Axes, places: np.ndarray, normals: np.ndarray, color: str) -> None:
     """Draw normals (m, 3) at places (m, 3), in the x-z plane."""
     (x, _, z), (u, _, w) = places.T, NORMAL_LENGTH * normals.T
-    as_data = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
+    as_data: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0}
     axes.quiver(x, z, u, w, color=color, width=0.004, alpha=0.8, **as_data)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -102,13 +103,14 @@ def _views(panel: Panel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _draw(axes: Axes, panel: Panel, view: np.ndarray) -> None:
-    def plot(path: np.ndarray, *style: str, **other: object) -> None:
+    def plot(path: np.ndarray, *style: str, **other: Any) -> None:  # noqa: ANN401
         axes.plot(*(view @ (np.atleast_2d(path) - panel.start).T), *style, **other)
 
     dress(axes)
     if (sphere := panel.obstacle) is not None:
-        style = {"color": OBSTACLE, "alpha": 0.28, "lw": 0, "label": "obstacle"}
-        axes.add_patch(Circle(view @ (sphere.centre - panel.start), sphere.radius, **style))
+        style: dict[str, Any] = {"color": OBSTACLE, "alpha": 0.28, "lw": 0, "label": "obstacle"}
+        x, y = view @ (sphere.centre - panel.start)
+        axes.add_patch(Circle((x, y), sphere.radius, **style))
     for path in panel.rollouts:
         plot(path, color=ROLLOUT, lw=0.6, alpha=0.8, label="rollouts while learning")
     for path in panel.demonstrations:
