@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hardware_sim.scenes import scene_type
-from hardware_sim.settings import ArmSettings, SceneSettings, WorldSettings
+from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm, Motion
@@ -53,7 +53,7 @@ def test_a_scene_without_a_body_gives_no_path_of_one_and_its_obstacle_ends_a_rol
     whole, _ = free.run(policy)
     assert whole.body is None
     x, y, z = whole.tool.position[len(whole.tool.t) // 3].tolist()
-    settings = WorldSettings(scene=SceneSettings(obstacle=(x, y, z, 0.05)))
+    settings = WorldSettings(obstacle=(x, y, z, 0.05))
     stopped, truth = Environment(World(settings, 21, scene_type("reach"))).run(policy)
     assert stopped.fault is None
     assert abs(truth["clearance"]) < 0.002  # stopped where the encoders see the tool enter it
@@ -87,8 +87,7 @@ class RecordingArm(Arm):
 def calm(tool_mass: float, folder: Path) -> Environment:
     """The arm with a tool of this mass [kg], without a body, and the same in every rollout."""
     (file := folder / "arm.urdf").write_text(urdf_with_tool(tool_mass))
-    arm = ArmSettings(urdf=str(file))
-    settings = WorldSettings(torque_scale_sd=0.0, friction_sd=0.0, wind_sd=0.0, arm=arm)
+    settings = WorldSettings(torque_scale_sd=0.0, friction_sd=0.0, wind_sd=0.0, urdf=str(file))
     return Environment(World(settings, 21, scene_type("reach")))
 
 

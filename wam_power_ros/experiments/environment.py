@@ -7,8 +7,6 @@ seed and id is bit for bit the same in both.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hardware_sim.demonstrator import Demonstrator, Script
@@ -19,8 +17,9 @@ from wam_power_ros.control.feasibility import simulate_policy, speed_margin
 from wam_power_ros.control.modes import Mode
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Fault, Rollout
+from wam_power_ros.params import overlay
+from wam_power_ros.params.overlay import Setup
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
-from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.tracking.tracker import Tracker
 
@@ -39,25 +38,34 @@ class Environment:
         tracker: Tracker of the scene's body.
     """
 
-    def __init__(self, world: World, urdf: str | None = None) -> None:
-        """Connect a world to a controller and a tracker with the parameters of config/.
+    def __init__(self, world: World, urdf: str | None = None, setup: Setup | None = None) -> None:
+        """Connect a world to a controller and a tracker.
 
         Args:
-            world: Simulated world; the controller has the same obstacle, if any.
+            world: Simulated world.
             urdf: Robot description for the controller; the world's if omitted.
+            setup: Set-up of controller and tracker; if omitted, that of config/ with the obstacle
+                of the world.
         """
         self.world = world
-        files = [share(f"config/{name}.yaml") for name in ("torque_controller", "simulation")]
-        params = TorqueControllerParams.of_file(files[0], "torque_controller", files[1])
-        configured = params.controller(urdf or world.urdf)
+        if setup is None:
+            obstacle = world.settings.obstacle
+            setup = overlay.setup().changed({"torque_controller": {"obstacle": obstacle}})
+        configured = TorqueControllerParams.of_setup(setup).controller(urdf or world.urdf)
         self.arm = configured.arm
-        obstacle = world.settings.scene.obstacle
-        self.controller = Controller(self.arm, replace(configured.settings, obstacle=obstacle))
-        tracker_file = share("config/pancake_tracker.yaml")
-        tracked = PancakeTrackerParams.of_file(tracker_file, "pancake_tracker")
-        self._tracker_settings = tracked.settings()
+        self.controller = Controller(self.arm, configured.settings)
+        self._tracker_settings = PancakeTrackerParams.of_setup(setup)
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
+
+    @classmethod
+    def of(cls, setup: Setup) -> Environment:
+        """Environment of a set-up: stand-ins, controller and tracker as nodes would have them.
+
+        Raises:
+            ValueError: A parameter is not acceptable.
+        """
+        return cls(World.of(setup), setup=setup)
 
     def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
         """See `practice.ArmModel`."""
@@ -85,10 +93,10 @@ class Environment:
         """Let the simulated demonstrator move the gravity-compensated arm from its home posture.
 
         Returns:
-            Stamps (M,) [ns] and joint positions (M, 7) [rad] as the driver reported them.
+            Stamps (M,) [ns] and joint positions (M, n) [rad] as the driver reported them.
         """
         world = self.world
-        self.place(name, world.scene.home)
+        self.place(name, world.home)
         controller = self.controller
         for _ in range(_HELD_TICKS):
             self.tick()
@@ -96,7 +104,7 @@ class Environment:
         for _ in range(_STILL_TICKS):
             self.tick()
         world.release()
-        world.attach(Demonstrator(script, *world.pan_pose))
+        world.attach(Demonstrator(script, *world.tool_pose))
         stamps, q = [], []
         while world.pulled:
             sample = world.joint_state()
