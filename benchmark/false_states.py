@@ -157,7 +157,7 @@ class Driver:
             self._world.step(torques[-1][1].tau if torques else None)
             sample = self._world.joint_state()
             self.speeds.append(self._arm.motion(sample.q, sample.qd).tool_speed)
-            self.path.append(self._world.pan_pose[0])
+            self.path.append(self._world.tool_pose[0])
             self._stamp_ns += PERIOD_NS
             state = self.falsify(Reading(self._stamp_ns, sample.q + self._zeros, sample.qd))
             if state is not None:
@@ -233,7 +233,7 @@ class Driver:
         self._world.attach(None)
 
     def _demonstrator(self) -> Demonstrator:
-        return Demonstrator(wrist_flick(np.random.default_rng(0)), *self._world.pan_pose)
+        return Demonstrator(wrist_flick(np.random.default_rng(0)), *self._world.tool_pose)
 
 
 class Outcome(NamedTuple):

@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 
 from hardware_sim.settings import WorldSettings
-from hardware_sim.world import N, World
+from hardware_sim.wam import N
+from hardware_sim.world import World
 
 
 def _ones() -> np.ndarray:

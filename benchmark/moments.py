@@ -79,7 +79,7 @@ class Loop:
     def guide(self, seed: int | None) -> None:
         """Attach a demonstrator with this seed to the pan; None: detach it."""
         flick = None if seed is None else wrist_flick(np.random.default_rng(seed))
-        self._world.attach(None if flick is None else Demonstrator(flick, *self._world.pan_pose))
+        self._world.attach(None if flick is None else Demonstrator(flick, *self._world.tool_pose))
 
     def play(self, seconds: float, watch: Callable[[], None] = lambda: None) -> list[float]:
         """Run the arm for a time [s]; return the speeds of the tool [m/s]."""
@@ -96,7 +96,7 @@ class Loop:
 
     def tool(self) -> np.ndarray:
         """Position of the tool [m]. Shape (3,)."""
-        return self._world.pan_pose[0]
+        return self._world.tool_pose[0]
 
     def _answer(self, state: Reading | None) -> None:
         core = self.controller

@@ -14,18 +14,26 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.deferred_service import DeferredTrigger
 
+STIFFNESS, DAMPING = 400.0, 40.0  # [1/s^2], [1/s] of position control of another arm than the WAM
+
 
 class PositionControl:
     """Position control with gravity compensation; overrides torque commands while engaged.
 
     Args:
         arm: The driver's model of the arm.
+        drives: Drives of the arm, see `WorldSettings`; the WAM has the gains of its driver.
         adds_gravity: The driver adds g(q) to every commanded torque.
         period: Control period [s].
     """
 
-    def __init__(self, arm: Arm, adds_gravity: bool, period: float) -> None:
+    def __init__(self, arm: Arm, drives: str, adds_gravity: bool, period: float) -> None:
         self._arm, self._adds_gravity, self._period = arm, adds_gravity, period
+        self._kp, self._kd, self._tau_max = POSITION_KP, POSITION_KD, POSITION_TAU_MAX
+        if drives != "wam":
+            inertia = np.diag(arm.mass_matrix(0.5 * (arm.q_min + arm.q_max)))  # (n,) [kg m^2]
+            self._kp, self._kd = STIFFNESS * inertia, DAMPING * inertia
+            self._tau_max = arm.tau_max
         self._goal: np.ndarray | None = None
         self._ref = np.zeros(arm.n)
 
@@ -40,7 +48,7 @@ class PositionControl:
         return self._goal is not None and bool(np.array_equal(self._goal, self._ref))
 
     def move(self, q: np.ndarray, goal: np.ndarray) -> None:
-        """Move every joint from q (nj,) to goal (nj,) [rad] at `HOME_SPEED`, then hold there."""
+        """Move every joint from q (n,) to goal (n,) [rad] at `HOME_SPEED`, then hold there."""
         self._ref, self._goal = q.copy(), goal.copy()
 
     def disengage(self) -> None:
@@ -48,11 +56,11 @@ class PositionControl:
         self._goal = None
 
     def torque(self, q: np.ndarray, qd: np.ndarray) -> np.ndarray:
-        """Torque command (nj,) [N m] in state q (nj,) [rad], qd (nj,) [rad/s], while engaged."""
+        """Torque command (n,) [N m] in state q (n,) [rad], qd (n,) [rad/s], while engaged."""
         step = HOME_SPEED * self._period
         self._ref = self._ref + np.clip(self._goal - self._ref, -step, step)
-        tau = POSITION_KP * (self._ref - q) - POSITION_KD * qd
-        tau = np.clip(tau, -POSITION_TAU_MAX, POSITION_TAU_MAX)
+        tau = self._kp * (self._ref - q) - self._kd * qd
+        tau = np.clip(tau, -self._tau_max, self._tau_max)
         return tau if self._adds_gravity else tau + self._arm.gravity(q)
 
 
@@ -67,7 +75,7 @@ class BarrettServices:
         node: Node that offers the services.
         world: World they act on.
         control: Position control of the arm.
-        home: Home posture [rad]. Shape (7,).
+        home: Home posture [rad]. Shape (n,).
         lockstep: True if the world steps in lockstep, where it may be frozen between rollouts.
     """
 

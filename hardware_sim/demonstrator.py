@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated demonstrator: guides the pan along a scripted movement, as a person would by hand.
+"""Simulated demonstrator: guides the tool along a scripted movement, as a person would by hand.
 
-A spring-damper pulls the pan towards the target pose; the arm only carries its own weight. The
+A spring-damper pulls the tool towards the target pose; the arm only carries its own weight. The
 scene of a task provides the scripts.
 """
 
@@ -24,7 +24,7 @@ RELEASE_TIME = 0.3  # [s] in which the grip fades out after a movement
 
 
 class Target(NamedTuple):
-    """Target pose and velocity of the pan."""
+    """Target pose and velocity of the tool."""
 
     position: np.ndarray  # (3,) [m]
     rotation: np.ndarray  # (3, 3)
@@ -44,12 +44,12 @@ class Script(Protocol):
 
 
 class Demonstrator:
-    """Follows a script from the pose in which the pan is gripped.
+    """Follows a script from the pose in which the tool is gripped.
 
     Args:
         script: Movement to follow.
-        position: Position of the gripped pan [m]. Shape (3,).
-        rotation: Rotation of the gripped pan. Shape (3, 3).
+        position: Position of the gripped tool [m]. Shape (3,).
+        rotation: Rotation of the gripped tool. Shape (3, 3).
     """
 
     def __init__(self, script: Script, position: np.ndarray, rotation: np.ndarray) -> None:
@@ -59,13 +59,13 @@ class Demonstrator:
     def wrench(
         self, t: float, position: np.ndarray, rotation: np.ndarray, twist: np.ndarray
     ) -> np.ndarray | None:
-        """Force [N] and moment [N m] (6,) at the pan's centre; None once the pan is let go.
+        """Force [N] and moment [N m] (6,) at the tool's origin; None once the tool is let go.
 
         Args:
             t: Time since the grip [s].
-            position: Position of the pan [m]. Shape (3,).
-            rotation: Rotation of the pan. Shape (3, 3).
-            twist: Velocity [m/s] and angular velocity [rad/s] of the pan. Shape (6,).
+            position: Position of the tool [m]. Shape (3,).
+            rotation: Rotation of the tool. Shape (3, 3).
+            twist: Velocity [m/s] and angular velocity [rad/s] of the tool. Shape (6,).
         """
         release = max(t - self.script.end, 0.0)
         if release > RELEASE_TIME:

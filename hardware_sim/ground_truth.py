@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from hardware_sim.motors import DirectDrives, Motors
-from hardware_sim.wam import PERIOD, N
+from hardware_sim.wam import PERIOD
 
 TOOL_SITE = "pan"  # site of the model at the origin of the tool
 LOG_TICKS = 5000  # length of the log: 10 s from the release on
@@ -47,6 +47,7 @@ class RolloutLog:
         model: Model with a site at every point and at the tool.
         data: Simulated state to log.
         points: Names of the guarded points.
+        n: Number of the arm's joints.
         body: Columns of the tracked body in qpos, and in qvel; empty without one.
     """
 
@@ -57,14 +58,15 @@ class RolloutLog:
         model: mujoco.MjModel,
         data: mujoco.MjData,
         points: Sequence[str],
+        n: int,
         body: tuple[slice, slice],
     ) -> None:
-        self._data = data
+        self._data, self._n = data, n
         self._points = [model.site(name).id for name in (*points, TOOL_SITE)]
         self._body = body
         self._qpos = np.empty((LOG_TICKS, model.nq))
         self._qvel = np.empty((LOG_TICKS, model.nv))
-        self._tau = np.empty((LOG_TICKS, N))
+        self._tau = np.empty((LOG_TICKS, n))
         self._sites = np.empty((LOG_TICKS, *data.site_xpos.shape))
         self.rows = 0
         self._saturated = 0
@@ -85,7 +87,7 @@ class RolloutLog:
             return
         self._qpos[row] = data.qpos
         self._qvel[row] = data.qvel
-        self._tau[row] = data.qfrc_applied[:N]
+        self._tau[row] = data.qfrc_applied[: self._n]
         self._sites[row] = data.site_xpos
         self.rows = row + 1
 
@@ -107,8 +109,8 @@ class RolloutLog:
     def arm_truth(self, motors: Motors | DirectDrives) -> Truth:
         """Peak values of an arm driven by `motors` since the release.
 
-        * peak_qd: Peak joint speeds [rad/s]; seven.
-        * peak_tau: Peak torques of the motors at the joints [N m]; seven.
+        * peak_qd: Peak speed of each joint [rad/s].
+        * peak_tau: Peak torque of the motors at each joint [N m].
         * peak_elbow_speed: Peak speed of the first guarded point [m/s].
         * peak_forearm_speed: Peak speed of the last guarded point [m/s].
         * peak_pan_speed: Peak speed of the tool [m/s].
@@ -120,7 +122,7 @@ class RolloutLog:
         if rows > 1:
             steps = np.diff(self._sites[:rows, self._points], axis=0)
             speeds = np.linalg.norm(steps, axis=2).max(axis=0) / PERIOD
-        qd = self._qvel[:rows, :N]
+        qd = self._qvel[:rows, : self._n]
         motor_speeds = np.abs(qd @ motors.motor_of_joint.T).max(axis=0, initial=0.0)
         return {
             "peak_qd": np.abs(qd).max(axis=0, initial=0.0).tolist(),

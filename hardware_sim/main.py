@@ -26,7 +26,6 @@ from hardware_sim.driver_watch import DriverWatch
 from hardware_sim.network_link import Link
 from hardware_sim.optitrack_node import OptitrackSim
 from hardware_sim.scenes import scene_type
-from hardware_sim.sensors import MocapSettings
 from hardware_sim.wam import PERIOD_NS
 from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
@@ -59,19 +58,11 @@ class Simulation:
         # a lock, held while the process lives
         self._domain = hold(exported(os.environ), self.wam.get_namespace())
         self._watch = DriverWatch(self.wam)
-        make_scene = scene_type(params.scene)
-        self.optitrack: OptitrackSim | None = None
-        mocap, on_frame = MocapSettings(), lambda *_: None
-        if make_scene.body:
-            self.optitrack = OptitrackSim()
-            mocap, on_frame = self.optitrack.params.mocap(), self.optitrack.publish
-            body = self.optitrack.params.body
-            if body != make_scene.body:
-                raise ValueError(
-                    f"optitrack_sim is set to body {body!r}, but the tracked body of scene "
-                    f"{params.scene!r} is {make_scene.body!r}"
-                )
-        world = World(params.world(mocap), params.seed, make_scene)
+        self.optitrack = OptitrackSim() if scene_type(params.scene).body else None
+        cameras, on_frame = None, lambda *_: None
+        if self.optitrack is not None:
+            cameras, on_frame = self.optitrack.params, self.optitrack.publish
+        world = World.of_params(params, cameras)
         self._watch.check()  # discovery went on while the world was built
         self.wam.attach(world, on_frame)
         rngs = [np.random.default_rng((params.seed, link)) for link in range(2)]

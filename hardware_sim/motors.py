@@ -57,12 +57,12 @@ class DirectDrives:
     """One motor per joint with torque and speed limits of the URDF; for other arms than the WAM.
 
     Attributes:
-        motor_of_joint: Matrix from joint speeds to motor speeds. Shape (7, 7).
-        motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (7,).
+        motor_of_joint: Matrix from joint speeds to motor speeds. Shape (n, n).
+        motor_no_load_speed: No-load speed of each motor [rad/s]. Shape (n,).
 
     Args:
-        tau_max: Torque limits [N m]. Shape (7,).
-        qd_max: Speed limits [rad/s]. Shape (7,).
+        tau_max: Torque limits [N m]. Shape (n,).
+        qd_max: Speed limits [rad/s]. Shape (n,).
     """
 
     def __init__(self, tau_max: np.ndarray, qd_max: np.ndarray) -> None:

@@ -7,50 +7,21 @@ parameters cover the differences between motion-capture drivers, and their commo
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from pydantic import Field
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 
-from hardware_sim.sensors import MocapFrame, MocapSettings
+from hardware_sim.sensors import MocapFrame
+from hardware_sim.settings import OptitrackSimParams
 from wam_power_ros import rotations
-from wam_power_ros.params.node_params import Params
-from wam_power_ros.params.pancake_tracker_params import WorldToBase
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.tracking.tracker import Y_UP
 
 RECEIPT_GAP_NS = 100_000  # [ns] between the receipts of frames that are delivered together
 STRAY_MARKERS = np.array([[0.4, -0.3, 0.05], [0.45, -0.2, 0.05], [-0.1, 0.6, 0.3]])  # [m]
-
-
-class OptitrackSimParams(Params):
-    """Parameters of config/optitrack_sim.yaml; ranges are those of `MocapSettings`."""
-
-    file = "optitrack_sim.yaml"
-
-    frame: str
-    body: str
-    pose_topic: str
-    markers_topic: str
-    reliable: bool
-    up_axis: Literal["z", "y"]
-    world_to_base: WorldToBase
-    stamps: Literal["exposure", "receipt"]
-    together: int = Field(ge=1, le=10)
-    stray: int = Field(ge=0, le=len(STRAY_MARKERS))
-    rate: float = Field(ge=1.0, le=500.0, description="in Hz: frame rates of existing cameras")
-    noise: float = Field(ge=0.0, le=1.0, description="in m: a metre of noise measures nothing")
-    latency: float = Field(ge=0.0, le=1.0, description="in s: more is a broken network")
-    dropout: float = Field(ge=0.0, le=1.0, description="a share of the frames")
-    lost: Literal["omit", "repeat", "zero"]
-
-    def mocap(self) -> MocapSettings:
-        """Settings of the simulated motion capture."""
-        names = ("rate", "noise", "latency", "dropout", "lost")
-        return MocapSettings(**{name: getattr(self, name) for name in names})
 
 
 class OptitrackSim(Node):

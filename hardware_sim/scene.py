@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MuJoCo model: the arm of the URDF with its pan, air, ground, light and the bodies of a task."""
+"""MuJoCo model: the arm of the URDF with its tool, air, ground, light and what a scene adds."""
 
 from __future__ import annotations
 
@@ -7,20 +7,15 @@ from collections.abc import Sequence
 from xml.etree import ElementTree
 
 import mujoco
-import numpy as np
 
 from hardware_sim.ground_truth import TOOL_SITE
 from hardware_sim.scenes import Scene
 from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
-from wam_power_ros.tasks.flip.frames import PAN_RADIUS
 
 TIMESTEP = 0.001  # [s] of the physics
 AIR_DENSITY = 1.2  # [kg/m^3]
-_RIM_SEGMENTS = 16
-_RIM_HEIGHT = 0.035  # [m]
-_RIM_FLARE = 0.6  # [rad] outward: as of a real pan; a catch tolerates some centimetres
-_FIXED, _BODY = 1, 2  # collision bits: only bodies collide, with pan and ground
+_FIXED, _BODY = 1, 2  # collision bits: only bodies collide, with tool and ground
 
 
 def build(urdf: str, scene: Scene, settings: WorldSettings) -> mujoco.MjModel:
@@ -28,7 +23,7 @@ def build(urdf: str, scene: Scene, settings: WorldSettings) -> mujoco.MjModel:
 
     Args:
         urdf: Text of the arm's URDF.
-        scene: Scene that adds its bodies.
+        scene: Scene that adds its bodies, and shapes of the tool that touch them.
         settings: Settings of the world.
 
     Returns:
@@ -38,20 +33,19 @@ def build(urdf: str, scene: Scene, settings: WorldSettings) -> mujoco.MjModel:
     Raises:
         ValueError: The text is no URDF.
     """
-    friction = settings.scene.friction
-    spec = arm(urdf, settings.arm.joints)
+    friction = settings.friction
+    spec = arm(urdf, settings.model_joint_names)
     option = spec.option
     option.timestep = TIMESTEP
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.density = AIR_DENSITY
-    for point in settings.arm.guarded:
+    for point in settings.guarded:
         spec.body(point.link).add_site(name=point.name, pos=list(point.offset), group=4)
-    tool = spec.body(settings.arm.tool)
+    tool = spec.body(settings.tool_frame)
     tool.add_site(name=TOOL_SITE, group=4)
     tool.mass += settings.payload
-    _add_pan(tool, friction)
-    scene.build(spec)
+    scene.build(spec, tool)
     _add_surroundings(spec, friction)
     model = spec.compile()
     # Drag alone: the ellipsoid model's added mass and lift would cancel the flip of a thin disc.
@@ -99,17 +93,21 @@ def arm(urdf: str, joints: Sequence[str] = JOINTS) -> mujoco.MjSpec:
         ]  # with the default a loaded joint creeps
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
+        geom.mass = 0.0  # a link has the mass of its <inertial> element alone
         geom.group = 1
     return spec
 
 
 def body_contact(friction: float) -> dict[str, object]:
-    """Geom arguments for the contact of a body with pan and ground."""
-    return _contact(friction) | {"contype": _BODY, "conaffinity": _FIXED}
+    """Geom arguments for the contact of a body with tool and ground."""
+    return tool_contact(friction) | {"contype": _BODY, "conaffinity": _FIXED}
 
 
-def _contact(friction: float) -> dict[str, object]:
-    """Nearly inelastic contact; MuJoCo's softer default lets a thin disc fall through the pan."""
+def tool_contact(friction: float) -> dict[str, object]:
+    """Geom arguments for the contact of the tool with a body.
+
+    Nearly inelastic: MuJoCo's softer default lets a thin disc fall through a pan.
+    """
     return {
         "solref": [0.005, 0.6],
         "solimp": [0.9, 0.97, 0.002, 0.5, 2.0],
@@ -120,37 +118,6 @@ def _contact(friction: float) -> dict[str, object]:
     }
 
 
-def _add_pan(pan: mujoco.MjsBody, friction: float) -> None:
-    contact = _contact(friction) | {"mass": 0.0}
-    colour = [0.13, 0.13, 0.14, 1.0]
-    pan.add_geom(
-        name="pan_floor",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        size=[PAN_RADIUS, 0.004, 0.0],
-        pos=[0.0, 0.0, -0.004],
-        rgba=colour,
-        **contact,
-    )
-    length = _RIM_HEIGHT / np.cos(_RIM_FLARE)  # along the flared wall
-    outward = PAN_RADIUS + 0.5 * _RIM_HEIGHT * np.tan(_RIM_FLARE)
-    width = np.pi * (PAN_RADIUS + _RIM_HEIGHT * np.tan(_RIM_FLARE)) / _RIM_SEGMENTS
-    for k in range(_RIM_SEGMENTS):
-        angle = 2.0 * np.pi * k / _RIM_SEGMENTS
-        tilt = np.array([np.cos(_RIM_FLARE / 2), 0.0, np.sin(_RIM_FLARE / 2), 0.0])  # about y
-        turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])  # about z
-        quat_wxyz = np.zeros(4)
-        mujoco.mju_mulQuat(quat_wxyz, turn, tilt)
-        pan.add_geom(
-            name=f"pan_rim{k}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[0.002, width, 0.5 * length],
-            pos=[outward * np.cos(angle), outward * np.sin(angle), 0.5 * _RIM_HEIGHT],
-            quat=quat_wxyz,
-            rgba=colour,
-            **contact,
-        )
-
-
 def _add_surroundings(spec: mujoco.MjSpec, friction: float) -> None:
     """Ground for a body that missed the pan, and a light."""
     world = spec.worldbody
@@ -159,6 +126,6 @@ def _add_surroundings(spec: mujoco.MjSpec, friction: float) -> None:
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[3.0, 3.0, 0.1],
         rgba=[0.93, 0.93, 0.91, 1.0],
-        **_contact(friction),
+        **tool_contact(friction),
     )
     world.add_light(pos=[0.5, -1.0, 3.0], dir=[0.0, 0.3, -1.0], castshadow=True)

@@ -16,7 +16,6 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from hardware_sim.demonstrator import Demonstrator
-from hardware_sim.wam import N
 from hardware_sim.world import World
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.ros import interface
@@ -39,7 +38,6 @@ class SceneServices:
         world: World they act on.
         seed: Seed of the demonstrations.
         lockstep: True if the world steps in lockstep; a reset then takes one tick.
-        home: Posture in which demonstrations begin [rad], shape (7,); None for that of the scene.
         overridden: Returns True while the driver moves the arm itself.
         counters: Counters of the node, for refused policies.
     """
@@ -50,14 +48,12 @@ class SceneServices:
         world: World,
         seed: int,
         lockstep: bool,
-        home: np.ndarray | None,
         overridden: Callable[[], bool],
         counters: Counter[str],
     ) -> None:
         self.label = ""
         self._node, self._world, self._seed = node, world, seed
         self._lockstep, self._overridden = lockstep, overridden
-        self._home = world.scene.home if home is None else home
         self._counters = counters
         self._policy: policies.Policy | None = None
         self._demonstrations = 0  # completed
@@ -140,7 +136,7 @@ class SceneServices:
             else:
                 self._put_back(rollout_id, home)
             return None
-        if policy is None or len(policy.q_start) != N:
+        if policy is None or len(policy.q_start) != world.n:
             return str(Answer(Code.NOTHING, "no policy for this arm has been received"))
         if world.pulled or self.label not in ("", "inactive", "hold", "move_to_start"):
             return str(Answer(Code.BUSY, f"the arm is in use (mode {self.label!r})"))
@@ -152,7 +148,7 @@ class SceneServices:
         return None
 
     def _carry(self, home: np.ndarray) -> bool:
-        """Whether the arm is away from a posture (7,) [rad], so that it is carried there first."""
+        """Whether the arm is away from a posture (n,) [rad], so that it is carried there first."""
         far = np.abs(self._world.joint_state().q - home).max() > START_TOLERANCE
         if far:
             self._world.carry(home)
@@ -183,14 +179,14 @@ class SceneServices:
         rng = np.random.default_rng((self._seed, self._demonstrations))
         if world.frozen:
             world.release()
-        world.attach(Demonstrator(world.scene.script(rng), *world.pan_pose))
+        world.attach(Demonstrator(world.scene.script(rng), *world.tool_pose))
         self._demonstrating = True
 
     def _next_demonstration(self) -> tuple[str, np.ndarray]:
-        """Id and start posture (7,) [rad] of the next demonstration."""
+        """Id and start posture (n,) [rad] of the next demonstration."""
         scene, number = self._world.scene, self._demonstrations
         rng = np.random.default_rng((self._seed, number, 1))
-        home = self._home + scene.home_sd * rng.standard_normal(N)
+        home = self._world.home + scene.home_sd * rng.standard_normal(self._world.n)
         return f"demonstration-{number}", home
 
     def _on_drop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
 
 from hardware_sim.motors import joint_motion, motor_motion
-from hardware_sim.wam import ENCODER_COUNTS, PERIOD, VELOCITY_CUTOFF, check_range
+from hardware_sim.wam import ENCODER_COUNTS, PERIOD, VELOCITY_CUTOFF
 from wam_power_ros import rotations
 
 _COUNTS_PER_RAD = ENCODER_COUNTS / math.tau  # of a motor's encoder
@@ -19,7 +19,7 @@ _COUNT = math.tau / ENCODER_COUNTS  # [rad]
 
 
 def quantize_geared(q: Sequence[float]) -> tuple[float, ...]:
-    """Joint positions [rad] quantized by motor encoders behind gears of 1:100; seven."""
+    """Joint positions [rad] quantized by motor encoders behind gears of 1:100."""
     return tuple([_COUNT / 100 * round(_COUNTS_PER_RAD * 100 * position) for position in q])
 
 
@@ -34,8 +34,8 @@ class Encoders:
     """Joint encoders with velocities differenced and low-passed as in libbarrett.
 
     Attributes:
-        q: Joint positions [rad]; seven.
-        qd: Joint velocities [rad/s]; seven.
+        q: Joint positions [rad]; empty before `reset`.
+        qd: Joint velocities [rad/s].
 
     Args:
         quantize: Quantizes joint positions.
@@ -47,24 +47,23 @@ class Encoders:
         self._quantize = quantize
         self._keep = math.exp(-VELOCITY_CUTOFF * PERIOD)
         self._gain = (1.0 - self._keep) / PERIOD
-        self.q: tuple[float, ...] = (0.0,) * 7
-        self.qd: tuple[float, ...] = (0.0,) * 7
+        self.q: tuple[float, ...] = ()
+        self.qd: tuple[float, ...] = ()
 
     def reset(self, q: Sequence[float]) -> None:
-        """Reset to rest at joint positions [rad]; seven."""
+        """Reset to rest at joint positions [rad]."""
         self.q = self._quantize(q)
-        self.qd = (0.0,) * 7
+        self.qd = (0.0,) * len(self.q)
 
     def read(self, q: Sequence[float]) -> None:
-        """Read the joint positions [rad] one period after the last ones; seven."""
+        """Read the joint positions [rad] one period after the last ones."""
         now, before, keep, gain = self._quantize(q), self.q, self._keep, self._gain
         rows = zip(self.qd, now, before, strict=True)
         self.qd = tuple([keep * qd + gain * (new - old) for qd, new, old in rows])
         self.q = now
 
 
-@dataclass(frozen=True)
-class MocapSettings:
+class MocapSettings(BaseModel):
     """Settings of motion capture: the paper's, else typical of present systems.
 
     Attributes:
@@ -74,21 +73,21 @@ class MocapSettings:
         dropout: Share of lost frames.
         occlusion: Share of frames in which one marker is hidden.
         lost: Output of the driver for a lost frame: none, the last pose again, or a pose of zeros.
+        single_marker: True for one marker, at the body's origin, instead of a layout.
 
     Raises:
         ValueError: A value is out of range.
     """
 
-    rate: float = 30.0
-    noise: float = 0.0005
-    latency: float = 0.04
-    dropout: float = 0.01
-    occlusion: float = 0.0
-    lost: Literal["omit", "repeat", "zero"] = "omit"
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    def __post_init__(self) -> None:
-        check_range(self, 1.0, 500.0, "rate")
-        check_range(self, 0.0, 1.0, "noise", "latency", "dropout", "occlusion")
+    rate: float = Field(30.0, ge=1.0, le=500.0, description="in Hz: frame rates of cameras")
+    noise: float = Field(0.0005, ge=0.0, le=1.0, description="in m: beyond, nothing is measured")
+    latency: float = Field(0.04, ge=0.0, le=1.0, description="in s: more is a broken network")
+    dropout: float = Field(0.01, ge=0.0, le=1.0, description="a share of the frames")
+    occlusion: float = Field(0.0, ge=0.0, le=1.0, description="a share of the frames")
+    lost: Literal["omit", "repeat", "zero"] = "omit"
+    single_marker: bool = False
 
 
 class MocapFrame(NamedTuple):
@@ -96,15 +95,16 @@ class MocapFrame(NamedTuple):
 
     stamp_ns: int  # time of exposure
     position: np.ndarray  # (3,) [m]
-    quat_xyzw: np.ndarray  # (4,)
-    markers: np.ndarray  # (m, 3) [m]; m < 4 when some are hidden, 0 when the frame is lost
+    quat_xyzw: np.ndarray  # (4,); identity for a single marker
+    markers: np.ndarray  # (m, 3) [m]; fewer when some are hidden, none when the frame is lost
 
 
 class Mocap:
-    """Motion capture of a rigid body: noisy markers and a pose fitted to them, with latency.
+    """Motion capture of a body: noisy markers and a pose fitted to them, with latency.
 
     Args:
-        layout: Marker positions in the frame of the body, all at z = 0 [m]. Shape (4, 3).
+        layout: Marker positions in the frame of the body, all at z = 0 [m], shape (m, 3); a single
+            one has a position without orientation.
         settings: Settings of the motion capture.
 
     Raises:
@@ -144,13 +144,14 @@ class Mocap:
         """Take the due frame of a body at `position` (3,) [m] with `rotation` (3, 3)."""
         self._next_ns += self._period_ns
         settings, rng = self._settings, self._rng
-        noise = rng.standard_normal((4, 3)) * settings.noise
-        lost, hidden, which = rng.random(), rng.random(), int(rng.integers(4))
+        count = len(self._layout)
+        noise = rng.standard_normal((count, 3)) * settings.noise
+        lost, hidden, which = rng.random(), rng.random(), int(rng.integers(count))
         if lost < settings.dropout:
             self._lose(now_ns)
             return
         markers = position + self._layout.dot(rotation.T) + noise
-        fitted = _flat_fit(self._flat, markers)
+        fitted = _flat_fit(self._flat, markers) if count > 1 else np.eye(3)
         centre = self._mean.dot(markers) - fitted.dot(self._centre)
         if hidden < settings.occlusion:
             markers = np.delete(markers, which, axis=0)

@@ -1,132 +1,184 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of the simulated world: arm, drives, sensors and scene."""
+"""Settings of the simulated world, and parameters of the stand-ins, which include them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from typing_extensions import Self
 
 from hardware_sim.sensors import MocapSettings
-from hardware_sim.wam import JOINTS, N, check_range
-from wam_power_ros.control.arm import WAM_GUARDED_POINTS, GuardedPoint
-from wam_power_ros.regions import Region
+from hardware_sim.wam import JOINTS
+from wam_power_ros.control.arm import GuardedPoint, guarded_points
+from wam_power_ros.params.node_params import Names, Params
+from wam_power_ros.params.torque_controller_params import JOINTS_MAX, Joints
+from wam_power_ros.regions import Region, region_of
+from wam_power_ros.tracking.tracker import WorldToBase
 
+REACH_GOAL = (0.78, 0.25, 0.6)  # [m] half a metre to the left of the WAM's pan at its home
 PITCH_RATE = 7.6  # [rad/s] of an expert: most reproductions turn by 90 degrees or more
+Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: beyond the reach of the arm")]
+Radius = Annotated[float, Field(ge=0.0, le=2.0)]
+Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: beyond any joint limit")]
+Delay = Annotated[float, Field(ge=0.0, le=1.0, description="in s: more is a broken link")]
+Spread = Annotated[float, Field(ge=0.0, le=10.0, description="far above any real value")]
+Scale = Annotated[float, Field(ge=0.1, le=10.0, description="relative to nominal")]
+Sent = Literal["filled", "empty", "nan"]
 
 
-@dataclass(frozen=True)
-class ArmSettings:
-    """The simulated arm; by default the WAM.
+class WorldSettings(BaseModel):
+    """Settings of the simulated world; the defaults describe the real WAM with a pan.
+
+    Each scene uses some of the settings from `friction` on.
 
     Attributes:
         urdf: URDF file, absolute or below the package's share folder.
-        joints: Names of the joints from base to tip; seven.
-        tool: Link that holds the pan: z normal to the pan, origin on its floor.
-        guarded: Points whose speeds are logged; the first as elbow, the last as forearm.
-        home: Initial posture [rad]; seven, or None for that of the scene.
+        model_joint_names: Names of the joints in it, from base to tip.
+        tool_frame: Link that is the tool.
+        guarded_names: Points whose speeds are logged; the first as elbow, the last as forearm. One
+            name "": only the speed of the tool is.
+        guarded_links: Link of each.
+        guarded_points: Position of each in the frame of its link [m], three numbers a point.
+        home: Initial posture [rad], one angle a joint; None for that of the scene.
         drives: "wam" for the WAM's cables and motors, "direct" for the limits in the URDF.
-
-    Raises:
-        ValueError: There are not seven joints, or no guarded points.
-    """
-
-    urdf: str = "urdf/wam7.urdf"
-    joints: tuple[str, ...] = JOINTS
-    tool: str = "pan"
-    guarded: tuple[GuardedPoint, ...] = WAM_GUARDED_POINTS
-    home: tuple[float, ...] | None = None
-    drives: Literal["wam", "direct"] = "wam"
-
-    def __post_init__(self) -> None:
-        for name in ("joints", "home"):
-            values = getattr(self, name)
-            if values is not None and len(values) != N:
-                raise ValueError(f"{name} {values} must have {N} entries")
-        if not self.guarded:
-            raise ValueError("guarded must name at least one point, whose speed is logged")
-
-
-@dataclass(frozen=True)
-class SceneSettings:
-    """Settings of the scene and its demonstrations; each scene uses some of them.
-
-    Attributes:
-        friction: Sliding friction between pan and body.
-        body_offset_sd: Standard deviation of the body's initial position in the pan, per axis [m].
-        region: Guarded region of the controller, which a scene may show; None for none.
-        body_mass: Mass of the body, relative to nominal.
-        body_size: Radius of the body, relative to nominal.
-        pitch_rate: Intended pitch rate of a demonstrated toss at the release [rad/s].
-        level: True if a demonstrated toss begins with the pan level, the body in its middle.
-
-    Raises:
-        ValueError: A value is out of range.
-    """
-
-    friction: float = 0.2
-    body_offset_sd: float = 0.003
-    region: Region | None = None
-    body_mass: float = 1.0
-    body_size: float = 1.0
-    pitch_rate: float = PITCH_RATE
-    level: bool = False
-
-    def __post_init__(self) -> None:
-        check_range(self, 0.0, 10.0, "friction", "body_offset_sd")
-        check_range(self, 0.1, 10.0, "body_mass", "body_size", "pitch_rate")
-
-
-@dataclass(frozen=True)
-class WorldSettings:
-    """Settings of the simulated world; the defaults describe the real WAM.
-
-    Attributes:
         bus_voltage: Bus voltage of the motors [V].
         command_delay_ticks: Delay from a torque command to the motors, in control periods.
-        wind_sd: Standard deviation of a rollout's steady wind, per axis [m/s].
-        torque_scale_sd: Relative standard deviation of each joint's torque constant per rollout.
-        friction_sd: Relative standard deviation of each joint's Coulomb friction per rollout.
-        friction_share: Coulomb friction of the joints, relative to the URDF.
-        torque_constants: Torque constant of each joint, relative to nominal; seven.
-        payload: Mass at the tool that is in no model of the arm [kg].
-        unknown: Replaces some settings by random ones, see `unknown_world.draw`: never (""), once
-            for all rollouts ("session"), or anew for each rollout ("rollout").
         driver_compensates_gravity: True if the driver adds g(q) to the commanded torque.
         watchdog: True if the driver compensates gravity, with damping, after 10 ms without a
             command; otherwise it holds the last command.
         watchdog_damping: Damping in that state [1/s].
-        scene: Settings of the scene.
-        mocap: Settings of the motion capture.
-        arm: Settings of the arm.
+        wind_sd: Standard deviation of a rollout's steady wind, per axis [m/s].
+        torque_scale_sd: Relative standard deviation of each joint's torque constant per rollout.
+        friction_sd: Relative standard deviation of each joint's Coulomb friction per rollout.
+        friction_share: Coulomb friction of the joints, relative to the URDF.
+        torque_constants: Torque constant of each joint, relative to nominal; () for nominal ones.
+        payload: Mass at the tool that is in no model of the arm [kg].
+        unknown: Replaces some settings by random ones, see `unknown_world.draw`: never (""), once
+            for all rollouts ("session"), or anew for each rollout ("rollout").
+        friction: Sliding friction between tool and body.
+        body_offset_sd: Standard deviation of the body's initial position at the tool, per axis [m].
+        body_mass: Mass of the body, relative to nominal.
+        body_size: Radius of the body, relative to nominal.
+        guarded_region: Centre and radius of the controller's guarded region, a sphere in the base
+            frame [m], which a scene may show; radius 0 for none.
+        goal: Where a demonstrated reach ends [m].
+        pitch_rate: Intended pitch rate of a demonstrated toss at the release [rad/s].
+        level: True if a demonstrated toss begins with the pan level, the body in its middle.
 
     Raises:
-        ValueError: A value is out of range.
+        ValueError: A value is out of range, or does not fit the number of joints.
     """
 
-    bus_voltage: float = 48.0
-    command_delay_ticks: int = 2
-    wind_sd: float = 0.1
-    torque_scale_sd: float = 0.01
-    friction_sd: float = 0.1
-    friction_share: float = 1.0
-    torque_constants: tuple[float, ...] = (1.0,) * N
-    payload: float = 0.0
-    unknown: Literal["", "session", "rollout"] = ""
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    urdf: str = "urdf/wam7.urdf"
+    model_joint_names: Joints = JOINTS
+    tool_frame: str = "pan"
+    guarded_names: Names = ("elbow", "forearm")
+    guarded_links: Names = ("wam_link4", "wam_link4")
+    guarded_points: tuple[Length, ...] = Field((0.0, 0.0, 0.0, -0.045, -0.35, 0.0), max_length=24)
+    home: tuple[Angle, ...] | None = Field(None, max_length=JOINTS_MAX)
+    drives: Literal["wam", "direct"] = "wam"
+    bus_voltage: float = Field(48.0, ge=1.0, le=100.0, description="in V: 48 for the WAM")
+    command_delay_ticks: int = Field(2, ge=0, le=50, description="beyond 0.1 s: unstable")
     driver_compensates_gravity: bool = False
     watchdog: bool = True
-    watchdog_damping: float = 5.0
-    scene: SceneSettings = field(default_factory=SceneSettings)
-    mocap: MocapSettings = field(default_factory=MocapSettings)
-    arm: ArmSettings = field(default_factory=ArmSettings)
+    watchdog_damping: float = Field(5.0, ge=0.0, le=100.0)
+    wind_sd: Spread = 0.1
+    torque_scale_sd: Spread = 0.01
+    friction_sd: Spread = 0.1
+    friction_share: Spread = 1.0
+    torque_constants: tuple[Scale, ...] = Field((), max_length=JOINTS_MAX)
+    payload: float = Field(0.0, ge=0.0, le=5.0)
+    unknown: Literal["", "session", "rollout"] = ""
+    friction: Spread = 0.2
+    body_offset_sd: Spread = 0.003
+    body_mass: Scale = 1.0
+    body_size: Scale = 1.0
+    guarded_region: tuple[Length, Length, Length, Radius] = (0.0, 0.0, 0.0, 0.0)
+    goal: tuple[Length, Length, Length] = REACH_GOAL
+    pitch_rate: Scale = Field(PITCH_RATE, description="in rad/s: 10 is faster than any wrist")
+    level: bool = False
 
-    def __post_init__(self) -> None:
-        check_range(self, 0, 50, "command_delay_ticks")
-        spreads = ("wind_sd", "torque_scale_sd", "friction_sd", "friction_share")
-        check_range(self, 0.0, 10.0, *spreads)
-        check_range(self, 0.0, 100.0, "watchdog_damping")
-        check_range(self, 0.0, 5.0, "payload")
-        constants = self.torque_constants
-        if len(constants) != N or not all(0.0 < share < 10.0 for share in constants):
+    @property
+    def region(self) -> Region | None:
+        """Guarded region of the controller; None for none."""
+        return region_of("region", self.guarded_region)
+
+    @property
+    def guarded(self) -> tuple[GuardedPoint, ...]:
+        """Points whose speeds are logged: the tool if there are no others."""
+        found = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
+        return found or (GuardedPoint("tool", self.tool_frame, (0.0, 0.0, 0.0)),)
+
+    @model_validator(mode="after")
+    def _fit_the_arm(self) -> Self:
+        names, n = self.model_joint_names, len(self.model_joint_names)
+        if self.drives == "wam" and n != len(JOINTS):
             raise ValueError(
-                f"torque_constants {constants} must be {N} numbers above 0 and below 10"
+                f"drives = wam: they have {len(JOINTS)} joints, not the {n} of {names}; set direct "
+                "for another arm"
             )
+        for name, values in (("home", self.home), ("torque_constants", self.torque_constants)):
+            if values and len(values) != n:
+                raise ValueError(f"{name} = {values} must be {n} numbers, one for each of {names}")
+        guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
+        return self
+
+
+class WamSimParams(Params, WorldSettings):
+    """Parameters of config/wam_sim.yaml, settings of the world included."""
+
+    file = "wam_sim.yaml"
+    constants: ClassVar = {  # set by studies, and by the unknown world
+        *("watchdog_damping", "friction_share", "torque_constants", "payload"),
+        *("body_mass", "body_size", "level"),
+    }
+
+    pace: Literal["lockstep", "real_time"]
+    seed: int = Field(ge=0, le=2**63 - 1, description="a ROS integer")
+    realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
+    joint_names: Joints
+    other_joints: Names
+    state_topic: str
+    velocity: Sent
+    effort: Sent
+    velocity_topic: str
+    command_topic: str
+    command_type: Literal["multiarray", "joint_state"]
+    listeners: tuple[str, ...] = Field(max_length=100)
+    deactivates: bool
+    state_latency: Delay
+    state_jitter: Delay
+    state_loss: float = Field(ge=0.0, le=1.0)
+    command_latency: Delay
+    command_jitter: Delay
+    command_loss: float = Field(ge=0.0, le=1.0)
+    scene: str
+
+    @model_validator(mode="after")
+    def _fit_the_driver(self) -> Self:
+        if len(self.model_joint_names) != len(self.joint_names):
+            raise ValueError(
+                f"model_joint_names {self.model_joint_names} must be as many as joint_names "
+                f"{self.joint_names}"
+            )
+        return self
+
+
+class OptitrackSimParams(Params, MocapSettings):
+    """Parameters of config/optitrack_sim.yaml, settings of the motion capture included."""
+
+    file = "optitrack_sim.yaml"
+
+    frame: str
+    body: str
+    pose_topic: str
+    markers_topic: str
+    reliable: bool
+    up_axis: Literal["z", "y"]
+    world_to_base: WorldToBase
+    stamps: Literal["exposure", "receipt"]
+    together: int = Field(ge=1, le=10)
+    stray: int = Field(ge=0, le=3, description="markers of other objects")

@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 import zlib
-from dataclasses import replace
 
 import numpy as np
 
 from hardware_sim.settings import WorldSettings
-from hardware_sim.wam import N
 
 
 def draw(settings: WorldSettings, seed: int, rollout_id: str = "") -> WorldSettings:
@@ -24,17 +22,14 @@ def draw(settings: WorldSettings, seed: int, rollout_id: str = "") -> WorldSetti
         seed: Seed of the world.
         rollout_id: Id of the rollout; "" for the whole session.
     """
+    n = len(settings.model_joint_names)
     rng = np.random.default_rng([seed, zlib.crc32(f"unknown world{rollout_id}".encode())])
-    scene = replace(
-        settings.scene,
-        body_mass=float(rng.uniform(0.7, 1.3)),
-        body_size=float(rng.uniform(0.8, 1.2)),
-        friction=float(rng.uniform(0.1, 0.5)),
-    )
-    return replace(
-        settings,
-        scene=scene,
-        command_delay_ticks=int(rng.integers(1, 5)),
-        torque_constants=tuple(rng.uniform(0.95, 1.05, N).tolist()),
-        payload=float(rng.uniform(0.0, 0.12)),
-    )
+    drawn = {
+        "body_mass": float(rng.uniform(0.7, 1.3)),
+        "body_size": float(rng.uniform(0.8, 1.2)),
+        "friction": float(rng.uniform(0.1, 0.5)),
+        "command_delay_ticks": int(rng.integers(1, 5)),
+        "torque_constants": tuple(rng.uniform(0.95, 1.05, n).tolist()),
+        "payload": float(rng.uniform(0.0, 0.12)),
+    }
+    return settings.model_copy(update=drawn)

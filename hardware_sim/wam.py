@@ -42,11 +42,3 @@ POSITION_KD = np.array([10.0, 20.0, 5.0, 2.0, 0.5, 0.5, 0.05])  # [N m s/rad]
 POSITION_TAU_MAX = np.array([25.0, 20.0, 15.0, 15.0, 5.0, 5.0, 5.0])  # [N m]
 HOME_SPEED = 0.5  # [rad/s] of a move home
 FOLDED = np.array([0.0, -1.95, 0.0, 3.05, 0.0, 0.0, 0.0])  # [rad] home; just inside the limits
-
-
-def check_range(settings: object, low: float, high: float, *names: str) -> None:
-    """Raise ValueError with name and value if a named setting is not within low and high."""
-    for name in names:
-        value = getattr(settings, name)
-        if not low <= value <= high:
-            raise ValueError(f"{name} {value} must be {low} to {high}")

@@ -10,11 +10,9 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Annotated, Literal
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from pydantic import Field
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -22,93 +20,18 @@ from std_msgs.msg import Float64MultiArray, String
 
 from hardware_sim.barrett_services import BarrettServices, PositionControl
 from hardware_sim.scene_services import SceneServices
-from hardware_sim.sensors import MocapFrame, MocapSettings
-from hardware_sim.settings import ArmSettings, SceneSettings, WorldSettings
-from hardware_sim.wam import FOLDED, PERIOD, N
+from hardware_sim.sensors import MocapFrame
+from hardware_sim.settings import WamSimParams
+from hardware_sim.wam import FOLDED, PERIOD
 from hardware_sim.world import World
-from wam_power_ros.control.arm import Arm, GuardedPoint, guarded_points
-from wam_power_ros.params.node_params import Names, Params
-from wam_power_ros.regions import region_of
+from wam_power_ros.control.arm import Arm
 from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.diagnostics import component, diagnostics_message
-
-Length = Annotated[float, Field(ge=-5.0, le=5.0, description="in m: beyond the reach of the arm")]
-Angle = Annotated[float, Field(ge=-10.0, le=10.0, description="in rad: beyond any joint limit")]
-Delay = Annotated[float, Field(ge=0.0, le=1.0, description="in s: more is a broken link")]
-Spread = Annotated[float, Field(ge=0.0, le=10.0, description="far above any real value")]
-Sent = Literal["filled", "empty", "nan"]
-
-
-class WamSimParams(Params):
-    """Parameters of config/wam_sim.yaml; ranges are those of the world's settings."""
-
-    file = "wam_sim.yaml"
-
-    pace: Literal["lockstep", "real_time"]
-    seed: int = Field(ge=0, le=2**63 - 1, description="a ROS integer")
-    realtime_priority: int = Field(ge=0, le=98, description="99 is for the kernel's own threads")
-    joint_names: tuple[str, ...] = Field(min_length=N, max_length=N)
-    other_joints: Names
-    state_topic: str
-    velocity: Sent
-    effort: Sent
-    velocity_topic: str
-    command_topic: str
-    command_type: Literal["multiarray", "joint_state"]
-    listeners: tuple[str, ...] = Field(max_length=100)
-    watchdog: bool
-    deactivates: bool
-    state_latency: Delay
-    state_jitter: Delay
-    state_loss: float = Field(ge=0.0, le=1.0)
-    command_latency: Delay
-    command_jitter: Delay
-    command_loss: float = Field(ge=0.0, le=1.0)
-    urdf: str
-    model_joint_names: Names
-    tool_frame: str
-    guarded_names: Names
-    guarded_links: Names
-    guarded_points: tuple[Length, ...] = Field(max_length=24)
-    home: tuple[Angle, ...] = Field(max_length=N)
-    drives: Literal["wam", "direct"]
-    bus_voltage: float = Field(ge=1.0, le=100.0, description="in V: 48 for the WAM")
-    command_delay_ticks: int = Field(ge=0, le=50, description="up to 0.1 s: unstable long before")
-    driver_compensates_gravity: bool
-    wind_sd: Spread
-    torque_scale_sd: Spread
-    friction_sd: Spread
-    scene: str
-    pitch_rate: float = Field(ge=0.1, le=10.0, description="in rad/s: 10 is faster than any wrist")
-    unknown: Literal["", "session", "rollout"]
-    friction: Spread
-    body_offset_sd: Spread
-    guarded_region: tuple[Length, Length, Length, Annotated[float, Field(ge=0.0, le=2.0)]]
-
-    def world(self, mocap: MocapSettings) -> WorldSettings:
-        """Settings of the world; without guarded points, the speed of the tool is logged."""
-        tool = self.tool_frame
-        guarded = guarded_points(self.guarded_names, self.guarded_links, self.guarded_points)
-        guarded = guarded or (GuardedPoint("tool", tool, (0.0, 0.0, 0.0)),)
-        shared = WorldSettings.__dataclass_fields__.keys() & type(self).model_fields.keys()
-        settings = {name: getattr(self, name) for name in shared} | {
-            "scene": SceneSettings(
-                self.friction,
-                self.body_offset_sd,
-                region_of("region", self.guarded_region),
-                pitch_rate=self.pitch_rate,
-            ),
-            "mocap": mocap,
-            "arm": ArmSettings(
-                self.urdf, self.model_joint_names, tool, guarded, self.home, self.drives
-            ),
-        }
-        return WorldSettings(**settings)
 
 
 def _sent(values: np.ndarray, how: str) -> Sequence[float] | np.ndarray:
     """Values of a joint state as a driver sends them: see `WamSimParams.velocity`."""
-    return values if how == "filled" else np.full(N, np.nan) if how == "nan" else ()
+    return values if how == "filled" else np.full(len(values), np.nan) if how == "nan" else ()
 
 
 class WamSim(Node):
@@ -143,14 +66,13 @@ class WamSim(Node):
         # in real time the stamps are of the system clock, like those of a real driver
         self.stamp_offset_ns = 0 if lockstep else time.time_ns() - world.time_ns
         arm = Arm(world.urdf, params.model_joint_names, params.tool_frame, guarded=())
-        self._control = PositionControl(arm, params.driver_compensates_gravity, PERIOD)
-        own_home = None if params.drives == "wam" else np.array(params.home)
-        home = FOLDED if own_home is None else own_home
+        self._control = PositionControl(
+            arm, params.drives, params.driver_compensates_gravity, PERIOD
+        )
+        home = FOLDED if params.drives == "wam" else world.home
         self._barrett = BarrettServices(self, world, self._control, home, lockstep)
         engaged = lambda: self._control.engaged  # noqa: E731
-        self._scene = SceneServices(
-            self, world, params.seed, lockstep, own_home, engaged, self.counters
-        )
+        self._scene = SceneServices(self, world, params.seed, lockstep, engaged, self.counters)
         self._description.publish(String(data=world.urdf))
 
     def _connect(self) -> None:
@@ -200,7 +122,7 @@ class WamSim(Node):
             self._scene.change(reading.label, self.stamp_ns)
         tau = None if reading is None else reading.tau
         if self._barrett.deactivated:
-            tau = np.zeros(N)
+            tau = np.zeros(world.n)
         if self._control.engaged:
             sample = world.joint_state()
             tau = self._control.torque(sample.q, sample.qd)
@@ -237,7 +159,7 @@ class WamSim(Node):
             self.counters["torques refused"] += 1
             self.get_logger().warning(f"torque refused: {error}", throttle_duration_sec=1.0)
             torques = message.effort if isinstance(message, JointState) else message.data
-            if self.params.deactivates and len(torques) != N:
+            if self.params.deactivates and len(torques) != self.world.n:
                 self._barrett.deactivated = True
                 self.get_logger().error("deactivated: the arm receives zero torques from now on")
             return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated world: an arm with a pan in a scene, its motors, sensors and driver; no ROS.
+"""Simulated world: an arm with its tool in a scene, its motors, sensors and driver; no ROS.
 
 After `reset(rollout_id, ...)` the world is a function of the seed, the id and the torques since the
 release, so a rollout is the same on any machine, whatever happened before.
@@ -20,13 +20,14 @@ from hardware_sim import scene, unknown_world
 from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.ground_truth import LOG_TICKS, RolloutLog, Snapshot, Truth, rotation_of
 from hardware_sim.motors import DirectDrives, Motors
-from hardware_sim.scenes import Scene
+from hardware_sim.scenes import Scene, scene_type
 from hardware_sim.scenes.flip import Flip
-from hardware_sim.sensors import Encoders, Mocap, MocapFrame, quantize_geared
-from hardware_sim.settings import SceneSettings, WorldSettings
-from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS, N
+from hardware_sim.sensors import Encoders, Mocap, MocapFrame, MocapSettings, quantize_geared
+from hardware_sim.settings import OptitrackSimParams, WamSimParams, WorldSettings
+from hardware_sim.wam import PERIOD, PERIOD_NS, WATCHDOG_TICKS
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.joint_references import MinJerk
+from wam_power_ros.params.overlay import Setup
 from wam_power_ros.params.resources import share
 from wam_power_ros.tracking.marker_fit import LAYOUT
 
@@ -46,13 +47,13 @@ class JointSample(NamedTuple):
     """Joint state as the driver of the arm reports it every tick."""
 
     stamp_ns: int
-    q: np.ndarray  # (7,) [rad]
-    qd: np.ndarray  # (7,) [rad/s]
-    tau: np.ndarray  # (7,) commanded, with the driver's own gravity torque [N m]
+    q: np.ndarray  # (n,) [rad]
+    qd: np.ndarray  # (n,) [rad/s]
+    tau: np.ndarray  # (n,) commanded, with the driver's own gravity torque [N m]
 
 
 class World:
-    """One arm with a pan in a scene.
+    """One arm with its tool in a scene.
 
     Attributes:
         settings: Settings of the world.
@@ -62,6 +63,7 @@ class World:
             `release`.
         idle: True while the motors are shorted and commands have no effect.
         urdf: Text of the arm's URDF.
+        n: Number of the arm's joints.
         motors: Torque limits of the motors.
         trace: Set to [] to record joint positions of arm and bodies since the release, 100 a
             second; None records nothing.
@@ -70,54 +72,83 @@ class World:
         settings: Settings of the world; None for the defaults.
         seed: Seed of all noise.
         make_scene: Creates the scene.
+        mocap: Settings of the motion capture; None for the defaults.
     """
 
     def __init__(
         self,
         settings: WorldSettings | None = None,
         seed: int = 0,
-        make_scene: Callable[[SceneSettings], Scene] = Flip,
+        make_scene: Callable[[WorldSettings], Scene] = Flip,
+        mocap: MocapSettings | None = None,
     ) -> None:
         self._nominal_settings = settings = settings or WorldSettings()
+        mocap = mocap or MocapSettings()
         self._make_scene = make_scene
         self.seed = seed
-        arm = settings.arm
-        self.urdf = share(arm.urdf).read_text()
-        self._arm = Arm(self.urdf, arm.joints, arm.tool, guarded=arm.guarded)  # driver's model
+        self.urdf = share(settings.urdf).read_text()
+        names, tool, guarded = settings.model_joint_names, settings.tool_frame, settings.guarded
+        self._arm = Arm(self.urdf, names, tool, guarded=guarded)  # driver's model
+        self.n = self._arm.n
         self._substeps = round(PERIOD / scene.TIMESTEP)
         self.motors: Motors | DirectDrives = Motors(settings.bus_voltage)
         self._encoders = Encoders()
-        if arm.drives == "direct":
+        if settings.drives == "direct":
             self.motors = DirectDrives(self._arm.tau_max, self._arm.qd_max)
             self._encoders = Encoders(quantize_geared)
-        self._mocap = Mocap(np.asarray(LAYOUT), settings.mocap)
+        layout = np.zeros((1, 3)) if mocap.single_marker else np.asarray(LAYOUT)
+        self._mocap = Mocap(layout, mocap)
         self._velocity = np.zeros(6)
         self._carrying: tuple[MinJerk, int] | None = None  # path and its beginning [ns]
         self._build(unknown_world.draw(settings, seed) if settings.unknown else settings)
 
         self.time_ns = PERIOD_NS
         self.trace: list[np.ndarray] | None = None
-        self.reset("start", self.scene.home if arm.home is None else np.array(arm.home))
+        self.reset("start", self.scene.home if settings.home is None else np.array(settings.home))
         self.release()
+
+    @classmethod
+    def of(cls, setup: Setup) -> World:
+        """World of a set-up: that of its stand-ins.
+
+        Raises:
+            ValueError: A parameter is not acceptable.
+        """
+        return cls.of_params(WamSimParams.of_setup(setup), OptitrackSimParams.of_setup(setup))
+
+    @classmethod
+    def of_params(cls, params: WamSimParams, cameras: OptitrackSimParams | None) -> World:
+        """World of the stand-ins' parameters; `cameras` may be None in a scene without a body.
+
+        Raises:
+            ValueError: A parameter is not acceptable.
+        """
+        make_scene = scene_type(params.scene)
+        if cameras is not None and make_scene.body not in ("", cameras.body):
+            raise ValueError(
+                f"optitrack_sim is set to body {cameras.body!r}, but the tracked body of scene "
+                f"{params.scene!r} is {make_scene.body!r}"
+            )
+        return cls(params, params.seed, make_scene, cameras)
 
     def _build(self, settings: WorldSettings) -> None:
         """Compile scene and physics for these settings."""
         self.settings = settings
-        self.scene = self._make_scene(settings.scene)
-        arm = settings.arm
+        self.scene = self._make_scene(settings)
+        n = self.n
         self.model = model = scene.build(self.urdf, self.scene, settings)
         self.data = data = mujoco.MjData(model)
-        self._pan = model.body(arm.tool).id
-        self._friction = settings.friction_share * model.dof_frictionloss[:N]
-        self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:N]).tolist()
+        self._tool = model.body(settings.tool_frame).id
+        self._friction = settings.friction_share * model.dof_frictionloss[:n]
+        self._watchdog_damping = (settings.watchdog_damping * model.dof_M0[:n]).tolist()
         # views into MuJoCo's arrays
-        self._q, self._qd, self._applied = data.qpos[:N], data.qvel[:N], data.qfrc_applied[:N]
-        self._scene_qd = data.qvel[N:]
+        self._q, self._qd, self._applied = data.qpos[:n], data.qvel[:n], data.qfrc_applied[:n]
+        self._scene_qd = data.qvel[n:]
         columns = _free_joint(model, self.scene.body)
         self._body, self._body_twist = data.qpos[columns[0]], data.qvel[columns[1]]
-        self._pan_position = data.xpos[self._pan]
-        self._pan_rotation = data.xmat[self._pan].reshape(3, 3)
-        self._log = RolloutLog(model, data, [point.name for point in arm.guarded], columns)
+        self._tool_position = data.xpos[self._tool]
+        self._tool_rotation = data.xmat[self._tool].reshape(3, 3)
+        self._log = RolloutLog(model, data, [point.name for point in settings.guarded], n, columns)
 
     def reset(self, rollout_id: str, q_start: np.ndarray) -> None:
         """Put the arm and the bodies of the scene to rest at the start of a rollout; freeze them.
@@ -127,7 +158,7 @@ class World:
 
         Args:
             rollout_id: Id of the rollout; with suffix `QUIET` only the cameras are noisy.
-            q_start: Start posture [rad]. Shape (7,).
+            q_start: Start posture [rad]. Shape (n,).
 
         Raises:
             ValueError: A joint is not finite or outside its limits.
@@ -141,9 +172,10 @@ class World:
             ValueError: As `reset`, before the first slice.
         """
         q_start = np.array(q_start, dtype=float)
-        low, high = self.model.jnt_range[:N].T
-        if q_start.shape != (N,) or not np.all((low <= q_start) & (q_start <= high)):
-            raise ValueError(f"q_start {q_start.tolist()} must be {N} angles within their limits")
+        n = self.n
+        low, high = self.model.jnt_range[:n].T
+        if q_start.shape != (n,) or not np.all((low <= q_start) & (q_start <= high)):
+            raise ValueError(f"q_start {q_start.tolist()} must be {n} angles within their limits")
         self.frozen = True
         return self._resetting(rollout_id, q_start)
 
@@ -154,21 +186,21 @@ class World:
         rng = np.random.default_rng(key)
         self._mocap_rng = np.random.default_rng([*key, 1])
         self.rollout_id = rollout_id
-        settings, model, data = self.settings, self.model, self.data
+        settings, model, data, n = self.settings, self.model, self.data, self.n
         noise = 0.0 if rollout_id.endswith(QUIET) else 1.0
-        offset = noise * settings.scene.body_offset_sd * rng.standard_normal(2)
+        offset = noise * settings.body_offset_sd * rng.standard_normal(2)
         wind = noise * settings.wind_sd * rng.standard_normal(3)
-        scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(N)
-        scale *= settings.torque_constants
-        friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(N)
+        scale = 1.0 + noise * settings.torque_scale_sd * rng.standard_normal(n)
+        scale *= settings.torque_constants or 1.0
+        friction = 1.0 + noise * settings.friction_sd * rng.standard_normal(n)
         self._torque_scale: list[float] = scale.tolist()
-        model.dof_frictionloss[:N] = self._friction * np.maximum(friction, 0.0)
+        model.dof_frictionloss[:n] = self._friction * np.maximum(friction, 0.0)
         model.opt.wind[:] = 0.0
 
         mujoco.mj_resetData(model, data)
         self._q[:] = q_start
         mujoco.mj_kinematics(model, data)
-        self.scene.place(data, self._pan_position, self._pan_rotation, offset)
+        self.scene.place(data, self._tool_position, self._tool_rotation, offset)
         gravity = self._arm.gravity(q_start)
         self._applied[:] = gravity
         if self._scene_qd.size:
@@ -179,7 +211,7 @@ class World:
 
         self._encoders.reset(q_start.tolist())
         self._mocap.forget()
-        self._command = [0.0] * N if settings.driver_compensates_gravity else gravity.tolist()
+        self._command = [0.0] * n if settings.driver_compensates_gravity else gravity.tolist()
         self._effort: list[float] = gravity.tolist()
         self._delayed: deque[list[float] | None]
         self._delayed = deque([self._command] * settings.command_delay_ticks)
@@ -202,7 +234,7 @@ class World:
                 yield
 
     def carry(self, q: np.ndarray) -> None:
-        """Let a person carry the arm to a posture (7,) [rad], by its joints alone; freezes it.
+        """Let a person carry the arm to a posture (n,) [rad], by its joints alone; freezes it.
 
         The encoders see a movement of minimum jerk, as of a real arm; `carried` says when it ends.
         """
@@ -232,31 +264,38 @@ class World:
         self._restart_log()
 
     def attach(self, demonstrator: Demonstrator | None) -> None:
-        """Let a demonstrator guide the pan from now on; None lets go of it."""
+        """Let a demonstrator guide the tool from now on; None lets go of it."""
         self._demonstrator, self._grip_ns = demonstrator, self.time_ns
-        self.data.xfrc_applied[self._pan] = 0.0
+        self.data.xfrc_applied[self._tool] = 0.0
 
     def drop(self) -> None:
-        """Drop the tracked body from `DROP_HEIGHT` above the pan, z level: least drag on a disc.
+        """Drop the tracked body from `DROP_HEIGHT` above the tool, z level: least drag on a disc.
 
         Raises:
             ValueError: The scene has no tracked body.
         """
         if not self._body.size:
             raise ValueError("the scene has no tracked body to drop")
-        self._body[:] = [*self._pan_position, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]
+        self._body[:] = [*self._tool_position, math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]
         self._body[2] += DROP_HEIGHT
         self._body_twist[:] = 0.0
 
     @property
     def pulled(self) -> bool:
-        """Whether a demonstrator guides the pan."""
+        """Whether a demonstrator guides the tool."""
         return self._demonstrator is not None
 
     @property
-    def pan_pose(self) -> tuple[np.ndarray, np.ndarray]:
-        """Position (3,) [m] and rotation (3, 3) of the pan."""
-        return self._pan_position.copy(), self._pan_rotation.copy()
+    def tool_pose(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position (3,) [m] and rotation (3, 3) of the tool."""
+        return self._tool_position.copy(), self._tool_rotation.copy()
+
+    @property
+    def home(self) -> np.ndarray:
+        """Posture in which demonstrations begin (n,) [rad]: the scene knows that of the WAM."""
+        settings = self.settings
+        own = settings.home if settings.drives == "direct" else None
+        return self.scene.home if own is None else np.array(own)
 
     def joint_state(self) -> JointSample:
         """Current joint state as measured."""
@@ -273,15 +312,15 @@ class World:
         """Advance by one tick of 2 ms.
 
         Args:
-            tau_cmd: Commanded torques [N m], shape (7,). None without a new command: the last one
+            tau_cmd: Commanded torques [N m], shape (n,). None without a new command: the last one
                 stays, with a watchdog for 10 ms; then the driver compensates gravity, damped.
 
         Raises:
-            ValueError: The torques are not seven finite numbers.
+            ValueError: The torques are not n finite numbers.
         """
         command = None if tau_cmd is None else tau_cmd.tolist()
-        if command is not None and not (len(command) == N and math.isfinite(sum(command))):
-            raise ValueError(f"torques {command} must be {N} finite numbers")
+        if command is not None and not (len(command) == self.n and math.isfinite(sum(command))):
+            raise ValueError(f"torques {command} must be {self.n} finite numbers")
         self.time_ns += PERIOD_NS
         self._carry_on()
         if not self.frozen:
@@ -301,7 +340,7 @@ class World:
         """Step motors and physics by one tick; returns whether a motor was at its limit."""
         qd, saturated = self._qd.tolist(), False
         if self.idle:
-            self._effort = [0.0] * N
+            self._effort = [0.0] * self.n
             self._applied[:] = self.motors.braking(qd)
         else:
             self._effort = self._commanded_torque()
@@ -316,7 +355,7 @@ class World:
         return saturated
 
     def _commanded_torque(self) -> list[float]:
-        """Joint torques (7,) that the driver commands to the motors [N m]."""
+        """Joint torques (n,) that the driver commands to the motors [N m]."""
         if self.settings.watchdog and self._ticks_since_command > WATCHDOG_TICKS:
             damped = zip(self._gravity(), self._watchdog_damping, self._encoders.qd, strict=True)
             return [g - d * qd for g, d, qd in damped]
@@ -333,22 +372,22 @@ class World:
         mujoco.mj_step1(model, data)
         if self._demonstrator is not None:
             mujoco.mj_objectVelocity(
-                model, data, mujoco.mjtObj.mjOBJ_XBODY, self._pan, self._velocity, 0
+                model, data, mujoco.mjtObj.mjOBJ_XBODY, self._tool, self._velocity, 0
             )
             elapsed = (self.time_ns - PERIOD_NS - self._grip_ns) * 1e-9
             wrench = self._demonstrator.wrench(
                 elapsed + substep * scene.TIMESTEP,
-                self._pan_position,
-                self._pan_rotation,
+                self._tool_position,
+                self._tool_rotation,
                 self._velocity[[3, 4, 5, 0, 1, 2]],
             )
-            applied = data.xfrc_applied[self._pan]
+            applied = data.xfrc_applied[self._tool]
             if wrench is None:
                 self._demonstrator = None
                 applied[:] = 0.0
             else:  # MuJoCo applies it at the centre of mass
                 applied[:3] = wrench[:3]
-                lever = self._pan_position - data.xipos[self._pan]
+                lever = self._tool_position - data.xipos[self._tool]
                 applied[3:] = wrench[3:] + np.cross(lever, wrench[:3])
         mujoco.mj_step2(model, data)
 
@@ -357,7 +396,7 @@ class World:
     def _restart_log(self) -> None:
         if self.trace is not None:
             self.trace.clear()
-        start = self._body, self._pan_position, self._pan_rotation
+        start = self._body, self._tool_position, self._tool_rotation
         self._log.restart(Snapshot(*(array.copy() for array in start)))
 
     def _record(self, saturated: bool) -> None:

@@ -15,18 +15,19 @@ import numpy as np
 
 from hardware_sim.demonstrator import Script
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
-from hardware_sim.settings import SceneSettings
+from hardware_sim.settings import WorldSettings
 
 GROUP = "wam_power_ros.scenes"  # of entry points
 
 
 class Scene(Protocol):
-    """Bodies around the arm, demonstrations of the task, and ground truth of a rollout.
+    """Bodies around the arm, shapes of the tool, demonstrations, and ground truth of a rollout.
 
     Attributes:
         body: Name of the tracked MuJoCo body, on a free joint; "" for none. Topics and services are
             named after it. A class attribute.
-        home: Posture in which demonstrations begin [rad]. Shape (7,).
+        home: Posture of the WAM in which demonstrations begin [rad], shape (7,); that of another
+            arm is a parameter of `wam_sim`.
         home_sd: Standard deviation of that posture, per joint [rad].
     """
 
@@ -34,10 +35,17 @@ class Scene(Protocol):
     home: np.ndarray
     home_sd: float
 
-    def __init__(self, settings: SceneSettings) -> None: ...
+    def __init__(self, settings: WorldSettings) -> None: ...
 
-    def build(self, spec: mujoco.MjSpec) -> None:
-        """Add the bodies to a model of arm, pan and ground."""
+    def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
+        """Add bodies to the model of the arm, and shapes that touch them to its tool.
+
+        Without these the tool touches nothing: the shapes of the URDF are only drawn.
+
+        Args:
+            spec: Model of the arm.
+            tool: Body of the tool in it; its link in the URDF has mass and drawn shapes.
+        """
 
     def place(
         self, data: mujoco.MjData, position: np.ndarray, rotation: np.ndarray, offset: np.ndarray
@@ -48,7 +56,7 @@ class Scene(Protocol):
             data: State to change, just reset, the arm in its start posture.
             position: Position of the tool [m]. Shape (3,).
             rotation: Rotation of the tool. Shape (3, 3).
-            offset: Random offset in the plane of the pan [m]. Shape (2,).
+            offset: Random offset in the x-y plane of the tool [m]. Shape (2,).
         """
 
     def script(self, rng: np.random.Generator) -> Script:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scene of pancake flipping: pancake, demonstrated toss, and outcome of a toss."""
+"""Scene of pancake flipping: pan, pancake, demonstrated toss, and outcome of a toss."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import scipy
 from hardware_sim import scene
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth, rotation_of
-from hardware_sim.settings import PITCH_RATE, SceneSettings
+from hardware_sim.settings import PITCH_RATE, WorldSettings
 from hardware_sim.wam import PERIOD
 from wam_power_ros import rotations
 from wam_power_ros.tasks.flip.flight import DELTA_H
@@ -30,6 +30,9 @@ LEVEL = np.deg2rad([0.0, 20.0, 0.0, 122.0, 0.0, -52.0, 0.0])  # [rad] pan level
 HOME.setflags(write=False)
 LEVEL.setflags(write=False)
 WRIST_TO_PAN = 0.34  # [m] from the wrist to the pan's centre
+RIM_SEGMENTS = 16
+RIM_HEIGHT = 0.035  # [m]
+RIM_FLARE = 0.6  # [rad] outward: as of a real pan; a catch tolerates some centimetres
 
 
 class Flip:
@@ -38,12 +41,13 @@ class Flip:
     body = BODY
     home_sd = 0.0
 
-    def __init__(self, settings: SceneSettings) -> None:
+    def __init__(self, settings: WorldSettings) -> None:
         self._settings = settings
         self.home = LEVEL if settings.level else HOME
 
-    def build(self, spec: mujoco.MjSpec) -> None:
-        """Add the pancake, white above and yellow below as in the paper."""
+    def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
+        """Add the pan, and the pancake, white above and yellow below as in the paper."""
+        add_pan(tool, self._settings.friction)
         radius = PANCAKE_RADIUS * self._settings.body_size
         body = spec.worldbody.add_body(name=BODY, pos=[0.0, 0.0, 2.0])
         body.add_freejoint(name=BODY)
@@ -111,6 +115,38 @@ class Flip:
             "apex": float(height.max(initial=start) - start),
             "landing_error": error,
         }
+
+
+def add_pan(tool: mujoco.MjsBody, friction: float) -> None:
+    """Add a pan without mass to the tool: a floor, and a flared rim of boxes."""
+    contact = scene.tool_contact(friction) | {"mass": 0.0}
+    colour = [0.13, 0.13, 0.14, 1.0]
+    tool.add_geom(
+        name="pan_floor",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[PAN_RADIUS, 0.004, 0.0],
+        pos=[0.0, 0.0, -0.004],
+        rgba=colour,
+        **contact,
+    )
+    length = RIM_HEIGHT / np.cos(RIM_FLARE)  # along the flared wall
+    outward = PAN_RADIUS + 0.5 * RIM_HEIGHT * np.tan(RIM_FLARE)
+    width = np.pi * (PAN_RADIUS + RIM_HEIGHT * np.tan(RIM_FLARE)) / RIM_SEGMENTS
+    for k in range(RIM_SEGMENTS):
+        angle = 2.0 * np.pi * k / RIM_SEGMENTS
+        tilt = np.array([np.cos(RIM_FLARE / 2), 0.0, np.sin(RIM_FLARE / 2), 0.0])  # about y
+        turn = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])  # about z
+        quat_wxyz = np.zeros(4)
+        mujoco.mju_mulQuat(quat_wxyz, turn, tilt)
+        tool.add_geom(
+            name=f"pan_rim{k}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=[0.002, width, 0.5 * length],
+            pos=[outward * np.cos(angle), outward * np.sin(angle), 0.5 * RIM_HEIGHT],
+            quat=quat_wxyz,
+            rgba=colour,
+            **contact,
+        )
 
 
 def _caught_flipped(now: Snapshot) -> tuple[bool, bool]:

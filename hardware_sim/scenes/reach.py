@@ -10,15 +10,14 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hardware_sim.demonstrator import PAUSE, Target
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
-from hardware_sim.settings import SceneSettings
+from hardware_sim.settings import REACH_GOAL, WorldSettings
 
 HOME = np.deg2rad([-29.5, 27.2, 0.0, 116.3, -35.3, -58.9, 20.1])  # [rad] pan level, right
 HOME.setflags(write=False)
-GOAL = np.array([0.78, 0.25, 0.6])  # [m] half a metre to the left of the pan at `HOME`
-GOAL.setflags(write=False)
 TOUCH_TOLERANCE = 0.001  # [m]; the controller stops at the obstacle by its encoders
 
 
@@ -29,10 +28,11 @@ class Reach:
     home = HOME
     home_sd = 0.008
 
-    def __init__(self, settings: SceneSettings) -> None:
+    def __init__(self, settings: WorldSettings) -> None:
         self._region = settings.region
+        self._goal = np.array(settings.goal)
 
-    def build(self, spec: mujoco.MjSpec) -> None:
+    def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
         """Draw the obstacle."""
         if (region := self._region) is not None:
             spec.worldbody.add_geom(
@@ -52,7 +52,7 @@ class Reach:
 
     def script(self, rng: np.random.Generator) -> ReachScript:
         """Draw a random reach."""
-        return reach(rng)
+        return reach(rng, self._goal)
 
     def truth(self, log: RolloutLog, now: Snapshot) -> Truth:
         """Outcome of a reach.
@@ -60,7 +60,7 @@ class Reach:
         * touched: The tool's centre was within `TOUCH_TOLERANCE` of the obstacle, or inside.
         * clearance: Smallest distance of the tool's centre from the obstacle's surface [m],
           negative inside; None without an obstacle.
-        * goal_distance: Smallest distance of the tool's centre from `GOAL` [m].
+        * goal_distance: Smallest distance of the tool's centre from the goal [m].
         """
         path = np.vstack([log.start.position, log.tool])
         clearance = None
@@ -70,7 +70,7 @@ class Reach:
         return {
             "touched": clearance is not None and clearance < TOUCH_TOLERANCE,
             "clearance": clearance,
-            "goal_distance": float(np.linalg.norm(path - GOAL, axis=1).min()),
+            "goal_distance": float(np.linalg.norm(path - self._goal, axis=1).min()),
         }
 
 
@@ -110,14 +110,17 @@ class ReachScript:
         )
 
 
-def reach(rng: np.random.Generator, spread: float = 1.0) -> ReachScript:
-    """Draw a reach of half a metre in 2 s, from `HOME` to `GOAL` with an arc of 6 cm.
+def reach(
+    rng: np.random.Generator, goal: ArrayLike = REACH_GOAL, spread: float = 1.0
+) -> ReachScript:
+    """Draw a reach in 2 s with an arc of 6 cm, such as half a metre from `HOME` to `REACH_GOAL`.
 
     Args:
         rng: Random generator.
+        goal: Intended end [m]. Shape (3,).
         spread: Scale of the differences between reaches: 0 for the intended one, 1 for a person's.
     """
-    goal = GOAL + spread * 0.01 * rng.standard_normal(3)
+    goal = goal + spread * 0.01 * rng.standard_normal(3)
     arc = np.array([0.0, 0.0, 0.06]) + spread * 0.01 * rng.standard_normal(3)
     duration = 2.0 * (1.0 + spread * 0.05 * float(rng.standard_normal()))
     warp = spread * float(np.clip(0.1 * rng.standard_normal(), -0.3, 0.3))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from hardware_sim.ground_truth import Truth
 from hardware_sim.scenes.flip import TossScript, wrist_flick
-from hardware_sim.settings import PITCH_RATE, SceneSettings, WorldSettings
+from hardware_sim.settings import PITCH_RATE, WorldSettings
 from hardware_sim.world import World
 from reproduction.jobs import Job, Scale
 from wam_power_ros import rotations
@@ -59,24 +58,17 @@ LESS = ("attractors", "diagonal", "symmetric")  # variants that learn less than 
 def stand_in(
     seed: int,
     *,
-    friction: float | None = None,
     believed_pan: float = 1.0,
-    level: bool = False,
     **world: Any,  # noqa: ANN401 - checked by WorldSettings
 ) -> Environment:
     """Environment with sensors and motors of the stand-in, in its normal or another condition.
 
     Args:
         seed: Seed of all noise.
-        friction: Friction coefficient between pancake and pan; None for the stand-in's.
         believed_pan: Mass of the pan in the controller's model, as a fraction of its mass.
-        level: True if demonstrations begin with the pan level and the pancake in its middle.
         **world: Fields of `WorldSettings`.
     """
-    scene = SceneSettings(level=level)
-    if friction is not None:
-        scene = replace(scene, friction=friction)
-    world_ = World(WorldSettings(scene=scene, **world), seed)
+    world_ = World(WorldSettings(**world), seed)
     return Environment(world_, urdf=_with_pan(world_.urdf, believed_pan))
 
 
@@ -116,7 +108,7 @@ def teach(
 
 def _script(environment: Environment, seed: int, number: int, pitch_rate: float) -> TossScript:
     rng = np.random.default_rng([seed, number])
-    level = environment.world.settings.scene.level
+    level = environment.world.settings.level
     return wrist_flick(rng, pitch_rate=pitch_rate, level=level)
 
 

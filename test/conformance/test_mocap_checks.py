@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -26,7 +24,13 @@ SETTINGS = TrackerSettings(
     workspace_high=(2.5, 2.5, 3.0),
     speed_max=8.0,
     noise=0.0005,
+    single_marker=False,
 )
+
+
+def having(**changes: object) -> TrackerSettings:
+    """`SETTINGS` with some changes."""
+    return TrackerSettings(**(dict(SETTINGS) | changes))
 
 
 def frames(positions: np.ndarray, rate: float = 30.0) -> list[FrameSample]:
@@ -111,19 +115,33 @@ def test_latency_is_relative_to_the_arms_clock(
 def test_the_marker_layout_is_searched_in_every_cloud() -> None:
     points = marker_fit.LAYOUT + np.array([0.7, 0.0, 0.5])
     clouds = [CloudSample(0, i * SECOND, points) for i in range(10)]
-    seen, row = mocap_checks.marker_poses(clouds)
+    seen, row = mocap_checks.marker_poses(clouds, SETTINGS)
     assert (len(seen), row.verdict) == (10, Verdict.OK)
     np.testing.assert_allclose(seen[0].position, [0.7, 0.0, 0.5], atol=1e-9)
-    _, row = mocap_checks.marker_poses([cloud._replace(points=1000 * points) for cloud in clouds])
+    _, row = mocap_checks.marker_poses(
+        [cloud._replace(points=1000 * points) for cloud in clouds], SETTINGS
+    )
     assert (row.verdict, "metres" in row.advice) == (Verdict.FAIL, True)
-    assert mocap_checks.marker_poses([])[1].verdict is Verdict.UNCHECKED
+    assert mocap_checks.marker_poses([], SETTINGS)[1].verdict is Verdict.UNCHECKED
+
+
+def test_the_marker_of_a_body_with_one_is_searched_in_every_cloud() -> None:
+    one = having(single_marker=True)
+    places = np.array([0.7, 0.0, 0.5]) + 1e-3 * np.random.default_rng(0).normal(size=(10, 3))
+    clouds = [CloudSample(0, i * SECOND, place[np.newaxis]) for i, place in enumerate(places)]
+    seen, row = mocap_checks.marker_poses(clouds, one)
+    assert (len(seen), row.verdict) == (10, Verdict.OK)
+    np.testing.assert_array_equal(seen[3].position, places[3])
+    strays = [cloud._replace(points=np.vstack([cloud.points, [[0.6, 0, 0]]])) for cloud in clouds]
+    _, row = mocap_checks.marker_poses(strays, one)
+    assert (row.verdict, "cover other" in row.advice) == (Verdict.FAIL, True)
 
 
 def test_a_body_in_the_pan_is_measured_in_the_pan() -> None:
     pan = np.array([0.76, 0.0, 0.49])
     seen = frames(lying())
     assert mocap_checks.body_position(seen, SETTINGS, pan).verdict is Verdict.OK
-    moved = replace(SETTINGS, world_to_base=(0.5, 0.0, 0.0, *LEVEL))
+    moved = having(world_to_base=(0.5, 0.0, 0.0, *LEVEL))
     assert mocap_checks.body_position(seen, moved, pan).verdict is Verdict.WARN
     assert mocap_checks.body_position(seen, SETTINGS, None).verdict is Verdict.UNCHECKED
 
@@ -147,7 +165,7 @@ TILT = rotations.matrix(rotations.quat_of_vector(np.array([np.deg2rad(15.0), 0.0
 def test_a_fall_shows_the_vertical_axis(
     turn: np.ndarray, up_axis: str, expected: Verdict, fragment: str
 ) -> None:
-    row = mocap_checks.fall_direction(frames(dropped(turn)), replace(SETTINGS, up_axis=up_axis))
+    row = mocap_checks.fall_direction(frames(dropped(turn)), having(up_axis=up_axis))
     assert row.verdict is expected
     assert fragment in row.advice
 

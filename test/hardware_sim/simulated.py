@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
@@ -14,8 +14,13 @@ from wam_power_ros.params.resources import share
 URDF = share("urdf/wam7.urdf").read_text()
 LEVEL = np.deg2rad([0.0, 20.0, 0.0, 115.0, 0.0, -45.0, 0.0])  # [rad] pan level
 CALM = WorldSettings(  # no wind, no offset, the same arm in every rollout
-    wind_sd=0.0, torque_scale_sd=0.0, friction_sd=0.0, scene=SceneSettings(body_offset_sd=0.0)
+    wind_sd=0.0, torque_scale_sd=0.0, friction_sd=0.0, body_offset_sd=0.0
 )
+
+
+def having(**changes: object) -> WorldSettings:
+    """`CALM` with some changes."""
+    return WorldSettings(**(dict(CALM) | changes))
 
 
 def holding_torque(world: World, q: np.ndarray = LEVEL) -> np.ndarray:

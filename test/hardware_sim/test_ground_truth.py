@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from simulated import CALM, begin, run
+from simulated import CALM, begin, having, run
 
 from hardware_sim.ground_truth import LOG_TICKS
 from hardware_sim.world import World
@@ -48,7 +46,8 @@ def test_peaks_are_those_since_the_release_and_of_its_first_10_s(calm: World) ->
 
 
 def test_elbow_and_forearm_are_the_first_and_the_last_guarded_point() -> None:
-    settings = replace(CALM, arm=replace(CALM.arm, guarded=CALM.arm.guarded[:1]))
+    names, links, points = CALM.guarded_names, CALM.guarded_links, CALM.guarded_points
+    settings = having(guarded_names=names[:1], guarded_links=links[:1], guarded_points=points[:3])
     one, both = World(settings), World(CALM)
     for world in (one, both):
         begin(world)

@@ -11,6 +11,7 @@ import pytest
 from simulated import LEVEL, URDF, begin
 
 from hardware_sim import scene
+from hardware_sim.scenes.reach import Reach
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros.control.arm import Arm
@@ -68,6 +69,15 @@ def test_the_arm_keeps_its_properties_in_the_scene(arm: Arm, world: World) -> No
     np.testing.assert_allclose(world.motors.no_load_speed, arm.qd_max, rtol=2e-3)
     np.testing.assert_allclose(world.motors.tau_max, arm.tau_max, rtol=4e-3)
     assert sum(model.geom_group == 1) > 10  # the shapes of the arm
+
+
+def test_a_tool_touches_nothing_but_what_its_scene_gives_it(world: World) -> None:
+    def touching(model: mujoco.MjModel) -> int:
+        ours = model.geom_bodyid == model.body("pan").id
+        return int((ours & (model.geom_contype > 0)).sum())
+
+    assert touching(world.model) == 17  # floor and rim of the pan, for the pancake
+    assert touching(World(make_scene=Reach).model) == 0
 
 
 def test_the_guarded_points_are_those_of_the_arm_model(arm: Arm, world: World) -> None:

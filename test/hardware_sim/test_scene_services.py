@@ -8,7 +8,8 @@ from conftest import Probe, Processes, lift
 from stand_ins import TICK, Hardware, arm_model
 from std_msgs.msg import String
 
-from hardware_sim.scenes.reach import GOAL, HOME
+from hardware_sim.scenes.reach import HOME
+from hardware_sim.settings import REACH_GOAL
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code
@@ -93,7 +94,7 @@ def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
         probe.until(lambda: np.abs(hardware.state().q - HOME).max() < 0.05, "the arm at home")
         assert hardware.ask(interface.DEMONSTRATE).values == done
         probe.until(
-            lambda: np.linalg.norm(arm.tool_pose(hardware.state().q)[0] - GOAL) < 0.08,
+            lambda: np.linalg.norm(arm.tool_pose(hardware.state().q)[0] - REACH_GOAL) < 0.08,
             "the tool at the goal",
         )
     hardware.give_back()
@@ -116,4 +117,4 @@ def test_demonstrations_on_another_arm_begin_at_its_own_home(
     probe.until(lambda: np.abs(hardware.state().q - home).max() < 0.05, "the arm at home")
     assert hardware.ask(interface.DEMONSTRATE).code is Code.DONE
     tool = arm_model().tool_pose(hardware.state().q)[0]
-    assert np.linalg.norm(tool - GOAL) < 0.1
+    assert np.linalg.norm(tool - REACH_GOAL) < 0.1

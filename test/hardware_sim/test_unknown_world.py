@@ -3,15 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from simulated import CALM, LEVEL, begin, holding_torque, run
+from simulated import CALM, LEVEL, begin, having, holding_torque, run
 
 from hardware_sim.scenes.flip import MASS
-from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.settings import WorldSettings
 from hardware_sim.unknown_world import draw
 from hardware_sim.world import World
 
@@ -23,19 +22,19 @@ def test_the_seed_determines_the_unknown_world() -> None:
 
 
 def test_unknown_settings_fill_their_ranges_and_the_others_stay() -> None:
-    plain = WorldSettings(wind_sd=0.2, scene=SceneSettings(body_offset_sd=0.001))
+    plain = WorldSettings(wind_sd=0.2, body_offset_sd=0.001)
     worlds = [draw(plain, seed) for seed in SEEDS]
     for values, low, high in (
-        ([w.scene.body_mass for w in worlds], 0.7, 1.3),
-        ([w.scene.body_size for w in worlds], 0.8, 1.2),
-        ([w.scene.friction for w in worlds], 0.1, 0.5),
+        ([w.body_mass for w in worlds], 0.7, 1.3),
+        ([w.body_size for w in worlds], 0.8, 1.2),
+        ([w.friction for w in worlds], 0.1, 0.5),
         ([c for w in worlds for c in w.torque_constants], 0.95, 1.05),
         ([w.payload for w in worlds], 0.0, 0.12),
     ):
         assert low <= min(values) < low + 0.05 * (high - low)
         assert high - 0.05 * (high - low) < max(values) <= high
     assert {w.command_delay_ticks for w in worlds} == {1, 2, 3, 4}  # 2 to 8 ms
-    assert {(w.wind_sd, w.scene.body_offset_sd) for w in worlds} == {(0.2, 0.001)}
+    assert {(w.wind_sd, w.body_offset_sd) for w in worlds} == {(0.2, 0.001)}
 
 
 def test_an_unknown_world_has_the_drawn_properties_but_its_urdf_has_not() -> None:
@@ -44,10 +43,10 @@ def test_an_unknown_world_has_the_drawn_properties_but_its_urdf_has_not() -> Non
     pan, pancake = (world.model.body(name) for name in ("pan", "pancake"))
     assert pan.mass - known.model.body("pan").mass == pytest.approx(hidden.payload)
     share = pancake.mass / known.model.body("pancake").mass
-    assert share == pytest.approx(hidden.scene.body_mass)
+    assert share == pytest.approx(hidden.body_mass)
     sizes = world.model.geom("pancake").size / known.model.geom("pancake").size.clip(1e-9)
-    assert sizes[:2] == pytest.approx([hidden.scene.body_size, 1.0])
-    assert world.model.geom("pancake").friction[0] == pytest.approx(hidden.scene.friction)
+    assert sizes[:2] == pytest.approx([hidden.body_size, 1.0])
+    assert world.model.geom("pancake").friction[0] == pytest.approx(hidden.friction)
     assert world.settings.command_delay_ticks == hidden.command_delay_ticks
     assert world.urdf == known.urdf
 
@@ -62,12 +61,12 @@ def test_a_payload_does_not_change_the_drag_model() -> None:
 @pytest.mark.parametrize("change", [{"payload": 0.5}, {"torque_constants": (0.8,) * 7}])
 def test_the_models_gravity_torque_does_not_hold_an_unknown_arm(change: dict[str, Any]) -> None:
     fallen = []
-    for settings in (CALM, replace(CALM, **change)):
+    for settings in (CALM, having(**change)):
         world = World(settings)
         begin(world)
-        before = world.pan_pose[0][2]
+        before = world.tool_pose[0][2]
         run(world, holding_torque(world), 100)
-        fallen.append(before - world.pan_pose[0][2])
+        fallen.append(before - world.tool_pose[0][2])
     assert abs(fallen[0]) < 1e-4 < 2e-3 < fallen[1]
 
 
@@ -89,7 +88,7 @@ def test_a_session_has_one_world_or_each_rollout_its_own() -> None:
         for rollout_id in ("a", "b", "c", "a"):
             world.reset(rollout_id, world.scene.home)
             settings, pancake = world.settings, world.model.body("pancake")
-            assert pancake.mass[0] == pytest.approx(MASS * settings.scene.body_mass)
+            assert pancake.mass[0] == pytest.approx(MASS * settings.body_mass)
             seen.append(settings)
         assert seen[0] == seen[-1]
         assert len(set(seen)) == count

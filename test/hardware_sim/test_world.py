@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated import CALM, LEVEL, URDF, begin, holding_torque, run
+from simulated import CALM, LEVEL, URDF, begin, having, holding_torque, run
 
-from hardware_sim.wam import JOINTS, PERIOD_NS
+from hardware_sim.barrett_services import PositionControl
+from hardware_sim.scenes.reach import Reach
+from hardware_sim.unknown_world import draw
+from hardware_sim.wam import JOINTS, PERIOD, PERIOD_NS
 from hardware_sim.world import QUIET, World
 from wam_power_ros.control.arm import Arm
 
@@ -35,6 +37,38 @@ def test_an_arm_at_rest_stays_where_it_is_under_its_gravity_torque(calm: World) 
     run(calm, gravity, 500)
     assert np.abs(calm.data.qpos[:7] - LEVEL).max() < 1e-3
     assert np.abs(calm.data.qvel[:7]).max() < 1e-3
+
+
+@pytest.mark.parametrize("joints", [1, 4, 6])
+def test_an_arm_of_any_number_of_joints_is_simulated_by_its_urdf(joints: int) -> None:
+    home = (0.0, 0.2, 0.3, 0.4, -0.5, 0.3)[:joints]
+    names = tuple(f"cobot_joint{number}" for number in range(1, joints + 1))
+    settings = having(
+        urdf="urdf/cobot7.urdf",
+        model_joint_names=names,
+        tool_frame="cobot_pan",
+        guarded_names=("",),
+        home=home,
+        drives="direct",
+    )
+    world = World(settings, 3, Reach)
+    arm = Arm(world.urdf, names, "cobot_pan", guarded=())
+    assert (world.n, world.model.nq) == (joints, joints)
+    np.testing.assert_array_equal(world.home, home)
+    assert draw(world.settings, 3).torque_constants != draw(world.settings, 4).torque_constants
+    control = PositionControl(arm, "direct", False, PERIOD)
+    control.move(np.array(home), goal := np.array(home) + 0.1)
+    for _ in range(300):
+        sample = world.joint_state()
+        world.step(control.torque(sample.q, sample.qd))
+    assert control.arrived
+    np.testing.assert_allclose(world.joint_state().q, goal, atol=0.02)
+    truth = world.truth()
+    assert len(truth["peak_qd"]) == len(truth["peak_tau"]) == joints
+    with pytest.raises(ValueError, match=f"must be {joints} "):
+        world.step(np.zeros(joints + 1))
+    with pytest.raises(ValueError, match=f"must be {joints} "):
+        world.reset("trial", np.zeros(joints + 1))
 
 
 def test_a_joint_stops_at_its_limit(calm: World, arm: Arm) -> None:
@@ -69,7 +103,7 @@ def test_without_commands_the_arm_holds_the_last_one_for_10_ms_and_then_compensa
 def test_the_gravity_compensation_of_the_watchdog_is_damped() -> None:
     speeds = []
     for damping in (0.0, 5.0):
-        world = World(replace(CALM, watchdog_damping=damping))
+        world = World(having(watchdog_damping=damping))
         begin(world)
         run(world, None, 10)
         world.data.qvel[3] = 2.0
@@ -116,13 +150,13 @@ def test_an_idle_arm_sinks_slowly_whatever_is_commanded(calm: World) -> None:
     calm.idle = True
     run(calm, 3.0 * gravity, 500)
     assert 0.05 < calm.truth()["peak_pan_speed"] < 1.0  # 4 m/s in free fall
-    sunk = Arm(calm.urdf, JOINTS).tool_pose(LEVEL)[0][2] - calm.pan_pose[0][2]
+    sunk = Arm(calm.urdf, JOINTS).tool_pose(LEVEL)[0][2] - calm.tool_pose[0][2]
     assert 0.05 < sunk < 0.6
     assert (calm.joint_state().tau == 0.0).all()
 
 
 def test_a_driver_that_compensates_gravity_holds_the_arm_at_zero_command() -> None:
-    world = World(replace(CALM, driver_compensates_gravity=True))
+    world = World(having(driver_compensates_gravity=True))
     gravity = begin(world)
     run(world, np.zeros(7), 500)
     assert np.abs(world.data.qpos[:7] - LEVEL).max() < 1e-3
@@ -130,7 +164,7 @@ def test_a_driver_that_compensates_gravity_holds_the_arm_at_zero_command() -> No
 
 
 def test_a_driver_without_a_watchdog_holds_the_last_torque_for_ever() -> None:
-    world = World(replace(CALM, watchdog=False))
+    world = World(having(watchdog=False))
     gravity = begin(world)
     run(world, gravity + 1.0, 20)
     run(world, None, 200)
@@ -139,7 +173,7 @@ def test_a_driver_without_a_watchdog_holds_the_last_torque_for_ever() -> None:
 
 @pytest.mark.parametrize("delay", [0, 1, 3])
 def test_a_command_reaches_the_motors_after_its_delay(delay: int) -> None:
-    world = World(replace(CALM, command_delay_ticks=delay))
+    world = World(having(command_delay_ticks=delay))
     gravity = begin(world)
     ticks = 0
     while (world.joint_state().tau == gravity).all():
@@ -234,7 +268,7 @@ def test_every_rollout_has_random_wind_offset_and_friction_and_a_quiet_one_none(
 ) -> None:
     def drawn(rollout_id: str) -> np.ndarray:
         world.reset(rollout_id, LEVEL)
-        offset = world.data.qpos[7:9] - world.pan_pose[0][:2]
+        offset = world.data.qpos[7:9] - world.tool_pose[0][:2]
         return np.concatenate([world.model.opt.wind, offset, world.model.dof_frictionloss[:7]])
 
     noisy = np.array([drawn(f"trial-{number:04}") for number in range(60)])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hardware_sim.scenes import scene_type
-from hardware_sim.settings import ArmSettings, SceneSettings, WorldSettings
+from hardware_sim.settings import WorldSettings
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from reproduction.studies.flip_sessions import teach
@@ -19,7 +19,6 @@ from wam_power_ros.control.feasibility import simulate_policy
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.policy import Policy, with_id
 from wam_power_ros.params.resources import share
-from wam_power_ros.regions import Region
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +53,9 @@ def test_a_scene_without_a_body_gives_no_path_of_one_and_its_region_ends_a_rollo
     whole, _ = free.run(policy)
     assert whole.body is None
     x, y, z = whole.tool.position[len(whole.tool.t) // 3].tolist()
-    settings = WorldSettings(scene=SceneSettings(region=Region("box", (x, y, z), 0.05)))
+    settings = WorldSettings(guarded_region=(x, y, z, 0.05))
     stopped, truth = Environment(World(settings, 21, scene_type("reach"))).run(policy)
-    assert (stopped.fault, stopped.stopped_in, whole.stopped_in) == (None, "box", "")
+    assert (stopped.fault, stopped.stopped_in, whole.stopped_in) == (None, "region", "")
     assert abs(truth["clearance"]) < 0.002  # stopped where the encoders see the tool enter it
     assert stopped.tool.t[-1] < whole.tool.t[-1]
 
@@ -88,8 +87,7 @@ class RecordingArm(Arm):
 def calm(tool_mass: float, folder: Path) -> Environment:
     """The arm with a tool of this mass [kg], without a body, and the same in every rollout."""
     (file := folder / "arm.urdf").write_text(urdf_with_tool(tool_mass))
-    arm = ArmSettings(urdf=str(file))
-    settings = WorldSettings(torque_scale_sd=0.0, friction_sd=0.0, wind_sd=0.0, arm=arm)
+    settings = WorldSettings(torque_scale_sd=0.0, friction_sd=0.0, wind_sd=0.0, urdf=str(file))
     return Environment(World(settings, 21, scene_type("reach")))
 
 

@@ -15,8 +15,8 @@ from wam_power_ros.practice.session import Session, SessionError
 from wam_power_ros.practice.settings import preset
 
 
-def begun(folder: Path, radius: float) -> Path:
-    """A session of reaching whose best policy so far is the demonstrated one."""
+def begun(folder: Path, radius: float, *names: str) -> Path:
+    """A session of reaching under set-ups, its best policy so far the demonstrated one."""
     scenario = taught_scenario()
     place = [*scenario.obstacle.tolist(), radius]
     context = {"demonstrated": scenario.demonstrated.tolist(), "obstacle": place}
@@ -25,6 +25,11 @@ def begun(folder: Path, radius: float) -> Path:
         session.save_policy(scenario.policy)
     nothing = {"rollouts": 0, "bytes": 0, "sha256": hashlib.sha256(b"").hexdigest()}
     (folder / "acknowledged.json").write_text(json.dumps(nothing))  # with an empty log
+    setup = overlay.setup(names, simulated=True, task="reach")
+    (folder / "logs").mkdir()
+    file = folder / "logs" / "parameters.yaml"
+    changes = {node: {"guarded_region": place} for node in ("torque_controller", "wam_sim")}
+    file.write_text(overlay.text(setup.changed(changes)))
     return folder
 
 
@@ -44,13 +49,8 @@ def test_the_answer_of_a_reach_meets_the_obstacle_of_its_session(
 
 
 def test_the_answer_of_an_unknown_world_is_executed_in_that_world(tmp_path: Path) -> None:
-    folder = begun(tmp_path / "s", 0.0)
-    (folder / "logs").mkdir()
-    paths = []
-    for unknown in (False, True):
-        setup = overlay.setup(["unknown_world"] if unknown else [], simulated=True, task="reach")
-        (folder / "logs" / "parameters.yaml").write_text(overlay.text(setup))
-        paths.append(session_answer.run(folder, film=False).rollout.tool.position)
+    folders = [begun(tmp_path / "s", 0.0), begun(tmp_path / "u", 0.0, "unknown_world")]
+    paths = [session_answer.run(each, film=False).rollout.tool.position for each in folders]
     apart = np.linalg.norm(paths[0] - paths[1], axis=1)
     assert apart.max() > 1e-3
 
@@ -59,4 +59,11 @@ def test_a_session_without_a_policy_is_refused(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 0.0)
     (folder / "policy.json").unlink()
     with pytest.raises(SessionError, match="no policy yet"):
+        session_answer.run(folder, film=False)
+
+
+def test_a_session_that_does_not_say_in_which_set_up_it_ran_is_not_executed(tmp_path: Path) -> None:
+    folder = begun(tmp_path / "s", 0.0)
+    (folder / "logs" / "parameters.yaml").unlink()
+    with pytest.raises(SessionError, match=r"parameters.yaml, the set-up .*, is missing"):
         session_answer.run(folder, film=False)

@@ -49,8 +49,7 @@ class Cameras:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         self.node = OptitrackSim(context=probe.context, parameter_overrides=overrides)
         self.probe, params = probe, self.node.params
-        settings = params.mocap()
-        self._mocap = Mocap(np.asarray(LAYOUT), settings)
+        self._mocap = Mocap(np.asarray(LAYOUT), params)
 
     def film(self, start_ns: int) -> None:
         """Play the toss in steps of a millisecond, at four times real time."""
@@ -97,7 +96,7 @@ def test_a_toss_comes_out_right_whatever_the_driver_makes_of_it(
     more = tmp_path / "over.yaml"
     more.write_text(over or "{}")
     setup = of(name, more)
-    setup["pancake_tracker"] |= {"clock_offset_max": SLOW_MAX, "silence": 60.0}
+    setup = setup.changed({"pancake_tracker": {"clock_offset_max": SLOW_MAX, "silence": 60.0}})
     file = tmp_path / "parameters.yaml"
     file.write_text(overlay.text(setup))
     processes.node("wam_power_ros.nodes.pancake_tracker", file)

@@ -14,8 +14,7 @@ from pydantic import Field
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hardware_sim.optitrack_node import OptitrackSimParams
-from hardware_sim.wam_node import WamSimParams
+from hardware_sim.settings import OptitrackSimParams, WamSimParams
 from wam_power_ros.console.replay import ReplayParams
 from wam_power_ros.console.teach import TeachParams
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
@@ -146,12 +145,12 @@ def test_a_yaml_holds_exactly_what_its_node_reads(
     file: str, node: str, params: type[Params]
 ) -> None:
     values = of_nodes(ROOT / "config" / file)[node]
-    assert set(values) == set(params.model_fields)
+    assert set(values) == params.model_fields.keys() - params.constants
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     params(**(values | lists))
     described = comments(ROOT / "config" / params.file)
     undescribed = {name for name, each in params.model_fields.items() if not each.description}
-    assert undescribed - set(described) == set()
+    assert undescribed - set(described) - params.constants == set()
 
 
 PARAMS = (
@@ -193,6 +192,15 @@ def test_every_number_among_the_parameters_has_a_lower_and_an_upper_bound(
 ) -> None:
     assert list(unbounded(params)) == []
     assert params.model_config["str_max_length"]
+
+
+def test_settings_that_a_node_includes_are_parameters_without_default_or_constants() -> None:
+    values = of_nodes(ROOT / "config/wam_sim.yaml")["wam_sim"]
+    less = {name: value for name, value in values.items() if name not in ("friction", "home")}
+    with pytest.raises(ValueError, match="friction is missing; home is missing"):
+        WamSimParams.of_values("wam_sim", less)
+    with pytest.raises(ValueError, match="payload is no parameter"):
+        WamSimParams.of_values("wam_sim", values | {"payload": 0.1})
 
 
 def test_a_parameter_without_a_bound_is_detected() -> None:

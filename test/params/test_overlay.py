@@ -12,8 +12,7 @@ from conftest import ROOT
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hardware_sim.optitrack_node import OptitrackSimParams
-from hardware_sim.wam_node import WamSimParams
+from hardware_sim.settings import OptitrackSimParams, WamSimParams
 from wam_power_ros.cli import main
 from wam_power_ros.nodes.demonstration_recorder import DemonstrationRecorderParams
 from wam_power_ros.nodes.learner import LearnerParams
@@ -120,6 +119,37 @@ def test_the_name_of_the_body_is_given_once_and_inserted_into_the_drivers_topic(
     assert setup["demonstration_recorder"]["mocap_topics"] == [seen]
     for node in ("demonstration_recorder", "optitrack_sim"):
         assert setup[node]["body"] == "ball"
+
+
+@pytest.mark.parametrize("names", [(), ("natnet_ros2",)])
+def test_a_tasks_own_tool_and_cameras_reach_the_stand_ins_too(
+    names: tuple[str, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "cup.urdf").write_text("<robot/>")
+    own = "urdf: cup.urdf, tool_frame: cup, guarded_region: %s"
+    arm = "torque_controller: {ros__parameters: {" + own + "}}"
+    ball = "pancake_tracker: {ros__parameters: {body: ball, single_marker: true, noise: 0.001}}"
+    obstacle = [0.5, 0.0, 0.5, 0.1]
+    task = write(tmp_path, "carry", f"{arm % obstacle}\n{ball}")
+    setup = overlay.setup(names, simulated=bool(names), task=task)
+    for node in ("torque_controller", "wam_sim", "learner", "demonstration_recorder"):
+        tool = {"urdf": str(tmp_path / "cup.urdf"), "tool_frame": "cup"}
+        assert tool.items() <= setup[node].items()
+    assert setup["wam_sim"]["guarded_region"] == obstacle
+    assert {"body": "ball", "single_marker": True}.items() <= setup["optitrack_sim"].items()
+    assert setup["wam_sim"]["pace"] == ("real_time" if names else "lockstep")
+
+
+def test_a_set_up_is_a_value_that_reads_back_as_it_was_written(tmp_path: Path) -> None:
+    setup = overlay.setup(["cobot"], simulated=True, task="reach")
+    other = setup.changed({"wam_sim": {"seed": 5}})
+    assert (setup["wam_sim"]["seed"], other["wam_sim"]["seed"]) == (0, 5)
+    assert other.changed({"wam_sim": {"seed": 0}}) == setup != other
+    file = tmp_path / "parameters.yaml"
+    file.write_text(overlay.text(other))
+    assert overlay.read(file) == other
+    file.write_text("wam_sim: {ros__parameters: {seed: 7}}")  # of an older version: fewer values
+    assert WamSimParams.of_setup(overlay.read(file)).seed == 7
 
 
 def test_a_task_without_a_body_has_no_motion_capture_to_record(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 """A laboratory's own task, in a package of its own: taught, practised, reported.
 
 `lab_package` is built and installed here, and found by its entry points: nothing of it is named in
-this repository outside this folder.
+this repository outside this folder. Its tool is a cup in a URDF of its own, its body a ball with
+one marker.
 """
 
 from __future__ import annotations
@@ -16,7 +17,39 @@ from pathlib import Path
 
 import pytest
 
+from wam_power_ros.params.resources import share
+
 HERE = Path(__file__).parent
+SHAPE = '<collision><origin xyz="%s"/><geometry><box size="%s"/></geometry></collision>'
+SHAPES = (  # floor and walls
+    ("0 0 -0.004", "0.1 0.1 0.008"),
+    ("0.05 0 0.02", "0.008 0.1 0.05"),
+    ("-0.05 0 0.02", "0.008 0.1 0.05"),
+    ("0 0.05 0.02", "0.1 0.008 0.05"),
+    ("0 -0.05 0.02", "0.1 0.008 0.05"),
+)
+CUP = f"""<link name="cup">
+    <inertial><origin xyz="-0.07 0 0.01"/><mass value="0.3"/>
+      <inertia ixx="0.0006" iyy="0.002" izz="0.002" ixy="0" ixz="0" iyz="0"/></inertial>
+    {"".join(SHAPE % shape for shape in SHAPES)}
+  </link>
+</robot>
+"""
+IN_PROCESS = """
+import json, sys
+from pathlib import Path
+from wam_power_ros.in_process.environment import Environment
+from wam_power_ros.learning import policy
+from wam_power_ros.params import overlay
+
+session = Path(sys.argv[1])
+setup = overlay.read(session / "logs/parameters.yaml").changed({"wam_sim": {"seed": 3}})
+bench, best = Environment.of(setup), policy.from_json((session / "policy.json").read_text())
+rollout, truth = bench.run(best)
+model = bench.world.model
+shapes = [model.geom(k).name for k in range(model.ngeom)]
+print(json.dumps({"truth": truth, "shapes": shapes, "turned": rollout.body.quat_xyzw.tolist()}))
+"""
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +58,9 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     place = tmp_path_factory.mktemp("installed")
     command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
     source = shutil.copytree(HERE / "lab_package", tmp_path_factory.mktemp("source") / "package")
+    arm, _, _ = share("urdf/wam7.urdf").read_text().partition('<link name="pan">')
+    urdf = arm.replace('<child link="pan"/>', '<child link="cup"/>') + CUP
+    (source / "lab_carry/wam_cup.urdf").write_text(urdf)
     command += ["--no-build-isolation", "--target", str(place), str(source)]
     subprocess.run(command, check=True, cwd=place)
     path = os.pathsep.join([str(place), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep)
@@ -54,6 +90,17 @@ def test_it_is_taught_practised_and_reported_through_its_entry_points(
     assert all(0.0 < row["ret"] < 1.0 and set(row["terms"]) == {"calm", "goal"} for row in rows)
     assert all(row["truth"]["off"] < 0.2 for row in rows)  # of its own scene
     assert "mm off" in output and "calm in" in output
+    # in one process it is the same rollout, with the cup of the URDF and no pan
+    best = json.loads((tmp_path / "s/policy.json").read_text())["id"]
+    command = [sys.executable, "-c", IN_PROCESS, str(tmp_path / "s")]
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120.0)
+    assert ended.returncode == 0, ended.stderr
+    found = json.loads(ended.stdout)
+    assert found["truth"] == next(row["truth"] for row in rows if row["id"] == best)
+    assert not any("pan" in name for name in found["shapes"])
+    assert len(found["turned"]) > 20
+    assert all(quat == [0.0, 0.0, 0.0, 1.0] for quat in found["turned"])  # one marker
+
     report = (tmp_path / "s/report.html").read_text()
     assert "mm off" in report and "carry" in report
     assert "The ball follows the pan." in report and "kept the ball in the middle" in report

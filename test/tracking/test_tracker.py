@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every fault of a motion capture is refused and named."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,11 +20,17 @@ SETTINGS = TrackerSettings(
     workspace_high=(2.0, 2.0, 3.0),
     speed_max=8.0,
     noise=0.0005,
+    single_marker=False,
 )
 PERIOD = 33_333_333
 START = 1_700_000_000_000_000_000
 PAN = np.array([0.8, 0.0, 0.6])
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+
+
+def having(**changes: object) -> TrackerSettings:
+    """`SETTINGS` with some changes."""
+    return TrackerSettings(**(dict(SETTINGS) | changes))
 
 
 def stamp(index: float) -> int:
@@ -144,14 +148,14 @@ def test_a_pose_that_repeats_bit_for_bit_never_enters_and_is_called_frozen() -> 
 
 
 def test_fast_cameras_are_not_frozen_before_0_3_s() -> None:
-    tracker = Tracker(dataclasses.replace(SETTINGS, rate=200.0))
+    tracker = Tracker(having(rate=200.0))
     for index in range(100):
         tracker.add(START + index * 5_000_000, PAN, LEVEL)
         assert (tracker.validity is Validity.FROZEN) == (index * 5_000_000 >= 300_000_000)
 
 
 def test_slow_cameras_are_not_frozen_before_the_tenth_alike_pose() -> None:
-    tracker = Tracker(dataclasses.replace(SETTINGS, rate=20.0))
+    tracker = Tracker(having(rate=20.0))
     for count in range(1, 20):
         tracker.add(START + count * 50_000_000, PAN, LEVEL)
         assert (tracker.validity is Validity.FROZEN) == (count >= 10)
@@ -159,7 +163,7 @@ def test_slow_cameras_are_not_frozen_before_the_tenth_alike_pose() -> None:
 
 @pytest.mark.parametrize("rate", [30, 240])
 def test_the_velocity_of_a_falling_body_lags_by_half_a_tenth_of_a_second(rate: int) -> None:
-    tracker = Tracker(dataclasses.replace(SETTINGS, rate=float(rate)))
+    tracker = Tracker(having(rate=float(rate)))
     for index in range(rate // 2):
         t = index / rate
         position = PAN + np.array([0.0, 0.0, 1.0 - 0.5 * 9.81 * t**2])
@@ -168,7 +172,7 @@ def test_the_velocity_of_a_falling_body_lags_by_half_a_tenth_of_a_second(rate: i
 
 
 def test_slower_cameras_give_a_velocity_over_two_periods() -> None:
-    tracker = Tracker(dataclasses.replace(SETTINGS, rate=10.0))
+    tracker = Tracker(having(rate=10.0))
     for index, x in enumerate((0.0, 0.1, 0.3)):
         state = tracker.add(START + index * 100_000_000, PAN + np.array([x, 0.0, 0.0]), LEVEL)
     assert state.velocity[0] == pytest.approx(1.5)
@@ -189,7 +193,7 @@ def test_one_jump_is_refused_and_the_track_goes_on() -> None:
 def test_a_body_may_move_at_its_largest_speed_and_five_sigma_and_no_farther(
     frames: int, beyond: float, fault: FrameFault | None
 ) -> None:
-    settings = dataclasses.replace(SETTINGS, speed_max=1.5, noise=0.002)
+    settings = having(speed_max=1.5, noise=0.002)
     tracker = Tracker(settings)
     tracker.add(stamp(0), PAN, LEVEL)
     reach = 1.5 * frames / 30.0 + 5.0 * 0.002
@@ -230,7 +234,7 @@ def test_a_body_moved_by_hand_while_hidden_is_found_again() -> None:
 
 
 def test_the_velocity_after_a_jump_has_nothing_of_the_old_place_in_it() -> None:
-    tracker = Tracker(dataclasses.replace(SETTINGS, rate=240.0))
+    tracker = Tracker(having(rate=240.0))
     rng = np.random.default_rng(0)
     for index in range(30):
         place = PAN - np.array([0.0, 0.0, 1.2 * (index >= 20)]) + rng.normal(0.0, 0.0005, 3)
@@ -342,7 +346,7 @@ def test_the_path_does_not_depend_on_absolute_time() -> None:
 
 
 def test_a_path_reaches_back_for_twenty_seconds_and_no_farther() -> None:
-    tracker = Tracker(dataclasses.replace(SETTINGS, rate=10.0))
+    tracker = Tracker(having(rate=10.0))
     rng = np.random.default_rng(0)
     for index in range(301):
         when = START + index * 100_000_000
@@ -351,7 +355,7 @@ def test_a_path_reaches_back_for_twenty_seconds_and_no_farther() -> None:
 
 
 def test_y_up_gives_the_same_state_as_z_up() -> None:
-    z_up, y_up = Tracker(SETTINGS), Tracker(dataclasses.replace(SETTINGS, up_axis="y"))
+    z_up, y_up = Tracker(SETTINGS), Tracker(having(up_axis="y"))
     to_y_up = rotations.quat_of_vector(np.array([-np.pi / 2, 0.0, 0.0]))
     rng = np.random.default_rng(7)
     for index in range(8):
@@ -366,16 +370,45 @@ def test_y_up_gives_the_same_state_as_z_up() -> None:
 
 def test_world_to_base_and_latency_are_taken_out() -> None:
     quarter = rotations.quat_of_vector(np.array([0.0, 0.0, np.pi / 2]))
-    tracker = Tracker(
-        dataclasses.replace(
-            SETTINGS, world_to_base=(0.1, 0.2, 0.3, *quarter.tolist()), latency_offset=0.02
-        )
-    )
+    tracker = Tracker(having(world_to_base=(0.1, 0.2, 0.3, *quarter.tolist()), latency_offset=0.02))
     for index in range(3):
         state = tracker.add(stamp(index), np.array([0.5, 0.0, 0.3]) + 1e-5 * index, LEVEL)
     assert state.stamp_ns == stamp(2) - 20_000_000
     np.testing.assert_allclose(state.position, [0.1, 0.7, 0.6], atol=1e-4)
     np.testing.assert_allclose(np.abs(state.quat_xyzw), np.abs(quarter), atol=1e-12)
+
+
+def test_a_body_with_one_marker_has_a_position_and_no_orientation() -> None:
+    one = Tracker(having(single_marker=True, up_axis="y"))
+    rng = np.random.default_rng(2)
+    for index in range(6):
+        x, y, z = PAN + 0.002 * rng.normal(size=3)
+        points = np.array([[x, z, -y], [9.0, 9.0, 9.0]])  # another one outside the workspace
+        state = one.add_markers(stamp(index), rng.permutation(points))
+    np.testing.assert_allclose(state.position, [x, y, z], atol=1e-12)
+    assert (state.validity, one.counts["accepted"]) == (Validity.OK, 6)
+    path = one.path("a", stamp(0), stamp(5))
+    np.testing.assert_array_equal(path.quat_xyzw, np.tile(LEVEL, (6, 1)))
+    turned = rotations.quat_of_vector(np.array([0.3, 0.0, 0.1]))
+    assert one.add(stamp(6), np.array([x, z, -y + 0.001]), turned) is not None
+    np.testing.assert_array_equal(one.path("a", stamp(6), stamp(6)).quat_xyzw, [LEVEL])
+
+
+def test_of_several_points_the_marker_is_the_one_that_is_clearly_nearest_to_the_last() -> None:
+    one = Tracker(having(single_marker=True))
+    stray = PAN + np.array([0.2, 0.0, 0.0])
+    assert one.add_markers(stamp(0), np.stack([PAN, stray])) is None  # which one is the body's?
+    assert (one.fault, one.latest_ns) == (FrameFault.MARKERS, stamp(0))
+    for index, offset in enumerate(([0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.03, 0.0, 0.0]), start=1):
+        points = np.stack([stray, PAN + offset]) if index > 1 else PAN[np.newaxis]
+        one.add_markers(stamp(index), points)
+    assert one.counts["accepted"] == 3
+    midway = PAN + np.array([0.11, 0.0, 0.0])  # 0.08 m from the last, the other marker 0.17 m
+    assert one.add_markers(stamp(4), np.stack([stray, midway])) is not None
+    between = midway + np.array([0.05, 0.0, 0.0])
+    assert one.add_markers(stamp(5), np.stack([stray, between])) is None
+    assert one.fault is FrameFault.MARKERS
+    assert one.add_markers(stamp(6), np.empty((0, 3))) is None
 
 
 def test_markers_give_the_state_of_the_pose() -> None:
@@ -398,10 +431,10 @@ def test_markers_give_the_state_of_the_pose() -> None:
     [
         ({"rate": 0.0}, "rate"),
         ({"up_axis": "x"}, "up_axis"),
-        ({"world_to_base": (0.0,) * 6}, "7 numbers"),
+        ({"world_to_base": (0.0,) * 6}, "world_to_base"),
         ({"world_to_base": (0.0,) * 7}, "length 1"),
-        ({"latency_offset": 1.0}, "latency_offset"),
-        ({"latency_offset": -1.0}, "latency_offset"),
+        ({"latency_offset": 1.5}, "latency_offset"),
+        ({"latency_offset": -1.5}, "latency_offset"),
         ({"workspace_low": (3.0, 0.0, 0.0)}, "workspace"),
         ({"workspace_low": (0.0, 0.0, 3.0)}, "workspace"),  # as high as the upper corner
         ({"noise": float("nan")}, "noise"),
@@ -409,7 +442,7 @@ def test_markers_give_the_state_of_the_pose() -> None:
 )
 def test_settings_that_cannot_be_are_refused(change: dict, why: str) -> None:
     with pytest.raises(ValueError, match=why):
-        dataclasses.replace(SETTINGS, **change)
+        having(**change)
 
 
 number = st.floats(width=64) | st.floats(-2.0, 2.0)

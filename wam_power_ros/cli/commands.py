@@ -313,8 +313,8 @@ def report(options: argparse.Namespace) -> int:
 def _report_with_film(folder: Path) -> None:
     """Write the report of a simulated session, with a film if this machine can render one.
 
-    Another process executes the final policy again on the simulated WAM; if it cannot, because the
-    session is of another arm, the report has no such rollout.
+    Another process executes the final policy again in the set-up of the session; if it cannot,
+    because the set-up or a file that it names is missing, the report has no such rollout.
     """
     from wam_power_ros.reporting import session_report
 

@@ -77,7 +77,7 @@ def launch(
     folder: Path,
     seed: int,
     task: str = "",
-    changes: overlay.Setup | None = None,
+    changes: overlay.Parameters | None = None,
 ) -> Iterator[Launcher]:
     """Start controller and recorder, and the stand-in unless there is a real arm.
 
@@ -94,8 +94,7 @@ def launch(
         DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
     setup = overlay.setup(options.config, options.simulate, task_setup(task) if task else "")
-    for node, values in (changes or {}).items():
-        setup[node] |= values
+    setup = setup.changed(changes or {})
     arm_of(setup)
     check_space(folder, setup["demonstration_recorder"]["free_to_start"])
     logs = folder / "logs"

@@ -126,7 +126,7 @@ def prepare(given: Mapping[str, str], stand_ins: bool) -> LaunchPlan:
             "trials": options.trials or 0,
         }
     setup = overlay.setup(names, simulated, task_setup(task))
-    setup["learner"] |= {**learner, "task": task}
+    setup = setup.changed({"learner": {**learner, "task": task}})
     if session is not None:
         setup["demonstration_recorder"]["directory"] = str(session / "bags")
     executables = ["torque_controller", "demonstration_recorder"]

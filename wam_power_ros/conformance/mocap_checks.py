@@ -23,6 +23,7 @@ from wam_power_ros.tracking.free_fall import free_fall_acceleration
 from wam_power_ros.tracking.tracker import (
     FROZEN_COUNT,
     FROZEN_TIME,
+    IDENTITY,
     Y_UP,
     FrameFault,
     Tracker,
@@ -60,12 +61,21 @@ class CloudSample(NamedTuple):
     points: np.ndarray  # (m, 3)
 
 
-def marker_poses(clouds: Sequence[CloudSample]) -> tuple[list[FrameSample], Row]:
-    """Fit the marker layout to clouds; returns its poses, and the row about how often it fits."""
-    expected = f"the {len(marker_fit.LAYOUT)} markers of the layout in every cloud"
+def marker_poses(
+    clouds: Sequence[CloudSample], settings: TrackerSettings
+) -> tuple[list[FrameSample], Row]:
+    """Find the body's marker or layout in clouds; returns its poses, and the row about them."""
+    layout = f"the {len(marker_fit.LAYOUT)} markers of the layout"
+    expected = f"{'the marker' if settings.single_marker else layout} in every cloud"
     row, frames, errors = partial(Row, "mocap markers", expected), [], []
+    tracker = Tracker(settings)
     for cloud in clouds:
         try:
+            if settings.single_marker:
+                position = tracker.marker(cloud.stamp_ns, cloud.points)
+                tracker.add(cloud.stamp_ns, position, IDENTITY)
+                frames.append(FrameSample(*cloud[:2], position, IDENTITY))
+                continue
             found = marker_fit.fit(cloud.points)
         except ValueError:
             continue
@@ -74,13 +84,15 @@ def marker_poses(clouds: Sequence[CloudSample]) -> tuple[list[FrameSample], Row]
     if not clouds:
         return [], row("no cloud", UNCHECKED)
     counts, share = [len(cloud.points) for cloud in clouds], len(frames) / len(clouds)
-    text = f"{min(counts)} to {max(counts)} points, layout found in {share:.0%}"
+    what = "marker" if settings.single_marker else "layout"
+    text = f"{min(counts)} to {max(counts)} points, {what} found in {share:.0%}"
     if errors:
         text += f", {1e3 * float(np.median(errors)):.1f} mm rms off"
     if share >= USABLE_SHARE:
         return frames, row(text, OK)
-    advice = "place the markers as in marker_fit.LAYOUT, with no two distances alike; cover other "
-    return frames, row(text, FAIL, f"{advice}reflective objects; send metres")
+    advice = "place the markers as in marker_fit.LAYOUT, with no two distances alike; "
+    advice = "" if settings.single_marker else advice
+    return frames, row(text, FAIL, f"{advice}cover other reflective objects; send metres")
 
 
 def frame_quality(

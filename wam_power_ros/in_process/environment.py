@@ -8,7 +8,6 @@ seed and id is bit for bit the same in both.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -21,8 +20,9 @@ from wam_power_ros.control.modes import Mode
 from wam_power_ros.faults import Fault
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
+from wam_power_ros.params import overlay
+from wam_power_ros.params.overlay import Setup
 from wam_power_ros.params.pancake_tracker_params import PancakeTrackerParams
-from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.practice.practice import Practice
 from wam_power_ros.practice.session_log import Record
@@ -43,25 +43,34 @@ class Environment:
         tracker: Tracker of the scene's body.
     """
 
-    def __init__(self, world: World, urdf: str | None = None) -> None:
-        """Connect a world to a controller and a tracker with the parameters of config/.
+    def __init__(self, world: World, urdf: str | None = None, setup: Setup | None = None) -> None:
+        """Connect a world to a controller and a tracker.
 
         Args:
-            world: Simulated world; the controller has the same guarded region, if any.
+            world: Simulated world.
             urdf: Robot description for the controller; the world's if omitted.
+            setup: Set-up of controller and tracker; if omitted, that of config/ with the guarded
+                of the world.
         """
         self.world = world
-        files = [share(f"config/{name}.yaml") for name in ("torque_controller", "simulation")]
-        params = TorqueControllerParams.of_file(files[0], "torque_controller", files[1])
-        configured = params.controller(urdf or world.urdf)
+        if setup is None:
+            region = {"guarded_region": world.settings.guarded_region}
+            setup = overlay.setup().changed({"torque_controller": region})
+        configured = TorqueControllerParams.of_setup(setup).controller(urdf or world.urdf)
         self.arm = configured.arm
-        region = world.settings.scene.region
-        self.controller = Controller(self.arm, replace(configured.settings, region=region))
-        tracker_file = share("config/pancake_tracker.yaml")
-        tracked = PancakeTrackerParams.of_file(tracker_file, "pancake_tracker")
-        self._tracker_settings = tracked.settings()
+        self.controller = Controller(self.arm, configured.settings)
+        self._tracker_settings = PancakeTrackerParams.of_setup(setup)
         self.tracker = Tracker(self._tracker_settings)
         self._truth: Truth | None = None  # of the last rollout
+
+    @classmethod
+    def of(cls, setup: Setup) -> Environment:
+        """Environment of a set-up: stand-ins, controller and tracker as nodes would have them.
+
+        Raises:
+            ValueError: A parameter is not acceptable.
+        """
+        return cls(World.of(setup), setup=setup)
 
     def infeasible(self, policy: Policy, overruns: int = 0) -> Fault | None:
         """See `practice.ArmModel`."""
@@ -89,10 +98,10 @@ class Environment:
         """Let the simulated demonstrator move the gravity-compensated arm from its home posture.
 
         Returns:
-            Stamps (M,) [ns] and joint positions (M, 7) [rad] as the driver reported them.
+            Stamps (M,) [ns] and joint positions (M, n) [rad] as the driver reported them.
         """
         world = self.world
-        self.place(name, world.scene.home)
+        self.place(name, world.home)
         controller = self.controller
         for _ in range(_HELD_TICKS):
             self.tick()
@@ -100,7 +109,7 @@ class Environment:
         for _ in range(_STILL_TICKS):
             self.tick()
         world.release()
-        world.attach(Demonstrator(script, *world.pan_pose))
+        world.attach(Demonstrator(script, *world.tool_pose))
         stamps, q = [], []
         while world.pulled:
             sample = world.joint_state()

@@ -16,15 +16,13 @@ from pathlib import Path
 from typing import Any
 
 from hardware_sim.ground_truth import Truth
-from hardware_sim.scenes import scene_type
-from hardware_sim.settings import SceneSettings, WorldSettings
-from hardware_sim.world import QUIET, TRACE_RATE, World
+from hardware_sim.world import QUIET, TRACE_RATE
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.in_process.render import render
 from wam_power_ros.learning import policy
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.params import parameter_file
+from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.reporting import figures, session_report
 from wam_power_ros.tasks.task import Task
@@ -51,7 +49,8 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     """Execute the final policy of a session; with `film`, write `film.webp` into its folder.
 
     Raises:
-        session.SessionError: There is no session, or it has no policy yet.
+        session.SessionError: There is no session, it has no policy yet, or it does not say in which
+            set-up it ran.
         RuntimeError: OpenGL, which the film needs, is missing.
     """
     header, _, _ = session.read(folder)
@@ -60,10 +59,13 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     if not saved.exists():
         raise session.SessionError(f"{folder} has no policy yet")
     answer = policy.from_json(saved.read_text())
-    settings = WorldSettings(scene=SceneSettings(region=task.region), unknown=_unknown(folder))
-    world = World(settings, header.seed, scene_type(task.name))
+    parameters = folder / "logs" / "parameters.yaml"
+    if not parameters.exists():
+        raise session.SessionError(f"{parameters}, the set-up of the session, is missing")
+    setup = overlay.read(parameters).changed({"wam_sim": {"seed": header.seed}})
+    environment = Environment.of(setup)
+    world = environment.world
     world.trace = []
-    environment = Environment(world)
     quiet = policy.with_id(answer, f"answer{QUIET}")
     without = _caption(task, quiet, *environment.run(quiet))
     rollout, truth = environment.run(answer)
@@ -73,15 +75,6 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
         poses = world.trace[:: round(TRACE_RATE / FILM_RATE)]
         figures.save_film(render(world, poses), path, FILM_RATE)
     return session_report.ShownRollout(caption, rollout, path.read_bytes() if film else None)
-
-
-def _unknown(folder: Path) -> bool:
-    """Whether the parameters of a session's nodes, if any, select an unknown world."""
-    file = folder / "logs" / "parameters.yaml"
-    if not file.is_file():
-        return False
-    simulation = parameter_file.of_nodes(file).get("wam_sim", {})
-    return bool(simulation.get("unknown"))
 
 
 def _caption(task: Task, executed: Policy, rollout: Rollout, truth: Truth) -> str:

@@ -231,7 +231,7 @@ class CheckDriver(Node):
         return topic_checks.service("idle service", "std_srvs/srv/Trigger", services, wanted)
 
     def _mocap_rows(self, arm: Arm, record: ArmRecord, seconds: float) -> list[Row]:
-        params, settings = self._mocap, self._mocap.settings()
+        params = self._mocap
         topic = params.markers_topic or params.pose_topic
         ends = self._publisher_ends(topic)
         kind = "sensor_msgs/msg/PointCloud2" if params.markers_topic else POSE_TYPE
@@ -253,10 +253,10 @@ class CheckDriver(Node):
         ]
         frames = self.frames
         if params.markers_topic:
-            frames, layout = mocap_checks.marker_poses(self.clouds)
+            frames, layout = mocap_checks.marker_poses(self.clouds, params)
             found.append(layout)
-        found += mocap_checks.frame_quality(frames, settings, self._refused_clouds)
-        return [*found, mocap_checks.body_position(frames, settings, pan)]
+        found += mocap_checks.frame_quality(frames, params, self._refused_clouds)
+        return [*found, mocap_checks.body_position(frames, params, pan)]
 
     def _watchdog(self, arm: Arm, record: ArmRecord, path: Row, active: bool) -> Row:
         """Row about the watchdog of the driver, tested if a person agrees."""
@@ -322,8 +322,8 @@ class CheckDriver(Node):
     def _fall_row(self) -> Row:
         frames = self.frames
         if self._mocap.markers_topic:
-            frames, _ = mocap_checks.marker_poses(self.clouds)
-        return mocap_checks.fall_direction(frames, self._mocap.settings())
+            frames, _ = mocap_checks.marker_poses(self.clouds, self._mocap)
+        return mocap_checks.fall_direction(frames, self._mocap)
 
     def _by_hand(self, arm: Arm, record: ArmRecord) -> list[Row]:
         """Rows about each joint moved by a person."""
@@ -397,8 +397,8 @@ def main() -> int:
     interrupts.install()
     try:
         setup = overlay.setup(options.config)
-        arm = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
-        mocap = PancakeTrackerParams.of_values("pancake_tracker", setup["pancake_tracker"])
+        arm = TorqueControllerParams.of_setup(setup)
+        mocap = PancakeTrackerParams.of_setup(setup)
         make = lambda: CheckDriver(arm, mocap, console)  # noqa: E731
         with node_runner.participant(make, SignalHandlerOptions.NO) as node:
             rows = node.check(options.seconds, options.active)

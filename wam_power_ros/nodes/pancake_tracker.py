@@ -57,7 +57,7 @@ class PancakeTracker(Node):
                 f"set either pose_topic or markers_topic, not {params.pose_topic!r} and "
                 f"{params.markers_topic!r}"
             )
-        self._tracker = Tracker(params.settings())
+        self._tracker = Tracker(params)
         namespace = self.get_namespace()
         self._frame = interface.frame(namespace, interface.BASE_FRAME)
         self._body_frame = interface.frame(namespace, params.body)

@@ -29,9 +29,14 @@ SHOWN_LENGTH_MAX = 80  # characters of a refused value in its message
 
 
 class Params(BaseModel):
-    """Parameters of a node: strictly typed, finite and frozen; lists become tuples."""
+    """Parameters of a node: strictly typed, finite and frozen; lists become tuples.
+
+    A subclass may include settings by inheriting from their class as well; defaults that they have
+    there do not count here.
+    """
 
     file: ClassVar[str] = ""  # file in config/ whose comments describe the parameters
+    constants: ClassVar[set[str]] = set()  # included settings that are no parameters
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, str_max_length=10_000
@@ -86,7 +91,8 @@ class Params(BaseModel):
         from rcl_interfaces.msg import ParameterDescriptor
 
         comments = parameter_file.comments(share(f"config/{cls.file}")) if cls.file else {}
-        for name, field in cls.model_fields.items():
+        for name in cls.model_fields.keys() - cls.constants:
+            field = cls.model_fields[name]
             sentences = (comments.get(name), field.description and f"Range: {field.description}")
             given = node.get_parameter(name)
             descriptor = ParameterDescriptor(
@@ -126,6 +132,16 @@ class Params(BaseModel):
         return cls.of_values(f"{node} in {path}", values)
 
     @classmethod
+    def of_setup(cls: type[P], setup: overlay.Setup) -> P:
+        """Read the parameters of the node that `file` is named after from a set-up.
+
+        Raises:
+            ValueError: As for `of`.
+        """
+        node = Path(cls.file).stem
+        return cls.of_values(node, setup[node])
+
+    @classmethod
     def of_values(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
         """Check values read from YAML for a node; parameters that ROS itself defines are ignored.
 
@@ -146,11 +162,19 @@ class Params(BaseModel):
 
     @classmethod
     def _checked(cls: type[P], owner: str, values: Mapping[str, object]) -> P:
+        names = cls.model_fields.keys() - cls.constants
+        wrong = [f"{name} is missing" for name in sorted(names - values.keys())]
+        wrong += [f"{name} is no parameter" for name in sorted(cls.constants & values.keys())]
         try:
-            return cls(**values)
+            params = cls(**values)
         except ValidationError as error:
-            details = "; ".join(cls._message(detail) for detail in error.errors())
-            raise ValueError(f"parameters of {owner} refused: {details}") from None
+            missing = {("missing", (name,)) for name in names}  # named already
+            found = [each for each in error.errors() if (each["type"], each["loc"]) not in missing]
+            wrong += map(cls._message, found)
+        else:
+            if not wrong:
+                return params
+        raise ValueError(f"parameters of {owner} refused: {'; '.join(wrong)}")
 
     @classmethod
     def _message(cls, error: ErrorDetails) -> str:

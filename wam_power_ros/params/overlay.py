@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Set-ups: parameters of every node from its own file and the files that override it.
 
-A set-up file gives each parameter once: parameters of the arm's driver to `torque_controller`, of
-motion capture to `pancake_tracker`. The matching parameters of other nodes, and of stand-ins that
-replace these devices, are derived here unless a file gives them explicitly.
+A set-up file gives each parameter once: parameters of the arm and its driver to
+`torque_controller`, of motion capture to `pancake_tracker`. The matching parameters of other nodes,
+and of the stand-ins for these devices, are derived here unless a file gives them explicitly.
 """
 
 from __future__ import annotations
 
 import difflib
 import reprlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import yaml
 from wam_power_ros.params import parameter_file
 from wam_power_ros.params.resources import share
 
-Setup = dict[str, dict[str, Any]]  # parameters by node
+Parameters = dict[str, dict[str, Any]]  # by node
 NODES = (
     "torque_controller",
     "demonstration_recorder",
@@ -35,6 +36,35 @@ SIMULATION = "simulation"  # file in config/ with what a simulation changes
 MOVE_SPEED = 1.0  # [rad/s] of a simulated arm in lockstep, when it moves to a start
 _KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
 _STR, _SEQ = "tag:yaml.org,2002:str", "tag:yaml.org,2002:seq"
+
+
+@dataclass(frozen=True, eq=False)  # equal to any mapping of the same parameters
+class Setup(Mapping[str, dict[str, Any]]):
+    """One set-up, of which nodes, stand-ins, simulations in one process and reports are built.
+
+    `Params.of_setup` reads the parameters of one node.
+
+    Attributes:
+        nodes: Parameters by node.
+    """
+
+    nodes: Parameters
+
+    def __getitem__(self, node: str) -> dict[str, Any]:
+        """Parameters of a node."""
+        return self.nodes[node]
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of the nodes."""
+        return iter(self.nodes)
+
+    def __len__(self) -> int:
+        """Number of nodes."""
+        return len(self.nodes)
+
+    def changed(self, changes: Mapping[str, Mapping[str, Any]]) -> Setup:
+        """Set-up with other values of some parameters, by node."""
+        return Setup(self.nodes | {node: self[node] | dict(changes[node]) for node in changes})
 
 
 def known() -> list[str]:
@@ -72,7 +102,7 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             value of another kind than the node's own file, or sets `simulation` for a real arm.
     """
     own = _own()
-    given: Setup = {node: {} for node in NODES}
+    given: Parameters = {node: {} for node in NODES}
     of_task = [task] if task in known() or task.endswith(".yaml") else []
     files = [find(name) for name in (*of_task, *names)]
     for file in files:
@@ -87,11 +117,10 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
         rules = [f"config/{SIMULATION}.yaml"] if in_simulation else []
         limits = [*own["learner"]["controller"], *rules, *map(str, files)]
         derived["learner"]["controller"] = limits
-    if names or simulated:
-        derived |= _stand_ins(chosen["torque_controller"], chosen["pancake_tracker"])
-    derived.setdefault("wam_sim", {})[REGION] = chosen["torque_controller"][REGION]
-    tracked = {name: chosen["pancake_tracker"][name] for name in ("body", "pose_topic")}
-    derived["optitrack_sim"] = tracked | derived.get("optitrack_sim", {})
+    if names or simulated:  # stand-ins like the drivers of these devices
+        derived["wam_sim"] |= {"pace": "real_time", "realtime_priority": 70}
+    elif not chosen["pancake_tracker"]["markers_topic"]:
+        del derived["optitrack_sim"]["markers_topic"]  # the stand-in's own publishes both
     parameters = {node: own[node] | derived.get(node, {}) | given[node] for node in NODES}
     if not in_simulation and parameters["torque_controller"]["simulation"]:
         raise ValueError(
@@ -109,7 +138,18 @@ def setup(names: Sequence[str] = (), simulated: bool = False, task: str = "") ->
             # real-time priority would leave no time to the others.
             in_lockstep = {"move_speed": MOVE_SPEED, "realtime_priority": 0}
             parameters["torque_controller"] |= in_lockstep | given["torque_controller"]
-    return parameters
+    return Setup(parameters)
+
+
+def read(file: Path) -> Setup:
+    """Read a set-up that was written with `text`, such as `logs/parameters.yaml` of a session.
+
+    Parameters that it lacks, because an older version wrote it, are those of the nodes' own files.
+
+    Raises:
+        ValueError: As for `parameter_file.of_nodes`.
+    """
+    return Setup(_own()).changed(parameter_file.of_nodes(file))
 
 
 def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str, tuple[Any, Any]]:
@@ -132,7 +172,7 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
             parameter or a value of another kind than the node's own file.
     """
     own = _own()
-    given: Setup = {source: {} for source in SOURCES}
+    given: Parameters = {source: {} for source in SOURCES}
     limits = share("config/torque_controller.yaml")
     controller = list(own["learner"]["controller"])
     plain: dict[str, Any] = {}
@@ -144,9 +184,7 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
         _name_body(mocap, cameras)
         if node == "pancake_tracker":
             return {name: mocap[name] for name in ("pose_topic", "markers_topic")}
-        derived = {**_derived(arm, mocap), **_stand_ins(arm, mocap)}.get(node, {})
-        if node == "wam_sim":
-            derived[REGION] = arm[REGION]
+        derived = _derived(arm, mocap).get(node, {})
         return derived | ({"controller": list(controller)} if node == "learner" else {})
 
     before = derive()
@@ -172,7 +210,7 @@ def adopted(node: str, files: Sequence[Path], namespace: str = "/") -> dict[str,
     }
 
 
-def _own() -> Setup:
+def _own() -> Parameters:
     return {node: _read(share(f"config/{node}.yaml"))[node] for node in NODES}
 
 
@@ -206,7 +244,7 @@ _Plain.add_representer(str, lambda to, text: to.represent_scalar(_STR, text, sty
 _Plain.add_representer(list, lambda to, items: to.represent_sequence(_SEQ, items, flow_style=True))
 
 
-def _read(file: Path, namespace: str = "") -> Setup:
+def _read(file: Path, namespace: str = "") -> Parameters:
     """Read the parameters by node from one file, see `parameter_file.of_nodes`."""
     found = parameter_file.of_nodes(file, namespace)
     for values in found.values():  # the URDF path may be relative to the set-up file
@@ -215,7 +253,7 @@ def _read(file: Path, namespace: str = "") -> Setup:
     return found
 
 
-def _check(file: Path, node: str, values: Mapping[str, Any], own: Setup) -> None:
+def _check(file: Path, node: str, values: Mapping[str, Any], own: Parameters) -> None:
     if node not in own:
         raise ValueError(f"{file} has parameters for {node!r}; the nodes are {list(NODES)}")
     for name, value in values.items():
@@ -253,39 +291,28 @@ def _name_body(mocap: dict[str, Any], given: dict[str, Any]) -> None:
     mocap |= given
 
 
-def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
-    """Derive parameters of other nodes from the driver's and the motion capture's."""
-    names = ("joint_names", "model_joint_names", "urdf", "tool_frame")
-    model = {name: arm[name] for name in names}
-    return {
+def _derived(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Parameters:
+    """Derive parameters of other nodes, stand-ins included, from the arm's and the cameras'."""
+    model = ("joint_names", "model_joint_names", "urdf", "tool_frame")
+    driver = ("state_topic", "velocity_topic", "command_topic", "command_type")
+    world = ("guarded_names", "guarded_links", "guarded_points", REGION)
+    cameras = ("body", "single_marker", "pose_topic", "markers_topic", "up_axis", "world_to_base")
+    topics = [name for name in (arm["command_topic"], arm["velocity_topic"]) if name]
+    derived: Parameters = {
         "demonstration_recorder": {
             "state_topic": arm["state_topic"],
-            **model,
-            "driver_topics": [
-                name for name in (arm["command_topic"], arm["velocity_topic"]) if name
-            ],
+            **{name: arm[name] for name in model},
+            "driver_topics": topics,
             "body": mocap["body"],
             "mocap_topics": [mocap["pose_topic"] or mocap["markers_topic"]],
         },
-        "learner": model,
-    }
-
-
-def _stand_ins(arm: Mapping[str, Any], mocap: Mapping[str, Any]) -> Setup:
-    """Derive parameters of stand-ins that replace these devices."""
-    driver = ("joint_names", "state_topic", "velocity_topic", "command_topic", "command_type")
-    model = ("urdf", "model_joint_names", "tool_frame")
-    guarded = ("guarded_names", "guarded_links", "guarded_points")
-    cameras = ("body", "pose_topic", "markers_topic", "up_axis", "world_to_base", "rate")
-    derived: Setup = {
+        "learner": {name: arm[name] for name in model},
         "wam_sim": {
-            **{name: arm[name] for name in (*driver, *model, *guarded)},
+            **{name: arm[name] for name in (*model, *driver, *world)},
             "driver_compensates_gravity": arm["driver_compensates_gravity"],
             "velocity": "empty" if arm["velocity_topic"] else "filled",
-            "pace": "real_time",  # like a real driver
-            "realtime_priority": 70,
         },
-        "optitrack_sim": {name: mocap[name] for name in cameras},
+        "optitrack_sim": {name: mocap[name] for name in (*cameras, "rate")},
     }
     if mocap["latency_offset"]:  # stamps are later than the exposure
         derived["optitrack_sim"] |= {"stamps": "receipt", "latency": mocap["latency_offset"]}

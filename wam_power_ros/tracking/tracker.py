@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tracking of a rigid body in motion capture: every frame is checked, faulty ones are refused.
+"""Tracking of a body in motion capture: every frame is checked, faulty ones are refused.
 
 Motion capture loses sight of a body, repeats its last pose with a new stamp, sends zeros, swaps
 bodies and stamps late. Such frames are counted by fault and enter neither the state nor the path.
@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from typing_extensions import Self
 
 from wam_power_ros import rotations
 from wam_power_ros.learning.rollout import BodyPath
@@ -32,6 +33,8 @@ SET_BACK_COUNT = 10  # consecutive older stamps that mean that the clock was set
 COAST_TIME = SECOND // 10  # extrapolation of a hidden body at constant velocity [ns]
 VELOCITY_WINDOW = SECOND // 10  # window of the velocity estimate, at least two periods [ns]
 UNIT_TOLERANCE = 1e-3  # largest deviation of a quaternion's length from 1 [1]
+IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])  # quaternion xyzw
+IDENTITY.flags.writeable = False
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # (x, y, z) -> (x, -z, y)
 
 
@@ -83,13 +86,18 @@ class TrackedState(NamedTuple):
     validity: Validity
 
 
-@dataclass(frozen=True)
-class TrackerSettings:
+Coordinate = Annotated[float, Field(ge=-50.0, le=50.0)]
+Corner = tuple[Coordinate, Coordinate, Coordinate]
+Unit = Annotated[float, Field(ge=-1.0, le=1.0)]
+WorldToBase = tuple[Coordinate, Coordinate, Coordinate, Unit, Unit, Unit, Unit]
+
+
+class TrackerSettings(BaseModel):
     """Settings of the tracker: properties of the motion capture and of the body.
 
     Attributes:
         rate: Frame rate [Hz].
-        up_axis: Vertical axis of the motion capture, "z" or "y".
+        up_axis: Vertical axis of the motion capture.
         world_to_base: Pose of the origin of the motion capture, z up, in the base frame of the
             arm: x, y, z [m] and quaternion xyzw.
         latency_offset: Delay from exposure to stamp [s].
@@ -97,36 +105,41 @@ class TrackerSettings:
         workspace_high: Largest plausible position in the base frame [m].
         speed_max: Largest plausible speed of the body [m/s].
         noise: Standard deviation of a position along an axis [m].
+        single_marker: True for a body with one marker, which has a position alone: its orientation
+            is always the identity.
 
     Raises:
         ValueError: If a value is out of range; the message names it.
     """
 
-    rate: float
-    up_axis: str
-    world_to_base: tuple[float, ...]
-    latency_offset: float
-    workspace_low: tuple[float, ...]
-    workspace_high: tuple[float, ...]
-    speed_max: float
-    noise: float
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    def __post_init__(self) -> None:
-        for name in ("rate", "speed_max", "noise"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} {getattr(self, name)} must be positive and finite")
-        if self.up_axis not in ("y", "z"):
-            raise ValueError(f"up_axis {self.up_axis!r} must be 'y' or 'z'")
-        pose = np.array(self.world_to_base, dtype=float)
-        if pose.shape != (7,) or not np.isfinite(pose).all():
-            raise ValueError(f"world_to_base {self.world_to_base} must be 7 numbers: xyz, xyzw")
-        if abs(np.linalg.norm(pose[3:]) - 1.0) > UNIT_TOLERANCE:
+    rate: float = Field(ge=10.0, le=1000.0, description="in Hz: below, a flight of 0.4 s is missed")
+    up_axis: Literal["z", "y"]
+    world_to_base: WorldToBase = Field(description="in m: a room of 50 m; unit quaternion")
+    latency_offset: float = Field(
+        ge=-1.0, le=1.0, description="in s: more than 1 s is a clock offset, not a delay"
+    )
+    workspace_low: Corner = Field(description="in m: a room of 50 m")
+    workspace_high: Corner = Field(description="in m: a room of 50 m")
+    speed_max: float = Field(
+        ge=1.0, le=50.0, description="in m/s: a toss has 4; 50 is 0.5 m between frames at 100 Hz"
+    )
+    noise: float = Field(
+        ge=1e-6,
+        le=0.05,
+        description="in m: above any camera's resolution; 0.05 is half a pancake's radius",
+    )
+    single_marker: bool
+
+    @model_validator(mode="after")
+    def _together(self) -> Self:
+        if abs(math.hypot(*self.world_to_base[3:]) - 1.0) > UNIT_TOLERANCE:
             raise ValueError(f"quaternion of world_to_base {self.world_to_base} must have length 1")
-        if not abs(self.latency_offset) < 1.0:
-            raise ValueError(f"latency_offset {self.latency_offset} s must be within 1 s")
-        box = np.array([self.workspace_low, self.workspace_high], dtype=float)
-        if box.shape != (2, 3) or not (box[0] < box[1]).all():
-            raise ValueError(f"workspace {box.tolist()} must be two corners, low below high")
+        low, high = self.workspace_low, self.workspace_high
+        if not all(least < most for least, most in zip(low, high, strict=True)):
+            raise ValueError(f"workspace_low {low} must be below workspace_high {high}")
+        return self
 
 
 class _Frame(NamedTuple):
@@ -138,7 +151,7 @@ class _Frame(NamedTuple):
 
 
 class Tracker:
-    """Estimates state and path of one rigid body from raw frames of the motion capture.
+    """Estimates state and path of one body from raw frames of the motion capture.
 
     Attributes:
         validity: Validity of the state.
@@ -177,7 +190,8 @@ class Tracker:
         Args:
             stamp_ns: Stamp of the message [ns].
             position: Position of the body [m]. Shape (3,).
-            quat_xyzw: Orientation of the body, unit quaternion. Shape (4,).
+            quat_xyzw: Orientation of the body, unit quaternion; unused for a single marker.
+                Shape (4,).
 
         Returns:
             The state; None if the frame was refused (see `fault`) or is the first one after a gap,
@@ -198,9 +212,7 @@ class Tracker:
             frozen = self._repeats >= FROZEN_COUNT and duration >= FROZEN_TIME
             self.refuse(FrameFault.POSE_REPEATED, Validity.FROZEN if frozen else None)
             return None
-        low, high = self._settings.workspace_low, self._settings.workspace_high
-        bounds = zip(low, frame.position.tolist(), high, strict=True)
-        if not all(least <= x <= most for least, x, most in bounds):
+        if not self._is_inside(frame):
             self.refuse(FrameFault.OUTSIDE)
             return None
         # Of frames that were delivered together, only the last one has a correct stamp.
@@ -218,14 +230,38 @@ class Tracker:
         return self._accept(frame)
 
     def add_markers(self, stamp_ns: int, points: np.ndarray) -> TrackedState | None:
-        """Add the pose of the marker layout in one unlabelled cloud (m, 3) [m]; see `add`."""
+        """Add the body's marker or layout in one unlabelled cloud (m, 3) [m]; see `add`."""
         try:
+            if self._settings.single_marker:
+                return self.add(stamp_ns, self.marker(stamp_ns, points), IDENTITY)
             pose = marker_fit.fit(points)
         except ValueError:
             self.latest_ns = max(self.latest_ns, stamp_ns - self._latency)
             self.refuse(FrameFault.MARKERS)
             return None
         return self.add(stamp_ns, pose.position, pose.quat_xyzw)
+
+    def marker(self, stamp_ns: int, points: np.ndarray) -> np.ndarray:
+        """Find the marker (3,) [m] of a body with one among the points (m, 3) [m] of a cloud.
+
+        It is the only point in the workspace, or the nearest to the last position if the next one
+        is more than twice as far.
+
+        Raises:
+            ValueError: Neither is the case, or there are too many points.
+        """
+        if len(points) > marker_fit.COUNT_MAX:
+            raise ValueError(f"{len(points)} points; at most {marker_fit.COUNT_MAX} are searched")
+        frames = [self._in_base(stamp_ns - self._latency, point, IDENTITY) for point in points]
+        inside = [number for number, frame in enumerate(frames) if self._is_inside(frame)]
+        if len(inside) > 1 and self._frames:
+            last = self._frames[-1].position
+            distance = {number: math.dist(frames[number].position, last) for number in inside}
+            first, second, *_ = sorted(inside, key=distance.__getitem__)
+            inside = [first] if 2.0 * distance[first] < distance[second] else inside
+        if len(inside) != 1:
+            raise ValueError(f"{len(inside)} points in the workspace may be the marker")
+        return points[inside[0]]
 
     def refuse(self, fault: FrameFault, validity: Validity | None = None) -> None:
         """Count a refused frame by its fault; set `validity` unless omitted."""
@@ -273,7 +309,13 @@ class Tracker:
 
     def _in_base(self, stamp_ns: int, position: np.ndarray, quat_xyzw: np.ndarray) -> _Frame:
         quat = rotations.normalised(rotations.multiply(self._quat, quat_xyzw))
+        quat = IDENTITY if self._settings.single_marker else quat
         return _Frame(stamp_ns, self._rotation @ position + self._origin, quat)
+
+    def _is_inside(self, frame: _Frame) -> bool:
+        low, high = self._settings.workspace_low, self._settings.workspace_high
+        bounds = zip(low, frame.position.tolist(), high, strict=True)
+        return all(least <= x <= most for least, x, most in bounds)
 
     def _stamp_fault(self, stamp_ns: int) -> FrameFault | None:
         """Fault of a stamp, if any; restarts the track if the clock was set back."""

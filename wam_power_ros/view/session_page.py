@@ -15,7 +15,7 @@ import numpy as np
 import viser
 
 from wam_power_ros.learning.policy_shapes import plan
-from wam_power_ros.params import overlay, parameter_file
+from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.ros import interface
 from wam_power_ros.view import recorded, teach_again
@@ -51,9 +51,7 @@ def _is_locked(path: Path) -> bool:
 def parameters(folder: Path) -> overlay.Setup:
     """Parameters of each node of a session, as launched; the default ones if not recorded."""
     file = folder / "logs" / "parameters.yaml"
-    if not file.is_file():
-        return overlay.setup()
-    return parameter_file.of_nodes(file)
+    return overlay.read(file) if file.is_file() else overlay.setup()
 
 
 class SessionPage:

@@ -40,10 +40,10 @@ def calm() -> World:
 
 def test_a_pancake_rests_in_a_level_pan(calm: World) -> None:
     gravity = begin(calm)
-    start = calm.data.qpos[7:10] - calm.pan_pose[0]
+    start = calm.data.qpos[7:10] - calm.tool_pose[0]
     run(calm, gravity, 500)
     truth = calm.truth()
-    drift = calm.data.qpos[7:10] - calm.pan_pose[0] - start
+    drift = calm.data.qpos[7:10] - calm.tool_pose[0] - start
     assert np.abs(drift).max() < 1e-3
     assert (truth["caught"], truth["flipped"], truth["tossed"], truth["t_f"]) == (
         True,
@@ -56,7 +56,7 @@ def test_a_pancake_rests_in_a_level_pan(calm: World) -> None:
 
 def test_in_a_tilted_pan_it_has_slid_to_the_rim_before_a_rollout_begins(calm: World) -> None:
     gravity = begin(calm, q=HOME)
-    position, rotation = calm.pan_pose
+    position, rotation = calm.tool_pose
     offset = rotation.T @ (calm.data.qpos[7:10] - position)
     assert offset[0] > 0.04
     run(calm, gravity, 250)
@@ -203,7 +203,7 @@ def demonstrate(world: World, arm: Arm, seed: int) -> tuple[Truth, np.ndarray]:
     """Ground truth and joint positions of a demonstration under gravity compensation."""
     world.reset(f"demonstration-{seed}", HOME)
     world.release()
-    world.attach(Demonstrator(script(seed), *world.pan_pose))
+    world.attach(Demonstrator(script(seed), *world.tool_pose))
     joints = []
     while world.pulled:
         sample = world.joint_state()

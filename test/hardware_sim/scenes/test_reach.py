@@ -9,13 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hardware_sim.demonstrator import PAUSE, Demonstrator
-from hardware_sim.scenes.reach import GOAL, HOME, Reach, reach
-from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.scenes.reach import HOME, Reach, reach
+from hardware_sim.settings import REACH_GOAL, WorldSettings
 from hardware_sim.wam import JOINTS
 from hardware_sim.world import World
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.regions import region_of
 
 POSITION, ROTATION = np.array([0.8, 0.0, 0.6]), rotations.exp(np.array([0.0, 0.4, 0.0]))
 
@@ -40,14 +39,12 @@ def test_every_reach_goes_from_rest_to_rest_in_an_arc_with_constant_orientation(
 
 def world_with(*obstacle: float) -> World:
     """A world with an obstacle: x, y, z, radius [m]."""
-    settings = WorldSettings(
-        scene=SceneSettings(region=region_of("obstacle", obstacle or (0.0,) * 4))
-    )
+    settings = WorldSettings(guarded_region=obstacle or (0.0,) * 4)
     return World(settings, seed=1, make_scene=Reach)
 
 
 def guide(world: World, rollout_id: str = "demonstration-0") -> tuple[np.ndarray, np.ndarray]:
-    """Guide the gravity-compensated arm from `HOME` to `GOAL` without random differences.
+    """Guide the gravity-compensated arm from `HOME` to `REACH_GOAL` without random differences.
 
     Returns:
         Measured joint positions (M, 7) [rad] and true positions of the tool (M, 3) [m].
@@ -55,14 +52,14 @@ def guide(world: World, rollout_id: str = "demonstration-0") -> tuple[np.ndarray
     arm = Arm(world.urdf, JOINTS)
     world.reset(rollout_id, HOME)
     world.release()
-    world.attach(Demonstrator(reach(np.random.default_rng(0), spread=0.0), *world.pan_pose))
-    joints, path = [], [world.pan_pose[0]]
+    world.attach(Demonstrator(reach(np.random.default_rng(0), spread=0.0), *world.tool_pose))
+    joints, path = [], [world.tool_pose[0]]
     while world.pulled:
         sample = world.joint_state()
         joints.append(sample.q)
         world.step(arm.gravity(sample.q))
         assert not world.mocap_frames()  # nothing is tracked
-        path.append(world.pan_pose[0])
+        path.append(world.tool_pose[0])
     return np.array(joints), np.array(path)
 
 
@@ -70,11 +67,11 @@ def test_a_guided_arm_reaches_the_goal_with_a_level_pan_within_its_limits() -> N
     world = world_with()
     arm = Arm(world.urdf, JOINTS)
     start, _ = arm.tool_pose(HOME)
-    assert np.linalg.norm(GOAL - start) == pytest.approx(0.5, abs=0.01)
+    assert np.linalg.norm(REACH_GOAL - start) == pytest.approx(0.5, abs=0.01)
     q, path = guide(world)
     truth = world.truth()
-    assert np.linalg.norm(path[-1] - GOAL) < 0.03
-    assert truth["goal_distance"] == pytest.approx(np.linalg.norm(path - GOAL, axis=1).min())
+    assert np.linalg.norm(path[-1] - REACH_GOAL) < 0.03
+    assert truth["goal_distance"] == pytest.approx(np.linalg.norm(path - REACH_GOAL, axis=1).min())
     assert min(arm.tool_pose(posture)[1][2, 2] for posture in q) > np.cos(np.deg2rad(8.0))
     assert truth["peak_forearm_speed"] < 1.0  # [m/s] default limit of the safety board
     assert ((arm.q_min + 0.3 < q) & (q < arm.q_max - 0.3)).all()

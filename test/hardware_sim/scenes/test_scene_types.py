@@ -14,9 +14,9 @@ from hardware_sim import scenes
 from hardware_sim.ground_truth import RolloutLog, Snapshot, Truth
 from hardware_sim.scene import body_contact
 from hardware_sim.scenes import scene_type
-from hardware_sim.scenes.flip import Flip, wrist_flick
+from hardware_sim.scenes.flip import Flip, add_pan, wrist_flick
 from hardware_sim.scenes.reach import Reach
-from hardware_sim.settings import SceneSettings, WorldSettings
+from hardware_sim.settings import WorldSettings
 from hardware_sim.world import DROP_HEIGHT, World
 
 RADIUS = 0.02  # [m] of the ball
@@ -29,11 +29,12 @@ class Ball:
     home = LEVEL
     home_sd = 0.0
 
-    def __init__(self, settings: SceneSettings) -> None:
+    def __init__(self, settings: WorldSettings) -> None:
         self._friction = settings.friction
 
-    def build(self, spec: mujoco.MjSpec) -> None:
-        """Add the ball, and an untracked flag on a hinge."""
+    def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
+        """Add the pan, the ball, and an untracked flag on a hinge."""
+        add_pan(tool, self._friction)
         still = spec.worldbody.add_body(name="stand", pos=[1.5, 0.0, 0.0])
         still.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         hinged = still.add_body(name="flag", pos=[0.0, 0.0, 0.5])
@@ -66,7 +67,7 @@ class Ball:
 
 @pytest.fixture(scope="module")
 def world() -> World:
-    return World(WorldSettings(scene=SceneSettings(body_offset_sd=0.0)), make_scene=Ball)
+    return World(WorldSettings(body_offset_sd=0.0), make_scene=Ball)
 
 
 def test_the_scenes_of_this_package_are_found_by_name() -> None:
@@ -114,7 +115,7 @@ def test_the_body_of_a_scene_can_be_dropped(world: World) -> None:
     before = world.data.joint("flag").qpos.copy()
     world.drop()
     height = world.data.joint("ball").qpos[2]
-    assert height == pytest.approx(world.pan_pose[0][2] + DROP_HEIGHT)
+    assert height == pytest.approx(world.tool_pose[0][2] + DROP_HEIGHT)
     run(world, holding_torque(world), 100)  # 0.2 s
     assert height - world.data.joint("ball").qpos[2] == pytest.approx(0.5 * 9.81 * 0.04, rel=0.03)
     assert world.truth()["held"] is False

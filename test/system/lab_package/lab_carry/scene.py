@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The scene of `carry`: a ball in the pan, which is led from right to left."""
+"""The scene of `carry`: a ball in the cup of the URDF, which is led from right to left."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ class Carry:
     def __init__(self, settings) -> None:
         self._friction = settings.friction
 
-    def build(self, spec: mujoco.MjSpec) -> None:
+    def build(self, spec: mujoco.MjSpec, tool: mujoco.MjsBody) -> None:
+        for shape in tool.geoms:  # floor and walls of the cup hold the ball
+            for name, value in scene.tool_contact(self._friction).items():
+                setattr(shape, name, value)
         ball = spec.worldbody.add_body(name="ball", pos=[0.0, 0.0, 2.0])
         ball.add_freejoint(name="ball")
         ball.add_geom(

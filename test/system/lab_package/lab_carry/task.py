@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task `carry`: bring the pan to where it was brought, the ball staying in its middle."""
+"""The task `carry`: bring the cup to where it was brought, the ball staying in its middle."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Carry(Task):
 
     def ready(self, body: BodyState | None, tool: Pose) -> str:
         off = np.inf if body is None else float(np.linalg.norm(body.position - tool.position))
-        return "" if off < 0.12 else f"the ball is {off:.2f} m from the middle of the pan"
+        return "" if off < 0.12 else f"the ball is {off:.2f} m from the middle of the cup"
 
     def assess(self, policy: Policy, rollout: Rollout) -> Assessment:
         if rollout.fault is not None:
