@@ -77,7 +77,7 @@ def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Pat
 
 def test_a_report_has_the_reproduction_beside_the_answer(folder: Path) -> None:
     html = session_report.write(folder).read_text()
-    first = session.read(folder)[2][0]
+    first = session.read(folder).records[0]
     assert f"Before learning: return {first.ret:.3f}" in html
     assert "return of the reproduction, before learning" in html
 
@@ -90,10 +90,10 @@ def test_what_was_learnt_from_comes_before_the_papers_return(folder: Path) -> No
 
 
 def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
-    header, _, records = session.read(folder)
-    task = session.read_task(folder)
+    found = session.read(folder)
+    records, task = found.records, found.task
     tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in records]
-    html = session_report.render(header, task, None, None, tests)
+    html = session_report.render(found.header, task, None, None, tests)
     assert re.search(r"after it: mean return \d\.\d{3}, \d of 3 re-tests succeeded", html)
     shown = re.search(r"<b>(\d+°)</b><span>median angle of the re-tests", html)
     assert f"median angle of the re-tests {shown.group(1)}" in terminal.summary(tests, task)

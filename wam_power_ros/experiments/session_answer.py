@@ -56,15 +56,15 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
         session.SessionError: There is no session, or it has no policy yet.
         RuntimeError: OpenGL, which the film needs, is missing.
     """
-    header, _, _ = session.read(folder)
-    task = session.read_task(folder)
+    found = session.read(folder)
+    task = found.task
     saved = folder / "policy.json"
     if not saved.exists():
         raise session.SessionError(f"{folder} has no policy yet")
     answer = policy.from_json(saved.read_text())
     obstacle = (*task.obstacle, task.radius) if isinstance(task, Reach) else (0.0, 0.0, 0.0, 0.0)
     settings = WorldSettings(scene=SceneSettings(obstacle=obstacle), unknown=_unknown(folder))
-    world = World(settings, header.seed, scene_type(task.name))
+    world = World(settings, found.header.seed, scene_type(task.name))
     world.trace = []
     environment = Environment(world)
     quiet = policy.with_id(answer, f"answer{QUIET}")
