@@ -50,7 +50,7 @@ def main() -> int:
     before = changes()
     begun = options.folder / "begun"
     learn(begun, options.rollouts, options.patience, "--seed", str(options.seed))
-    _, _, first = session.read(begun)
+    first = session.read(begun).records
     table = Table("configuration", "rollouts", "returns", "caught", "faults", "same policies", "s")
     policies: list[list[float]] = []
     short = False
@@ -62,9 +62,8 @@ def main() -> int:
         count = len(first) + options.rollouts
         learn(folder, count, options.patience, *words, *(["--simulate"] if names else []))
         took = time.monotonic() - start
-        _, _, records = session.read(folder)
-        task = session.read_task(folder)
-        new = list(records[len(first) : count])
+        found = session.read(folder)
+        new = list(found.records[len(first) : count])
         short |= len(new) < options.rollouts
         policies = policies or [list(record.theta) for record in new]
         table.add_row(
@@ -75,7 +74,7 @@ def main() -> int:
                 " + ".join(names) or "default",
                 record.number,
                 record.ret,
-                task.outcome(record),
+                found.task.outcome(record),
                 record.why,
             )
     Console(width=150).print(table)

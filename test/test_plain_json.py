@@ -17,12 +17,13 @@ from hypothesis import strategies as st
 
 from wam_power_ros import arm_identity, plain_json
 from wam_power_ros.bags import layout, quality, reader, series
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning import demonstration
 from wam_power_ros.learning.policy import from_json
 from wam_power_ros.practice import session
-from wam_power_ros.practice.session_files import SessionError
+from wam_power_ros.practice.session import SessionError
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import pose_messages
 
@@ -121,7 +122,7 @@ def test_a_hostile_text_of_a_bag_a_series_or_a_message_is_refused_by_name(tmp_pa
         notes[name] = DEEP
     file.write_text(yaml.safe_dump(metadata))
     with pytest.raises(ValueError, match="bag: identity of an arm is nested deeper"):
-        reader.noted_arm(bag)
+        _ = Bag(bag).arm
     notes["arm"] = ""
     file.write_text(yaml.safe_dump(metadata))
     reader.read_demonstration(bag, [f"wam_j{i}" for i in range(1, 8)])  # as of another recorder

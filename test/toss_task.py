@@ -15,9 +15,8 @@ from wam_power_ros.learning.policy import Basis, Policy, from_json
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_log import Line, Record
+from wam_power_ros.practice.session_log import Line, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
-from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.flip.settings import FlipSettings
 from wam_power_ros.tasks.task import Assessment
@@ -83,12 +82,13 @@ def practice_of(
 
 def practice_in(folder: Path) -> Practice:
     """The practice of a session as it is on disk; nothing is locked."""
-    header, _, _ = session.read(folder)
+    found = session.read(folder)
+    header = found.header
     policies = [
         from_json((folder / "candidates" / f"{name}.json").read_text())
         for name in header.candidates
     ]
-    return practice_of(policies, header.settings, header.seed, session.read_log(folder))
+    return practice_of(policies, header.settings, header.seed, found.log)
 
 
 def toss(trial: Trial, task: FlipSettings, noise: float = 0.1) -> Assessment:

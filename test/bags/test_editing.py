@@ -10,7 +10,8 @@ import pytest
 from bag_samples import NAMES, QOS, START, demonstration, joint_state, random_q, string
 from rosbags.rosbag2 import StoragePlugin, Writer
 
-from wam_power_ros.bags import editing, layout, reader, takes
+from wam_power_ros.bags import editing, layout, reader
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import JOINT_STATE, TYPES
 from wam_power_ros.bags.writer import BagWriter
 
@@ -38,16 +39,16 @@ def test_any_bag_with_joint_states_becomes_a_demonstration(
 ) -> None:
     q = random_q(50)
     path = foreign(tmp_path / "theirs", q, storage)
-    made = editing.import_bag(path, tmp_path / "ours", NAMES, THEIRS, kind="reach")
+    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS, kind="reach")
     stamps, angles = reader.read_demonstration(made, NAMES)
     np.testing.assert_array_equal(angles, q)
     np.testing.assert_array_equal(np.diff(stamps), 10_000_000)
-    assert takes.kind_of(made) == "reach"
+    assert Bag(made).kind == "reach"
 
 
 def test_states_without_a_stamp_have_that_of_their_reception(tmp_path: Path) -> None:
     path = foreign(tmp_path / "theirs", random_q(20), StoragePlugin.SQLITE3, stamped=False)
-    made = editing.import_bag(path, tmp_path / "ours", NAMES, THEIRS)
+    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS)
     stamps, _ = reader.read_demonstration(made, NAMES)
     assert stamps[0] == START
 
@@ -55,11 +56,11 @@ def test_states_without_a_stamp_have_that_of_their_reception(tmp_path: Path) -> 
 def test_other_names_are_refused_with_those_that_are_there(tmp_path: Path) -> None:
     path = foreign(tmp_path / "theirs", random_q(5), StoragePlugin.MCAP)
     with pytest.raises(ValueError, match=r"it has .*'panda_joint1'.*--joints"):
-        editing.import_bag(path, tmp_path / "ours", NAMES)
+        editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
     with pytest.raises(ValueError, match=r"\['nose'\] missing among"):
-        editing.import_bag(path, tmp_path / "ours", NAMES, (*THEIRS[:2], "nose"))
+        editing.import_bag(Bag(path), tmp_path / "ours", NAMES, (*THEIRS[:2], "nose"))
     with pytest.raises(ValueError, match="2 names"):
-        editing.import_bag(path, tmp_path / "ours", NAMES, THEIRS[:2])
+        editing.import_bag(Bag(path), tmp_path / "ours", NAMES, THEIRS[:2])
     assert [item.name for item in tmp_path.iterdir()] == ["theirs"]  # nothing is left behind
 
 
@@ -70,19 +71,19 @@ def test_of_several_topics_one_has_to_be_named(tmp_path: Path) -> None:
         writer.write(topic, START, joint_state(START, NAMES, np.full(3, float(index))))
     path = writer.close({})
     with pytest.raises(ValueError, match="/left, /right; name one with --topic"):
-        editing.import_bag(path, tmp_path / "ours", NAMES)
-    made = editing.import_bag(path, tmp_path / "ours", NAMES, topic="/right")
+        editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+    made, _ = editing.import_bag(Bag(path), tmp_path / "ours", NAMES, topic="/right")
     assert reader.read_demonstration(made, NAMES)[1].tolist() == [[1.0, 1.0, 1.0]]
 
 
 def test_a_part_of_a_take_keeps_its_latched_messages(tmp_path: Path) -> None:
     q = random_q(500)
     path = demonstration(tmp_path / "take", q)
-    made = editing.trim(path, tmp_path / "part", 0.2, 0.4)
+    made = editing.trim(Bag(path), tmp_path / "part", 0.2, 0.4)
     stamps, angles = reader.read_demonstration(made, NAMES)
     np.testing.assert_array_equal(angles, q[100:201])
     assert stamps[0] == START + 200_000_000
-    ((_, stamp, data),) = reader.messages(made, ["/robot_description"])
+    ((_, stamp, data),) = Bag(made).messages(["/robot_description"])
     assert data == string("<robot/>")
     assert stamp >= stamps[0]  # no gap from the start of the bag to its first state
     np.testing.assert_array_equal(reader.read_demonstration(path, NAMES)[1], q)
@@ -91,7 +92,7 @@ def test_a_part_of_a_take_keeps_its_latched_messages(tmp_path: Path) -> None:
 def test_a_part_without_a_state_is_refused(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "take", random_q(50))
     with pytest.raises(ValueError, match="no message on /joint_states from 5"):
-        editing.trim(path, tmp_path / "part", 5.0, 6.0)
+        editing.trim(Bag(path), tmp_path / "part", 5.0, 6.0)
     assert not (tmp_path / "part").exists()
 
 
@@ -99,22 +100,22 @@ def test_the_parts_of_a_take_merged_are_the_take(tmp_path: Path) -> None:
     q = random_q(200)
     path = demonstration(tmp_path / "take", q)
     parts = [
-        editing.trim(path, tmp_path / str(begin), begin, end)
+        editing.trim(Bag(path), tmp_path / str(begin), begin, end)
         for begin, end in ((0.2, 0.4), (0.0, 0.199))
     ]
-    merged = editing.merge(parts, tmp_path / "merged")
+    merged = editing.merge([*map(Bag, parts)], tmp_path / "merged")
     np.testing.assert_array_equal(reader.read_demonstration(merged, NAMES)[1], q)
 
 
 def test_bags_of_the_same_time_are_not_merged(tmp_path: Path) -> None:
     bags = [demonstration(tmp_path / name, random_q(20)) for name in "ab"]
     with pytest.raises(ValueError, match=r"/joint_states is in .* at the same time"):
-        editing.merge(bags, tmp_path / "merged")
+        editing.merge([*map(Bag, bags)], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
 
 
 def test_a_bag_that_is_there_is_never_written_over(tmp_path: Path) -> None:
     path = demonstration(tmp_path / "take", random_q(20))
     with pytest.raises(FileExistsError):
-        editing.trim(path, path, 0.0, 1.0)
+        editing.trim(Bag(path), path, 0.0, 1.0)
     assert len(reader.read_demonstration(path, NAMES)[0]) == 20

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wam_power_ros.bags import editing, layout, reader, takes
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.jumps import checked
 from wam_power_ros.bags.quality import Grade
 from wam_power_ros.bags.writer import BagWriter
@@ -122,7 +123,7 @@ def test_a_movement_without_a_jump_is_returned_bit_for_bit(
 
 def test_the_bags_that_are_shipped_have_no_jump() -> None:
     for path in SHIPPED:
-        assert reader.read_states(path, [f"wam_j{k}" for k in range(1, 8)]).remarks == ()
+        assert reader.read_states(Bag(path), [f"wam_j{k}" for k in range(1, 8)]).remarks == ()
 
 
 @pytest.mark.requirement("S-32")
@@ -144,15 +145,16 @@ def test_what_was_unwrapped_or_left_out_is_a_remark_on_the_take_and_on_its_impor
     q = wrapped(smooth(3.0))
     q[20] = 0.0
     path = bag(tmp_path / "theirs", q)
-    texts = [remark.text for remark in takes.read(path, NAMES).remarks]
+    texts = [remark.text for remark in takes.read(Bag(path), NAMES).states.remarks]
     assert len(texts) == 2 and texts[0].startswith("1 state left out")
     assert texts[1].startswith("wam_j1 was unwrapped")
-    made = editing.import_bag(path, tmp_path / "ours", NAMES)
-    again = takes.read(made, NAMES)
+    made, remarks = editing.import_bag(Bag(path), tmp_path / "ours", NAMES)
+    assert [remark.text for remark in remarks] == texts
+    again = takes.read(Bag(made), NAMES).states
     assert again.remarks == ()
     np.testing.assert_allclose(again.q, np.delete(smooth(3.0), 20, axis=0), atol=1e-12)
     for text in texts:
-        assert text.partition(":")[0] in reader.notes(made)["imported"]
+        assert text.partition(":")[0] in Bag(made).notes["imported"]
 
 
 def test_a_recording_of_every_message_twice_is_imported_once(tmp_path: Path) -> None:
@@ -163,7 +165,7 @@ def test_a_recording_of_every_message_twice_is_imported_once(tmp_path: Path) -> 
     for received, k in sorted(sent):
         state = joint_state(int(STAMPS[k]), NAMES, q[k])
         writer.write("/joint_states", int(received), state)
-    states = reader.read_states(writer.close({}), NAMES)
+    states = reader.read_states(Bag(writer.close({})), NAMES)
     assert states.q.tobytes() == q.tobytes() and states.stamps.tolist() == STAMPS.tolist()
     assert [remark.text for remark in states.remarks] == ["300 repetitions left out"]
 

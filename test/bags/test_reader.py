@@ -16,8 +16,9 @@ from scipy.interpolate import CubicSpline
 from wam_power_ros import arm_identity
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import TYPES
-from wam_power_ros.bags.reader import noted_arm, read_demonstration
+from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples, rotation_from
@@ -273,7 +274,7 @@ def test_a_bag_of_another_arm_is_refused_and_one_that_does_not_say_is_read(tmp_p
             writer.write("/joint_states", stamp_ns, joint_state(stamp_ns, joints, row))
         notes = {} if noted is None else {"arm": arm_identity.to_json(noted)}
         writer.close(notes | {"joint_names": json.dumps(joints)})
-        assert noted_arm(tmp_path / name) == noted
+        assert Bag(tmp_path / name).arm == noted
     for name in ("ours", "unknown"):
         _, q = read_demonstration(tmp_path / name, NAMES, arm=ours)
         np.testing.assert_array_equal(q, random_q(5))

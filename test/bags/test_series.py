@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from bag_samples import demonstration, random_q
 
-from wam_power_ros.bags import layout, reader, series
+from wam_power_ros.bags import layout, series
+from wam_power_ros.bags.bag import Bag
 
 
 @pytest.fixture
@@ -32,10 +33,10 @@ def test_what_is_no_list_of_paths_is_refused(text: str, tmp_path: Path) -> None:
 
 def test_a_discarded_bag_leaves_the_series_and_is_still_there(file: Path) -> None:
     first, second = series.read(file)
-    before = reader.topics(first)
+    before = Bag(first).topics
     moved = series.discard(first)
     assert series.read(file) == [second]
-    assert not first.exists() and reader.topics(moved) == before
+    assert not first.exists() and Bag(moved).topics == before
 
 
 def test_bags_of_one_name_are_all_kept_in_the_trash(file: Path) -> None:
@@ -62,7 +63,7 @@ def test_a_renamed_bag_is_renamed_in_its_series_and_can_be_read(file: Path) -> N
     first, second = series.read(file)
     renamed = series.rename(first, "slow one")
     assert series.read(file) == [renamed, second]
-    assert reader.topics(renamed)
+    assert Bag(renamed).topics
 
 
 @pytest.mark.parametrize("way", ["link/bags/a", "real/bags/../bags/a"])

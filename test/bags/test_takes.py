@@ -9,6 +9,7 @@ import numpy as np
 from bag_samples import NAMES, QOS, START, demonstration, joint_state, random_q
 
 from wam_power_ros.bags import layout, series, takes
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.writer import BagWriter
 
 
@@ -29,8 +30,8 @@ def test_a_take_has_its_states_and_counts_what_is_missing(tmp_path: Path) -> Non
         stamp = START + 2_000_000 * index
         if not 100 <= index < 104:
             writer.write("/joint_states", stamp, joint_state(stamp, NAMES, row))
-    take = takes.read(writer.close({}), NAMES)
-    np.testing.assert_array_equal(take.q, np.delete(q, slice(100, 104), axis=0))
+    take = takes.read(Bag(writer.close({})), NAMES)
+    np.testing.assert_array_equal(take.states.q, np.delete(q, slice(100, 104), axis=0))
     assert take.counts == {"/joint_states": 296}
     assert take.missing == {"/joint_states": 4}
     assert abs(take.duration - 0.598) < 1e-9
@@ -44,7 +45,7 @@ def test_a_take_is_of_the_kind_that_was_noted_whatever_its_name(tmp_path: Path) 
         stamp = START + 2_000_000 * index
         writer.write("/joint_states", stamp, joint_state(stamp, NAMES, np.zeros(3)))
     writer.event("stop", "shutdown", START + 10_000_000)
-    path = writer.close({})
-    assert takes.kind_of(path) == "reach"
-    assert takes.read(path, NAMES).ended == "shutdown"
-    assert takes.kind_of(demonstration(tmp_path / "stack_1", random_q(5))) == "stack"
+    bag = Bag(writer.close({}))
+    assert bag.kind == "reach"
+    assert takes.read(bag, NAMES).ended == "shutdown"
+    assert Bag(demonstration(tmp_path / "stack_1", random_q(5))).kind == "stack"

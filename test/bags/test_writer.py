@@ -17,6 +17,7 @@ from bag_samples import (
 from mcap.reader import make_reader
 
 from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import TYPES, unfinished
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.bags.writer import BagWriter, has_header, header_stamp
@@ -98,15 +99,13 @@ def test_a_bag_that_is_there_is_never_written_over(tmp_path: Path) -> None:
 
 
 def test_an_event_can_be_read_back_with_its_notes(tmp_path: Path) -> None:
-    from wam_power_ros.bags.reader import messages
-
     writer = BagWriter(tmp_path / "bag")
     writer.event("start", "demo", START, {"source": "sim"})
     writer.event("stop", "requested", START + 1)
     path = writer.close({})
     events = [
         json.loads(TYPES.deserialize_cdr(cdr, layout.STRING).data)
-        for _, _, cdr in messages(path, [layout.EVENT])
+        for _, _, cdr in Bag(path).messages([layout.EVENT])
     ]
     assert events == [
         {"event": "start", "reason": "demo", "notes": {"source": "sim"}},

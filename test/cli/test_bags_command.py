@@ -11,6 +11,7 @@ import pytest
 from bag_samples import demonstration
 
 from wam_power_ros.bags import layout, reader, series
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 
@@ -90,7 +91,7 @@ def test_parts_names_and_the_trash(take: Path, capsys: pytest.CaptureFixture[str
     assert (stamps[-1] - stamps[0]) * 1e-9 == pytest.approx(0.8, abs=0.01)
     text = said(capsys, "delete", renamed)
     assert not renamed.exists() and series.read(file) == []
-    assert reader.topics(Path(text.split()[-1]))
+    assert Bag(text.split()[-1]).topics
 
 
 def test_an_imported_bag_is_of_the_task_it_was_imported_for(

@@ -22,7 +22,7 @@ from wam_power_ros.cli.commands import _has_ended
 from wam_power_ros.cli.launcher import learner_is_running, pasteable, program_command
 from wam_power_ros.cli.session_options import given_options
 from wam_power_ros.params import overlay
-from wam_power_ros.practice.session import Session
+from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -85,7 +85,7 @@ def test_a_session_that_has_ended_prints_how_to_continue_and_starts_nothing(
     practice, folder = practice_of(policies, settings, seed=0), tmp_path / "s"
     with Session.begin(folder, settings, 0, policies, demonstrations=["a", "b"]) as session:
         while (trial := practice.next_trial()) is not None:
-            assert not _has_ended(1, practice.records)
+            assert not _has_ended(read(folder))
             session.append(practice.learn_assessed(trial, toss(trial, practice.task.settings)))
     (folder / "report.html").touch()
     monkeypatch.delattr("wam_power_ros.cli.commands.launch")  # no node is started

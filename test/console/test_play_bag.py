@@ -16,7 +16,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool
 
-from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.console.play_bag import select_topics
@@ -35,21 +36,21 @@ def playing(processes: Processes, *arguments: object) -> Process:
 
 def messages(path: Path, *topics: str) -> dict[str, list[bytes]]:
     found: dict[str, list[bytes]] = {topic: [] for topic in topics}
-    for topic, _, cdr in reader.messages(path, topics):
+    for topic, _, cdr in Bag(path).messages(topics):
         found[topic].append(bytes(cdr))
     return found
 
 
 def span(path: Path) -> int:
     """Time from the receipt of the first to that of the last joint state [ns]."""
-    stamps = [stamp_ns for _, stamp_ns, _ in reader.messages(path, [layout.STATES])]
+    stamps = [stamp_ns for _, stamp_ns, _ in Bag(path).messages([layout.STATES])]
     return stamps[-1] - stamps[0]
 
 
 def offered(path: Path) -> dict[str, set[tuple[str, str]]]:
     return {
         name: {(qos.reliability.name, qos.durability.name) for qos in topic.offered}
-        for name, topic in reader.topics(path).items()
+        for name, topic in Bag(path).topics.items()
     }
 
 
@@ -93,11 +94,11 @@ def test_topics_that_command_or_enable_an_arm_are_never_played(tmp_path: Path) -
     torques = JointState(name=list(NAMES), effort=[1.0, 2.0, 3.0])
     writer.write("/b/torques", START, serialize_message(torques))
     path = writer.close({})
-    topics, left_out = select_topics(path)
+    topics, left_out = select_topics(Bag(path))
     assert list(topics) == ["/a/joint_states"]
     assert Counter(left_out.values()) == {"it commands an arm": 4, "it enables an arm": 1}
     with pytest.raises(ValueError, match="/b/torques: it commands an arm, which is never played"):
-        select_topics(path, ["/a/joint_states", "/b/torques"])
+        select_topics(Bag(path), ["/a/joint_states", "/b/torques"])
 
 
 def test_no_torque_is_played_and_no_topic_with_another_publisher(

@@ -30,6 +30,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool
 
 from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import header_stamp
 from wam_power_ros.control.arm import Arm
@@ -171,11 +172,11 @@ def test_a_bag_of_a_simulation_is_stamped_by_its_time_whatever_its_pace(
         torques.publish(Float64MultiArray(data=[0.5] * 7))
         probe.spin(max(0.0, 0.002 * slower - (time.monotonic() - begun)))
     path = bench.stop()
-    states = list(reader.messages(path, [layout.STATES]))
+    states = list(Bag(path).messages([layout.STATES]))
     header_span = header_stamp(states[-1][2]) - header_stamp(states[0][2])
     assert header_span >= 2_000_000 * 299
     for topic in (layout.STATES, interface.CLOCK, f"/{interface.EFFORT_COMMANDS}"):
-        stamps = [stamp for _, stamp, _ in reader.messages(path, [topic])]
+        stamps = [stamp for _, stamp, _ in Bag(path).messages([topic])]
         assert (stamps[-1] - stamps[0]) / header_span == pytest.approx(1.0, abs=0.01)
     assert information(path)["duration"]["nanoseconds"] == pytest.approx(header_span, rel=0.01)
 
@@ -232,7 +233,7 @@ def test_a_demonstration_holds_every_state_and_another_reader_agrees(
     info = information(path)
     custom = info["custom_data"]
     assert json.loads(custom["joint_names"]) == NAMES
-    assert reader.noted_arm(path) == Arm(share("urdf/wam7.urdf").read_text(), NAMES).identity()
+    assert Bag(path).arm == Arm(share("urdf/wam7.urdf").read_text(), NAMES).identity()
     assert (custom["source"], custom["rate"]) == ("hardware", "500.0")
     assert json.loads(custom["missing"])["/joint_states"] == 0
     topics = {item["topic_metadata"]["name"]: item for item in info["topics_with_message_count"]}
@@ -517,7 +518,7 @@ def test_states_without_velocity_or_effort_are_recorded_and_read_however_they_we
     stamps, q = reader.read_demonstration(path, NAMES)
     np.testing.assert_array_equal(q, wanted)
     assert stamps.tolist() == [START + 2_000_000 * number for number in range(60)]
-    for number, (_, _, cdr) in enumerate(reader.messages(path, [layout.STATES])):
+    for number, (_, _, cdr) in enumerate(Bag(path).messages([layout.STATES])):
         state = layout.decoded(cdr, layout.JOINT_STATE)
         np.testing.assert_array_equal(state.velocity, cases[number % 3][0])
         np.testing.assert_array_equal(state.effort, cases[number % 3][1])

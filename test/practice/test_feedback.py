@@ -21,18 +21,18 @@ from toss_task import (
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionError, read, read_log, read_task
+from wam_power_ros.practice.session import Session, SessionError, read
 from wam_power_ros.practice.session_log import (
     Event,
     Line,
     NewDemonstration,
     Rating,
     Record,
+    Trial,
     parse_line,
     with_ratings,
 )
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.practice.trial import Trial
 from wam_power_ros.reporting.session_report import render
 from wam_power_ros.reporting.terminal import line, returned
 from wam_power_ros.tasks.task import Assessment
@@ -276,10 +276,10 @@ def test_events_out_of_place_are_refused() -> None:
     run(practice, 3, worth(0.5))
     rating = practice.rate(0.3)
     fresh = started()
-    with pytest.raises(ValueError, match="after record 0 cannot take effect after record 3"):
+    with pytest.raises(ValueError, match="rollout 3 is rated before it is recorded"):
         fresh.apply(rating)
-    with pytest.raises(ValueError, match="rollout 3 was rated before it was recorded"):
-        fresh.apply(rating.model_copy(update={"after": 1}))
+    with pytest.raises(ValueError, match="takes effect after rollout 9 cannot follow rollout 3"):
+        practice.apply(rating.model_copy(update={"after": 9}))
 
 
 def session(folder: Path, rollouts: int) -> Path:
@@ -293,7 +293,7 @@ def test_a_session_killed_after_any_line_and_resumed_is_the_same_session(tmp_pat
     whole = (folder / "rollouts.jsonl").read_bytes()
     expected = next_trial(practice_in(folder))
     lines = whole.splitlines(keepends=True)
-    log = read_log(folder)
+    log = read(folder).log
     assert len(log) == len(lines) > 24
     cut = next(place for place, line in enumerate(log) if isinstance(line, NewDemonstration)) + 1
     for kept in (cut - 1, cut, cut + 1):
@@ -306,9 +306,15 @@ def test_a_session_killed_after_any_line_and_resumed_is_the_same_session(tmp_pat
                 resumed.append(line)
         assert (folder / "rollouts.jsonl").read_bytes() == whole
         assert next_trial(practice_in(folder)) == expected
-    _, candidates, records = read(folder)
-    assert [policy.id for policy in candidates] == ["flick-1", "flick-2", "flick-91", "flick-102"]
-    assert records == with_ratings(log) and any(record.adjustment for record in records)
+    found = read(folder)
+    assert [policy.id for policy in found.candidates] == [
+        "flick-1",
+        "flick-2",
+        "flick-91",
+        "flick-102",
+    ]
+    assert found.records == with_ratings(log)
+    assert any(record.adjustment for record in found.records)
 
 
 def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
@@ -332,12 +338,12 @@ def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
 
 def test_table_log_and_report_show_what_a_person_did(tmp_path: Path) -> None:
     folder = session(tmp_path / "s", 20)
-    header, candidates, records = read(folder)
-    task = read_task(folder)
+    found = read(folder)
+    records, task = found.records, found.task
     rated = next(record for record in records if record.adjustment is not None)
     assert returned(rated) == f"{rated.ret:.3f} {rated.adjustment:+.3g}"
-    event: Event = next(entry for entry in read_log(folder) if isinstance(entry, NewDemonstration))
+    event: Event = next(entry for entry in found.log if isinstance(entry, NewDemonstration))
     assert line(event, task.outcome).strip() == f"a person: {event.note}"
-    page = render(header, task, candidates[0], None, records)
+    page = render(found.header, task, found.candidates[0], None, records)
     assert returned(rated) in page and "A person rewarded" in page
     assert "Demonstrations added while learning: flick-91, flick-102." in page

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from toss_task import some_records
 
-from wam_power_ros.practice.log_file import LogFile, read_lines
-from wam_power_ros.practice.session_files import SessionError
+from wam_power_ros.practice.log_file import LogFile, SessionError, read_lines
 
 
 def test_what_was_appended_is_there_when_it_is_opened_again(tmp_path: Path) -> None:

@@ -13,11 +13,10 @@ from toss_task import AnyArm, demonstrated_policy, learner_state, practice_of, t
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
-from wam_power_ros.practice.choose_demonstration import choose_demonstration
+from wam_power_ros.practice.best_policy import choose_demonstration
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_log import Record, parse_line
+from wam_power_ros.practice.session_log import Record, Trial, parse_line
 from wam_power_ros.practice.settings import SessionSettings, preset
-from wam_power_ros.practice.trial import Trial
 from wam_power_ros.tasks.flip.parametrization import TURN_OF_FLICK, TURN_OF_TEMPO, TURN_OF_VIGOUR
 from wam_power_ros.tasks.task import Assessment, fault_assessment
 

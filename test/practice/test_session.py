@@ -82,15 +82,15 @@ def expected_next_trials() -> list[str]:
 def test_a_session_opens_as_it_was_closed(tmp_path: Path) -> None:
     folder = begun(tmp_path / "deep" / "s", 7)
     with Session.open(folder) as session:
-        assert session.settings == SETTINGS and session.seed == 5
+        assert session.header.settings == SETTINGS and session.header.seed == 5
         assert session.context == {"home": [0.0, 20.0]}
         assert session.header.versions["python"] == sys.version.split()[0]
         assert [to_json(policy) for policy in session.candidates] == list(map(to_json, CANDIDATES))
         assert [record.number for record in session.records] == list(range(1, 8))
-        assert session.bags.is_dir()
-        header, candidates, records = read(folder)
-        assert header == session.header and records == session.records
-        assert list(map(to_json, candidates)) == list(map(to_json, CANDIDATES))
+        assert (folder / "bags").is_dir()
+        found = read(folder)
+        assert found.header == session.header and found.records == session.records
+        assert list(map(to_json, found.candidates)) == list(map(to_json, CANDIDATES))
         assert next_trial(practice_in(folder)) == next_trial(session.practice(ANY_ARM))
 
 
@@ -113,7 +113,7 @@ def test_killed_at_any_boundary_or_within_a_line_it_goes_on_bit_identically(
             caplog.clear()
             log.write_bytes(whole + torn[:length])
             acknowledge(folder, b"".join(lines[: rng.choice((cut, max(0, cut - 1)))]))
-            assert len(read(folder)[2]) == cut  # looking does not touch
+            assert len(read(folder).records) == cut  # looking does not touch
             assert log.read_bytes() == whole + torn[:length]
             with Session.open(folder) as session:
                 assert len(session.records) == cut
@@ -177,12 +177,12 @@ def test_kill_9_loses_no_acknowledged_rollout(tmp_path: Path) -> None:
         # At most the one that was on disk but not yet printed lies between two lives.
         assert acknowledged + 1 <= numbers[0] <= acknowledged + 2
         acknowledged = numbers[-1]
-        records = read(folder)[2]
+        records = read(folder).records
         assert acknowledged <= len(records) <= acknowledged + 1
         if (folder / "policy.json").exists():
             from_json((folder / "policy.json").read_text())  # whole, whenever it was
     practice = practice_of(CANDIDATES, settings, 0)
-    for record in read(folder)[2]:
+    for record in read(folder).records:
         trial = practice.next_trial()
         assert practice.learn_assessed(trial, toss(trial, settings.task_settings)) == record
 
@@ -198,7 +198,7 @@ def test_a_rollout_is_flushed_as_a_whole_before_it_is_acknowledged(
         go_on(session, session.practice(ANY_ARM), 1)
         assert flushed[0] == (log, log.read_bytes())
         assert [path for path, _ in flushed[1:]] == [folder / f".{ACKNOWLEDGED}.part", folder]
-    assert len(read(folder)[2]) == 3
+    assert len(read(folder).records) == 3
 
 
 @pytest.mark.requirement("S-61")
@@ -268,7 +268,7 @@ def test_a_beginning_that_was_interrupted_is_begun_again(tmp_path: Path) -> None
         (folder / name).unlink()  # session.yaml is the last to be written
     assert not Session.exists(folder)
     begun(folder, 1)
-    assert len(read(folder)[2]) == 1
+    assert len(read(folder).records) == 1
 
 
 def test_a_log_that_may_not_grow_is_left_as_it_was(tmp_path: Path) -> None:
@@ -290,7 +290,7 @@ def test_a_log_that_may_not_grow_is_left_as_it_was(tmp_path: Path) -> None:
         session.append(record)
         with pytest.raises(SessionError, match="rollout 4 cannot follow rollout 4"):
             session.append(record)
-    assert len(read(folder)[2]) == 4
+    assert len(read(folder).records) == 4
     with pytest.raises(SessionError, match="closed"):
         session.append(record)
 
@@ -408,7 +408,7 @@ def test_an_aborted_rollout_is_logged_with_its_reason(tmp_path: Path) -> None:
         session.append(
             practice.learn_assessed(trial, Assessment(None, why="the pancake was never seen"))
         )
-    (record,) = read(folder)[2]
+    (record,) = read(folder).records
     assert not record.learnt and record.ret is None and record.why == "the pancake was never seen"
 
 
@@ -502,7 +502,7 @@ def test_other_versions_are_a_warning_that_names_both_and_are_recorded_once(
             assert session.header.versions["numpy"] == "0.9.6"
         (warned,) = caplog.records
         assert f"abacus 1, now none; numpy 0.9.6, now {now}" in warned.message
-    assert read(folder)[0].resumed == session.header.resumed
+    assert read(folder).header.resumed == session.header.resumed
 
 
 def test_a_disk_that_refuses_the_acknowledgement_costs_no_rollout(
@@ -522,6 +522,6 @@ def test_a_disk_that_refuses_the_acknowledgement_costs_no_rollout(
 
 
 def test_the_task_of_a_session_is_read_from_its_folder(tmp_path: Path) -> None:
-    assert Session.task_of(begun(tmp_path / "session")) == "flip"
+    assert read(begun(tmp_path / "session")).task.name == "flip"
     with pytest.raises(SessionError, match="holds no session"):
-        Session.task_of(tmp_path)
+        read(tmp_path)

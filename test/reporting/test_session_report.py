@@ -78,7 +78,7 @@ def test_a_report_has_the_first_flip_and_the_speeds_that_were_needed(folder: Pat
 
 def test_a_report_has_the_reproduction_beside_the_answer(folder: Path) -> None:
     html = session_report.write(folder).read_text()
-    first = session.read(folder)[2][0]
+    first = session.read(folder).records[0]
     assert f"Before learning: return {first.ret:.3f}" in html
     assert "return of the reproduction, before learning" in html
 
@@ -91,10 +91,10 @@ def test_what_was_learnt_from_comes_before_the_papers_return(folder: Path) -> No
 
 
 def test_page_and_terminal_say_the_same_of_the_retests(folder: Path) -> None:
-    header, _, records = session.read(folder)
-    task = session.read_task(folder)
+    found = session.read(folder)
+    records, task = found.records, found.task
     tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in records]
-    html = session_report.render(header, task, None, None, tests)
+    html = session_report.render(found.header, task, None, None, tests)
     assert re.search(r"after it: mean return \d\.\d{3}, \d of 3 re-tests succeeded", html)
     shown = re.search(r"<b>(\d+°)</b><span>median angle of the re-tests", html)
     assert f"median angle of the re-tests {shown.group(1)}" in terminal.summary(tests, task)
@@ -170,15 +170,15 @@ def test_a_task_derived_from_the_flip_keeps_its_figure_its_eq_5_and_every_senten
     blocks = re.findall(r"```python\n(.*?)```", EXAMPLE.read_text(), re.DOTALL)
     (code,) = (block for block in blocks if "class HighFlip" in block)
     exec(code, derived := {})
-    header, candidates, records = session.read(folder)
-    tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in records]
+    found = session.read(folder)
+    tests = [r.model_copy(update={"kind": "retest"}) if r.number > 3 else r for r in found.records]
     shown = session_report.ShownRollout("caught.", a_rollout("trial-0006", TURNS[5]))
 
     def of(task: Flip) -> list[str]:
-        html = session_report.render(header, task, None, candidates[0], tests, shown)
+        html = session_report.render(found.header, task, None, found.candidates[0], tests, shown)
         return re.sub(r"base64,[^\"]*|task \w+<", "", html).splitlines()
 
-    flip = session.read_task(folder)
+    flip = found.task
     high = derived["HighFlip"](flip.settings, {})
     assert of(high) == of(flip)
     assert any("Return of the paper, Eq. 5" in line for line in of(high))

@@ -12,6 +12,7 @@ import pytest
 from test_session_over_dds import JOINTS, ended, lines, wait_for, wam_power
 
 from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags.bag import Bag
 
 SENT = {
     "positions alone": ("empty", "empty"),
@@ -36,7 +37,7 @@ def test_a_driver_that_leaves_values_out_is_taught_with_replayed_and_learnt_from
 
     done("teach", "--demonstrations", "1", "--folder", "taught", *simulated)
     (bag,) = (tmp_path / "taught/bags").iterdir()
-    for _, _, cdr in reader.messages(bag, [layout.STATES]):
+    for _, _, cdr in Bag(bag).messages([layout.STATES]):
         state = layout.decoded(cdr, layout.JOINT_STATE)
         for found, how in ((state.velocity, velocity), (state.effort, effort)):
             assert len(found) == (0 if how == "empty" else 7)

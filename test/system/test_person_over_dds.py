@@ -22,7 +22,7 @@ from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
-from wam_power_ros.practice.session import Session, read_log
+from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import answers, interface
@@ -60,13 +60,13 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
         return processes.node(node, "learner.yaml", "simulation.yaml", **sim, **given)
 
     def rollouts() -> list[Record]:
-        return [line for line in read_log(folder) if isinstance(line, Record)]
+        return [line for line in read(folder).log if isinstance(line, Record)]
 
     def say(service: str) -> str:
         response = probe.call(Trigger, service, deadline=300.0)
         answer = answers.read(response.success, response.message)
         assert answer.success, answer
-        assert read_log(folder)[-1].note == answer.text  # on disk before it is answered
+        assert read(folder).log[-1].note == answer.text  # on disk before it is answered
         return answer.text
 
     (folder / "logs").mkdir()
@@ -94,7 +94,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     assert status == 2 and f"\nrefused: {LATER.parent}" in f"\n{answer}", answer
     status, answer = tell("demonstration", LATER)
     assert status == 0 and str(LATER) in answer, answer
-    notes = [line.note for line in read_log(folder) if not isinstance(line, Record)]
+    notes = [line.note for line in read(folder).log if not isinstance(line, Record)]
     assert notes[-1] in answer.splitlines()  # what it waits for may stand before it
     assert processes.end(first, signal.SIGKILL) == -signal.SIGKILL
     kept = lines(folder)
@@ -112,7 +112,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
         probe.until(paused, "the end of the trial under way", 300.0)
     if len(rollouts()) < 5:
         assert say(interface.LEARNER_PUNISH).startswith(f"{rollouts()[-1].id} punished: ")
-        assert read_log(folder)[-1].after == len(rollouts())  # nothing was under way
+        assert read(folder).log[-1].after == len(rollouts())  # nothing was under way
         assert tell("continue")[0] == 0
     probe.until(lambda: second.poll() is not None, "the end of the session", 400.0)
     assert second.returncode == 0, processes.output(second)
@@ -121,7 +121,7 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     # The same in one process, undisturbed: what a person did, at the places the log has it.
     bench = Environment(World(WorldSettings(), SEED))
     practice = practice_of([candidate], SETTINGS, SEED, arm=bench)
-    events = [line for line in read_log(folder) if not isinstance(line, Record)]
+    events = [line for line in read(folder).log if not isinstance(line, Record)]
     assert len(events) == 3
     while (trial := practice.next_trial()) is not None:
         rollout, truth = bench.run(trial.policy)

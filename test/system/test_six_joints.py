@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from test_session_over_dds import ended, wam_power
 
-from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.params import overlay
@@ -31,7 +32,7 @@ def test_an_arm_of_six_joints_teaches_and_replays(tmp_path: Path) -> None:
         *SIMULATED,
     )
     (bag,) = (tmp_path / "taught/bags").iterdir()
-    (_, _, cdr), *_ = reader.messages(bag, [layout.STATES])
+    (_, _, cdr), *_ = Bag(bag).messages([layout.STATES])
     assert len(layout.decoded(cdr, layout.JOINT_STATE).name) == 6
     assert "tool: rms" in done(tmp_path, "replay", str(bag), "--folder", "r", *SIMULATED)
 

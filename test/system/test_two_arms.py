@@ -10,7 +10,8 @@ from pathlib import Path
 from conftest import ROOT, Probe, Process, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 
-from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.cli import ros_launch
 from wam_power_ros.ros import interface
 
@@ -51,11 +52,9 @@ def test_two_arms_in_two_namespaces_learn_side_by_side(
         lines = (tmp_path / name / "rollouts.jsonl").read_text().splitlines()
         explored.append([json.loads(line)["ret"] for line in lines])
         assert len(explored[-1]) == 3  # a reproduction, an exploration, a re-test
-        topics = reader.topics(tmp_path / name / "bags/rollout_trial-0002")
-        assert {topic.split("/")[1] for topic in topics} == {name, "recorder"}
-        (path,) = reader.messages(
-            tmp_path / name / "bags/rollout_trial-0002", [f"/{name}/rollout/end_effector"]
-        )
+        bag = Bag(tmp_path / name / "bags/rollout_trial-0002")
+        assert {topic.split("/")[1] for topic in bag.topics} == {name, "recorder"}
+        (path,) = bag.messages([f"/{name}/rollout/end_effector"])
         frame = layout.TYPES.deserialize_cdr(path[2], "nav_msgs/msg/Path").header.frame_id
         assert frame == f"{name}/wam_base"
     assert not set(explored[0]) & set(explored[1])  # each seed its own

@@ -67,7 +67,7 @@ class Recording:
     @property
     def counts(self) -> dict[str, int]:
         """Number of messages written, by topic."""
-        return dict(self._writer.counts)  # an atomic copy: the thread may be adding a topic
+        return self._writer.counts
 
     @property
     def waiting(self) -> int:
@@ -102,8 +102,7 @@ class Recording:
         except OSError:
             self._writer.abandon()
             raise
-        counter = self._writer.stamps.get(state_topic)
-        return None if counter is None else counter.gaps()
+        return self._writer.gaps(state_topic)
 
     def _enqueue(self, call: Callable[..., None], *arguments: object) -> None:
         if len(self._queue) < WAITING_MAX:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import enum
 import struct
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from rosbags.interfaces import (
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from wam_power_ros import plain_json
+from wam_power_ros import plain_json, plain_yaml
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -28,6 +30,9 @@ EVENT = "/recorder/event"  # start and stop of the recording; only written to th
 STOP_REQUESTED = "asked to"  # reason of a recording stopped on request
 UNFINISHED = ".unfinished"
 INFINITE = QosTime(9223372036, 854775807)  # an infinite duration, as written by rosbag2
+# rosbag2's names of the policies that are not the default; before Jazzy numbers
+BEST_EFFORT = ("best_effort", 2)
+LATCHED = ("transient_local", 1)
 ENCODINGS = {b"\0\0": False, b"\0\1": True}  # first bytes of plain CDR -> little-endian
 
 
@@ -44,6 +49,46 @@ def qos(reliable: bool, latched: bool, depth: int = 10) -> Qos:
         liveliness_lease_duration=INFINITE,
         avoid_ros_namespace_conventions=False,
     )
+
+
+def described_qos(offered: Iterable[Qos]) -> list[dict[str, Any]]:
+    """QoS as rosbag2 of Jazzy writes it."""
+
+    def text(value: Any) -> Any:  # noqa: ANN401 - a policy, a time or a number
+        if isinstance(value, QosTime):
+            return value._asdict()
+        return value.name.lower() if isinstance(value, enum.Enum) else value
+
+    return [{key: text(value) for key, value in each._asdict().items()} for each in offered]
+
+
+def parsed_qos(described: Any) -> list[Qos]:  # noqa: ANN401 - unchecked input
+    """Reliability, durability and depth in QoS of any rosbag2; empty if it cannot be parsed."""
+    try:
+        if isinstance(described, str):
+            described = plain_yaml.parse(described.encode(), "offered_qos_profiles")
+        return [
+            qos(
+                item["reliability"] not in BEST_EFFORT,
+                item["durability"] in LATCHED,
+                int(item["depth"]),
+            )
+            for item in described or []
+        ]
+    except (ValueError, TypeError, KeyError):
+        return []
+
+
+def notes(metadata: object) -> dict[str, str]:
+    """Notes of the recorder in the contents of a metadata.yaml; empty if there are none."""
+    if isinstance(metadata, dict):
+        metadata = metadata.get("rosbag2_bagfile_information", metadata)
+    return texts(metadata.get("custom_data") if isinstance(metadata, dict) else None)
+
+
+def texts(notes: object) -> dict[str, str]:
+    """Notes with keys and values as texts; empty if they are not a mapping."""
+    return {str(k): str(v) for k, v in notes.items()} if isinstance(notes, dict) else {}
 
 
 def decoded(cdr: bytes, msgtype: str) -> object:

@@ -9,38 +9,27 @@ from __future__ import annotations
 
 import fcntl
 import json
-import mmap
 import os
 import shutil
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from mmap import mmap
 from pathlib import Path
 
-from rosbags.interfaces import Qos
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Metadata, Schema
 
 from wam_power_ros import plain_yaml
-from wam_power_ros.bags import layout, reader
-from wam_power_ros.bags.integrity import (
-    CHANNEL,
-    CHUNK,
-    CHUNK_CRC_OFFSET,
-    CHUNK_HEADER,
-    MAGIC,
-    MESSAGE,
-    METADATA,
-    RECORD_HEADER,
-    SCHEMA,
-)
+from wam_power_ros.bags import layout, mcap_records
 from wam_power_ros.bags.layout import unfinished
+from wam_power_ros.bags.mcap_records import MAGIC, parsed
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.durable_files import check_regular
 
-PROFILES = "offered_qos_profiles"
-# rosbag2's names of the policies that are not the default; before Jazzy numbers
-BEST_EFFORT = {"best_effort", 2}
-LATCHED = {"transient_local", 1}
+MESSAGE_HEADER = struct.Struct("<HIQQ")  # channel, number, times of reception and publication [ns]
 
 
 @dataclass(frozen=True)
@@ -86,7 +75,8 @@ def recover(path: Path) -> Recovered:
         for file in files:
             copy.file(file)
         if (metadata := files[0].with_name("metadata.yaml")).is_file():
-            copy.notes |= _notes(metadata)
+            with suppress(ValueError):  # damaged as well
+                copy.notes |= layout.notes(plain_yaml.read(metadata))
         state_topic = copy.notes.get("state_topic", layout.STATES)
         notes = copy.notes | writer.completeness(state_topic) | {"recovered": json.dumps(True)}
         made = writer.close(notes)
@@ -118,13 +108,6 @@ def _files(path: Path) -> list[Path]:
     return files
 
 
-def _notes(file: Path) -> dict[str, str]:
-    try:
-        return reader.custom_data(plain_yaml.read(file))
-    except ValueError:
-        return {}  # damaged as well
-
-
 @dataclass
 class _Copy:
     """Copies records into a new bag."""
@@ -143,52 +126,50 @@ class _Copy:
         if file.stat().st_size <= len(MAGIC):
             return
         damaged: list[str] = []
-        with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, prot=mmap.PROT_READ) as data:
-            if data[: len(MAGIC)] != MAGIC:
-                raise ValueError(f"{file} is not an MCAP file: it begins {data[:8]!r}")
+        with mcap_records.mapped(file) as data:
             try:
                 for opcode, body in _records(data, len(MAGIC), damaged):
                     self._record(opcode, body)
-            except (struct.error, UnicodeDecodeError, KeyError):
+            except (ValueError, struct.error, KeyError):
                 damaged.append("everything after a damaged record")
             except _CompressedError as error:
                 raise ValueError(
                     f"{file} has chunks compressed with {error}; recover it with `mcap recover`"
                 ) from None
-            self.left_out |= {f"{file.name}, {part}": "damaged" for part in damaged}
+        self.left_out |= {f"{file.name}, {part}": "damaged" for part in damaged}
 
     def _record(self, opcode: int, body: bytes) -> None:
-        if opcode == SCHEMA:
-            (number,) = struct.unpack_from("<H", body)
-            self._schemas[number] = _text(body, 2)[0]
-        elif opcode == CHANNEL:
-            self._channel(body)
-        elif opcode == MESSAGE:
-            channel, _, stamp_ns = struct.unpack_from("<HIQ", body)
+        if opcode == Opcode.SCHEMA:
+            schema = parsed(Schema, body)
+            self._schemas[schema.id] = schema.name
+        elif opcode == Opcode.CHANNEL:
+            self._channel(parsed(Channel, body))
+        elif opcode == Opcode.MESSAGE:
+            channel, _, stamp_ns, _ = MESSAGE_HEADER.unpack_from(body)
             topic = self._topics[channel]
             if topic is not None:
-                cdr = body[22:]
+                cdr = body[MESSAGE_HEADER.size :]
                 self.writer.write(topic, stamp_ns, cdr)
                 if topic == layout.EVENT and not self.notes:
-                    self.notes = reader.texts(layout.event(cdr).get("notes"))
-        elif opcode == METADATA and _text(body, 0)[0] == "rosbag2":  # of a closed bag
-            for _, text in _map(body, _text(body, 0)[1]):
-                self.notes |= _metadata_notes(text)
+                    self.notes = layout.texts(layout.event(cdr).get("notes"))
+        elif opcode == Opcode.METADATA:
+            metadata = parsed(Metadata, body)
+            if metadata.name == "rosbag2":  # of a closed bag
+                text = metadata.metadata.get("serialized_metadata", "")
+                with suppress(ValueError):
+                    self.notes |= layout.notes(plain_yaml.parse(text.encode(), "metadata"))
 
-    def _channel(self, body: bytes) -> None:
-        channel, schema = struct.unpack_from("<HH", body)
-        if channel in self._topics:
+    def _channel(self, channel: Channel) -> None:
+        if channel.id in self._topics:
             return
-        topic, at = _text(body, 4)
-        _, at = _text(body, at)  # the encoding
-        offered = _profiles(dict(_map(body, at)).get(PROFILES, ""))
-        self._topics[channel] = topic
+        topic = self._topics[channel.id] = channel.topic
         if topic in self.writer.counts:  # added by an earlier file of the bag
             return
+        offered = layout.parsed_qos(channel.metadata.get("offered_qos_profiles"))
         try:
-            self.writer.add(topic, self._schemas[schema], offered)
+            self.writer.add(topic, self._schemas[channel.schema_id], offered)
         except ValueError as error:
-            self._topics[channel] = None
+            self._topics[channel.id] = None
             self.left_out[topic] = str(error)
 
 
@@ -196,69 +177,22 @@ class _CompressedError(Exception):
     """A chunk is compressed; the message names the algorithm."""
 
 
-def _records(data: bytes | mmap.mmap, at: int, damaged: list[str]) -> Iterator[tuple[int, bytes]]:
+def _records(data: bytes | mmap, at: int, damaged: list[str]) -> Iterator[tuple[int, bytes]]:
     """Complete MCAP records from an offset on, including those in chunks; data may be truncated.
 
-    A chunk that does not match its checksum or its declared size is added to `damaged`. A chunk
-    truncated by the end of the data cannot be checked.
+    A chunk that does not match its checksum is added to `damaged`. A chunk truncated by the end of
+    the data cannot be checked.
     """
-    while at + RECORD_HEADER.size <= len(data):
-        opcode, size = RECORD_HEADER.unpack_from(data, at)
-        begin = at + RECORD_HEADER.size
-        where, at = f"chunk at byte {at}", begin + size
-        body = data[begin:at]
-        if opcode == CHUNK:  # perhaps truncated
-            compression, end = _text(body, CHUNK_HEADER.size)
-            if compression:
-                raise _CompressedError(compression)
-            (crc,) = struct.unpack_from("<I", body, CHUNK_CRC_OFFSET)
-            (packed,) = struct.unpack_from("<Q", body, end)
-            records = body[end + 8 : end + 8 + packed]
-            complete = len(records) == packed
-            if crc and (zlib.crc32(records) != crc if complete else len(body) == size):
-                damaged.append(where)
+    for opcode, begins, begin, end in mcap_records.records(data, at):
+        body, complete = data[begin:end], end <= len(data)
+        if opcode == Opcode.CHUNK:
+            chunk = parsed(Chunk, body)
+            if chunk.compression:
+                raise _CompressedError(chunk.compression)
+            crc = chunk.uncompressed_crc
+            if complete and crc and crc != zlib.crc32(chunk.data):
+                damaged.append(f"chunk at byte {begins}")
             else:
-                yield from _records(body, end + 8, damaged)
-        elif len(body) == size:
+                yield from _records(chunk.data, 0, damaged)
+        elif complete:
             yield opcode, body
-
-
-def _text(body: bytes, at: int) -> tuple[str, int]:
-    """String at an offset, and the offset after it."""
-    (size,) = struct.unpack_from("<I", body, at)
-    end = at + 4 + size
-    if end > len(body):
-        raise struct.error(f"string of {size} bytes at {at} ends beyond its record")
-    return body[at + 4 : end].decode(), end
-
-
-def _map(body: bytes, at: int) -> Iterator[tuple[str, str]]:
-    """Keys and values of a map of strings at an offset."""
-    (size,) = struct.unpack_from("<I", body, at)
-    at, end = at + 4, at + 4 + size
-    while at < min(end, len(body)):
-        key, at = _text(body, at)
-        value, at = _text(body, at)
-        yield key, value
-
-
-def _metadata_notes(text: str) -> dict[str, str]:
-    try:
-        return reader.custom_data(plain_yaml.parse(text.encode(), "the metadata record"))
-    except ValueError:
-        return {}
-
-
-def _profiles(text: str) -> list[Qos]:
-    """QoS profiles in a channel's metadata; empty when they cannot be parsed."""
-    try:
-        return [
-            layout.qos(
-                qos["reliability"] not in BEST_EFFORT,
-                qos["durability"] in LATCHED,
-                int(qos["depth"]),
-            )
-            for qos in plain_yaml.parse(text.encode(), PROFILES) or []
-        ]
-    except (ValueError, TypeError, KeyError):
-        return []

@@ -7,11 +7,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from wam_power_ros.bags import layout, reader
-from wam_power_ros.bags.gaps import GapCounter
-from wam_power_ros.bags.quality import Remark
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.gaps import gaps
+from wam_power_ros.bags.reader import States, read_states
 from wam_power_ros.bags.series import TRASH
 from wam_power_ros.bags.writer import has_header, header_stamp
 
@@ -20,32 +19,26 @@ FOLDERS = ("bags", "demonstrations", "replays", "sessions")  # searched by defau
 
 @dataclass(frozen=True)
 class Take:
-    """A recording.
+    """A bag, and a summary of its messages.
 
     Attributes:
-        path: Folder of the bag.
-        kind: Stem of a task, "rollout" or "replay", see `kind_of`.
+        bag: The bag.
+        states: Its joint states.
         counts: Number of messages by topic.
         missing: Number of messages missing according to the stamps, by topic.
         ended: Reason for the end, such as `layout.STOP_REQUESTED`; empty if unknown.
-        stamps: Stamps of the joint states [ns]. Shape (M,).
-        q: Joint angles [rad]. Shape (M, n).
-        remarks: What was left out or unwrapped in reading them.
     """
 
-    path: Path
-    kind: str
+    bag: Bag
+    states: States
     counts: dict[str, int]
     missing: dict[str, int]
     ended: str
-    stamps: np.ndarray
-    q: np.ndarray
-    remarks: tuple[Remark, ...]
 
     @property
     def duration(self) -> float:
         """Time from the first to the last joint state [s]."""
-        return float(self.stamps[-1] - self.stamps[0]) * 1e-9
+        return float(self.states.stamps[-1] - self.states.stamps[0]) * 1e-9
 
 
 def find(places: Iterable[Path]) -> list[Path]:
@@ -64,35 +57,22 @@ def find(places: Iterable[Path]) -> list[Path]:
     return sorted(found, key=lambda path: (path.parent, path.name))
 
 
-def kind_of(path: Path) -> str:
-    """Kind of a recording in the start event of our recorder, else the first part of its name.
+def read(bag: Bag, joint_names: Sequence[str]) -> Take:
+    """Summary of a take.
 
     Raises:
-        ValueError: `path` is not a bag, or is damaged.
+        ValueError: As `read_states`.
     """
-    first = layout.event(next((cdr for _, _, cdr in reader.messages(path, [layout.EVENT])), b""))
-    noted = str(first.get("reason", "")) if first.get("event") == "start" else ""
-    return noted or path.resolve().name.partition("_")[0]
-
-
-def read(path: Path, joint_names: Sequence[str]) -> Take:
-    """Read a take.
-
-    Raises:
-        ValueError: As `reader.read_states`.
-    """
-    states = reader.read_states(path, joint_names)
-    topics = reader.topics(path)
-    counts = dict.fromkeys(topics, 0)
-    gaps: dict[str, GapCounter] = {}
+    states = read_states(bag, joint_names)
+    counts = dict.fromkeys(bag.topics, 0)
+    stamps: dict[str, list[int]] = {}
     ended = ""
-    for name, _, cdr in reader.messages(path, topics):
+    for name, _, cdr in bag.messages(bag.topics):
         counts[name] += 1
         if name == layout.EVENT and (event := layout.event(cdr)).get("event") == "stop":
             ended = str(event.get("reason", ended))
-        msgtype = topics[name].msgtype
+        msgtype = bag.topics[name].msgtype
         if msgtype in layout.TYPES.fielddefs and has_header(msgtype):
-            gaps.setdefault(name, GapCounter()).add(header_stamp(cdr))
-    missing = {name: counter.gaps().missing for name, counter in gaps.items() if counts[name] > 2}
-    kind = kind_of(path)
-    return Take(path, kind, counts, missing, ended, states.stamps, states.q, states.remarks)
+            stamps.setdefault(name, []).append(header_stamp(cdr))
+    missing = {name: gaps(found).missing for name, found in stamps.items() if counts[name] > 2}
+    return Take(bag, states, counts, missing, ended)

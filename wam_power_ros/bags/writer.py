@@ -11,23 +11,21 @@ import fcntl
 import json
 import os
 import struct
-import zlib
+from array import array
 from collections.abc import Mapping, Sequence
-from io import BytesIO
-from itertools import chain
+from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any
 
-from rosbags.interfaces import Connection, Qos
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.rosbag2.storage_mcap import Channel, McapWriter, write_channel, write_string
+import yaml
+from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Qos
 
 from wam_power_ros import durable_files
-from wam_power_ros.bags import integrity
-from wam_power_ros.bags.gaps import GapCounter
-from wam_power_ros.bags.layout import EVENT, STRING, TYPES, qos, unfinished
+from wam_power_ros.bags.gaps import Gaps, gaps
+from wam_power_ros.bags.layout import EVENT, STRING, TYPES, described_qos, qos, unfinished
 
-DISTRIBUTION = "ros_distro: rosbags", "ros_distro: jazzy"  # as rosbags writes it, and corrected
+METADATA_VERSION = 9  # of metadata.yaml, that of Jazzy
 
 
 def has_header(msgtype: str) -> bool:
@@ -48,47 +46,14 @@ def header_stamp(cdr: bytes) -> int:
     return sec * 1_000_000_000 + nanosec
 
 
-class _Storage(McapWriter):
-    """MCAP storage with what rosbags omits: checksums, hashes of the types, the distribution."""
+@dataclass
+class _Channel:
+    """A topic being written; `stamps` are those of the headers [ns], None without headers."""
 
-    def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
-        """Add a channel as rosbag2 describes it."""
-        notes = {
-            "offered_qos_profiles": offered_qos_profiles,
-            "topic_type_hash": connection.digest,
-        }
-        metadata = BytesIO()
-        for text in chain(*notes.items()):
-            write_string(metadata, text)
-        self.channels.append(
-            Channel(connection.id, connection.msgtype, connection.topic, "cdr", metadata.getvalue())
-        )
-        self.channel_stats[connection.id] = 0
-        write_channel(self.chunk.bio, self.channels[-1], self.schemas)
-
-    def close_chunk(self) -> None:
-        """Write the chunk, then its checksum."""
-        crc = zlib.crc32(self.chunk.bio.getbuffer())
-        begin = self.bio.tell() + integrity.RECORD_HEADER.size + integrity.CHUNK_CRC_OFFSET
-        super().close_chunk()
-        end = self.bio.tell()
-        self.bio.seek(begin)
-        self.bio.write(struct.pack("<I", crc))
-        self.bio.seek(end)
-
-    def close(self, version: int, metadata: str) -> None:
-        """Close the file, then write its checksums."""
-        super().close(version, metadata.replace(*DISTRIBUTION))
-        integrity.seal(self.path)
-
-
-class _Writer(Writer):
-    STORAGE_PLUGINS: ClassVar = {StoragePlugin.MCAP: _Storage}
-
-    def close(self) -> None:
-        """Close the bag, then write the distribution to its metadata."""
-        super().close()
-        self.metapath.write_text(self.metapath.read_text("utf8").replace(*DISTRIBUTION), "utf8")
+    number: int
+    metadata: dict[str, Any]
+    stamps: array[int] | None
+    count: int = 0
 
 
 class BagWriter:
@@ -96,8 +61,6 @@ class BagWriter:
 
     Attributes:
         path: Folder of the finished bag.
-        counts: Number of messages written, by topic.
-        stamps: Counter of gaps between header stamps, for each topic with headers.
     """
 
     def __init__(self, path: Path) -> None:
@@ -114,13 +77,24 @@ class BagWriter:
         self._parent.mkdir(parents=True)
         self._lock = os.open(self._parent, os.O_RDONLY)
         fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # `recover` refuses a locked bag
-        self._writer = _Writer(
-            self._parent / path.name, version=9, storage_plugin=StoragePlugin.MCAP
-        )
-        self._writer.open()
-        self._connections: dict[str, Connection] = {}
-        self.counts: dict[str, int] = {}
-        self.stamps: dict[str, GapCounter] = {}
+        self._written = self._parent / path.name
+        self._written.mkdir()
+        self._file = (self._written / f"{path.name}.mcap").open("xb")
+        self._writer = Writer(self._file, compression=CompressionType.NONE, enable_data_crcs=True)
+        self._writer.start("ros2")
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, _Channel] = {}
+        self._first_ns, self._last_ns = 2**63 - 1, 0
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Number of messages written, by topic."""
+        return {topic: channel.count for topic, channel in list(self._channels.items())}
+
+    def gaps(self, topic: str) -> Gaps | None:
+        """Gaps between the header stamps of a topic; None if it has none or was not added."""
+        channel = self._channels.get(topic)
+        return None if channel is None or channel.stamps is None else gaps(channel.stamps)
 
     def add(self, topic: str, msgtype: str, offered: Sequence[Qos]) -> None:
         """Add a topic with a message type of Jazzy's common interfaces.
@@ -130,12 +104,24 @@ class BagWriter:
         """
         if msgtype not in TYPES.fielddefs:
             raise ValueError(f"{topic}: {msgtype} is not a type of the common interfaces")
-        self._connections[topic] = self._writer.add_connection(
-            topic, msgtype, typestore=TYPES, offered_qos_profiles=list(offered)
-        )
-        self.counts[topic] = 0
-        if has_header(msgtype):
-            self.stamps[topic] = GapCounter()
+        if msgtype not in self._schemas:
+            definition, _ = TYPES.generate_msgdef(msgtype, ros_version=2)
+            schema = self._writer.register_schema(msgtype, "ros2msg", definition.encode())
+            self._schemas[msgtype] = schema
+        metadata = {
+            "name": topic,
+            "type": msgtype,
+            "serialization_format": "cdr",
+            "offered_qos_profiles": described_qos(offered),
+            "type_description_hash": TYPES.hash_rihs01(msgtype),
+        }
+        notes = {
+            "offered_qos_profiles": _yaml(metadata["offered_qos_profiles"]),
+            "topic_type_hash": metadata["type_description_hash"],
+        }
+        number = self._writer.register_channel(topic, "cdr", self._schemas[msgtype], notes)
+        stamps = array("q") if has_header(msgtype) else None
+        self._channels[topic] = _Channel(number, metadata, stamps)
 
     def write(self, topic: str, stamp_ns: int, cdr: bytes) -> None:
         """Write a serialized message received at `stamp_ns`; it is on the disk after `flush`.
@@ -144,10 +130,13 @@ class BagWriter:
             KeyError: The topic was not added.
             OSError: The disk refuses the message.
         """
-        self._writer.write(self._connections[topic], stamp_ns, cdr)
-        self.counts[topic] += 1
-        if topic in self.stamps and len(cdr) >= 12:
-            self.stamps[topic].add(header_stamp(cdr))
+        channel = self._channels[topic]
+        self._writer.add_message(channel.number, stamp_ns, cdr, stamp_ns)
+        channel.count += 1
+        self._first_ns = min(self._first_ns, stamp_ns)
+        self._last_ns = max(self._last_ns, stamp_ns)
+        if channel.stamps is not None and len(cdr) >= 12:
+            channel.stamps.append(header_stamp(cdr))
 
     def event(
         self, event: str, reason: str, stamp_ns: int, notes: Mapping[str, str] | None = None
@@ -160,7 +149,7 @@ class BagWriter:
         Raises:
             OSError: The disk refuses the event.
         """
-        if EVENT not in self.counts:
+        if EVENT not in self._channels:
             self.add(EVENT, STRING, [qos(reliable=True, latched=True, depth=1)])
         text = json.dumps({"event": event, "reason": reason, **({"notes": notes} if notes else {})})
         message = TYPES.types[STRING](data=text)
@@ -172,19 +161,16 @@ class BagWriter:
         Raises:
             OSError: The disk refuses the data.
         """
-        storage = self._writer.storage
-        if storage.chunk.msgs:
-            storage.close_chunk()
-        storage.bio.flush()
-        os.fsync(storage.bio.fileno())
+        self._writer.flush()
+        os.fsync(self._file.fileno())
 
     def completeness(self, state_topic: str) -> dict[str, str]:
         """Notes for the metadata: rate of the state topic [Hz], and missing messages by topic."""
-        found = {topic: counter.gaps() for topic, counter in self.stamps.items()}
+        found = {topic: of for topic in self._channels if (of := self.gaps(topic)) is not None}
         period = found[state_topic].period if state_topic in found else 0.0
         return {
             "rate": f"{1.0 / period:.1f}" if period else "0",
-            "missing": json.dumps({topic: item.missing for topic, item in found.items()}),
+            "missing": json.dumps({topic: of.missing for topic, of in found.items()}),
         }
 
     def close(self, custom_data: Mapping[str, str]) -> Path:
@@ -193,14 +179,16 @@ class BagWriter:
         Raises:
             OSError: The disk refuses the data; the bag stays unfinished.
         """
-        for key, value in custom_data.items():
-            self._writer.set_custom_data(key, value)
-        self.flush()
-        self._writer.close()
-        written = self._parent / self.path.name
-        for file in (*written.iterdir(), written):
+        self._writer.flush()
+        information = self._information(custom_data)
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": _yaml(information)})
+        self._writer.finish()
+        self._file.close()
+        text = _yaml({"rosbag2_bagfile_information": information})
+        (self._written / "metadata.yaml").write_text(text, encoding="utf-8")
+        for file in (*self._written.iterdir(), self._written):
             durable_files.sync(file)
-        written.rename(self.path)
+        self._written.rename(self.path)
         self._parent.rmdir()
         durable_files.sync(self.path.parent)
         os.close(self._lock)
@@ -209,7 +197,40 @@ class BagWriter:
     def abandon(self) -> None:
         """Stop writing and leave the bag unfinished, as a kill would."""
         try:
-            self._writer.abort()
+            self._file.close()
         except OSError:
             pass  # a disk that refused data before refuses the rest, too
         os.close(self._lock)
+
+    def _information(self, custom_data: Mapping[str, str]) -> dict[str, Any]:
+        """Description of the bag, as rosbag2 of Jazzy writes it."""
+        counts = self.counts
+
+        def contents() -> dict[str, Any]:
+            return {
+                "starting_time": {"nanoseconds_since_epoch": self._first_ns},
+                "duration": {"nanoseconds": max(self._last_ns - self._first_ns, 0)},
+                "message_count": sum(counts.values()),
+            }
+
+        file = f"{self.path.name}.mcap"
+        return {
+            "version": METADATA_VERSION,
+            "storage_identifier": "mcap",
+            "relative_file_paths": [file],
+            **contents(),
+            "topics_with_message_count": [
+                {"topic_metadata": channel.metadata, "message_count": channel.count}
+                for channel in self._channels.values()
+            ],
+            "compression_format": "",
+            "compression_mode": "",
+            "files": [{"path": file, **contents()}],
+            "custom_data": dict(custom_data) or None,
+            "ros_distro": "jazzy",
+        }
+
+
+def _yaml(value: object) -> str:
+    text: str = yaml.safe_dump(value, sort_keys=False)
+    return text

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from wam_power_ros import plain_json
 from wam_power_ros.cli.launcher import (
     UsageError,
     arm_of,
@@ -136,7 +135,7 @@ def show(options: argparse.Namespace) -> None:
     take, t, q, remarks = inspect(options.bag, names, arm)
     graded = quality.grade(remarks)
     qd = quality.joint_speeds(t, q)
-    print(f"{take.path}: {take.kind}, {take.duration:.2f} s, {graded.name.lower()}")
+    print(f"{take.bag.path}: {take.bag.kind}, {take.duration:.2f} s, {graded.name.lower()}")
     for remark in remarks:
         print(f"  {remark.text}")
     if outcome := _outcomes([options.bag]).get(options.bag.resolve()):
@@ -178,7 +177,7 @@ def compare(options: argparse.Namespace) -> None:
     names, arm = arm_of(overlay.setup(options.config))
     first, *others = [inspect(path, names, arm) for path in options.bag]
     one, took = _movement(first)
-    print(f"{first.take.path.name}: movement of {took:.2f} s, the reference")
+    print(f"{first.take.bag.path.name}: movement of {took:.2f} s, the reference")
     for other in others:
         q, took = _movement(other)
         away = np.abs(q - one)
@@ -189,23 +188,24 @@ def compare(options: argparse.Namespace) -> None:
             apart = [np.linalg.norm(arm.tool_pose(a)[0] - arm.tool_pose(b)[0]) for a, b in ends]
             tool = f"; tool {1e3 * np.mean(apart):.0f} mm, at most {1e3 * np.max(apart):.0f} mm"
         print(
-            f"{other.take.path.name}: movement of {took:.2f} s; joints rms {rms.max():.3f} rad in "
-            f"{names[int(rms.argmax())]}, at most {away.max():.3f} rad in {names[joint]}{tool}"
+            f"{other.take.bag.path.name}: movement of {took:.2f} s; joints rms {rms.max():.3f} rad "
+            f"in {names[int(rms.argmax())]}, at most {away.max():.3f} rad in {names[joint]}{tool}"
         )
 
 
 def inspect(path: Path, names: Sequence[str], arm: Arm | None) -> InspectedTake:
-    """Read a take and judge its quality.
+    """Open a take and judge its quality.
 
     Raises:
         ValueError: The bag cannot be read, or nothing can be learnt from it.
     """
     from wam_power_ros.bags import quality, takes
+    from wam_power_ros.bags.bag import Bag
     from wam_power_ros.learning.demonstration import smooth_joints
 
-    take = takes.read(path, names)
-    t, q = smooth_joints(take.stamps, take.q)
-    remarks = [*take.remarks]
+    take = takes.read(Bag(path), names)
+    t, q = smooth_joints(take.states.stamps, take.states.q)
+    remarks = [*take.states.remarks]
     remarks += quality.movement_remarks(t, q, names, None if arm is None else _limits(arm))
     remarks += quality.completeness_remarks(take.counts, take.missing, take.ended)
     return InspectedTake(take, t, q, remarks)
@@ -231,7 +231,7 @@ def _row(path: Path, names: Sequence[str], arm: Arm | None) -> tuple[str, str, s
     graded: Grade = quality.grade(remarks)
     row = f"{take.duration:4.1f} s  {graded.name.lower():7}"
     reasons = (remark.text for remark in remarks if remark.grade is not quality.Grade.GOOD)
-    return take.kind, row, "; ".join(reasons)
+    return take.bag.kind, row, "; ".join(reasons)
 
 
 def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
@@ -241,11 +241,11 @@ def _outcomes(found: Sequence[Path]) -> dict[Path, str]:
     outcomes = {}
     for folder in dict.fromkeys(path.resolve().parent for path in found):
         if folder.name == "bags" and session.Session.exists(folder.parent):
-            task = session.read_task(folder.parent)
-            for record in session.read(folder.parent)[2]:
+            found_session = session.read(folder.parent)
+            for record in found_session.records:
                 if record.bag:
                     ret = "no return" if record.ret is None else f"return {record.ret:.3f}"
-                    outcomes[folder / record.bag] = f"{task.outcome(record)}, {ret}"
+                    outcomes[folder / record.bag] = f"{found_session.task.outcome(record)}, {ret}"
     return outcomes
 
 
@@ -269,35 +269,40 @@ def _movement(inspected: InspectedTake) -> tuple[np.ndarray, float]:
 def trim(options: argparse.Namespace) -> None:
     """Copy a part of a take."""
     from wam_power_ros.bags import editing
+    from wam_power_ros.bags.bag import Bag
 
     if not 0.0 <= options.begin < options.end:
         raise UsageError(f"begin {options.begin} and end {options.end} must be 0 <= begin < end")
-    _print_bag(editing.trim(options.bag, _output(options, "trimmed"), options.begin, options.end))
+    to = _output(options, "trimmed")
+    _print_bag(editing.trim(Bag(options.bag), to, options.begin, options.end))
 
 
 def merge(options: argparse.Namespace) -> None:
     """Copy several bags into one."""
     from wam_power_ros.bags import editing
+    from wam_power_ros.bags.bag import Bag
 
     if len(options.bag) < 2:
         raise UsageError("merge needs at least two bags")
-    _print_bag(editing.merge(options.bag, _output(options, "merged")))
+    _print_bag(editing.merge([*map(Bag, options.bag)], _output(options, "merged")))
 
 
 def import_(options: argparse.Namespace) -> None:
     """Convert a bag of another recorder into a demonstration."""
-    from wam_power_ros.bags import editing, layout, reader
+    from wam_power_ros.bags import editing, layout
+    from wam_power_ros.bags.bag import Bag
 
     setup = overlay.setup(options.config, task=task_setup(options.task))
     names, arm = arm_of(setup)
     kind = setup["demonstration_recorder"]["stem"]
     output = options.output or layout.free_path(Path(), f"{kind}_{options.bag.resolve().stem}")
     with progress_messages(f"importing {options.bag}"):
-        made = editing.import_bag(options.bag, output, names, options.joints, options.topic, kind)
+        bag = Bag(options.bag)
+        made, remarks = editing.import_bag(bag, output, names, options.joints, options.topic, kind)
         _, row, reasons = _row(made, names, arm)
     _print_bag(made)
-    for remark in plain_json.parse(reader.notes(made)["imported"], "imported")["remarks"]:
-        print(f"  {remark}")
+    for remark in remarks:
+        print(f"  {remark.text}")
     print(f"  {row.strip()}  {reasons}".rstrip())
 
 

@@ -45,8 +45,7 @@ from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay, parameter_file
 
 if TYPE_CHECKING:
-    from wam_power_ros.practice.session import SessionHeader
-    from wam_power_ros.practice.session_log import Line, Record
+    from wam_power_ros.practice.session import Contents
 
 
 # On the arm or its stand-in
@@ -89,11 +88,11 @@ def learn(options: argparse.Namespace) -> int:
     folder = session_folder(options)
     resumed = session.Session.exists(folder)
     if resumed:
-        header, _, records = session.read(folder)
-        seed, task = header.seed, header.settings.task
-        if _has_ended(header.settings.practice.retests, records):
-            return _report_ended(folder, header, records, options)
-        print(f"Resuming {folder} with {len(records)} recorded rollouts.")
+        begun = session.read(folder)
+        seed, task = begun.header.seed, begun.header.settings.task
+        if _has_ended(begun):
+            return _report_ended(begun, options)
+        print(f"Resuming {folder} with {len(begun.records)} recorded rollouts.")
     else:
         seed, task = options.seed or 0, options.task or DEFAULT_TASK
         check_names(task, options)
@@ -122,7 +121,7 @@ def learn(options: argparse.Namespace) -> int:
                 demonstrations=[str(bag) for bag in bags] or [""],
                 **{name: value for name, value in given.items() if value},
             )
-            practised = _follow(folder, launcher.processes, learner, options.bell)
+            _follow(folder, launcher.processes, learner, options.bell)
     except KeyboardInterrupt:
         print_how_to_resume(f"\nStopped. The session is in {short_path(folder)}.")
         return INTERRUPTED
@@ -130,25 +129,24 @@ def learn(options: argparse.Namespace) -> int:
         print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
         print_how_to_resume(f"\nThe session is in {short_path(folder)}.")
         return 2
-    print(terminal.wrapped(terminal.summary(practised, session.read_task(folder))))
+    ended = session.read(folder)
+    print(terminal.wrapped(terminal.summary(ended.records, ended.task)))
     return report(argparse.Namespace(session=folder))
 
 
-def _has_ended(retests: int, records: Sequence[Record]) -> bool:
+def _has_ended(session: Contents) -> bool:
     """Whether all re-tests, the last rollouts of a session, are recorded."""
-    done = sum(record.kind == "retest" and record.ret is not None for record in records)
-    return 0 < retests <= done
+    done = sum(record.kind == "retest" and record.ret is not None for record in session.records)
+    return 0 < session.header.settings.practice.retests <= done
 
 
-def _report_ended(
-    folder: Path, header: SessionHeader, records: Sequence[Record], options: argparse.Namespace
-) -> int:
+def _report_ended(session: Contents, options: argparse.Namespace) -> int:
     """Print the result of a session that has ended and how to practise longer; start nothing."""
-    from wam_power_ros.practice import session
     from wam_power_ros.reporting import terminal
 
+    folder, header = session.folder, session.header
     print(f"{short_path(folder)} has ended: all its re-tests are recorded. Nothing is started.")
-    print(terminal.wrapped(terminal.summary(records, session.read_task(folder))))
+    print(terminal.wrapped(terminal.summary(session.records, session.task)))
     settings = header.settings
     words = ["learn", "--task", settings.task, "--trials", str(2 * settings.practice.budget)]
     bags = map(str, map(short_path, map(Path, header.demonstrations)))
@@ -166,11 +164,12 @@ def replay(options: argparse.Namespace) -> int:
     """Repeat a recorded movement with the arm."""
     from wam_power_ros import arm_identity
     from wam_power_ros.bags import reader
+    from wam_power_ros.bags.bag import Bag
     from wam_power_ros.control import replay_trajectory
 
     names, arm = arm_of(overlay.setup(options.config, options.simulate))
     identity = arm and arm.identity()
-    states = reader.read_states(options.bag, names, arm=identity)
+    states = reader.read_states(Bag(options.bag), names, arm=identity)
     for remark in states.remarks:
         print(f"{options.bag}: {remark.text}")
     replay_trajectory.movement(states.stamps, states.q, options.speed)
@@ -246,14 +245,12 @@ def _teach(
     launcher.processes.finish(teaching)
 
 
-def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) -> Sequence[Record]:
-    """Display a session until its learner ends; return its records."""
+def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) -> None:
+    """Display a session until its learner ends."""
     from wam_power_ros.practice import session
-    from wam_power_ros.practice.session_log import with_ratings
     from wam_power_ros.reporting import terminal
 
     path, logs = folder / "rollouts.jsonl", NodeLogs(folder / "logs")
-    log: Sequence[Line] = ()
     size_shown = 0
     ended = False
     with terminal.Display() as display, Keys(session_environment(folder)) as keys:
@@ -264,15 +261,14 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
             size = path.stat().st_size if path.exists() else 0
             if size != size_shown:
                 size_shown = size
-                settings, log = session.read(folder)[0].settings.practice, session.read_log(folder)
-                outcome = session.read_task(folder).outcome
-                display.show(log, settings.budget + settings.retests, outcome)
+                found = session.read(folder)
+                settings = found.header.settings.practice
+                display.show(found.log, settings.budget + settings.retests, found.task.outcome)
             for entry in logs.new():
                 display.show_message(entry.text, entry.severity in PROBLEMS)
                 prompt.cue(bell and entry.severity == "ERROR", "fault")
             display.tick(time.monotonic())
             time.sleep(0.2)
-    return with_ratings(log)
 
 
 # Sessions
@@ -300,7 +296,7 @@ def report(options: argparse.Namespace) -> int:
     from wam_power_ros.reporting import session_report
 
     folder = options.session
-    _, _, records = session.read(folder)
+    records = session.read(folder).records
     with progress_messages("writing the report"):
         if any(record.truth for record in records):
             _report_with_film(folder)

@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from wam_power_ros import plain_json
 from wam_power_ros.cli.launcher import UsageError, arm_of, task_setup
 from wam_power_ros.cli.session_options import DEFAULT_TASK
 from wam_power_ros.params import overlay
 
 if TYPE_CHECKING:
+    from wam_power_ros.bags.bag import Bag
     from wam_power_ros.control.arm import Arm
     from wam_power_ros.learning.policy import Policy
     from wam_power_ros.learning.rollout import Rollout
@@ -48,22 +48,24 @@ def score(options: argparse.Namespace) -> int:
     return 1 if failed else 0
 
 
-def _score_bag(bag: Path, options: argparse.Namespace) -> bool:
+def _score_bag(path: Path, options: argparse.Namespace) -> bool:
     """Print the score of a bag; return False if it has none."""
+    from wam_power_ros.bags.bag import Bag
     from wam_power_ros.practice.settings import preset
 
     name = options.task or DEFAULT_TASK
     setup = overlay.setup(options.config, task=task_setup(name))
     names, arm = _arm(setup)
     try:
+        bag = Bag(path)
         context = _context(bag, name, setup, names, arm)
         task = preset(name, options.preset or "").make_task(context)
         assessed = task.assess(*recorded_rollout(bag, task, names, arm))
     except ValueError as error:
-        print(f"{bag}: no return: {error}")
+        print(f"{path}: no return: {error}")
         return False
     terms = ", ".join(f"{term} {value:.3f}" for term, value in assessed.terms.items())
-    print(f"{bag}: {_outcome(assessed)}" + (f" ({terms})" if terms else ""))
+    print(f"{path}: {_outcome(assessed)}" + (f" ({terms})" if terms else ""))
     return assessed.ret is not None
 
 
@@ -71,18 +73,18 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
     """Print each rollout of a session with its logged return and its return under the preset."""
     import numpy as np
 
+    from wam_power_ros.bags.bag import Bag
     from wam_power_ros.practice import session
     from wam_power_ros.practice.settings import preset
 
-    header, _, records = session.read(folder)
-    name = options.task or header.settings.task
+    found = session.read(folder)
+    name = options.task or found.header.settings.task
     names, arm = _arm(overlay.setup(options.config, task=task_setup(name)))
-    context = plain_json.read(folder / "task.json")
-    task = preset(name, options.preset or "").make_task(context)
+    task = preset(name, options.preset or "").make_task(found.context)
     chosen = options.preset or "first"
     print(f"{folder}: logged return; return and success under {name}, preset {chosen}")
     by_kind: dict[str, list[tuple[float, float]]] = {}
-    for record in records:
+    for record in found.records:
         logged = "–" if record.ret is None else f"{record.ret:.3f}"
         bag = folder / "bags" / record.bag
         if record.fault:
@@ -91,12 +93,12 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
             outcome = "no bag"
         else:
             try:
-                assessed = task.assess(*recorded_rollout(bag, task, names, arm))
+                assessed = task.assess(*recorded_rollout(Bag(bag), task, names, arm))
             except ValueError as error:
                 outcome = str(error)
             else:
                 outcome = _outcome(assessed)
-                if name == header.settings.task:  # a drop may have a high return
+                if name == found.header.settings.task:  # a drop may have a high return
                     outcome += f"; {task.outcome(record)}"
                 if record.ret is not None and assessed.ret is not None:
                     by_kind.setdefault(record.kind, []).append((record.ret, assessed.ret))
@@ -114,26 +116,26 @@ def _arm(setup: overlay.Setup) -> tuple[list[str], Arm]:
 
 
 def recorded_rollout(
-    bag: Path, task: Task, joint_names: list[str], arm: Arm
+    bag: Bag, task: Task, joint_names: list[str], arm: Arm
 ) -> tuple[Policy, Rollout]:
     """Policy and rollout of a bag; for a demonstration, the policy fitted to it and its own path.
 
     Raises:
         ValueError: The bag cannot be read, or has neither a rollout nor a demonstration.
     """
-    from wam_power_ros.bags import layout, reader
+    from wam_power_ros.bags import layout
     from wam_power_ros.learning import policy as policies
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
     from wam_power_ros.ros import interface, pose_messages
     from wam_power_ros.tasks.task import cut_short
 
     found: dict[str, Any] = {}
-    topics = reader.topics(bag)
+    topics = bag.topics
     body_topic = interface.rollout_topic(task.body) if task.body else ""
     tool_topics = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_FINISHED)
     names = (interface.POLICY, *tool_topics, body_topic)
     wanted = {topic: name for name in names if name and (topic := _topic(topics, name))}
-    for topic, _, data in reader.messages(bag, wanted):
+    for topic, _, data in bag.messages(wanted):
         found[wanted[topic]] = layout.decoded(data, topics[topic].msgtype)
     if interface.POLICY not in found or interface.ROLLOUT_END_EFFECTOR not in found:
         return _as_rollout(bag, task, joint_names, arm)
@@ -158,7 +160,7 @@ def recorded_rollout(
     return policy, rollout
 
 
-def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tuple[Policy, Rollout]:
+def _as_rollout(bag: Bag, task: Task, joint_names: list[str], arm: Arm) -> tuple[Policy, Rollout]:
     """Demonstration as a rollout of the policy fitted to it."""
     import numpy as np
 
@@ -167,7 +169,8 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
     from wam_power_ros.ros import interface
 
-    stamps, q = reader.read_demonstration(bag, joint_names)
+    states = reader.read_states(bag, joint_names)
+    stamps, q = states.stamps, states.q
     demonstration = task.demonstration_of(arm, stamps, q)
     policy = task.policy_of([demonstration], "demonstration")
     # From the start of the movement, at the rate of the paths that the controller publishes.
@@ -182,10 +185,10 @@ def _as_rollout(bag: Path, task: Task, joint_names: list[str], arm: Arm) -> tupl
     tool, body = EndEffectorPath(policy.id, t, position, quat), None
     if task.body:
         state = interface.body_topic(task.body, "state")
-        if not (topic := _topic(reader.topics(bag), state)):
+        if not (topic := _topic(bag.topics, state)):
             raise ValueError(f"no state of the {task.body} on {state}")
         rows = {}
-        for _, _, data in reader.messages(bag, [topic]):
+        for _, _, data in bag.messages([topic]):
             message = layout.decoded(data, "nav_msgs/msg/Odometry")
             at, pose = message.header.stamp, message.pose.pose
             when = at.sec * 1_000_000_000 + at.nanosec - int(stamps[first])
@@ -203,21 +206,20 @@ def _topic(topics: Iterable[str], name: str) -> str:
 
 
 def _context(
-    bag: Path, task: str, setup: overlay.Setup, joint_names: list[str], arm: Arm
+    bag: Bag, task: str, setup: overlay.Setup, joint_names: list[str], arm: Arm
 ) -> dict[str, Any]:
     """Context of the session that a bag belongs to, else of a session on this bag alone."""
     from wam_power_ros.bags import reader
     from wam_power_ros.params.torque_controller_params import TorqueControllerParams
     from wam_power_ros.practice import plugins
-    from wam_power_ros.practice.session import Session
+    from wam_power_ros.practice.session import Session, read
 
-    folder = bag.resolve().parent.parent
-    if Session.exists(folder) and Session.task_of(folder) == task:
-        kept: dict[str, Any] = plain_json.read(folder / "task.json")
-        return kept
-    kind = plugins.task_type(task)
-    demonstration = kind.demonstration_of(arm, *reader.read_demonstration(bag, joint_names))
-    controller = TorqueControllerParams.of_values("torque_controller", setup["torque_controller"])
+    folder = bag.path.resolve().parent.parent
+    if Session.exists(folder) and (found := read(folder)).header.settings.task == task:
+        return found.context
+    kind, states = plugins.task_type(task), reader.read_states(bag, joint_names)
+    demonstration = kind.demonstration_of(arm, states.stamps, states.q)
+    controller = TorqueControllerParams.of_setup(setup)
     return kind.context_of([demonstration], controller.region)
 
 

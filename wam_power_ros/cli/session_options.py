@@ -45,7 +45,7 @@ def session_folder(options: argparse.Namespace) -> Path:
     else:
         folder = (options.session or SESSIONS / f"{timestamp()}-seed-{options.seed or 0}").resolve()
     if Session.exists(folder):
-        header, _, _ = read(folder)
+        header = read(folder).header
         if options.seed is not None and options.seed != header.seed:
             raise UsageError(f"{folder} was begun with seed {header.seed}; omit the seed")
         if options.task not in (None, header.settings.task):
@@ -85,16 +85,18 @@ def check_names(task: str, options: argparse.Namespace) -> None:
 
 def _check_arm_and_bags(task: str, options: argparse.Namespace) -> None:
     """Check that the URDF fits the set-up and that the bags are demonstrations by that arm."""
-    from wam_power_ros.bags import reader, takes
+    from wam_power_ros.bags import reader
+    from wam_power_ros.bags.bag import Bag
 
     names, arm = arm_of(overlay.setup(options.config, options.simulate, task_setup(task)))
     tasks = task_stems()
-    for bag in options.bags or []:
-        reader.read_demonstration(bag, names, arm=arm and arm.identity())
-        tasks_of_bag = tasks.get(takes.kind_of(bag), {task})
+    for path in options.bags or []:
+        bag = Bag(path)
+        reader.read_states(bag, names, arm=arm and arm.identity())
+        tasks_of_bag = tasks.get(bag.kind, {task})
         if task not in tasks_of_bag:
             names_ = ", ".join(tasks_of_bag)
-            raise UsageError(f"{bag} is a demonstration of {names_}, not of {task}: use --task")
+            raise UsageError(f"{path} is a demonstration of {names_}, not of {task}: use --task")
 
 
 def given_options(options: argparse.Namespace) -> list[str]:

@@ -20,9 +20,10 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
-from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.interfaces import QosReliability
 
-from wam_power_ros.bags import layout, reader
+from wam_power_ros.bags import layout
+from wam_power_ros.bags.bag import Bag, Topic
 from wam_power_ros.console.prompt import show
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.node_runner import participant
@@ -34,44 +35,41 @@ COMMAND_NAMES = re.compile(r"command|cmd", re.IGNORECASE)
 COMMAND_TYPES = {"std_msgs/msg/Float64MultiArray", "trajectory_msgs/msg/JointTrajectory"}
 
 
-def select_topics(
-    path: Path, wanted: Sequence[str] = ()
-) -> tuple[dict[str, reader.Topic], dict[str, str]]:
+def select_topics(bag: Bag, wanted: Sequence[str] = ()) -> tuple[dict[str, Topic], dict[str, str]]:
     """Select the topics of a bag that may be published.
 
     Args:
-        path: Folder of the bag.
+        bag: The bag.
         wanted: Topics to play; all if empty.
 
     Returns:
         Selected topics, and the reason for each excluded topic.
 
     Raises:
-        ValueError: The folder is no bag, a wanted topic is not in it or is a command, or no topic
-            remains.
+        ValueError: A wanted topic is not in the bag or is a command, or no topic remains.
     """
-    found = reader.topics(path)
+    found = bag.topics
     if unknown := [name for name in wanted if name not in found]:
-        raise ValueError(f"{path}: no topic {', '.join(unknown)}; it has {', '.join(found)}")
-    reasons = {name: _danger(path, name, topic.msgtype) for name, topic in found.items()}
+        raise ValueError(f"{bag.path}: no topic {', '.join(unknown)}; it has {', '.join(found)}")
+    reasons = {name: _danger(bag, name, topic.msgtype) for name, topic in found.items()}
     excluded = {name: reason for name, reason in reasons.items() if reason}
     if refused := [f"{name}: {excluded[name]}" for name in wanted if name in excluded]:
         raise ValueError(f"{'; '.join(refused)}, which is never played")
     names = [name for name in wanted or found if name not in excluded]
     topics = {name: topic for name, topic in found.items() if name in names}
     if not topics:
-        raise ValueError(f"{path}: no topic to play; excluded: {excluded or 'none'}")
+        raise ValueError(f"{bag.path}: no topic to play; excluded: {excluded or 'none'}")
     return topics, excluded
 
 
-def _danger(path: Path, name: str, msgtype: str) -> str:
+def _danger(bag: Bag, name: str, msgtype: str) -> str:
     """Reason why a topic must not be published; "" if there is none."""
     if f"/{name}".endswith(f"/{interface.ENABLE}"):
         return "it enables an arm"
     if msgtype in COMMAND_TYPES or COMMAND_NAMES.search(name):
         return "it commands an arm"
     if msgtype == layout.JOINT_STATE:
-        for _, _, cdr in reader.messages(path, [name]):
+        for _, _, cdr in bag.messages([name]):
             state = layout.decoded(cdr, msgtype)
             torques_alone = len(state.effort) and not len(state.position) + len(state.velocity)
             return "it commands an arm" if torques_alone else ""
@@ -88,26 +86,27 @@ def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float 
         wait: Longest wait for a subscriber of every topic, after discovery [s].
 
     Raises:
-        ValueError: As for `select_topics`; or the rate is not positive, a message type is not
-            installed, or a topic has another publisher.
+        ValueError: The bag cannot be read, as for `select_topics`, the rate is not positive, a
+            message type is not installed, or a topic has another publisher.
     """
     if not 0.0 < rate < math.inf:
         raise ValueError(f"rate {rate} must be positive")
-    topics, excluded = select_topics(path, wanted)
+    bag = Bag(path)
+    topics, excluded = select_topics(bag, wanted)
     for name, reason in excluded.items():
         show(f"not played: {name}, because {reason}")
     with participant(lambda: Node("player"), SignalHandlerOptions.NO) as node:
-        _Player(node, topics).play(path, rate, wait)
+        _Player(node, topics).play(bag, rate, wait)
 
 
 class _Player:
     """Publishers of the topics of a bag."""
 
-    def __init__(self, node: Node, topics: Mapping[str, reader.Topic]) -> None:
+    def __init__(self, node: Node, topics: Mapping[str, Topic]) -> None:
         self._node = node
         self._publishers = {name: self._publisher(name, topic) for name, topic in topics.items()}
 
-    def _publisher(self, name: str, topic: reader.Topic) -> Publisher:
+    def _publisher(self, name: str, topic: Topic) -> Publisher:
         package, _, message = topic.msgtype.split("/")
         try:
             message_type = getattr(importlib.import_module(f"{package}.msg"), message)
@@ -117,7 +116,7 @@ class _Player:
             ) from None
         return self._node.create_publisher(message_type, name, qos(topic))
 
-    def play(self, path: Path, rate: float, wait: float) -> None:
+    def play(self, bag: Bag, rate: float, wait: float) -> None:
         time.sleep(DISCOVERY_TIME)
         self._check_alone()
         deadline = time.monotonic() + wait
@@ -128,7 +127,7 @@ class _Player:
             show(f"no subscriber of {', '.join(unsubscribed)}")
         start = checked = time.monotonic()
         first_ns, count = None, 0
-        for name, stamp_ns, cdr in reader.messages(path, self._publishers):
+        for name, stamp_ns, cdr in bag.messages(self._publishers):
             first_ns = stamp_ns if first_ns is None else first_ns
             due = start + (stamp_ns - first_ns) * 1e-9 / rate
             while (left := due - time.monotonic()) > 0.0:
@@ -160,12 +159,10 @@ class _Player:
                 )
 
 
-def qos(topic: reader.Topic) -> QoSProfile:
+def qos(topic: Topic) -> QoSProfile:
     """QoS to publish a topic: as recorded, with a large depth because discovery reports none."""
     reliable = all(item.reliability == QosReliability.RELIABLE for item in topic.offered)
-    latched = bool(topic.offered) and all(
-        item.durability == QosDurability.TRANSIENT_LOCAL for item in topic.offered
-    )
+    latched = topic.latched
     return QoSProfile(
         depth=max(item.depth for item in topic.offered) if latched else QUEUE_DEPTH,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,

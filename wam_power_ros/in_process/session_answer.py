@@ -53,8 +53,8 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
             set-up it ran.
         RuntimeError: OpenGL, which the film needs, is missing.
     """
-    header, _, _ = session.read(folder)
-    task = session.read_task(folder)
+    found = session.read(folder)
+    task = found.task
     saved = folder / "policy.json"
     if not saved.exists():
         raise session.SessionError(f"{folder} has no policy yet")
@@ -62,7 +62,7 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     parameters = folder / "logs" / "parameters.yaml"
     if not parameters.exists():
         raise session.SessionError(f"{parameters}, the set-up of the session, is missing")
-    setup = overlay.read(parameters).changed({"wam_sim": {"seed": header.seed}})
+    setup = overlay.read(parameters).changed({"wam_sim": {"seed": found.header.seed}})
     environment = Environment.of(setup)
     world = environment.world
     world.trace = []

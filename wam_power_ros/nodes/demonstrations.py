@@ -6,14 +6,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from logging import Logger
-from pathlib import Path
 
 from wam_power_ros.arm_identity import remark
-from wam_power_ros.bags.reader import noted_arm, read_states
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.reader import read_states
 from wam_power_ros.learning.demonstration import Demonstration
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
-from wam_power_ros.practice.course import reproduction_of
+from wam_power_ros.practice.practice import reproduction_of
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
 
@@ -96,18 +96,19 @@ class Demonstrations:
             raise ValueError(f"{bags}: would end in a fault: {fault.text}")
         return policy
 
-    def read(self, bag: str) -> Demonstration:
+    def read(self, path: str) -> Demonstration:
         """Read the movement in a bag; if there is none, a ValueError names the bag and reason."""
         try:
             identity = self._arm.identity
-            states = read_states(Path(bag), self._joint_names, arm=identity)
+            bag = Bag(path)
+            states = read_states(bag, self._joint_names, arm=identity)
             for found in states.remarks:
-                self._log.info(f"{bag}: {found.text}")
-            if note := remark(noted_arm(Path(bag)), identity):
-                self._log.info(f"{bag} {note}")
+                self._log.info(f"{path}: {found.text}")
+            if note := remark(bag.arm, identity):
+                self._log.info(f"{path} {note}")
             return self._kind.demonstration_of(self._arm.kinematics, states.stamps, states.q)
         except (ValueError, OSError) as error:
-            raise ValueError(f"{bag}: {str(error).removeprefix(f'{bag}: ')}") from error
+            raise ValueError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from error
 
     def fit(self, demonstrations: list[Demonstration], bag: str, policy_id: str) -> Policy:
         """Fit a policy to demonstrations; on failure, a ValueError names the bags and reason."""

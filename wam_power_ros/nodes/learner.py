@@ -36,12 +36,10 @@ from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.practice import plugins
-from wam_power_ros.practice.feedback import RATING_MAX
-from wam_power_ros.practice.practice import Practice
+from wam_power_ros.practice.practice import RATING_MAX, Practice
 from wam_power_ros.practice.session import Session, read
-from wam_power_ros.practice.session_log import Event, Record
+from wam_power_ros.practice.session_log import Event, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
-from wam_power_ros.practice.trial import Trial
 from wam_power_ros.ros import interface, interrupts
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.node_runner import (
@@ -227,7 +225,7 @@ class Learner(Node):
         """Task of the session if it exists, else of the parameters."""
         folder = FilePath(self.params.session)
         if Session.exists(folder):
-            return plugins.task_type(Session.task_of(folder))
+            return type(read(folder).task)
         return plugins.task_type(self.params.task)
 
     def _settings(self) -> SessionSettings:
@@ -261,8 +259,7 @@ class Learner(Node):
 
     def _check_arm(self, session: Session) -> None:
         """Refuse a session with policies of another arm, including demonstrations added later."""
-        _, candidates, _ = read(session.folder)
-        for policy in candidates:
+        for policy in read(session.folder).candidates:
             if why := refusal(policy.arm, self._arm.identity):
                 session.close()
                 raise SessionFailed(f"{session.folder}: policy {policy.id} {why}")

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The best policy so far, judged by its runs without exploration."""
+"""The best demonstration, and the best policy, judged by their runs without exploration."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.session_log import Record
 
@@ -68,12 +69,13 @@ def runs_without_exploration(records: Sequence[Record]) -> list[Runs]:
 
 def choose_best(
     records: Sequence[Record],
+    parametrizations: Mapping[str, Parametrization],
     demonstration: str | None,
     answer: np.ndarray | None,
     stopped: str,
     return_noise: float,
-) -> tuple[Runs, str] | None:
-    """Runs of the best policy and the reason for the choice; None before a usable run.
+) -> Best | None:
+    """Best policy so far; None before a usable run.
 
     Only runs without exploration count: reproductions, means and re-tests, so that a lucky
     exploration is never chosen. While learning, the policy with the highest lower bound is chosen
@@ -82,6 +84,7 @@ def choose_best(
 
     Args:
         records: Records of the session, oldest first.
+        parametrizations: Parametrizations of the demonstrations, by id.
         demonstration: Id of the current demonstration, None before the choice.
         answer: Coordinates of the session's answer, None while learning. Shape (size,).
         stopped: Reason why learning stopped.
@@ -100,10 +103,12 @@ def choose_best(
     else:
         best = max(reversed(known), key=lambda runs: runs.lower_bound(return_noise))
         rule = f"lower bound {best.lower_bound(return_noise):.3f}, highest of {len(known)} policies"
-    return best, (
+    policy, _ = parametrizations[best.demonstration].policy(best.z, best.id)
+    why = (
         f"{best.id}: {best.successes} of {len(best.returns)} runs without exploration succeeded, "
         f"mean return {np.mean(best.returns):.3f}; {rule}"
     )
+    return Best(policy, tuple(best.returns), best.successes, why)
 
 
 def reproduction_learnt_from(records: Sequence[Record]) -> Record | None:
@@ -111,3 +116,32 @@ def reproduction_learnt_from(records: Sequence[Record]) -> Record | None:
     practised = [record.demonstration for record in records if record.kind != "reproduction"]
     usable = (r for r in records if r.kind == "reproduction" and r.ret is not None)
     return next((r for r in usable if practised and r.demonstration == practised[-1]), None)
+
+
+def choose_demonstration(reproductions: Sequence[Record]) -> tuple[int, str]:
+    """Choose the reproduction with the highest return, including ratings.
+
+    The authors selected one good demonstration of a small series ([Kormushev2010], Sec. IV).
+
+    Args:
+        reproductions: One record for each candidate; those without a return or with a fault are not
+            eligible.
+
+    Returns:
+        Index into `reproductions`, the first one on a tie, and a human-readable reason.
+
+    Raises:
+        ValueError: No reproduction is eligible.
+    """
+    eligible = [
+        index
+        for index, record in enumerate(reproductions)
+        if record.rated_return is not None and not record.fault
+    ]
+    if not eligible:
+        reasons = "; ".join(f"{record.demonstration}: {record.why}" for record in reproductions)
+        raise ValueError(f"no demonstration could be reproduced ({reasons})")
+    best = max(eligible, key=lambda index: float(reproductions[index].rated_return or 0.0))
+    count = len(reproductions)
+    rank = f"highest return of {count} reproductions" if count > 1 else "the only reproduction"
+    return best, f"{rank}, {reproductions[best].rated_return:.3f}"

@@ -12,10 +12,9 @@ from wam_power_ros.faults import Fault
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.feasible_sampler import sample, shrink
-from wam_power_ros.practice.session_log import Record
+from wam_power_ros.practice.session_log import Kind, Record
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.practice.stopping_rule import StoppingRule
-from wam_power_ros.practice.trial import Draw
 from wam_power_ros.tasks.task import Task
 
 
@@ -116,35 +115,34 @@ class Improvement:
         """Restart the stopping rule if this record was one of its successes."""
         self._rule.forget(record)
 
-    def draw(self, records: Sequence[Record], rejections: int | None) -> Draw:
+    def draw(
+        self, records: Sequence[Record], rejections: int | None
+    ) -> tuple[Kind, np.ndarray, int, str]:
         """Next trial: the mean being confirmed, the current mean, or an exploration.
 
         Args:
             records: Rollouts of the session so far.
             rejections: Logged number of rejections in a replay, else None; see
                 `feasible_sampler.sample`.
+
+        Returns:
+            Kind, coordinates (size,), number of rejections and purpose.
         """
         rule, settings = self._rule, self._settings.practice
         if rule.z is not None:
-            purpose = f"confirms a mean, {rule.count + 1} of {settings.confirm}"
-            return Draw("mean", self.demonstration, rule.z, 1, 0, purpose)
+            return "mean", rule.z, 0, f"confirms a mean, {rule.count + 1} of {settings.confirm}"
         every = settings.mean_every
         if rule.mean_is_due or (every > 0 and (self.practised + 1) % every == 0):
-            return self.draw_feasible(self.learner.mean, records, rejections)
-        ran = self._best_without_fault(records)
-        is_feasible = feasibility(self.parametrization, self._arm, records, "sample")
-        z, rejections = sample(self.learner, ran, is_feasible, rejections)
-        return Draw("explore", self.demonstration, z, 1, rejections, "explores")
+            mean = self.shrunk(self.learner.mean, records, rejections)
+            return "mean", *mean, "the mean, without exploration"
+        drawn = sample(self.learner, *self._feasible(records), rejections)
+        return "explore", *drawn, "explores"
 
-    def draw_feasible(
+    def shrunk(
         self, z: np.ndarray, records: Sequence[Record], rejections: int | None
-    ) -> Draw:
-        """Run of a mean, shrunk to feasible coordinates if necessary."""
-        ran = self._best_without_fault(records)
-        is_feasible = feasibility(self.parametrization, self._arm, records, "sample")
-        z, rejections = shrink(z, ran, is_feasible, rejections)
-        purpose = "the mean, without exploration"
-        return Draw("mean", self.demonstration, z, 1, rejections, purpose)
+    ) -> tuple[np.ndarray, int]:
+        """Coordinates shrunk until they are feasible, and the number of halvings; see `draw`."""
+        return shrink(z, *self._feasible(records), rejections)
 
     def add(self, record: Record) -> str:
         """Learn from a record of an exploration or a mean; returns a remark for the log."""
@@ -153,8 +151,10 @@ class Improvement:
             self.learner.tell(np.array(record.learnt_as), record.ret)
         return self._rule.add(record) or ("" if record.ret is not None else "dropped")
 
-    def _best_without_fault(self, records: Sequence[Record]) -> np.ndarray:
-        """Coordinates of the fault-free rollout with the highest return, else 0. Shape (size,)."""
+    def _feasible(
+        self, records: Sequence[Record]
+    ) -> tuple[np.ndarray, Callable[[np.ndarray], bool]]:
+        """Coordinates of the fault-free rollout with the highest return, else 0; `feasibility`."""
         ran = [
             record
             for record in records
@@ -162,6 +162,7 @@ class Improvement:
             and record.rated_return is not None
             and not record.fault
         ]
-        if not ran:
-            return np.zeros(self.parametrization.size)
-        return np.array(max(ran, key=lambda record: record.rated_return or 0.0).z)
+        z = np.zeros(self.parametrization.size)
+        if ran:
+            z = np.array(max(ran, key=lambda record: record.rated_return or 0.0).z)
+        return z, feasibility(self.parametrization, self._arm, records, "sample")

@@ -9,19 +9,42 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
+import re
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from wam_power_ros import durable_files, plain_json
-from wam_power_ros.practice.session_files import SessionError, brief, check_regular
-from wam_power_ros.practice.session_log import Line, Rating, Record, parse_line
+from wam_power_ros.practice.session_log import Line, Record, out_of_order, parse_line
 
 ACKNOWLEDGED = "acknowledged.json"
 RESTORE = "Restore it from a backup; nothing was changed."
 _LINE_MAX = 1_000_000  # length of a line, far above any real one [byte]
 
 _log = logging.getLogger(__name__)
+
+
+class SessionError(ValueError):
+    """A session folder cannot be used; the message has the reason."""
+
+
+def check_regular(path: Path) -> None:
+    """Raise SessionError if a path is not a regular file."""
+    try:
+        durable_files.check_regular(path)
+    except ValueError as error:
+        raise SessionError(str(error)) from None
+
+
+def brief(error: Exception) -> str:
+    """Message of an error in one line; of a validation error, the first fault."""
+    if isinstance(error, ValidationError):
+        first, *others = error.errors()
+        where = ".".join(str(part) for part in first["loc"]) or "file"
+        more = f" (and {len(others)} more)" if others else ""
+        rule = first["msg"].removeprefix("Value error, ")
+        return f"{where}: {rule}, got {str(first['input'])[:80]}{more}"
+    return re.sub(r"\s+", " ", str(error))
 
 
 class _Acknowledged(BaseModel):
@@ -69,7 +92,7 @@ class LogFile:
         """
         if self._file is None:
             raise SessionError(f"session {self.folder} is closed")
-        if why := _out_of_order(entry, self._count):
+        if why := out_of_order(entry, self._count):
             raise SessionError(f"{self.folder}: {why}")
         line = (entry.to_json() + "\n").encode()
         if len(line) > _LINE_MAX:
@@ -152,7 +175,7 @@ def read_lines(folder: Path) -> tuple[list[Line], bytes]:
             line = parse_line(text.decode())
         except ValueError as error:
             raise SessionError(f"{path}, line {number}: {brief(error)}") from error
-        if why := _out_of_order(line, count):
+        if why := out_of_order(line, count):
             raise SessionError(f"{path}, line {number}: {why}")
         count += isinstance(line, Record)
         log.append(line)
@@ -196,18 +219,6 @@ def _read_acknowledged(folder: Path) -> _Acknowledged | None:
         raise SessionError(f"{path}: {brief(error)}") from None
     except ValueError as error:  # names the file
         raise SessionError(brief(error)) from None
-
-
-def _out_of_order(line: Line, count: int) -> str:
-    """Reason why a line cannot follow `count` rollouts, empty if it can."""
-    if isinstance(line, Record):
-        wrong = line.number != count + 1
-        return f"rollout {line.number} cannot follow rollout {count}" if wrong else ""
-    if isinstance(line, Rating) and line.rollout > count:
-        return f"rollout {line.rollout} is rated before it is recorded"
-    if line.after in (count, count + 1):
-        return ""
-    return f"a line that takes effect after rollout {line.after} cannot follow rollout {count}"
 
 
 def _write_all(file: int, data: bytes) -> None:

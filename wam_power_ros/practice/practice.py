@@ -3,9 +3,9 @@
 
 A session reproduces every demonstration once on the arm, chooses one of them by its reproduction,
 explores, periodically runs the mean, stops by a rule, and re-tests its answer. Meanwhile a person
-may rate rollouts and add demonstrations. The state of a `Practice` is a function of its arguments
-and its log, and every line of the log, live or replayed, goes through `Practice.apply`; so
-replaying a log rebuilds the practice bit for bit. No ROS, no files, no clock.
+may rate rollouts and add demonstrations. The state of a `Practice` is a fold over its log: every
+line, live or replayed, goes through `Practice.apply`, so replaying a log rebuilds the practice bit
+for bit. No ROS, no files, no clock.
 """
 
 from __future__ import annotations
@@ -15,44 +15,92 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from wam_power_ros import plain_json
 from wam_power_ros.learning.learner import Learner, generator_state
 from wam_power_ros.learning.parametrization import Parametrization
-from wam_power_ros.learning.policy import Policy, check_id
+from wam_power_ros.learning.policy import Policy, check_id, to_json
 from wam_power_ros.learning.rollout import Rollout
-from wam_power_ros.practice.best_policy import Best
-from wam_power_ros.practice.course import Course, reproduction_of
-from wam_power_ros.practice.feedback import make_demonstration, make_rating
-from wam_power_ros.practice.improvement import ArmModel, feasibility
+from wam_power_ros.practice.best_policy import Best, choose_best, choose_demonstration
+from wam_power_ros.practice.improvement import ArmModel, Improvement, feasibility
 from wam_power_ros.practice.session_log import (
     Event,
+    Kind,
     Line,
     NewDemonstration,
     Rating,
     Record,
+    Trial,
+    out_of_order,
     plain,
 )
-from wam_power_ros.practice.settings import SessionSettings
-from wam_power_ros.practice.trial import Trial, check_record
-from wam_power_ros.tasks.task import Assessment
+from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
+from wam_power_ros.tasks.task import Assessment, Task
+
+COMPARED_ROLLOUTS = 5  # latest ones, whose mean return a demonstration added later must exceed
+RATING_MAX = 1.0  # magnitude of one rating; returns are of this order
 
 L = TypeVar("L", bound=Line)
+R = TypeVar("R", bound=Record)
+
+
+def reproduction_of(candidate: Policy, task: Task) -> Policy:
+    """Policy that reproduces a demonstration: the candidate at z = 0 of its parametrization."""
+    parametrization = task.parametrization(candidate)
+    return parametrization.policy(np.zeros(parametrization.size), candidate.id)[0]
+
+
+def check_candidates(candidates: Sequence[Policy], settings: PracticeSettings) -> None:
+    """Check the candidates of a new session.
+
+    Raises:
+        ValueError: There are no candidates, two have the same id, or the budget leaves no rollout
+            to practise.
+    """
+    ids = [policy.id for policy in candidates]
+    if not ids:
+        raise ValueError("candidates is empty: a session needs at least one demonstration")
+    if len(set(ids)) != len(ids):
+        raise ValueError(f"candidates must have different ids, got {ids}")
+    if settings.budget <= len(ids):
+        raise ValueError(
+            f"a budget of {settings.budget} rollouts leaves none to practise "
+            f"after {len(ids)} reproductions"
+        )
 
 
 class Practice:
     """A session from its first reproduction to its last re-test.
 
     Call `next_trial`, execute the trial, call `learn` with its rollout, write the record to disk,
-    and repeat until `next_trial` returns None. `Course` has the rules for the next trial. While
-    learning:
+    and repeat until `next_trial` returns None.
 
-    * A person may add to the return of any usable rollout (`rate`): the learner is rebuilt from
-      all rollouts, with `Record.rated_return`. A punished rollout is no success.
+    * Each candidate is reproduced once; `choose_demonstration` chooses one; its reproduction is the
+      learner's first rollout, at z = 0.
+    * A rollout without a return is no evidence about its policy: nothing is learnt from it and the
+      same z is executed again, up to `attempts` times, then dropped. So a transient failure does
+      not change the course of learning.
+    * A rollout ended by a motion limit is learnt from with return 0: the policy caused it.
+    * An infeasible policy is not executed, see `feasible_sampler`.
+    * A mean that succeeds is run again, unchanged, until it fails or has succeeded `confirm` times
+      in a row; all these runs are learnt from. Returns are noisy and lucky rollouts stay in the
+      elite for ever; running the mean again separates luck from skill.
+    * The session stops when a mean is confirmed or the budget is used. Its answer is the confirmed
+      mean or else the last one; the answer is re-tested and does not change any more.
+    * A person may add to the return of any usable rollout (`rate`) while learning: the learner is
+      rebuilt from all rollouts, with `Record.rated_return`. A punished rollout is no success.
     * A person may add a demonstration (`add_demonstration`), which is reproduced next. If its
       return exceeds the mean of the last five rollouts, learning restarts from it with the rest
       of the budget; otherwise learning continues unchanged. The two are not mixed: a weighted mean
       of different demonstrations smooths out the peaks of acceleration that make a toss
       ([Kormushev2010], Sec. IV).
     * Ratings and demonstrations take effect on the next trial, not on the one being executed.
+
+    Attributes:
+        settings: Settings of the session.
+        task: Task that is practised.
+        choice: Current demonstration and the reason for its choice, empty before the choice.
+        used: Number of rollouts used of the budget.
+        stopped: Reason why learning stopped, empty while learning; re-tests may be outstanding.
     """
 
     def __init__(
@@ -79,11 +127,21 @@ class Practice:
             ValueError: `check_candidates` refuses the candidates, or the log is of another
                 session; names the first line that differs.
         """
+        check_candidates(candidates, settings.practice)
         self.settings = settings
         self.task = settings.make_task(context)
+        self.choice = ""
+        self.used = 0
+        self.stopped = ""
         self._arm = arm
         self._rng = np.random.Generator(np.random.PCG64(seed))
-        self._course = Course(candidates, settings, self.task, self._rng, arm)
+        self._candidates = list(candidates)
+        self._parametrizations = {p.id: self.task.parametrization(p) for p in candidates}
+        self._improvement: Improvement | None = None
+        self._reproductions: list[int] = []  # rollout number for each candidate
+        self._retried: Record | None = None  # whose z is executed again
+        self._answer: np.ndarray | None = None
+        self._retested = 0
         self._records: list[Record] = []
         self._log: list[Line] = []
         self._waiting: list[Event] = []  # take effect after the pending trial
@@ -105,76 +163,59 @@ class Practice:
     def candidates(self) -> tuple[Policy, ...]:
         """Policies of all demonstrations, including those added later."""
         waiting = [e.candidate() for e in self._waiting if isinstance(e, NewDemonstration)]
-        return (*self._course.candidates, *waiting)
+        return (*self._candidates, *waiting)
 
     @property
     def parametrization(self) -> Parametrization | None:
         """Parametrization of the chosen demonstration, None before the choice."""
-        improvement = self._course.improvement
-        return None if improvement is None else improvement.parametrization
+        return None if self._improvement is None else self._improvement.parametrization
 
     @property
     def learner(self) -> Learner | None:
         """The learner, None before the choice; read-only for callers."""
-        improvement = self._course.improvement
-        return None if improvement is None else improvement.learner
-
-    @property
-    def choice(self) -> str:
-        """Current demonstration and the reason for its choice, empty before the choice."""
-        return self._course.choice
-
-    @property
-    def used(self) -> int:
-        """Number of rollouts used of the budget."""
-        return self._course.used
+        return None if self._improvement is None else self._improvement.learner
 
     @property
     def unusable_in_a_row(self) -> int:
         """Number of latest rollouts without a return."""
-        count = 0
-        for record in reversed(self._records):
-            if record.ret is not None:
-                break
-            count += 1
-        return count
-
-    @property
-    def stopped(self) -> str:
-        """Reason why learning stopped, empty while learning; re-tests may be outstanding."""
-        return self._course.stopped
+        usable = (
+            count for count, last in enumerate(reversed(self._records)) if last.ret is not None
+        )
+        return next(usable, len(self._records))
 
     @property
     def finished(self) -> bool:
         """Whether no rollout is left to execute."""
-        return self._pending is None and self._course.finished
+        return (
+            self._pending is None
+            and self._retried is None
+            and bool(self.stopped)
+            and (self._answer is None or self._retested >= self.settings.practice.retests)
+        )
 
     @property
     def best(self) -> Best | None:
         """Best policy so far, see `choose_best`."""
-        return self._course.best(self._records)
+        return choose_best(
+            self._records,
+            self._parametrizations,
+            None if self._improvement is None else self._improvement.demonstration,
+            self._answer,
+            self.stopped,
+            self.settings.practice.return_noise,
+        )
 
     def next_trial(self) -> Trial | None:
         """Trial to execute now, the same until it is recorded; None when finished."""
         return self._next_trial(None)
 
-    def learn(
-        self,
-        trial: Trial,
-        rollout: Rollout,
-        *,
-        bag: str = "",
-        truth: Mapping[str, Any] | None = None,
-        clock: Mapping[str, Any] | None = None,
-    ) -> Record:
+    def learn(self, trial: Trial, rollout: Rollout, **logged: Any) -> Record:  # noqa: ANN401
         """Assess the executed trial and learn from it.
 
         Args:
             trial: Trial that `next_trial` returned.
             rollout: Its rollout.
-            bag: Name of the rollout's bag.
-            truth: Ground truth of the simulator, logged only.
-            clock: Wall-clock figures, logged only.
+            **logged: `bag`, `truth` and `clock`, see `learn_assessed`.
 
         Returns:
             The record, to be appended to the log before the next trial.
@@ -186,9 +227,7 @@ class Practice:
             raise ValueError(f"paths are of rollout {rollout.tool.id!r}, expected {trial.id!r}")
         assessment = self.task.assess(trial.policy, rollout)
         fault = "" if rollout.fault is None else rollout.fault.text
-        return self.learn_assessed(
-            trial, assessment, fault=fault, bag=bag, truth=truth, clock=clock
-        )
+        return self.learn_assessed(trial, assessment, fault=fault, **logged)
 
     def learn_assessed(
         self,
@@ -201,6 +240,14 @@ class Practice:
         clock: Mapping[str, Any] | None = None,
     ) -> Record:
         """Learn from a rollout that the caller has assessed; otherwise like `learn`.
+
+        Args:
+            trial: Trial that `next_trial` returned.
+            assessment: Assessment of its rollout.
+            fault: Text of the fault that ended it, empty without.
+            bag: Name of the rollout's bag.
+            truth: Ground truth of the simulator, logged only.
+            clock: Wall-clock figures, logged only.
 
         Raises:
             ValueError: This is not the trial that is due, or the return is negative or not finite.
@@ -215,14 +262,7 @@ class Practice:
             why = "a re-test is not learnt from"
         return self.apply(
             Record(
-                number=due.number,
-                id=due.id,
-                kind=due.kind,
-                demonstration=due.demonstration,
-                attempt=due.attempt,
-                rejections=due.rejections,
-                z=due.z.tolist(),
-                theta=due.theta.tolist(),
+                **due.logged(),
                 learnt=learnt,
                 learnt_as=self._in_hindsight(due, assessment).tolist() if learnt else None,
                 ret=None if assessment.ret is None else float(assessment.ret),
@@ -242,17 +282,44 @@ class Practice:
     def rate(
         self, amount: float, number: int | None = None, clock: Mapping[str, Any] | None = None
     ) -> Rating:
-        """Add a person's rating to the return of a rollout; see `make_rating`.
+        """Add a person's rating to the return of a rollout.
+
+        Args:
+            amount: Amount added to the return; several ratings of a rollout add up.
+            number: Number of the rollout, the last finished one when omitted.
+            clock: Wall-clock figures, logged only.
 
         Returns:
             The line, to be appended to the log before any other.
 
         Raises:
-            ValueError: `make_rating` refuses the rating, or learning has stopped.
+            ValueError: The amount is out of range, the rollout does not exist or has no return, or
+                learning has stopped.
         """
         self._check_still_learning()
+        if not (np.isfinite(amount) and 0.0 < abs(amount) <= RATING_MAX):
+            raise ValueError(f"a rating must be within ±{RATING_MAX} and not 0, got {amount}")
+        if not self._records:
+            raise ValueError("there is no finished rollout to rate yet")
+        number = len(self._records) if number is None else number
+        if not 1 <= number <= len(self._records):
+            raise ValueError(f"rollout {number} is not one of the {len(self._records)} on record")
+        record = self._records[number - 1]
+        for waiting in self._waiting:
+            if isinstance(waiting, Rating) and waiting.rollout == number:
+                record = record.with_rating(waiting.amount)
+        before, later = record.rated_return, record.with_rating(amount).rated_return
+        if before is None:
+            raise ValueError(f"{record.id} has no return and is not learnt from: {record.why}")
+        done = "rewarded" if amount > 0.0 else "punished"
         return self.apply(
-            make_rating(self._records, self._waiting, self._effective, amount, number, clock)
+            Rating(
+                after=self._effective,
+                rollout=number,
+                amount=float(amount),
+                note=f"{record.id} {done}: return {before:.3f} -> {later:.3f}",
+                clock=plain(clock or {}),
+            )
         )
 
     def add_demonstration(
@@ -278,7 +345,18 @@ class Practice:
             raise ValueError(f"there is a demonstration {policy.id!r} already")
         if fault := self._arm.infeasible(reproduction_of(policy, self.task)):
             raise ValueError(f"{policy.id} is infeasible: {fault.text}")
-        return self.apply(make_demonstration(policy, self._effective, bag, clock))
+        after = self._effective
+        return self.apply(
+            NewDemonstration(
+                after=after,
+                id=policy.id,
+                policy=plain_json.parse(to_json(policy), policy.id),
+                bag=bag,
+                note=f"{policy.id} is reproduced after rollout {after}"
+                + (f": {bag}" if bag else ""),
+                clock=plain(clock or {}),
+            )
+        )
 
     def apply(self, line: L) -> L:
         """Process a log line, new or replayed.
@@ -293,24 +371,9 @@ class Practice:
             ValueError: The line is not the next one of this session.
         """
         if isinstance(line, Record):
-            self._check_is_due(line)
-            self._pending = None
-            self._records.append(line)
-            note = self._course.advance(self._records)
-            line = line if line.note else line.model_copy(update={"note": note})
-            self._records[-1] = line
-            self._log.append(line)
-            waiting, self._waiting = self._waiting, []
-            for event in waiting:
-                self._take_effect(event)
-            return line
-        if line.after not in (len(self._records), len(self._records) + 1):
-            raise ValueError(
-                f"a line after record {len(self._records)} cannot take effect "
-                f"after record {line.after}"
-            )
-        if isinstance(line, Rating) and line.rollout > len(self._records):
-            raise ValueError(f"rollout {line.rollout} was rated before it was recorded")
+            return self._apply_record(line)
+        if why := out_of_order(line, len(self._records)):
+            raise ValueError(why)
         self._log.append(line)
         if line.after == len(self._records):
             self._take_effect(line)
@@ -318,25 +381,95 @@ class Practice:
             self._waiting.append(line)
         return line
 
+    def _apply_record(self, record: R) -> R:
+        trial = self._next_trial(record.rejections)
+        if trial is None:
+            raise ValueError(f"record {record.number} ({record.id}) comes after the session's end")
+        trial.check(record, generator_state(self._rng))
+        self._pending = None
+        self._records.append(record)
+        note = self._advance(record)
+        record = record if record.note else record.model_copy(update={"note": note})
+        self._records[-1] = record
+        self._log.append(record)
+        waiting, self._waiting = self._waiting, []
+        for event in waiting:
+            self._take_effect(event)
+        return record
+
+    def _take_effect(self, event: Event) -> None:
+        if self.stopped:  # by the rollout during which the event arrived
+            return
+        if isinstance(event, NewDemonstration):
+            policy = event.candidate()
+            self._parametrizations[policy.id] = self.task.parametrization(policy)
+            self._candidates.append(policy)
+            return
+        record = self._records[event.rollout - 1].with_rating(event.amount)
+        self._records[event.rollout - 1] = record
+        if self._improvement is not None:
+            self._improvement.learn_again(self._records)
+            if not record.succeeded:
+                self._improvement.forget_success(record)
+
+    # The next trial
+
     def _next_trial(self, rejections: int | None) -> Trial | None:
-        """The next trial; `rejections` is given in a replay."""
+        """The next trial; `rejections` is given in a replay, see `feasible_sampler.sample`."""
         if self._pending is None and not self.finished:
-            draw = self._course.draw(self._records, rejections)
-            number = len(self._records) + 1
-            trial_id = f"trial-{number:04d}"
-            parametrization = self._course.parametrizations[draw.demonstration]
-            policy, z = parametrization.policy(draw.z, trial_id)
-            theta = parametrization.theta(z)
-            z.setflags(write=False)
-            theta.setflags(write=False)
-            self._pending = Trial(
-                **{**vars(draw), "z": z}, number=number, id=trial_id, policy=policy, theta=theta
-            )
+            self._pending = self._draw(rejections)
         return self._pending
+
+    def _draw(self, rejections: int | None) -> Trial:
+        if (last := self._retried) is not None:
+            z, attempt = np.array(last.z), last.attempt + 1
+            purpose = f"attempt {attempt}: {last.why}"
+            return self._trial(last.kind, last.demonstration, z, 0, purpose, attempt)
+        if len(self._reproductions) < len(self._candidates):
+            name = self._candidates[len(self._reproductions)].id
+            zero = np.zeros(self._parametrizations[name].size)
+            return self._trial("reproduction", name, zero, 0, f"reproduces {name}")
+        improvement = self._improvement
+        if improvement is None:
+            raise ValueError("the session has ended: no demonstration was chosen")
+        if self._answer is None:
+            kind, z, count, purpose = improvement.draw(self._records, rejections)
+            return self._trial(kind, improvement.demonstration, z, count, purpose)
+        self._answer, count = improvement.shrunk(self._answer, self._records, rejections)
+        purpose = f"re-test {self._retested + 1} of {self.settings.practice.retests}"
+        return self._trial("retest", improvement.demonstration, self._answer, count, purpose)
+
+    def _trial(
+        self,
+        kind: Kind,
+        demonstration: str,
+        z: np.ndarray,
+        rejections: int,
+        purpose: str,
+        attempt: int = 1,
+    ) -> Trial:
+        number = len(self._records) + 1
+        parametrization = self._parametrizations[demonstration]
+        policy, z = parametrization.policy(z, f"trial-{number:04d}")
+        theta = parametrization.theta(z)
+        z.setflags(write=False)
+        theta.setflags(write=False)
+        return Trial(
+            number=number,
+            id=policy.id,
+            kind=kind,
+            demonstration=demonstration,
+            attempt=attempt,
+            rejections=rejections,
+            z=z,
+            theta=theta,
+            policy=policy,
+            purpose=purpose,
+        )
 
     def _in_hindsight(self, trial: Trial, assessment: Assessment) -> np.ndarray:
         """Coordinates at which a rollout is learnt from: corrected as far as it stays feasible."""
-        parametrization = self._course.parametrizations[trial.demonstration]
+        parametrization = self._parametrizations[trial.demonstration]
         is_feasible = feasibility(parametrization, self._arm, self._records, "corrected")
         z = trial.z
         parts = self.task.hindsight(assessment, parametrization)
@@ -347,13 +480,6 @@ class Practice:
             z = z + next(shares, 0.0) * part
         return z
 
-    def _check_is_due(self, record: Record) -> None:
-        """Raise ValueError if a record is not of the trial that is due."""
-        trial = self._next_trial(record.rejections)
-        if trial is None:
-            raise ValueError(f"record {record.number} ({record.id}) comes after the session's end")
-        check_record(trial, record, generator_state(self._rng))
-
     @property
     def _effective(self) -> int:
         """Number of rollouts after which a new line takes effect."""
@@ -363,12 +489,86 @@ class Practice:
         if self.stopped:
             raise ValueError(f"the session has stopped learning: {self.stopped}")
 
-    def _take_effect(self, event: Event) -> None:
-        if self.stopped:  # by the rollout during which the event arrived
-            return
-        if isinstance(event, NewDemonstration):
-            self._course.add_candidate(event.candidate())
-            return
-        record = self._records[event.rollout - 1].with_rating(event.amount)
-        self._records[event.rollout - 1] = record
-        self._course.apply_rating(record, self._records)
+    # The decisions after a rollout
+
+    def _advance(self, record: Record) -> str:
+        """Process the newest record; returns the decision, for its note."""
+        settings, self._retried = self.settings.practice, None
+        if record.ret is None and record.attempt < settings.attempts:
+            self._retried = record
+            return f"not learnt from ({record.why}), tried again"
+        if record.kind == "retest":
+            self._retested += 1
+            return "" if record.ret is not None else "dropped"
+        self.used += record.ret is not None
+        if record.kind == "reproduction":
+            note = self._advance_reproduction(record)
+        else:
+            note = self._advance_practice(record)
+        if self._improvement is not None and not self.stopped:
+            answer = self._improvement.answer
+            limit = 3 * settings.budget
+            if self.used >= settings.budget:
+                self._stop(answer, f"budget of {settings.budget} rollouts used")
+            elif len(self._records) >= limit:
+                self._stop(answer, f"{limit} rollouts, of which only {self.used} were usable")
+        return "; ".join(part for part in (note, self.stopped) if part)
+
+    def _advance_reproduction(self, record: Record) -> str:
+        self._reproductions.append(record.number)
+        if self._improvement is not None:
+            return self._compare(record, self._improvement)
+        if len(self._reproductions) < len(self._candidates):
+            return ""
+        reproductions = [self._records[number - 1] for number in self._reproductions]
+        try:
+            index, why = choose_demonstration(reproductions)
+        except ValueError as error:
+            self.stopped = str(error)
+            return ""
+        self._learn_from(reproductions[index].demonstration, why)
+        return self.choice
+
+    def _compare(self, record: Record, present: Improvement) -> str:
+        """Switch to a demonstration that was added later if its reproduction is better."""
+        recent = [
+            float(other.rated_return)
+            for other in self._records
+            if other.demonstration == present.demonstration and other.rated_return is not None
+        ][-COMPARED_ROLLOUTS:]
+        level = float(np.mean(recent))
+        if record.ret is None or record.fault:
+            return f"goes on with {present.demonstration}: {record.why}"
+        compared = f"return {record.ret:.3f} against {level:.3f} of the last {len(recent)}"
+        if record.ret <= level:
+            return f"goes on with {present.demonstration}: {compared}"
+        why = f"{compared}, from {present.demonstration}"
+        self._learn_from(record.demonstration, why, present.practised)
+        return self.choice
+
+    def _learn_from(self, demonstration: str, why: str, practised: int = 0) -> None:
+        self.choice = f"learns from {demonstration}: {why}"
+        self._improvement = Improvement(
+            self._parametrizations[demonstration],
+            self.settings,
+            self.task,
+            self._rng,
+            self._arm,
+            self._records,
+            practised,
+        )
+
+    def _advance_practice(self, record: Record) -> str:
+        """Process a record of an exploration or of the mean."""
+        if self._improvement is None:
+            raise ValueError(f"record {record.number}: {record.kind} before the choice")
+        note = self._improvement.add(record)
+        if self._improvement.confirmed:
+            confirm = self.settings.practice.confirm
+            self._stop(np.array(record.z), f"a mean succeeded {confirm} times in a row")
+        return note
+
+    def _stop(self, answer: np.ndarray, why: str) -> None:
+        if self._improvement is not None:
+            self._answer = self._improvement.parametrization.clip(answer)
+        self.stopped = why

@@ -18,31 +18,127 @@ After a kill at any moment, `Session.open(folder).practice(arm)` resumes bit for
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
 import os
-from collections.abc import Mapping, Sequence
+import platform
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from wam_power_ros import durable_files
-from wam_power_ros.learning import policy as policy_module
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from wam_power_ros import durable_files, plain_json, plain_yaml
+from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.practice.course import check_candidates
 from wam_power_ros.practice.improvement import ArmModel
-from wam_power_ros.practice.log_file import LogFile, read_lines
-from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session_files import (
+from wam_power_ros.practice.log_file import (
+    LogFile,
     SessionError,
-    SessionHeader,
-    lock,
-    read_head,
-    versions,
-    write_header,
+    brief,
+    check_regular,
+    read_lines,
 )
+from wam_power_ros.practice.practice import Practice, check_candidates
 from wam_power_ros.practice.session_log import Line, NewDemonstration, Record, with_ratings
 from wam_power_ros.practice.settings import SessionSettings
 from wam_power_ros.tasks.task import Task
+
+PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
+
+
+class SessionHeader(BaseModel):
+    """Contents of session.yaml.
+
+    Attributes:
+        schema_: Version of this layout ("schema" in YAML).
+        seed: Seed of the exploration, and of the simulator in simulation.
+        settings: Settings of practice, task and learner.
+        candidates: Ids of the candidate policies, in their order.
+        demonstrations: Bags that the candidates were fitted to, as given.
+        versions: Versions of the software at the beginning, see `versions`.
+        resumed: Versions at each resumption that changed them, oldest first.
+        clock: Wall-clock figures; empty.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True)
+
+    schema_: Literal["wam_power_ros/session/2"] = Field(
+        default="wam_power_ros/session/2", alias="schema"
+    )
+    seed: int = Field(ge=0)
+    settings: SessionSettings
+    candidates: list[str] = Field(min_length=1)
+    demonstrations: list[str]
+    versions: dict[str, str]
+    resumed: list[dict[str, str]] = Field(default_factory=list)
+    clock: dict[str, Any]
+
+    @field_validator("candidates")
+    @classmethod
+    def _are_ids(cls, candidates: list[str]) -> list[str]:
+        for id in candidates:
+            policies.check_id(id)  # ids are file names
+        return candidates
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, this package and its numerical dependencies, as far as installed."""
+    found = {"python": platform.python_version()}
+    for name in ("wam_power_ros", *PACKAGES):
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[str, Any]]:
+    """Header, candidates and context of a session.
+
+    Raises:
+        SessionError: There is no session, or a file is malformed; names the file.
+    """
+    path = folder / "session.yaml"
+    if not path.is_file():
+        raise SessionError(f"{folder} holds no session: there is no session.yaml")
+    for needed in (path, folder / "task.json"):
+        check_regular(needed)
+    try:
+        header = SessionHeader.model_validate(plain_yaml.read(path))
+    except ValidationError as error:
+        raise SessionError(f"{path}: {brief(error)}") from error
+    except ValueError as error:  # names the file
+        raise SessionError(brief(error)) from error
+    candidates = []
+    for id in header.candidates:
+        path = folder / "candidates" / f"{id}.json"
+        check_regular(path)
+        try:
+            candidate = policies.from_json(path.read_text(encoding="utf-8"))
+        except (ValueError, OSError) as error:
+            raise SessionError(f"{path}: {error}") from error
+        if candidate.id != id:
+            raise SessionError(f"{path}: holds policy {candidate.id!r}, expected {id!r}")
+        candidates.append(candidate)
+    path = folder / "task.json"
+    try:
+        context = plain_json.read(path)
+    except (ValueError, OSError) as error:
+        raise SessionError(brief(error)) from error
+    return header, tuple(candidates), context
+
+
+def _write_header(folder: Path, header: SessionHeader) -> None:
+    """Replace session.yaml atomically."""
+    text = yaml.safe_dump(header.model_dump(mode="json", by_alias=True), sort_keys=False)
+    durable_files.replace(folder / "session.yaml", text)
 
 
 class Session:
@@ -53,15 +149,13 @@ class Session:
         header: Contents of session.yaml.
         context: Contents of task.json.
         candidates: Policies that the session began with.
-        bags: Folder of the recordings.
     """
 
-    def __init__(self, folder: Path, lock_file: int) -> None:
+    def __init__(self, folder: Path, lock: int) -> None:
         """Use `begin` or `open`."""
         self.folder = folder
-        self.bags = folder / "bags"
-        self._lock: int | None = lock_file
-        self.header, self.candidates, self.context = read_head(folder)
+        self._lock: int | None = lock
+        self.header, self.candidates, self.context = _read_head(folder)
         self._log = LogFile(folder)
         self._compare_versions()
 
@@ -69,15 +163,6 @@ class Session:
     def exists(folder: Path | str) -> bool:
         """Whether a folder holds a session, to be opened instead of begun."""
         return (Path(folder) / "session.yaml").is_file()
-
-    @staticmethod
-    def task_of(folder: Path | str) -> str:
-        """Name of the task of a session.
-
-        Raises:
-            SessionError: There is no session, or it is malformed.
-        """
-        return read_head(Path(folder))[0].settings.task
 
     @classmethod
     def begin(
@@ -89,7 +174,6 @@ class Session:
         *,
         context: Mapping[str, Any] | None = None,
         demonstrations: Sequence[str] = (),
-        clock: Mapping[str, Any] | None = None,
     ) -> Session:
         """Begin a session in a new folder, or in one whose creation was interrupted.
 
@@ -100,7 +184,6 @@ class Session:
             candidates: Policies fitted to the demonstrations.
             context: Data of the demonstrations that the task needs, see `Task.context_of`.
             demonstrations: Bags that the candidates were fitted to.
-            clock: Wall-clock figures.
 
         Raises:
             SessionError: The folder holds a session already, or another process has locked it.
@@ -110,8 +193,7 @@ class Session:
         folder = Path(folder)
         new = [folder, *(parent for parent in folder.parents if not parent.exists())]
         folder.mkdir(parents=True, exist_ok=True)
-        lock_file = lock(folder)
-        try:
+        with _locked(folder) as lock:
             if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
                 raise SessionError(f"{folder} holds a session already; open it, or name another")
             header = SessionHeader(
@@ -120,21 +202,18 @@ class Session:
                 candidates=[policy.id for policy in candidates],
                 demonstrations=list(demonstrations),
                 versions=versions(),
-                clock=dict(clock or {}),
+                clock={},
             )
             (folder / "candidates").mkdir(exist_ok=True)
             (folder / "bags").mkdir(exist_ok=True)
             for policy in candidates:
                 path = folder / "candidates" / f"{policy.id}.json"
-                durable_files.replace(path, policy_module.to_json(policy))
+                durable_files.replace(path, policies.to_json(policy))
             durable_files.replace(folder / "task.json", json.dumps(dict(context or {})) + "\n")
-            write_header(folder, header)
+            _write_header(folder, header)
             for each in new:
                 durable_files.sync(each.parent)
-            return cls(folder, lock_file)
-        except BaseException:
-            os.close(lock_file)
-            raise
+            return cls(folder, lock)
 
     @classmethod
     def open(cls, folder: Path | str) -> Session:
@@ -150,27 +229,8 @@ class Session:
         folder = Path(folder)
         if not cls.exists(folder):
             raise SessionError(f"{folder} holds no session: there is no session.yaml")
-        lock_file = lock(folder)
-        try:
-            return cls(folder, lock_file)
-        except BaseException:
-            os.close(lock_file)
-            raise
-
-    @property
-    def settings(self) -> SessionSettings:
-        """Settings of the session."""
-        return self.header.settings
-
-    @property
-    def seed(self) -> int:
-        """Seed of the exploration."""
-        return self.header.seed
-
-    @property
-    def log(self) -> tuple[Line, ...]:
-        """All log lines on disk, oldest first."""
-        return tuple(self._log.lines)
+        with _locked(folder) as lock:
+            return cls(folder, lock)
 
     @property
     def records(self) -> tuple[Record, ...]:
@@ -187,9 +247,8 @@ class Session:
             SessionError: The log does not follow from this session's settings and seed.
         """
         try:
-            return Practice(
-                self.settings, self.context, self.candidates, self.seed, arm, self._log.lines
-            )
+            settings, seed = self.header.settings, self.header.seed
+            return Practice(settings, self.context, self.candidates, seed, arm, self._log.lines)
         except ValueError as error:
             raise SessionError(f"{self.folder / 'rollouts.jsonl'}: {error}") from error
 
@@ -199,7 +258,7 @@ class Session:
 
     def save_policy(self, policy: Policy) -> None:
         """Replace policy.json atomically: a reader sees the old or the new policy."""
-        durable_files.replace(self.folder / "policy.json", policy_module.to_json(policy))
+        durable_files.replace(self.folder / "policy.json", policies.to_json(policy))
 
     def close(self) -> None:
         """Unlock the folder; may be called twice."""
@@ -232,42 +291,74 @@ class Session:
         if now != [begun, *self.header.resumed][-1]:
             resumed = [*self.header.resumed, now]
             self.header = self.header.model_copy(update={"resumed": resumed})
-            write_header(self.folder, self.header)
+            _write_header(self.folder, self.header)
 
 
-def read_task(folder: Path | str) -> Task:
-    """Task of a session, for reports.
+@contextmanager
+def _locked(folder: Path) -> Iterator[int]:
+    """Lock a folder, until the descriptor is closed, the process ends or the block fails.
 
     Raises:
-        SessionError: There is no session, or its header, task or context is malformed.
+        SessionError: Another process has locked it.
     """
-    header, _, context = read_head(Path(folder))
+    file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
-        return header.settings.make_task(context)
-    except (ValueError, KeyError) as error:
-        raise SessionError(f"{folder}: {error}") from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            raise SessionError(f"{folder} is being written by another learner") from error
+        yield file
+    except BaseException:
+        os.close(file)
+        raise
 
 
-def read(folder: Path | str) -> tuple[SessionHeader, tuple[Policy, ...], tuple[Record, ...]]:
-    """Header, candidates and rollouts of a session, read without locking or changing it.
+@dataclass(frozen=True)
+class Contents:
+    """Contents of a session folder.
 
-    Candidates include those added later; rollouts have their ratings. A learner may be writing
-    meanwhile; an incomplete line is not returned.
+    Attributes:
+        folder: Folder of the session.
+        header: Contents of session.yaml.
+        context: Contents of task.json.
+        candidates: Policies of the demonstrations, including those added later.
+        log: Lines of the log, oldest first.
+    """
+
+    folder: Path
+    header: SessionHeader
+    context: dict[str, Any]
+    candidates: tuple[Policy, ...]
+    log: tuple[Line, ...]
+
+    @cached_property
+    def records(self) -> tuple[Record, ...]:
+        """The rollouts, oldest first, with their ratings."""
+        return with_ratings(self.log)
+
+    @cached_property
+    def task(self) -> Task:
+        """Task of the session.
+
+        Raises:
+            SessionError: Its name or context is malformed.
+        """
+        try:
+            return self.header.settings.make_task(self.context)
+        except (ValueError, KeyError) as error:
+            raise SessionError(f"{self.folder}: {error}") from error
+
+
+def read(folder: Path | str) -> Contents:
+    """Read a session without locking or changing it.
+
+    A learner may be writing meanwhile; an incomplete line is not returned.
 
     Raises:
         SessionError: There is no session, or a file is malformed; names the file and line.
     """
-    header, candidates, _ = read_head(Path(folder))
-    log, _ = read_lines(Path(folder))
-    added = [line.candidate() for line in log if isinstance(line, NewDemonstration)]
-    return header, (*candidates, *added), with_ratings(log)
-
-
-def read_log(folder: Path | str) -> tuple[Line, ...]:
-    """All lines of a session's log, read without locking or changing it.
-
-    Raises:
-        SessionError: As `read`.
-    """
-    read_head(Path(folder))
-    return tuple(read_lines(Path(folder))[0])
+    folder = Path(folder)
+    header, candidates, context = _read_head(folder)
+    log, _ = read_lines(folder)
+    added = (line.candidate() for line in log if isinstance(line, NewDemonstration))
+    return Contents(folder, header, context, (*candidates, *added), tuple(log))

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of a session's log: rollouts, and a person's ratings and demonstrations.
+"""Trials, and the lines of a session's log: rollouts, a person's ratings and demonstrations.
 
-A `Record` is one executed rollout. A `Rating` and a `NewDemonstration` may be added at any moment,
-even while the next trial is being executed. Each holds the rollout after which it takes effect, so
-that replaying the log line by line selects the same policies as the session did.
+A `Trial` is a rollout to be executed, a `Record` the same rollout once it was executed. A `Rating`
+and a `NewDemonstration` may be added at any moment, even while the next trial is being executed.
+Each holds the rollout after which it takes effect, so that replaying the log line by line selects
+the same policies as the session did.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -20,6 +22,65 @@ from wam_power_ros import plain_json
 from wam_power_ros.learning.policy import Policy, from_json
 
 Kind = Literal["reproduction", "explore", "mean", "retest"]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A rollout to be executed.
+
+    Attributes:
+        number: Position in the session, from 1.
+        id: Name of the rollout and of its policy, "trial-0007".
+        kind: "reproduction" of a demonstration, "explore", "mean" or "retest" (not learnt from).
+        demonstration: Id of the candidate that the coordinates refer to.
+        attempt: 1, or more after rollouts of the same z without a return.
+        rejections: Number of infeasible samples before this one, plus the number of halvings after
+            20 of them; for a mean or an answer the number of halvings, see `feasible_sampler`.
+        z: Coordinates. Shape (size,).
+        theta: Learnt parameters in physical units. Shape (size,).
+        policy: Policy to execute, at the coordinates z.
+        purpose: Human-readable purpose of the trial.
+    """
+
+    number: int
+    id: str
+    kind: Kind
+    demonstration: str
+    attempt: int
+    rejections: int
+    z: np.ndarray
+    theta: np.ndarray
+    policy: Policy
+    purpose: str
+
+    def logged(self) -> dict[str, Any]:
+        """Fields that its record holds."""
+        fields = {name: value for name, value in vars(self).items() if name in Record.model_fields}
+        return fields | {"z": self.z.tolist(), "theta": self.theta.tolist()}
+
+    def check(self, record: Record, generator: dict[str, Any]) -> None:
+        """Check that a record is of this trial.
+
+        Args:
+            record: Record as logged.
+            generator: State of the session's generator after the trial was drawn.
+
+        Raises:
+            ValueError: It is of another trial; names the first difference.
+        """
+        for name in ("number", "id", "kind", "demonstration", "attempt"):
+            wanted, got = getattr(self, name), getattr(record, name)
+            if wanted != got:
+                raise ValueError(
+                    f"record {self.number}: {name} is {got!r}, expected {wanted!r} in this "
+                    "session: other settings, seed or candidates?"
+                )
+        same_z = len(record.z) == len(self.z) and np.allclose(record.z, self.z, rtol=0, atol=1e-6)
+        if not same_z or record.generator != generator:
+            raise ValueError(
+                f"record {record.number}: {'the generator' if same_z else 'z'} is not this "
+                "session's: other settings, seed or candidates?"
+            )
 
 
 class _Line(BaseModel):
@@ -178,6 +239,18 @@ def parse_line(text: str) -> Line:
     data = plain_json.parse(text, "the line")
     schema = data.get("schema") if isinstance(data, dict) else None
     return _KINDS.get(schema if isinstance(schema, str) else None, Record).model_validate(data)
+
+
+def out_of_order(line: Line, count: int) -> str:
+    """Reason why a line cannot follow `count` rollouts, empty if it can."""
+    if isinstance(line, Record):
+        wrong = line.number != count + 1
+        return f"rollout {line.number} cannot follow rollout {count}" if wrong else ""
+    if isinstance(line, Rating) and line.rollout > count:
+        return f"rollout {line.rollout} is rated before it is recorded"
+    if line.after in (count, count + 1):
+        return ""
+    return f"a line that takes effect after rollout {line.after} cannot follow rollout {count}"
 
 
 def with_ratings(log: Sequence[Line]) -> tuple[Record, ...]:

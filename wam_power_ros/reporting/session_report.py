@@ -96,15 +96,15 @@ def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = ""
     Raises:
         session.SessionError: There is no session, or it is malformed.
     """
-    header, candidates, records = session.read(folder)
-    task = session.read_task(folder)
+    found = session.read(folder)
+    records = found.records
     practised = [record for record in records if record.kind != "reproduction"]
     learnt_from = practised[-1].demonstration if practised else None
-    start = next((candidate for candidate in candidates if candidate.id == learnt_from), None)
+    start = next((candidate for candidate in found.candidates if candidate.id == learnt_from), None)
     saved = folder / "policy.json"
     answer = policy.from_json(saved.read_text()) if saved.exists() else None
     path = folder / "report.html"
-    html = render(header, task, start, answer, records, shown, why_no_film)
+    html = render(found.header, found.task, start, answer, records, shown, why_no_film)
     durable_files.replace(path, html)
     return path
 

@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 
 from wam_power_ros.practice import session
-from wam_power_ros.practice.session_log import Kind, Record, with_ratings
+from wam_power_ros.practice.session_log import Kind, Record
 from wam_power_ros.reporting.terminal import number, returned, term_names
 from wam_power_ros.tasks.task import Task
 from wam_power_ros.view.page import Page, plain
@@ -74,7 +74,7 @@ class Progress:
         if size == self._size:
             return False
         self._size = size
-        self.records = with_ratings(session.read_log(self._folder))
+        self.records = session.read(self._folder).records
         self.bags = {
             label(record): self._folder / "bags" / record.bag
             for record in reversed(self.records)

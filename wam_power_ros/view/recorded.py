@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from wam_power_ros.bags import reader
+from wam_power_ros.bags.bag import Bag
 from wam_power_ros.bags.layout import STRING, decoded
+from wam_power_ros.bags.reader import read_states
 from wam_power_ros.learning.policy import Policy, from_json
 from wam_power_ros.params.resources import share
 from wam_power_ros.view.skeleton import Skeleton
@@ -65,63 +66,65 @@ class Movement:
         return None if index < 0 else (self.body_position[index], self.body_quat_wxyz[index])
 
 
-def read(bag: Path) -> Movement:
+def read(path: Path) -> Movement:
     """Read the movement of a bag.
 
     Raises:
         ValueError: It is no bag, has no joint states, or only those of an unknown arm.
     """
-    found = reader.topics(bag)
-    urdf, skeleton = _description(bag, found)
-    arm = reader.noted_arm(bag)
-    names = arm.joint_names if arm is not None else skeleton.joint_names
-    stamps, q = reader.read_demonstration(bag, names)
+    bag = Bag(path)
+    urdf, skeleton = _description(bag)
+    names = bag.arm.joint_names if bag.arm is not None else skeleton.joint_names
+    states = read_states(bag, names)
+    stamps, q = states.stamps, states.q
     body_topic = next(
-        (n for n, t in found.items() if n.endswith(STATE) and t.msgtype == ODOMETRY), ""
+        (n for n, t in bag.topics.items() if n.endswith(STATE) and t.msgtype == ODOMETRY), ""
     )
-    states = np.array(list(_body_states(bag, body_topic, int(stamps[0])))).reshape(-1, 8)
-    states = states[np.r_[True, np.diff(states[:, 0]) > 0.0]] if len(states) else states
+    body = np.array(list(_body_states(bag, body_topic, int(stamps[0])))).reshape(-1, 8)
+    body = body[np.r_[True, np.diff(body[:, 0]) > 0.0]] if len(body) else body
     return Movement(
-        name=bag.name,
+        name=path.name,
         urdf=urdf,
         joint_names=names,
         t=(stamps - stamps[0]) / 1e9,
         q=q,
         body=body_topic.removesuffix(STATE).rpartition("/")[2],
-        body_t=states[:, 0],
-        body_position=states[:, 1:4],
-        body_quat_wxyz=states[:, 4:],
-        policy=_policy(bag, found),
+        body_t=body[:, 0],
+        body_position=body[:, 1:4],
+        body_quat_wxyz=body[:, 4:],
+        policy=_policy(bag),
     )
 
 
-def _description(bag: Path, found: dict[str, reader.Topic]) -> tuple[str, Skeleton]:
+def _description(bag: Bag) -> tuple[str, Skeleton]:
     """URDF and skeleton of the arm: from the bag, else the first of `URDFS` with its joints."""
-    for message in _texts(bag, found, DESCRIPTION):
+    for message in _texts(bag, DESCRIPTION):
         return message.data, Skeleton(message.data)
     texts = [share(urdf).read_text() for urdf in URDFS]
     for text in texts:
         skeleton = Skeleton(text)
         try:
-            reader.read_demonstration(bag, skeleton.joint_names)
+            read_states(bag, skeleton.joint_names)
         except ValueError:
             continue
         return text, skeleton
-    raise ValueError(f"{bag} has no {DESCRIPTION}, and its joints are not those of {list(URDFS)}")
+    raise ValueError(
+        f"{bag.path} has no {DESCRIPTION}, and its joints are not those of {list(URDFS)}"
+    )
 
 
-def _texts(bag: Path, found: dict[str, reader.Topic], name: str) -> Iterator[Any]:
+def _texts(bag: Bag, name: str) -> Iterator[Any]:
     """Messages of the first String topic with this name, in any namespace."""
-    topics = [n for n, topic in found.items() if n.endswith(name) and topic.msgtype == STRING]
+    topics = [n for n, of in bag.topics.items() if n.endswith(name) and of.msgtype == STRING]
     yield from _decoded(bag, topics[0], STRING) if topics else ()
 
 
-def _policy(bag: Path, found: dict[str, reader.Topic]) -> Policy | None:
-    texts = [message.data for message in _texts(bag, found, POLICY)]
+def _policy(bag: Bag) -> Policy | None:
+    texts = [message.data for message in _texts(bag, POLICY)]
     return from_json(texts[-1]) if texts else None
 
 
-def _body_states(bag: Path, topic: str, start_ns: int) -> Iterator[tuple[float, ...]]:
+def _body_states(bag: Bag, topic: str, start_ns: int) -> Iterator[tuple[float, ...]]:
     """Time since the start [s], position [m] and quaternion wxyz of each state."""
     for message in _decoded(bag, topic, ODOMETRY) if topic else ():
         stamp, pose = message.header.stamp, message.pose.pose
@@ -132,6 +135,6 @@ def _body_states(bag: Path, topic: str, start_ns: int) -> Iterator[tuple[float, 
             yield state
 
 
-def _decoded(bag: Path, topic: str, msgtype: str) -> Iterator[Any]:
-    for _, _, cdr in reader.messages(bag, [topic]):
+def _decoded(bag: Bag, topic: str, msgtype: str) -> Iterator[Any]:
+    for _, _, cdr in bag.messages([topic]):
         yield decoded(cdr, msgtype)

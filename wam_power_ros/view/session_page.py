@@ -66,7 +66,7 @@ class SessionPage:
     """
 
     def __init__(self, server: viser.ViserServer, folder: Path) -> None:
-        task = session.read_task(folder)
+        task = session.read(folder).task
         self._folder = folder
         self._page = Page(server, folder.name)
         self._node: View | None = None

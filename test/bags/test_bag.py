@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag is opened and verified once, whatever is read of it."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bag_samples import NAMES, demonstration, random_q
+
+from wam_power_ros.bags import integrity, takes
+from wam_power_ros.bags.bag import Bag
+from wam_power_ros.bags.reader import read_demonstration
+from wam_power_ros.cli import main
+from wam_power_ros.params.resources import share
+
+BAGS = share("bags")
+
+_heard: list[Counter[str]] = []  # counters of the tests under way
+
+
+def _hear(event: str, arguments: tuple[Any, ...]) -> None:
+    if event == "open" and _heard and isinstance(arguments[0], str):
+        _heard[-1][Path(arguments[0]).name] += 1
+
+
+sys.addaudithook(_hear)  # hears every file that any library opens; cannot be removed
+
+
+@pytest.fixture
+def opened() -> Iterator[Counter[str]]:
+    """Number of openings by name of the file."""
+    _heard.append(Counter())
+    yield _heard[-1]
+    _heard.clear()
+
+
+@pytest.fixture
+def verified(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
+    """Number of verifications by name of the file."""
+    count: Counter[str] = Counter()
+    verify = integrity.verify
+
+    def counting(file: Path, information: dict[str, Any]) -> None:
+        count[file.name] += 1
+        verify(file, information)
+
+    monkeypatch.setattr(integrity, "verify", counting)
+    return count
+
+
+def test_reading_a_demonstration_opens_its_metadata_and_verifies_its_file_once(
+    tmp_path: Path, opened: Counter[str], verified: Counter[str]
+) -> None:
+    path = demonstration(tmp_path / "demo", random_q(50))
+    opened.clear()
+    read_demonstration(path, NAMES)
+    assert verified == {"demo.mcap": 1}
+    assert opened == {"metadata.yaml": 1, "demo.mcap": 2}  # to verify and to read
+
+
+def test_whatever_is_read_of_an_opened_bag_it_is_verified_once(
+    tmp_path: Path, opened: Counter[str], verified: Counter[str]
+) -> None:
+    bag = Bag(demonstration(tmp_path / "demo", random_q(50)))
+    opened.clear()
+    take = takes.read(bag, NAMES)
+    assert (bag.kind, bag.arm) == ("demo", None)
+    assert take.counts == {"/joint_states": 100, "/robot_description": 1}
+    assert verified == {"demo.mcap": 1} and not opened["metadata.yaml"]
+
+
+def test_listing_verifies_each_bag_once(opened: Counter[str], verified: Counter[str]) -> None:
+    files = [file.name for file in BAGS.glob("*/*.mcap")]
+    assert main.main(["bags", "list", str(BAGS)]) == 0
+    assert verified == dict.fromkeys(files, 1)
+    assert opened["metadata.yaml"] == len(files) > 2
