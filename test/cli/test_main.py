@@ -74,7 +74,6 @@ def test_seed_and_settings_of_a_session_cannot_be_changed(
         ("--task reach", "task flip; omit task"),
         ("--learner cma_es", "learner power; omit learner"),
         ("--preset paper", "other settings than preset paper; omit preset"),
-        ("--bags a", "the demonstrations ; omit bags"),
     ):
         assert f"was begun with {own}" in refusal("learn", "--session", "s", *words.split())
 
