@@ -29,10 +29,10 @@ from hardware_sim.scenes import scene_type
 from hardware_sim.wam import PERIOD_NS
 from hardware_sim.wam_node import WamSim
 from hardware_sim.world import World
+from wam_power_ros.entry import REFUSED
 from wam_power_ros.ros import joint_messages, node_runner, scheduling
 from wam_power_ros.ros.domain import exported, hold
 from wam_power_ros.ros.loop_statistics import LoopStatistics
-from wam_power_ros.ros.node_runner import REFUSED
 
 REPEAT_PERIOD_NS = 50_000_000  # [ns] after which an unanswered state is published again
 LAG_MAX_NS = 100_000_000  # [ns] behind the clock; beyond, the time of the simulation is shifted

@@ -9,13 +9,18 @@ ones. A person activates the controller: `ros2 lifecycle set /torque_controller 
 instead.)
 """
 
+import sys
+from pathlib import Path
+
 from launch.actions import DeclareLaunchArgument
 
 from launch import LaunchDescription
-from wam_power_ros.cli import ros_launch
+
+sys.path.insert(0, str(Path(__file__).parent))
+import wam_power_plan
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the launch arguments and nodes."""
-    arguments = [DeclareLaunchArgument("config", description="set-ups, by name or path")]
-    return ros_launch.description(arguments, stand_ins=False)
+    """Return the launch arguments and processes."""
+    config = DeclareLaunchArgument("config", description="set-ups, by name or path")
+    return wam_power_plan.description("hardware", config)

@@ -279,3 +279,20 @@ def refusal(
         return capsys.readouterr().err
 
     return refuse
+
+
+@pytest.fixture
+def installation(tmp_path: Path) -> Path:
+    """Launch files and executable, as colcon installs them."""
+    prefix = tmp_path / "install"
+    folder = prefix / "share/wam_power_ros/launch"
+    folder.parent.mkdir(parents=True)
+    folder.symlink_to(ROOT / "launch")
+    program = prefix / "lib/wam_power_ros/wam-power"
+    program.parent.mkdir(parents=True)
+    program.write_text(
+        f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {str(ROOT)!r})\n"
+        "from wam_power_ros.entry import wam_power\nraise SystemExit(wam_power())\n"
+    )
+    program.chmod(0o755)
+    return folder

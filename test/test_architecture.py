@@ -186,6 +186,21 @@ def test_the_pure_folders_know_neither_ros_nor_simulator_nor_the_outside_world()
     assert {name: known for name, known in found.items() if known} == {}
 
 
+def test_the_plan_of_a_session_is_made_of_values() -> None:
+    assert not roots(imports(PACKAGE / "cli/plan.py")) & (ROS | SIMULATOR | OUTSIDE_WORLD)
+
+
+def test_nobody_builds_a_namespace_to_pass_values_by() -> None:
+    built = {
+        label(path)
+        for path in MODULES
+        for node in nodes(path)
+        if isinstance(node, ast.Call)
+        and ast.unparse(node.func).rpartition(".")[2] in ("Namespace", "SimpleNamespace")
+    }
+    assert built == set()
+
+
 def test_the_core_draws_only_from_the_generator_it_is_given() -> None:
     for path in in_folders(*PURE, "practice"):
         drawn = {

@@ -27,6 +27,7 @@ GUARDED = [
 EXECUTABLES = re.findall(r'f"[\w-]+ = \{NAME\}\.entry:(\w+)"', (ROOT / "setup.py").read_text())
 WAYS = {
     **{f"-m {name}": ["-m", name] for name in [*GUARDED, "wam_power_ros.cli"]},
+    "-m wam_power_ros.entry learner": ["-m", "wam_power_ros.entry", "learner"],
     **{
         name: ["-c", f"import sys; from wam_power_ros.entry import {name}; sys.exit({name}())"]
         for name in EXECUTABLES

@@ -14,10 +14,12 @@ from __future__ import annotations
 import importlib
 import os
 import signal
+import sys
 from functools import partial
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 INTERRUPTED = 130  # exit status of a program that is interrupted before its work is done
+REFUSED = 2  # exit status of a node that refuses its parameters
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -50,3 +52,6 @@ learner = partial(start, "wam_power_ros.nodes.learner")
 check_driver = partial(start, "wam_power_ros.nodes.check_driver", INTERRUPTED)
 wam_sim = partial(start, "hardware_sim.main")
 wam_power = partial(start, "wam_power_ros.cli.main", INTERRUPTED)
+
+if __name__ == "__main__":
+    raise SystemExit(globals()[sys.argv.pop(1)]())

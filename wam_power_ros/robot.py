@@ -8,14 +8,12 @@ notebook, stops the arm. It is no safety function.
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import rclpy
@@ -31,9 +29,11 @@ from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.bags import reader
 from wam_power_ros.cli import launcher
+from wam_power_ros.cli.plan import CONTROLLER, RECORDER, TRACKER, plan_of
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Policy
+from wam_power_ros.nodes.learner import LearnerParams
 from wam_power_ros.nodes.rollout_client import Executed, Ready, RolloutClient
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
@@ -43,7 +43,6 @@ from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, mo
 from wam_power_ros.ros.node_runner import participant
 from wam_power_ros.ros.service_client import ServiceClient, ServiceError
 
-CONTROLLER, RECORDER = "torque_controller", "demonstration_recorder"  # nodes
 STATE_TIMEOUT = 60.0  # [s of wall time] for a joint state or a receipt; nodes may be starting
 MOVE_TIMEOUT = 3600.0  # [s of wall time]
 BUSY_RETRY_PERIOD = 0.1  # [s of wall time] between requests to a busy controller
@@ -102,7 +101,12 @@ class Robot:
         self._executor = executor = SingleThreadedExecutor(context=node.context)
         executor.add_node(node)
         self._calls = ServiceClient(node, executor)
-        self._rollouts = RolloutClient(node, executor, SimpleNamespace(**setup["learner"]), body)
+        learner = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in setup["learner"].items()
+            if name in LearnerParams.model_fields
+        }
+        self._rollouts = RolloutClient(node, executor, LearnerParams(**learner), body)
         self._reset = interface.body_topic(body, "reset")
         self._movements = node.create_publisher(
             JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED
@@ -316,15 +320,14 @@ def simulated(folder: Path | str, task: str = "flip", seed: int = 0) -> Iterator
         UsageError: Another launcher uses the folder, or its disk is nearly full.
         ValueError: There is no such task.
     """
-    options = argparse.Namespace(config=[], simulate=False)
     folder, before = Path(folder).resolve(), dict(os.environ)
+    parameters = launcher.Devices().parameters(task, seed, folder)
+    plan = plan_of(folder, parameters, stand_ins=True, also=[TRACKER])
     try:
-        with launcher.launch(options, folder, seed, task) as launched:
-            if launched.setup["pancake_tracker"]["body"]:
-                launched.node("pancake_tracker")
+        with launcher.launch(plan):
             os.environ |= launcher.session_environment(folder)
             with participant(lambda: rclpy.create_node("robot"), SignalHandlerOptions.NO) as node:
-                yield Robot(node, launched.setup)
+                yield Robot(node, plan.parameters)
     finally:
         os.environ.clear()
         os.environ.update(before)

@@ -20,7 +20,7 @@ from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli import main
 from wam_power_ros.cli.commands import _has_ended
 from wam_power_ros.cli.launcher import learner_is_running, pasteable, program_command
-from wam_power_ros.cli.session_options import given_options
+from wam_power_ros.cli.session_options import SessionOptions
 from wam_power_ros.params import overlay
 from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.settings import preset
@@ -113,10 +113,13 @@ def test_a_session_whose_final_policy_cannot_be_executed_has_a_report_without_it
 
 def test_a_session_without_a_file_is_resumed_with_all_its_options() -> None:
     words = ["--task", "reach", "--preset", "full", "--trials", "9", "--demonstrations", "2"]
-    options = main._parser().parse_args(["learn", *words, "--bags", "a b", "c"])
-    again = main._parser().parse_args(["learn", *given_options(options)])
-    for name in ("task", "preset", "trials", "demonstrations", "bags", "seed", "learner"):
-        assert getattr(again, name) == getattr(options, name)
+
+    def asked(*words: str) -> SessionOptions:
+        return main._command(main._parser().parse_args(["learn", *words]))[1]["asked"]
+
+    options = asked(*words, "--bags", "a b", "c")
+    assert asked(*options.words) == options
+    assert (options.trials, options.bags) == (9, [Path("a b"), Path("c")])
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from wam_power_ros.cli import main
-from wam_power_ros.cli.launcher import DOMAIN_FILE
+from wam_power_ros.cli.plan import DOMAIN_FILE
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.domain import private_domain
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from pathlib import Path
 
@@ -11,7 +10,8 @@ import pytest
 import yaml
 
 from wam_power_ros.cli import main
-from wam_power_ros.cli.launcher import Launcher, setup_options, short_path, simulated, task_setup
+from wam_power_ros.cli.launcher import Devices, Launcher, short_path, task_setup
+from wam_power_ros.cli.plan import plan_of
 from wam_power_ros.cli.processes import Processes
 from wam_power_ros.params import overlay
 
@@ -23,8 +23,9 @@ class Stack:
 LAB_SETUP = "demonstration_recorder: {ros__parameters: {stem: stack}}\n"
 
 
-def options(*words: str) -> argparse.Namespace:
-    return main._parser().parse_args(["learn", *words])
+def devices(*words: str) -> Devices:
+    _, values = main._command(main._parser().parse_args(["learn", *words]))
+    return values["devices"]
 
 
 @pytest.mark.parametrize(
@@ -38,8 +39,8 @@ def options(*words: str) -> argparse.Namespace:
 def test_a_command_to_resume_selects_the_same_set_up(
     words: list[str], with_stand_ins: bool
 ) -> None:
-    assert setup_options(options(*words)) == words
-    assert simulated(options(*words)) == with_stand_ins
+    assert devices(*words).words == words
+    assert devices(*words).stand_ins == with_stand_ins
 
 
 def test_a_path_below_the_working_directory_is_shown_relative_to_it(
@@ -53,11 +54,12 @@ def test_a_path_below_the_working_directory_is_shown_relative_to_it(
 def test_nodes_and_scripts_get_their_parameters_whatever_characters_are_in_them(
     tmp_path: Path,
 ) -> None:
-    file = tmp_path / "parameters.yaml"
-    file.write_text(overlay.text(overlay.setup()))
     odd = str(tmp_path / "séries: 'a' #1.json")
+    plan = plan_of(tmp_path, Devices().parameters(), stand_ins=True)
+    plan.file.parent.mkdir()
+    plan.file.write_text(overlay.text(plan.parameters))
     with Processes(tmp_path / "logs", {"ROS_DOMAIN_ID": "97"}) as processes:
-        launcher = Launcher(processes, overlay.setup(), file)
+        launcher = Launcher(plan, processes)
         node = launcher.node("demonstration_recorder", directory=odd, stem="")
         script = launcher.script(
             "teach",

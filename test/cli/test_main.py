@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from rich.console import Console
 from toss_task import demonstrated_policy, some_records
 
 from wam_power_ros.cli import main
+from wam_power_ros.cli.launcher import Devices, UsageError
+from wam_power_ros.cli.session_options import SessionOptions, chosen
 from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import terminal
@@ -65,8 +68,26 @@ def test_seed_and_settings_of_a_session_cannot_be_changed(
     tmp_path: Path, refusal: Callable[..., str]
 ) -> None:
     begun_session(tmp_path / "s")
-    assert "begun with seed 5" in refusal("learn", "--session", "s", "--seed", "6")
-    assert "omit trials" in refusal("learn", "--session", "s", "--trials", "9")
+    for words, own in (
+        ("--seed 6", "seed 5; omit seed"),
+        ("--trials 9", "trials 60; omit trials"),
+        ("--task reach", "task flip; omit task"),
+        ("--learner cma_es", "learner power; omit learner"),
+        ("--preset paper", "other settings than preset paper; omit preset"),
+    ):
+        assert f"was begun with {own}" in refusal("learn", "--session", "s", *words.split())
+
+
+def test_the_command_that_began_a_session_resumes_it(tmp_path: Path) -> None:
+    bags = [tmp_path / "a", tmp_path / "b"]
+    asked = SessionOptions("flip", "cma_es", "paper", trials=20, seed=5, bags=bags)
+    settings = preset("flip", "paper", {"name": "cma_es"}, budget=20)
+    Session.begin(
+        tmp_path / "s", settings, 5, [demonstrated_policy()], demonstrations=[str(bags[1])]
+    ).close()  # the first bag was of no use
+    assert chosen(tmp_path / "s", asked, Devices()) == (5, "flip")
+    with pytest.raises(UsageError, match="omit bags"):
+        chosen(tmp_path / "s", replace(asked, bags=bags[:1]), Devices())
 
 
 def test_resuming_needs_a_session(refusal: Callable[..., str]) -> None:

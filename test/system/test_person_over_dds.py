@@ -15,7 +15,7 @@ from toss_task import practice_of
 from hardware_sim.settings import WorldSettings
 from hardware_sim.world import World
 from wam_power_ros.bags import reader
-from wam_power_ros.cli.launcher import DOMAIN_FILE
+from wam_power_ros.cli.plan import DOMAIN_FILE
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.in_process.environment import Environment
 from wam_power_ros.learning.demonstration import from_joint_samples

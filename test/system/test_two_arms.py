@@ -4,34 +4,21 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
-from conftest import ROOT, Probe, Process, Processes
+from conftest import ROOT, Probe, Processes
 from diagnostic_msgs.msg import DiagnosticArray
 
 from wam_power_ros.bags import layout
 from wam_power_ros.bags.bag import Bag
-from wam_power_ros.cli import ros_launch
+from wam_power_ros.cli.launcher import Devices
+from wam_power_ros.cli.plan import LEARNER, plan_of
+from wam_power_ros.cli.session_options import SessionOptions, learner_parameters
 from wam_power_ros.ros import interface
 
-BAGS = " ".join(str(bag) for bag in sorted((ROOT / "bags").glob("reach_*")))
-ARGUMENTS = {name: default for name, (default, _) in ros_launch.SHARED_ARGUMENTS.items()}
-ARGUMENTS |= {"config": "", "pace": "lockstep", "task": "reach", "demonstrations": BAGS}
+BAGS = sorted((ROOT / "bags").glob("reach_*"))
 PATIENCE = 300.0  # [s of wall time]
 ARMS = {"left": 5, "right": 6}  # namespace -> seed
-
-
-def start(processes: Processes, plan: ros_launch.LaunchPlan) -> Process:
-    """The processes that a launch file would start; returns the learner."""
-    file = ros_launch.parameter_file(plan)
-    remaps = [("__ns", plan.namespace), *plan.remappings]
-    for name in plan.executables:
-        command = [sys.executable, "-m", "wam_power_ros.cli", "run", name, "--ros-args"]
-        command += ["--params-file", str(file)]
-        command += [word for old, new in remaps for word in ("-r", f"{old}:={new}")]
-        process = processes.start(command)
-    return process
 
 
 def test_two_arms_in_two_namespaces_learn_side_by_side(
@@ -40,10 +27,16 @@ def test_two_arms_in_two_namespaces_learn_side_by_side(
     heard = probe.listen(DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS)
     learners = {}
     for name, seed in ARMS.items():
-        given = {"namespace": name, "session": str(tmp_path / name), "seed": str(seed)}
-        plan = ros_launch.prepare({**ARGUMENTS, **given, "trials": "2"}, stand_ins=True)
-        plan.setup["learner"]["changes"] = json.dumps({"retests": 1})
-        learners[name] = start(processes, plan)
+        folder, asked = tmp_path / name, SessionOptions("reach", trials=2, bags=BAGS)
+        setup = Devices().parameters("reach", seed, folder)
+        setup[LEARNER] |= learner_parameters(folder, asked, seed, "reach")
+        setup[LEARNER]["changes"] = json.dumps({"retests": 1})
+        plan = plan_of(folder, setup, stand_ins=True, also=[LEARNER], namespace=f"/{name}")
+        plan.file.parent.mkdir(parents=True)
+        for file, text in plan.written.items():
+            file.write_text(text)
+        for process in plan.processes:
+            learners[name] = processes.start([*process.command])  # the last one
     for name, learner in learners.items():
         probe.until(lambda ended=learner: ended.poll() is not None, f"the {name} session", PATIENCE)
         assert learner.returncode == 0, processes.output(learner)

@@ -90,8 +90,6 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     _config_option(imported)
     for command, name in ((trimmed, "trimmed"), (merged, "merged"), (imported, "TASK_NAME")):
         command.add_argument("--output", type=Path, help=f"new bag (default: BAG_{name})")
-    recovered = add("recover", recover, "recover a damaged bag")
-    recovered.add_argument("bag", type=Path, nargs="+", help="folder of the bag, or .mcap file")
 
 
 def _config_option(parser: argparse.ArgumentParser) -> None:
@@ -103,42 +101,41 @@ def _config_option(parser: argparse.ArgumentParser) -> None:
 # Inspecting
 
 
-def list_(options: argparse.Namespace) -> int:
+def list_(folder: Sequence[Path], config: Sequence[str]) -> None:
     """Print a line for each take."""
     from wam_power_ros.bags import takes
 
-    folders = options.folder or [Path(name) for name in takes.FOLDERS]
+    folders = folder or [Path(name) for name in takes.FOLDERS]
     found = takes.find(folders)
     if not found:
         raise UsageError(f"no bags below {', '.join(map(str, folders))}")
     outcomes, tasks = _outcomes(found), task_stems()
-    names, arm = arm_of(overlay.setup(options.config))
+    names, arm = arm_of(overlay.setup(config))
     width = min(max(len(path.name) for path in found), NAME_WIDTH_MAX)
     print(f"{'take':{width}}  {'task':9}  {'time':>6}  {'quality':7}  reasons")
-    folder = None
+    shown = None
     for path in found:
-        if path.parent != folder:
-            folder = path.parent
-            print(f"{short_path(folder.resolve())}/")
+        if path.parent != shown:
+            shown = path.parent
+            print(f"{short_path(shown.resolve())}/")
         kind, row, reasons = _row(path, names, arm)
         kind = "/".join(sorted(tasks.get(kind, {kind})))
         notes = "; ".join(filter(None, (outcomes.get(path.resolve(), ""), reasons)))
         print(f"{path.name:{width}}  {kind:9}  {row}  {notes}".rstrip(), flush=True)
-    return 0
 
 
-def show(options: argparse.Namespace) -> None:
+def show(bag: Path, config: Sequence[str]) -> None:
     """Print what is in a take."""
     from wam_power_ros.bags import quality
 
-    names, arm = arm_of(overlay.setup(options.config))
-    take, t, q, remarks = inspect(options.bag, names, arm)
+    names, arm = arm_of(overlay.setup(config))
+    take, t, q, remarks = inspect(bag, names, arm)
     graded = quality.grade(remarks)
     qd = quality.joint_speeds(t, q)
     print(f"{take.bag.path}: {take.bag.kind}, {take.duration:.2f} s, {graded.name.lower()}")
     for remark in remarks:
         print(f"  {remark.text}")
-    if outcome := _outcomes([options.bag]).get(options.bag.resolve()):
+    if outcome := _outcomes([bag]).get(bag.resolve()):
         print(f"  {outcome}")
     speed = (qd**2).sum(axis=1) ** 0.5
     print(f"  smoothness {quality.smoothness(speed, t[1] - t[0]):.2f} (spectral arc length)")
@@ -151,31 +148,31 @@ def show(options: argparse.Namespace) -> None:
         print(f"  {name}: {low:+.2f} to {high:+.2f} rad, at most {fastest:.2f} rad/s{of_limit}")
 
 
-def plot(options: argparse.Namespace) -> None:
+def plot(bag: Sequence[Path], output: Path | None, config: Sequence[str]) -> None:
     """Draw takes into a file."""
     from wam_power_ros import plotting
     from wam_power_ros.reporting import take_figures
 
-    names, arm = arm_of(overlay.setup(options.config))
-    takes = {path.resolve().name: inspect(path, names, arm) for path in options.bag}
+    names, arm = arm_of(overlay.setup(config))
+    takes = {path.resolve().name: inspect(path, names, arm) for path in bag}
     movements = {name: (inspected.t, inspected.q) for name, inspected in takes.items()}
     limits = None if arm is None else _limits(arm)
     drawn = take_figures.joints(movements, names, limits)
-    output = options.output or Path(f"{options.bag[0].resolve().name}.png")
+    output = output or Path(f"{bag[0].resolve().name}.png")
     if output.suffix not in (".png", ".svg"):
         raise UsageError(f"{output} must end in .png or .svg")
     output.write_bytes(plotting.png(drawn) if output.suffix == ".png" else plotting.svg(drawn))
     print(f"Figure: {output}")
 
 
-def compare(options: argparse.Namespace) -> None:
+def compare(bag: Sequence[Path], config: Sequence[str]) -> None:
     """Print how takes differ from the first."""
     import numpy as np
 
-    if len(options.bag) < 2:
+    if len(bag) < 2:
         raise UsageError("compare needs at least two bags")
-    names, arm = arm_of(overlay.setup(options.config))
-    first, *others = [inspect(path, names, arm) for path in options.bag]
+    names, arm = arm_of(overlay.setup(config))
+    first, *others = [inspect(path, names, arm) for path in bag]
     one, took = _movement(first)
     print(f"{first.take.bag.path.name}: movement of {took:.2f} s, the reference")
     for other in others:
@@ -266,39 +263,44 @@ def _movement(inspected: InspectedTake) -> tuple[np.ndarray, float]:
 # Editing
 
 
-def trim(options: argparse.Namespace) -> None:
+def trim(bag: Path, begin: float, end: float, output: Path | None) -> None:
     """Copy a part of a take."""
     from wam_power_ros.bags import editing
     from wam_power_ros.bags.bag import Bag
 
-    if not 0.0 <= options.begin < options.end:
-        raise UsageError(f"begin {options.begin} and end {options.end} must be 0 <= begin < end")
-    to = _output(options, "trimmed")
-    _print_bag(editing.trim(Bag(options.bag), to, options.begin, options.end))
+    if not 0.0 <= begin < end:
+        raise UsageError(f"begin {begin} and end {end} must be 0 <= begin < end")
+    _print_bag(editing.trim(Bag(bag), output or _beside(bag, "trimmed"), begin, end))
 
 
-def merge(options: argparse.Namespace) -> None:
+def merge(bag: Sequence[Path], output: Path | None) -> None:
     """Copy several bags into one."""
     from wam_power_ros.bags import editing
     from wam_power_ros.bags.bag import Bag
 
-    if len(options.bag) < 2:
+    if len(bag) < 2:
         raise UsageError("merge needs at least two bags")
-    _print_bag(editing.merge([*map(Bag, options.bag)], _output(options, "merged")))
+    _print_bag(editing.merge([*map(Bag, bag)], output or _beside(bag[0], "merged")))
 
 
-def import_(options: argparse.Namespace) -> None:
+def import_(
+    bag: Path,
+    joints: Sequence[str],
+    topic: str,
+    task: str,
+    output: Path | None,
+    config: Sequence[str],
+) -> None:
     """Convert a bag of another recorder into a demonstration."""
     from wam_power_ros.bags import editing, layout
     from wam_power_ros.bags.bag import Bag
 
-    setup = overlay.setup(options.config, task=task_setup(options.task))
+    setup = overlay.setup(config, task=task_setup(task))
     names, arm = arm_of(setup)
     kind = setup["demonstration_recorder"]["stem"]
-    output = options.output or layout.free_path(Path(), f"{kind}_{options.bag.resolve().stem}")
-    with progress_messages(f"importing {options.bag}"):
-        bag = Bag(options.bag)
-        made, remarks = editing.import_bag(bag, output, names, options.joints, options.topic, kind)
+    output = output or layout.free_path(Path(), f"{kind}_{bag.resolve().stem}")
+    with progress_messages(f"importing {bag}"):
+        made, remarks = editing.import_bag(Bag(bag), output, names, joints, topic, kind)
         _, row, reasons = _row(made, names, arm)
     _print_bag(made)
     for remark in remarks:
@@ -306,33 +308,33 @@ def import_(options: argparse.Namespace) -> None:
     print(f"  {row.strip()}  {reasons}".rstrip())
 
 
-def rename(options: argparse.Namespace) -> None:
+def rename(bag: Path, name: str) -> None:
     """Give a bag another name."""
     from wam_power_ros.bags import series
 
-    _print_bag(series.rename(options.bag, options.name))
+    _print_bag(series.rename(bag, name))
 
 
-def delete(options: argparse.Namespace) -> None:
+def delete(bag: Sequence[Path]) -> None:
     """Move bags to the trash beside them."""
     from wam_power_ros.bags import series
 
-    for bag in options.bag:
-        print(f"{bag} was moved to {series.discard(bag)}")
+    for each in bag:
+        print(f"{each} was moved to {series.discard(each)}")
 
 
-def recover(options: argparse.Namespace) -> None:
+def recover(bag: Sequence[Path]) -> None:
     """Recover damaged bags."""
     from wam_power_ros.bags.recovery import recover
 
-    for bag in options.bag:
-        print(recover(bag))
+    for each in bag:
+        print(recover(each))
 
 
-def _output(options: argparse.Namespace, suffix: str) -> Path:
-    bag = options.bag[0] if isinstance(options.bag, list) else options.bag
+def _beside(bag: Path, suffix: str) -> Path:
+    """Path of a new bag beside another."""
     bag = bag.resolve()
-    return options.output or bag.with_name(f"{bag.name}_{suffix}")
+    return bag.with_name(f"{bag.name}_{suffix}")
 
 
 def _print_bag(path: Path) -> None:

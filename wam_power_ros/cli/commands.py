@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The commands of `wam-power`; each takes the options that `cli.main` has parsed."""
+"""The commands of `wam-power`; each takes its options, as `cli.main` has parsed them, by name."""
 
 from __future__ import annotations
 
-import argparse
 import os
 import shlex
 import signal
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from wam_power_ros.cli.keys import Keys
 from wam_power_ros.cli.launcher import (
+    Devices,
     Launcher,
     UsageError,
     arm_of,
@@ -24,21 +24,21 @@ from wam_power_ros.cli.launcher import (
     learner_is_running,
     pasteable,
     program_command,
+    secured,
     session_environment,
-    setup_options,
     short_path,
-    simulated,
-    task_setup,
     timestamp,
 )
 from wam_power_ros.cli.node_log import PROBLEMS, NodeLogs, progress_messages
+from wam_power_ros.cli.plan import LEARNER, RECORDER, TRACKER, plan_of
 from wam_power_ros.cli.processes import ProcessError, Processes, Running
 from wam_power_ros.cli.session_options import (
     DEFAULT_TASK,
-    check_names,
+    SESSIONS,
+    SessionOptions,
+    chosen,
     existing_session,
-    given_options,
-    session_folder,
+    learner_parameters,
 )
 from wam_power_ros.console import prompt
 from wam_power_ros.entry import INTERRUPTED
@@ -51,77 +51,83 @@ if TYPE_CHECKING:
 # On the arm or its stand-in
 
 
-def teach(options: argparse.Namespace) -> int:
+def teach(
+    task: str | None,
+    folder: Path | None,
+    demonstrations: int,
+    seed: int | None,
+    devices: Devices,
+    bell: bool,
+) -> int:
     """Record demonstrations and add them to the series of the folder."""
     from wam_power_ros.bags import series
     from wam_power_ros.practice import plugins
     from wam_power_ros.reporting.terminal import counted
 
-    task = options.task or DEFAULT_TASK
-    plugins.task_type(task)  # raises for an unknown name before anything starts
-    folder = (options.folder or Path("demonstrations") / timestamp()).resolve()
+    plugins.task_type(task or DEFAULT_TASK)  # raises for an unknown name before anything starts
+    folder = (folder or Path("demonstrations") / timestamp()).resolve()
     file = folder / series.FILE
     before = len(series.read(file))
     if before:
         print(f"{short_path(folder)} holds {counted(before, 'demonstration')}; new ones are added.")
-    seed = before if options.seed is None else options.seed  # so that new movements differ
+    seed = before if seed is None else seed  # so that new movements differ
     status = 0
     try:
-        with launch(options, folder, seed, task) as launcher:
-            _teach(launcher, file, options.demonstrations, options, review=sys.stdin.isatty())
+        parameters = devices.parameters(task or DEFAULT_TASK, seed, folder)
+        plan = plan_of(folder, parameters, devices.stand_ins, secure=secured())
+        with launch(plan) as launcher:
+            _teach(launcher, file, demonstrations, bell, review=sys.stdin.isatty())
     except KeyboardInterrupt:
         status = INTERRUPTED
         print("\nStopped.")
     if bags := series.read(file):
         words = ["learn", "--bags", *map(str, map(short_path, bags))]
-        words += ["--task", task] if options.task else []
+        words += ["--task", task] if task else []
         purpose = f"To learn from {counted(len(bags), 'demonstration')}:"
-        _print_command(purpose, [*words, *setup_options(options)])
+        _print_command(purpose, [*words, *devices.words])
     return status
 
 
-def learn(options: argparse.Namespace) -> int:
+def learn(
+    asked: SessionOptions, session: Path | None, resume: bool, devices: Devices, bell: bool
+) -> int:
     """Start or resume a session, run it to its end and write its report."""
-    from wam_power_ros.practice import session
+    from wam_power_ros.practice.session import Session, read
     from wam_power_ros.reporting import terminal
 
-    folder = session_folder(options)
-    resumed = session.Session.exists(folder)
-    if resumed:
-        begun = session.read(folder)
-        seed, task = begun.header.seed, begun.header.settings.task
+    if resume:
+        folder = existing_session(session)
+    else:
+        folder = (session or SESSIONS / f"{timestamp()}-seed-{asked.seed or 0}").resolve()
+    seed, task = chosen(folder, asked, devices)
+    if resumed := Session.exists(folder):
+        begun = read(folder)
         if _has_ended(begun):
-            return _report_ended(begun, options)
+            return _report_ended(begun, devices)
         print(f"Resuming {folder} with {len(begun.records)} recorded rollouts.")
     else:
-        seed, task = options.seed or 0, options.task or DEFAULT_TASK
-        check_names(task, options)
         print(f"New session {folder}; Ctrl-C stops it, and it can be resumed.")
     signal.signal(signal.SIGTERM, interrupt)
 
     def print_how_to_resume(text: str) -> None:
         words = ["learn", "--session", str(short_path(folder))]
-        if not session.Session.exists(folder):  # the options are not on disk yet
-            words += given_options(options)
-        _print_command(f"{text} To resume:", [*words, *setup_options(options)])
+        if not Session.exists(folder):  # the options are not on disk yet
+            words += asked.words
+        _print_command(f"{text} To resume:", [*words, *devices.words])
 
     try:
-        with launch(options, folder, seed, task) as launcher:
-            if launcher.setup["pancake_tracker"]["body"]:
-                launcher.node("pancake_tracker")
-            bags = [] if resumed else [path.resolve() for path in options.bags or []]
-            if not resumed and not bags:
-                bags = _record_demonstrations(launcher, folder, options)
-            given = {name: getattr(options, name) for name in ("learner", "preset", "trials")}
-            learner = launcher.node(
-                "learner",
-                session=str(folder),
-                seed=seed,
-                task=task,
-                demonstrations=[str(bag) for bag in bags] or [""],
-                **{name: value for name, value in given.items() if value},
-            )
-            _follow(folder, launcher.processes, learner, options.bell)
+        parameters = devices.parameters(task, seed, folder)
+        given = learner_parameters(folder, asked, seed, task)
+        parameters = parameters.changed({LEARNER: given})
+        also = (TRACKER, LEARNER)
+        plan = plan_of(folder, parameters, devices.stand_ins, also=also, secure=secured())
+        with launch(plan) as launcher:
+            taught: dict[str, list[str]] = {}
+            if not resumed and not asked.bags:
+                bags = _record_demonstrations(launcher, folder, asked.demonstrations, bell)
+                taught = {"demonstrations": [*map(str, bags)]}
+            practising = launcher.node(LEARNER, **taught)
+            _follow(folder, launcher.processes, practising, bell)
     except KeyboardInterrupt:
         print_how_to_resume(f"\nStopped. The session is in {short_path(folder)}.")
         return INTERRUPTED
@@ -129,9 +135,9 @@ def learn(options: argparse.Namespace) -> int:
         print(f"wam-power: {pasteable(str(error))}", file=sys.stderr, flush=True)
         print_how_to_resume(f"\nThe session is in {short_path(folder)}.")
         return 2
-    ended = session.read(folder)
+    ended = read(folder)
     print(terminal.wrapped(terminal.summary(ended.records, ended.task)))
-    return report(argparse.Namespace(session=folder))
+    return report(folder)
 
 
 def _has_ended(session: Contents) -> bool:
@@ -140,7 +146,7 @@ def _has_ended(session: Contents) -> bool:
     return 0 < session.header.settings.practice.retests <= done
 
 
-def _report_ended(session: Contents, options: argparse.Namespace) -> int:
+def _report_ended(session: Contents, devices: Devices) -> int:
     """Print the result of a session that has ended and how to practise longer; start nothing."""
     from wam_power_ros.reporting import terminal
 
@@ -150,9 +156,9 @@ def _report_ended(session: Contents, options: argparse.Namespace) -> int:
     settings = header.settings
     words = ["learn", "--task", settings.task, "--trials", str(2 * settings.practice.budget)]
     bags = map(str, map(short_path, map(Path, header.demonstrations)))
-    words += ["--bags", *bags, *setup_options(options)]
+    words += ["--bags", *bags, *devices.words]
     _print_command("To practise longer, in a new session on the same demonstrations:", words)
-    return 0 if (folder / "report.html").is_file() else report(argparse.Namespace(session=folder))
+    return 0 if (folder / "report.html").is_file() else report(folder)
 
 
 def _print_command(purpose: str, words: Sequence[str]) -> None:
@@ -160,30 +166,30 @@ def _print_command(purpose: str, words: Sequence[str]) -> None:
     print(f"{purpose}\n  {program_command()} {shlex.join(words)}")
 
 
-def replay(options: argparse.Namespace) -> int:
+def replay(bag: Path, speed: float, folder: Path | None, devices: Devices) -> int:
     """Repeat a recorded movement with the arm."""
     from wam_power_ros import arm_identity
     from wam_power_ros.bags import reader
     from wam_power_ros.bags.bag import Bag
     from wam_power_ros.control import replay_trajectory
 
-    names, arm = arm_of(overlay.setup(options.config, options.simulate))
+    folder = (folder or Path("replays") / timestamp()).resolve()
+    parameters = devices.parameters(folder=folder).changed({RECORDER: {"stem": "replay"}})
+    names, arm = arm_of(parameters)
     identity = arm and arm.identity()
-    states = reader.read_states(Bag(options.bag), names, arm=identity)
+    states = reader.read_states(Bag(bag), names, arm=identity)
     for remark in states.remarks:
-        print(f"{options.bag}: {remark.text}")
-    replay_trajectory.movement(states.stamps, states.q, options.speed)
-    folder = (options.folder or Path("replays") / timestamp()).resolve()
+        print(f"{bag}: {remark.text}")
+    replay_trajectory.movement(states.stamps, states.q, speed)
     signal.signal(signal.SIGTERM, interrupt)
-    changes = {"demonstration_recorder": {"stem": "replay"}}
-    with launch(options, folder, 0, changes=changes) as launcher:
+    with launch(plan_of(folder, parameters, devices.stand_ins, secure=secured())) as launcher:
         replaying = launcher.script(
             "replay",
-            bag=str(options.bag.resolve()),
-            speed=options.speed,
+            bag=str(bag.resolve()),
+            speed=speed,
             joint_names=list(names),
             arm=arm_identity.to_json(identity),
-            person=not simulated(options),
+            person=not devices.stand_ins,
         )
         while True:
             try:
@@ -192,16 +198,14 @@ def replay(options: argparse.Namespace) -> int:
                 replaying.process.send_signal(signal.SIGINT)
 
 
-def enable(_: argparse.Namespace) -> int:
+def enable() -> int:
     """Publish the state of the enabling switch from the keyboard."""
     from wam_power_ros.console import enabling_switch
 
     return enabling_switch.main()
 
 
-def _record_demonstrations(
-    launcher: Launcher, folder: Path, options: argparse.Namespace
-) -> list[Path]:
+def _record_demonstrations(launcher: Launcher, folder: Path, wanted: int, bell: bool) -> list[Path]:
     """Record the demonstrations that a session lacks; return the bags of all.
 
     A person continues an interrupted series. The simulated demonstrator starts over: its movements
@@ -209,38 +213,36 @@ def _record_demonstrations(
     """
     from wam_power_ros.bags import series
 
-    file, wanted = folder / series.FILE, options.demonstrations
+    file = folder / series.FILE
     recorded = series.read(file)
     if len(recorded) < wanted:
-        person = not simulated(options)
+        person = not launcher.plan.stand_ins
         if recorded and not person:
             for bag in filter(Path.is_dir, recorded):
                 series.discard(bag)
             recorded = []
             series.write(file, recorded)
         review = person and sys.stdin.isatty()
-        _teach(launcher, file, wanted - len(recorded), options, review)
+        _teach(launcher, file, wanted - len(recorded), bell, review)
     return series.read(file)
 
 
-def _teach(
-    launcher: Launcher, file: Path, count: int, options: argparse.Namespace, review: bool
-) -> None:
+def _teach(launcher: Launcher, file: Path, count: int, bell: bool, review: bool) -> None:
     """Record demonstrations and add them to a series."""
     from wam_power_ros.reporting.terminal import counted
 
-    person = not simulated(options)
-    teacher = "a person" if person else "the simulated demonstrator"
+    plan = launcher.plan
+    teacher = "the simulated demonstrator" if plan.stand_ins else "a person"
     print(f"Teaching: {counted(count, 'demonstration')} by {teacher}")
     teaching = launcher.script(
         "teach",
         demonstrations=count,
         series=str(file),
-        person=person,
+        person=not plan.stand_ins,
         review=review,
-        bell=options.bell,
-        body=launcher.setup["pancake_tracker"]["body"],
-        state_topic=launcher.setup["torque_controller"]["state_topic"],
+        bell=bell,
+        body=plan.parameters["pancake_tracker"]["body"],
+        state_topic=plan.parameters["torque_controller"]["state_topic"],
     )
     launcher.processes.finish(teaching)
 
@@ -274,35 +276,34 @@ def _follow(folder: Path, processes: Processes, learner: Running, bell: bool) ->
 # Sessions
 
 
-def feedback(options: argparse.Namespace) -> int:
+def feedback(kind: str, bag: Path | None, session: Path | None) -> int:
     """Pass a person's feedback to the learner of a running session."""
-    if (options.kind == "demonstration") != (options.bag is not None):
+    if (kind == "demonstration") != (bag is not None):
         raise UsageError("a bag is needed for a demonstration, and only for a demonstration")
-    folder = existing_session(options.session)
+    folder = existing_session(session)
     if not learner_is_running(folder):
         raise UsageError(f"no learner is running in {short_path(folder)}")
     os.environ |= session_environment(folder)
     from wam_power_ros.console.feedback import give
 
     namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
-    accepted, answer = give(options.kind, options.bag, namespace)
+    accepted, answer = give(kind, bag, namespace)
     print(answer if accepted else f"refused: {answer}")
     return 0 if accepted else 2
 
 
-def report(options: argparse.Namespace) -> int:
+def report(session: Path) -> int:
     """Write the report of a session, with a film of the arm if it was simulated."""
-    from wam_power_ros.practice import session
+    from wam_power_ros.practice.session import read
     from wam_power_ros.reporting import session_report
 
-    folder = options.session
-    records = session.read(folder).records
+    records = read(session).records
     with progress_messages("writing the report"):
         if any(record.truth for record in records):
-            _report_with_film(folder)
+            _report_with_film(session)
         else:
-            session_report.write(folder)
-    print(f"Report: {short_path(folder.resolve() / 'report.html')}")
+            session_report.write(session)
+    print(f"Report: {short_path(session.resolve() / 'report.html')}")
     return 0
 
 
@@ -334,26 +335,22 @@ def _last_error(command: Sequence[str], gl: str) -> str | None:
 # Set-ups, bags
 
 
-def config(options: argparse.Namespace) -> None:
+def config(devices: Devices, task: str | None) -> None:
     """Print the parameters of every node."""
-    setup = overlay.setup(
-        options.config, options.simulate, task_setup(options.task or DEFAULT_TASK)
-    )
-    arm_of(setup)  # refuses what the controller would refuse
-    print(overlay.text(setup), end="")
+    print(overlay.text(devices.parameters(task or DEFAULT_TASK)), end="")
 
 
-def policy(options: argparse.Namespace) -> None:
+def policy(config: Sequence[str], namespace: str) -> None:
     """Print the SROS2 policy."""
     from wam_power_ros.ros import security
 
-    rights = security.table(overlay.setup(options.config), options.namespace)
-    print(security.policy(rights, options.namespace), end="")
+    rights = security.table(overlay.setup(config), namespace)
+    print(security.policy(rights, namespace), end="")
 
 
-def play(options: argparse.Namespace) -> None:
+def play(bag: Path, rate: float, topics: Sequence[str], wait: float) -> None:
     """Publish the topics of a bag."""
     from wam_power_ros.console import play_bag
 
     signal.signal(signal.SIGTERM, interrupt)
-    play_bag.play(options.bag, options.rate, options.topics, options.wait)
+    play_bag.play(bag, rate, topics, wait)

@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launcher: starts the nodes of one set-up, one process each."""
+"""Runs a plan from this terminal: holds its DDS domain and folder, starts its nodes, ends them."""
 
 from __future__ import annotations
 
-import argparse
 import fcntl
-import json
 import os
 import re
 import shlex
 import shutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
@@ -19,6 +17,15 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, TYPE_CHECKING
 
+from wam_power_ros.cli.plan import (
+    DOMAIN_FILE,
+    LEARNER,
+    RECORDER,
+    SIMULATION,
+    Plan,
+    overrides,
+    script,
+)
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.params import overlay
@@ -27,7 +34,6 @@ from wam_power_ros.ros.domain import exported, hold, private_domain
 if TYPE_CHECKING:
     from wam_power_ros.control.arm import Arm
 
-DOMAIN_FILE = "ros_domain_id"  # in a session's logs/: the DDS domain of its simulated nodes
 MEGABYTE = 1e6
 STAND_IN_ENVIRONMENT = {  # overrides what this terminal exports for a robot
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
@@ -41,88 +47,106 @@ class UsageError(Exception):
 
 
 @dataclass(frozen=True)
-class Launcher:
-    """Running nodes of one set-up.
+class Devices:
+    """Choice of set-ups.
 
     Attributes:
-        processes: Processes of the nodes and scripts.
-        setup: Parameters by node.
-        file: Parameter file that holds the set-up.
+        config: Set-ups, by name or path; later ones override earlier ones.
+        simulate: Whether stand-ins with the same interfaces replace their devices.
     """
 
+    config: Sequence[str] = ()
+    simulate: bool = False
+
+    @property
+    def stand_ins(self) -> bool:
+        """Whether stand-ins take the place of the devices."""
+        return self.simulate or not self.config
+
+    @property
+    def words(self) -> list[str]:
+        """Command-line words that make the same choice."""
+        words = [word for name in self.config for word in ("--config", name)]
+        return [*words, "--simulate"] if self.simulate else words
+
+    def parameters(
+        self, task: str = "", seed: int = 0, folder: Path | None = None
+    ) -> overlay.Setup:
+        """Parameters by node.
+
+        Args:
+            task: Name of the task whose set-up the others override; empty for none.
+            seed: Seed of the stand-in.
+            folder: Folder whose bags/ gets the recordings; None for that of the set-up.
+
+        Raises:
+            ValueError: A set-up or the task is unknown or invalid, or the URDF lacks joints or
+                links that the set-up names.
+        """
+        setup = overlay.setup(self.config, self.simulate, task_setup(task) if task else "")
+        arm_of(setup)  # refuses what the controller would refuse
+        setup = setup.changed({SIMULATION: {"seed": seed}})
+        if folder is None:
+            return setup
+        return setup.changed({RECORDER: {"directory": str(folder / "bags")}})
+
+
+@dataclass(frozen=True)
+class Launcher:
+    """Running nodes of a plan.
+
+    Attributes:
+        plan: The plan.
+        processes: Its processes that have been started.
+    """
+
+    plan: Plan
     processes: Processes
-    setup: overlay.Setup
-    file: Path
 
     def node(self, name: str, **parameters: object) -> Running:
-        """Start a node with its part of the set-up; `parameters` override it."""
-        command = [sys.executable, "-m", "wam_power_ros.cli", "run", name, "--ros-args"]
-        command += ["--params-file", str(self.file), *_enclave(name)]
-        for key, value in parameters.items():
-            command += ["-p", f"{name}:{key}:={json.dumps(value)}"]
-        return self.processes.start(name, command)
+        """Start a node of the plan; `parameters` override its own."""
+        (planned,) = (process for process in self.plan.processes if process.name == name)
+        return self.processes.start(name, [*planned.command, *overrides(f"{name}:", parameters)])
 
     def script(self, name: str, **parameters: object) -> Running:
         """Start a script of `console`, which uses this terminal."""
-        command = [sys.executable, "-m", f"wam_power_ros.console.{name}", "--ros-args"]
-        command += _enclave("operator")
-        for key, value in parameters.items():
-            command += ["-p", f"{key}:={json.dumps(value)}"]
+        command = script(name, secured(), **parameters)
         return self.processes.start(name, command, interactive=True)
 
 
 @contextmanager
-def launch(
-    options: argparse.Namespace,
-    folder: Path,
-    seed: int,
-    task: str = "",
-    changes: overlay.Parameters | None = None,
-) -> Iterator[Launcher]:
-    """Start controller and recorder, and the stand-in unless there is a real arm.
-
-    Args:
-        options: Parsed options; `config` and `simulate` choose the set-up.
-        folder: Folder for bags and logs.
-        seed: Seed of the stand-in.
-        task: Name of the task whose set-up the others override; empty for none.
-        changes: Parameters by node that override the set-up.
+def launch(plan: Plan) -> Iterator[Launcher]:
+    """Start the nodes of a plan, except a learner, and activate the controller of an arm.
 
     Raises:
         UsageError: Another session or learner uses the folder, or its disk is nearly full.
-        ValueError: The URDF lacks joints or links that the set-up names.
         DomainError: Another session holds the robot's DDS domain, or ROS_DOMAIN_ID is invalid.
     """
-    setup = overlay.setup(options.config, options.simulate, task_setup(task) if task else "")
-    setup = setup.changed(changes or {})
-    arm_of(setup)
-    check_space(folder, setup["demonstration_recorder"]["free_to_start"])
-    logs = folder / "logs"
+    check_space(plan.folder, plan.parameters[RECORDER]["free_to_start"])
+    files = plan.written
     with ExitStack() as stack:
-        if simulated(options):
+        if plan.stand_ins:
             domain = stack.enter_context(private_domain())
             environment = STAND_IN_ENVIRONMENT | {"ROS_DOMAIN_ID": str(domain)}
-            stack.enter_context(folder_lock(folder))
-            (logs / DOMAIN_FILE).write_text(f"{domain}\n")
-            _print_domain(domain)
+            files[plan.file.with_name(DOMAIN_FILE)] = f"{domain}\n"
         else:
             domain = exported(os.environ)
             if lock := hold(domain):
                 stack.enter_context(lock)
             environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": discovery_range(os.environ)}
-            stack.enter_context(folder_lock(folder))
-            (logs / DOMAIN_FILE).unlink(missing_ok=True)
+        stack.enter_context(folder_lock(plan.folder))
+        if plan.stand_ins:
+            _print_domain(domain)
+        else:
             _confirm_activation()
-        file = logs / "parameters.yaml"
-        file.write_text(overlay.text(setup), encoding="utf-8")
-        processes = stack.enter_context(Processes(logs, environment))
-        launcher = Launcher(processes, setup, file)
-        if simulated(options):
-            launcher.node("wam_sim", seed=seed)
-        launcher.node("torque_controller")
-        launcher.node("demonstration_recorder", directory=str(folder / "bags"))
-        if not simulated(options):
-            processes.finish(launcher.script("activation"))
+        for file, text in files.items():
+            file.write_text(text, encoding="utf-8")
+        launcher = Launcher(plan, stack.enter_context(Processes(plan.file.parent, environment)))
+        for process in plan.processes:
+            if process.name != LEARNER:
+                launcher.node(process.name)
+        if not plan.stand_ins:
+            launcher.processes.finish(launcher.script("activation"))
         yield launcher
 
 
@@ -175,10 +199,9 @@ def check_space(folder: Path, needed: float) -> None:
 
 def session_environment(folder: Path) -> dict[str, str]:
     """Environment variables that select the DDS domain of a session in simulation, else none."""
-    domain = folder / "logs" / DOMAIN_FILE
-    if not domain.exists():
-        return {}
-    return STAND_IN_ENVIRONMENT | {"ROS_DOMAIN_ID": domain.read_text().strip()}
+    file = folder / "logs" / DOMAIN_FILE
+    domain = file.read_text().strip() if file.exists() else ""
+    return STAND_IN_ENVIRONMENT | {"ROS_DOMAIN_ID": domain} if domain else {}
 
 
 def discovery_range(environment: Mapping[str, str]) -> str:
@@ -219,21 +242,9 @@ def task_stems() -> dict[str, set[str]]:
     return tasks
 
 
-def _enclave(name: str) -> list[str]:
-    """ROS arguments that name the enclave of a node; none if security is disabled."""
-    secure = os.environ.get("ROS_SECURITY_ENABLE") == "true"
-    return ["--enclave", f"/{name}"] if secure else []
-
-
-def simulated(options: argparse.Namespace) -> bool:
-    """Whether stand-ins take the place of the devices."""
-    return options.simulate or not options.config
-
-
-def setup_options(options: argparse.Namespace) -> list[str]:
-    """Command-line words that select the same set-up."""
-    words = [word for name in options.config for word in ("--config", name)]
-    return [*words, "--simulate"] if options.simulate else words
+def secured() -> bool:
+    """Whether this terminal asks for SROS2."""
+    return os.environ.get("ROS_SECURITY_ENABLE") == "true"
 
 
 def _confirm_activation() -> None:

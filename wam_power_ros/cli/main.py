@@ -13,14 +13,17 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 from wam_power_ros import __version__
-from wam_power_ros.cli import bags_command, commands, score_command, session_options, view
-from wam_power_ros.cli.launcher import UsageError, pasteable
+from wam_power_ros.cli import bags_command, commands, plan_command, score_command, view
+from wam_power_ros.cli.launcher import Devices, UsageError, pasteable
 from wam_power_ros.cli.parser import Parser, natural, positive
 from wam_power_ros.cli.processes import ProcessError
+from wam_power_ros.cli.session_options import DEFAULT_TASK, SessionOptions
 from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay
 
@@ -42,17 +45,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
         argcomplete.autocomplete(parser)
     options = parser.parse_args(arguments)
     try:
-        if getattr(options, "simulate", False) and not options.config:
-            raise UsageError(
-                "--simulate replaces the devices of --config NAME by stand-ins; without --config "
-                "everything is simulated already"
-            )
-        return int(options.command(options) or 0)
+        command, values = _command(options)
+        return int(command(**values) or 0)
     except (UsageError, ProcessError, OSError, ValueError) as error:
         print(f"{COMMAND_LINE}: {pasteable(str(error))}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return INTERRUPTED
+
+
+def _command(options: argparse.Namespace) -> tuple[Callable[..., int | None], dict[str, Any]]:
+    """Command of parsed options, and its arguments by name.
+
+    Options that belong together are one argument.
+
+    Raises:
+        UsageError: `--simulate` without a set-up.
+    """
+    values = dict(vars(options))
+    command = values.pop("command")
+    for name, kind in (("asked", SessionOptions), ("devices", Devices)):
+        own = {field.name for field in fields(kind)}
+        if own <= values.keys():
+            values[name] = kind(**{key: values.pop(key) for key in own})
+    devices = values.get("devices", Devices())
+    if devices.simulate and not devices.config:
+        raise UsageError(
+            "--simulate replaces the devices of --config NAME by stand-ins; without --config "
+            "everything is simulated already"
+        )
+    return command, values
 
 
 def _replace_unencodable_characters() -> None:
@@ -86,23 +108,17 @@ def _parser() -> argparse.ArgumentParser:
         "Start the nodes, record demonstrations, run the learning session, write its report.",
     )
     _skill_options(learn)
-    learners = _known("wam_power_ros.learners")
-    learn.add_argument(
-        "--learner", metavar="NAME", help=f"one of {learners} (default: the preset's)"
-    )
-    learn.add_argument("--preset", metavar="NAME", help="settings of the task (default: its first)")
-    learn.add_argument("--trials", type=natural, help="budget of rollouts (default: the preset's)")
+    _session_options(learn)
     learn.add_argument("--session", type=Path, help="folder; resumed if it holds a session")
     learn.add_argument(
         "--resume", action="store_true", help="resume --session, or the newest session"
-    )
-    learn.add_argument(
-        "--bags", type=Path, nargs="+", help="learn from these demonstrations, record none"
     )
     _arm_options(learn)
 
     teach = add("teach", commands.teach, "record kinesthetic demonstrations")
     _skill_options(teach)
+    _task_option(teach)
+    _seed_option(teach)
     teach.add_argument("--folder", type=Path, help="for the bags (default: demonstrations/NOW)")
     _arm_options(teach)
 
@@ -119,6 +135,8 @@ def _parser() -> argparse.ArgumentParser:
     config.add_argument(
         "--simulate", action="store_true", help="replace the devices by simulated stand-ins"
     )
+
+    plan_command.add_to(subparsers, _session_options)
 
     policy = add(
         "policy",
@@ -227,25 +245,48 @@ def _known(group: str) -> str:
 
 def _task_option(parser: argparse.ArgumentParser) -> None:
     known = _known("wam_power_ros.tasks")
-    parser.add_argument(
-        "--task", metavar="NAME", help=f"one of {known} (default: {session_options.DEFAULT_TASK})"
-    )
+    parser.add_argument("--task", metavar="NAME", help=f"one of {known} (default: {DEFAULT_TASK})")
 
 
 def _skill_options(parser: argparse.ArgumentParser) -> None:
-    _task_option(parser)
     parser.add_argument(
         "--demonstrations", type=positive, default=3, help="number to record (default 3)"
     )
-    parser.add_argument("--seed", type=natural, help="of exploration and simulation (default 0)")
-
-
-def _arm_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bell",
         action="store_true",
         help="ring the terminal's bell at start, end and fault; speak with spd-say or espeak",
     )
+
+
+def _seed_option(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seed", type=natural, help="of exploration and simulation (default 0)")
+
+
+def _session_options(parser: argparse.ArgumentParser) -> None:
+    learners = _known("wam_power_ros.learners")
+    _task_option(parser)
+    _seed_option(parser)
+    parser.add_argument(
+        "--learner",
+        metavar="NAME",
+        default="",
+        help=f"one of {learners} (default: the preset's)",
+    )
+    parser.add_argument(
+        "--preset", metavar="NAME", default="", help="settings of the task (default: its first)"
+    )
+    parser.add_argument("--trials", type=natural, help="budget of rollouts (default: the preset's)")
+    parser.add_argument(
+        "--bags",
+        type=Path,
+        nargs="+",
+        default=(),
+        help="learn from these demonstrations, record none",
+    )
+
+
+def _arm_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config",
         action="append",
@@ -262,6 +303,6 @@ def _arm_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _run(options: argparse.Namespace) -> int:
-    sys.argv = [options.node, *options.rest]
-    return NODES[options.node].load()()
+def _run(node: str, rest: Sequence[str]) -> int:
+    sys.argv = [node, *rest]
+    return NODES[node].load()()

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,36 +30,35 @@ def add_to(subparsers: argparse._SubParsersAction) -> None:
     default = f"task (default: the session's, else {DEFAULT_TASK})"
     parser.add_argument("--task", metavar="NAME", help=default)
     parser.add_argument(
-        "--preset", metavar="NAME", help="settings of the task (default: its first)"
+        "--preset", metavar="NAME", default="", help="settings of the task (default: its first)"
     )
     parser.add_argument("--config", action="append", default=[], metavar="NAME", help="set-up")
 
 
-def score(options: argparse.Namespace) -> int:
+def score(recorded: Sequence[Path], task: str | None, preset: str, config: Sequence[str]) -> int:
     """Score bags or sessions."""
     from wam_power_ros.practice.session import Session
 
     failed = 0
-    for path in options.recorded:
+    for path in recorded:
         if Session.exists(path):
-            _score_session(path, options)
+            _score_session(path, task, preset, config)
         else:
-            failed += not _score_bag(path, options)
+            failed += not _score_bag(path, task or "flip", preset, config)
     return 1 if failed else 0
 
 
-def _score_bag(path: Path, options: argparse.Namespace) -> bool:
+def _score_bag(path: Path, name: str, chosen: str, config: Sequence[str]) -> bool:
     """Print the score of a bag; return False if it has none."""
     from wam_power_ros.bags.bag import Bag
     from wam_power_ros.practice.settings import preset
 
-    name = options.task or DEFAULT_TASK
-    setup = overlay.setup(options.config, task=task_setup(name))
+    setup = overlay.setup(config, task=task_setup(name))
     names, arm = _arm(setup)
     try:
         bag = Bag(path)
         context = _context(bag, name, setup, names, arm)
-        task = preset(name, options.preset or "").make_task(context)
+        task = preset(name, chosen).make_task(context)
         assessed = task.assess(*recorded_rollout(bag, task, names, arm))
     except ValueError as error:
         print(f"{path}: no return: {error}")
@@ -69,7 +68,7 @@ def _score_bag(path: Path, options: argparse.Namespace) -> bool:
     return assessed.ret is not None
 
 
-def _score_session(folder: Path, options: argparse.Namespace) -> None:
+def _score_session(folder: Path, task_name: str | None, chosen: str, config: Sequence[str]) -> None:
     """Print each rollout of a session with its logged return and its return under the preset."""
     import numpy as np
 
@@ -78,11 +77,10 @@ def _score_session(folder: Path, options: argparse.Namespace) -> None:
     from wam_power_ros.practice.settings import preset
 
     found = session.read(folder)
-    name = options.task or found.header.settings.task
-    names, arm = _arm(overlay.setup(options.config, task=task_setup(name)))
-    task = preset(name, options.preset or "").make_task(found.context)
-    chosen = options.preset or "first"
-    print(f"{folder}: logged return; return and success under {name}, preset {chosen}")
+    name = task_name or found.header.settings.task
+    names, arm = _arm(overlay.setup(config, task=task_setup(name)))
+    task = preset(name, chosen).make_task(found.context)
+    print(f"{folder}: logged return; return and success under {name}, preset {chosen or 'first'}")
     by_kind: dict[str, list[tuple[float, float]]] = {}
     for record in found.records:
         logged = "–" if record.ret is None else f"{record.ret:.3f}"

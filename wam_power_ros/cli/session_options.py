@@ -1,16 +1,56 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options that select or start a session: checks before anything starts, words to resume it."""
+"""Options that select or start a session: checks before anything starts."""
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from wam_power_ros.cli.launcher import UsageError, arm_of, task_setup, task_stems, timestamp
-from wam_power_ros.params import overlay
+from wam_power_ros.cli.launcher import (
+    Devices,
+    UsageError,
+    arm_of,
+    task_stems,
+)
+
+if TYPE_CHECKING:
+    from wam_power_ros.practice.session import SessionHeader
 
 SESSIONS = Path("sessions")
 DEFAULT_TASK = "flip"
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """What a person asks of a session; None or empty for what is not asked.
+
+    Attributes:
+        task: Name of the skill to learn.
+        learner: Name of the learning algorithm.
+        preset: Name of the settings of the task.
+        trials: Budget of rollouts.
+        seed: Seed of exploration and simulation.
+        demonstrations: Number of demonstrations to record.
+        bags: Demonstrations to learn from instead.
+    """
+
+    task: str | None = None
+    learner: str = ""
+    preset: str = ""
+    trials: int | None = None
+    seed: int | None = None
+    demonstrations: int = 0
+    bags: Sequence[Path] = ()
+
+    @property
+    def words(self) -> list[str]:
+        """Command-line words that ask the same."""
+        given = {name: value for name, value in vars(self).items() if value not in (None, "")}
+        bags = given.pop("bags")
+        words = [word for name, value in given.items() for word in (f"--{name}", str(value))]
+        return [*words, "--bags", *map(str, bags)] if bags else words
 
 
 def existing_session(folder: Path | None) -> Path:
@@ -31,78 +71,86 @@ def existing_session(folder: Path | None) -> Path:
     return folder.resolve()
 
 
-def session_folder(options: argparse.Namespace) -> Path:
-    """Folder of the session to start or resume.
+def chosen(folder: Path, asked: SessionOptions, devices: Devices) -> tuple[int, str]:
+    """Seed and task of the session to start or resume in a folder.
 
     Raises:
-        UsageError: An option differs from what the session was started with, or there is no session
-            to resume.
+        UsageError: What is asked differs from what the session was begun with, or leaves no rollout
+            to practise, or a bag is a demonstration of another task.
+        ValueError: Task, learner, preset or set-up is unknown (the message lists the known ones),
+            or a bag cannot be read or is of another arm.
     """
-    from wam_power_ros.practice.session import Session, read
+    from wam_power_ros.practice import session
 
-    if options.resume:
-        folder = existing_session(options.session)
-    else:
-        folder = (options.session or SESSIONS / f"{timestamp()}-seed-{options.seed or 0}").resolve()
-    if Session.exists(folder):
-        header = read(folder).header
-        if options.seed is not None and options.seed != header.seed:
-            raise UsageError(f"{folder} was begun with seed {header.seed}; omit the seed")
-        if options.task not in (None, header.settings.task):
-            raise UsageError(f"{folder} was begun with task {header.settings.task}; omit the task")
-        given = [name for name in ("learner", "preset", "trials", "bags") if getattr(options, name)]
-        if given:
-            raise UsageError(f"{folder} was begun with its own settings; omit {', '.join(given)}")
-    return folder
+    if not session.Session.exists(folder):
+        task = asked.task or DEFAULT_TASK
+        _check_new(task, asked, devices)
+        return asked.seed or 0, task
+    header = session.read(folder).header
+    for difference in _differences(asked, header):
+        raise UsageError(f"{folder} was begun with {difference}")
+    return header.seed, header.settings.task
 
 
-def check_names(task: str, options: argparse.Namespace) -> None:
-    """Check the options of a new session before anything starts.
+def learner_parameters(folder: Path, asked: SessionOptions, seed: int, task: str) -> dict[str, Any]:
+    """Parameters of the learner of a session; one that is resumed keeps its own settings."""
+    return {
+        "session": str(folder),
+        "task": task,
+        "seed": seed,
+        "learner": asked.learner,
+        "preset": asked.preset,
+        "trials": asked.trials or 0,
+        "demonstrations": [str(bag.resolve()) for bag in asked.bags] or [""],
+    }
 
-    Raises:
-        ValueError: Task, learner or preset is unknown (the message lists the known ones), or a bag
-            cannot be read or is of another arm.
-        UsageError: A bag is a demonstration of another task, or the budget leaves no rollout to
-            practise.
-    """
+
+def _differences(asked: SessionOptions, header: SessionHeader) -> Iterator[str]:
+    """What a session was begun with and is asked otherwise, with what to do."""
+    from wam_power_ros.practice.settings import preset
+
+    own = header.settings
+    budget = own.practice.budget
+    for name, given, begun in (
+        ("seed", asked.seed, header.seed),
+        ("task", asked.task, own.task),
+        ("learner", asked.learner or None, own.learner),
+        ("trials", asked.trials, budget),
+    ):
+        if given not in (None, begun):
+            yield f"{name} {begun}; omit {name}"
+    if asked.preset and preset(own.task, asked.preset, {"name": own.learner}, budget=budget) != own:
+        yield f"other settings than preset {asked.preset}; omit preset"
+    used = set(header.demonstrations)  # without those that were of no use
+    if asked.bags and not used <= {str(bag.resolve()) for bag in asked.bags}:
+        yield f"the demonstrations {' '.join(header.demonstrations)}; omit bags"
+
+
+def _check_new(task: str, asked: SessionOptions, devices: Devices) -> None:
+    from wam_power_ros.bags import reader
+    from wam_power_ros.bags.bag import Bag
     from wam_power_ros.practice import plugins
     from wam_power_ros.practice.settings import preset
 
-    if options.learner:
-        plugins.learner_type(options.learner)
-    learner = {"name": options.learner} if options.learner else None
-    changes = {} if options.trials is None else {"budget": options.trials}
-    budget = preset(task, options.preset or "", learner, **changes).practice.budget
-    count = len(options.bags) if options.bags else options.demonstrations
-    reproductions = 1 if plugins.task_type(task).single_policy else count
+    if asked.learner:
+        plugins.learner_type(asked.learner)
+    learner = {"name": asked.learner} if asked.learner else None
+    changes = {} if asked.trials is None else {"budget": asked.trials}
+    budget = preset(task, asked.preset, learner, **changes).practice.budget
+    reproductions = len(asked.bags) or asked.demonstrations
+    if plugins.task_type(task).single_policy:
+        reproductions = 1
     if budget <= reproductions:
         raise UsageError(
             f"a budget of {budget} rollouts leaves none to practise after "
             f"{reproductions} reproductions of demonstrations; raise --trials"
         )
-    _check_arm_and_bags(task, options)
-
-
-def _check_arm_and_bags(task: str, options: argparse.Namespace) -> None:
-    """Check that the URDF fits the set-up and that the bags are demonstrations by that arm."""
-    from wam_power_ros.bags import reader
-    from wam_power_ros.bags.bag import Bag
-
-    names, arm = arm_of(overlay.setup(options.config, options.simulate, task_setup(task)))
+    names, arm = arm_of(devices.parameters(task))
     tasks = task_stems()
-    for path in options.bags or []:
+    for path in asked.bags:
         bag = Bag(path)
         reader.read_states(bag, names, arm=arm and arm.identity())
         tasks_of_bag = tasks.get(bag.kind, {task})
         if task not in tasks_of_bag:
-            names_ = ", ".join(tasks_of_bag)
-            raise UsageError(f"{path} is a demonstration of {names_}, not of {task}: use --task")
-
-
-def given_options(options: argparse.Namespace) -> list[str]:
-    """Command-line words that repeat the options of a new session."""
-    words = []
-    for name in ("task", "learner", "preset", "trials", "seed", "demonstrations"):
-        value = getattr(options, name)
-        words += [] if value is None else [f"--{name}", str(value)]
-    return [*words, "--bags", *map(str, options.bags)] if options.bags else words
+            listed = ", ".join(tasks_of_bag)
+            raise UsageError(f"{path} is a demonstration of {listed}, not of {task}: use --task")

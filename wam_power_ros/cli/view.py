@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import argparse
 import signal
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from wam_power_ros.cli.launcher import UsageError, interrupt, session_environmen
 from wam_power_ros.cli.session_options import existing_session
 
 
-def view(options: argparse.Namespace) -> int:
+def view(path: Path | None, address: str, port: int) -> int:
     """Serve the page until Ctrl-C."""
     from wam_power_ros.practice.session import Session
 
@@ -21,13 +20,12 @@ def view(options: argparse.Namespace) -> int:
         raise UsageError(
             f"the page needs viser ({error}): pip install 'viser>=1.1.1,<1.2'"
         ) from None
-    path: Path | None = options.path
     is_bag = path is not None and not Session.exists(path) and path.exists()
     folder = path.resolve() if is_bag else existing_session(path)
     signal.signal(signal.SIGTERM, interrupt)
-    server = guarded_server.open_server(options.address, options.port)
+    server = guarded_server.open_server(address, port)
     try:
-        host = f"[{options.address}]" if ":" in options.address else options.address
+        host = f"[{address}]" if ":" in address else address
         url = f"http://{host}:{server.get_port()}"
         ready = lambda: print(f"{url}  (Ctrl-C ends it)", flush=True)  # noqa: E731
         if is_bag:

@@ -81,14 +81,10 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
     Raises:
         DomainError: Another process holds it, or its lock cannot be read.
     """
-    name = namespace.strip("/").replace("/", "__")
-    files = [(_lock_file(domain), fcntl.LOCK_SH if name else fcntl.LOCK_EX)]
-    if name:
-        files.append((_lock_file(f"{domain}_{name}"), fcntl.LOCK_EX))
     with ExitStack() as held:
-        for file, operation in files:
+        for file, shared in lock_files(domain, namespace):
             try:
-                held.enter_context(_locked(file, operation))
+                held.enter_context(_locked(file, fcntl.LOCK_SH if shared else fcntl.LOCK_EX))
             except PermissionError:
                 raise DomainError(
                     f"{file} cannot be read: it belongs to another user; make it readable for all, "
@@ -99,12 +95,24 @@ def hold(domain: int, namespace: str = "") -> ExitStack | None:
                 if holder in _ancestors():
                     return None
                 who = _command(holder) if holder else "another process"
-                where = f"namespace {namespace} of DDS domain" if name else "DDS domain"
+                where = f"namespace {namespace} of " if namespace.strip("/") else ""
                 raise DomainError(
-                    f"{where} {domain} is in use on this machine by {who}; end it, or choose "
-                    "another domain: export ROS_DOMAIN_ID=N"
+                    f"{where}DDS domain {domain} is in use on this machine by {who}; end it, or "
+                    "choose another domain: export ROS_DOMAIN_ID=N"
                 ) from None
         return held.pop_all()
+
+
+def lock_files(domain: int, namespace: str = "") -> list[tuple[Path, bool]]:
+    """Files that a holder of a domain locks, and whether holders beside it may lock each as well.
+
+    Args:
+        domain: Number of the domain.
+        namespace: Namespace to hold; empty for the whole domain.
+    """
+    name = namespace.strip("/").replace("/", "__")
+    own = [(_lock_file(f"{domain}_{name}"), False)] if name else []
+    return [(_lock_file(domain), bool(name)), *own]
 
 
 def ports(domain: int) -> range:

@@ -24,7 +24,7 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from wam_power_ros.entry import INTERRUPTED
+from wam_power_ros.entry import INTERRUPTED, REFUSED
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros import interrupts, network, security
 from wam_power_ros.ros.domain import exported
@@ -32,7 +32,6 @@ from wam_power_ros.ros.service_client import ServiceError
 
 N = TypeVar("N", bound=Node)
 RCLError = rclpy_implementation.RCLError  # error of the middleware, such as invalid keys
-REFUSED = 2  # exit status
 
 
 def init(signals: SignalHandlerOptions) -> None:
