@@ -29,8 +29,8 @@ def test_two_arms_in_two_namespaces_learn_side_by_side(
     for name, seed in ARMS.items():
         folder, asked = tmp_path / name, SessionOptions("reach", trials=2, bags=BAGS)
         setup = Devices().parameters("reach", seed, folder)
-        setup[LEARNER] |= learner_parameters(folder, asked, seed, "reach")
-        setup[LEARNER]["changes"] = json.dumps({"retests": 1})
+        given = learner_parameters(folder, asked, seed, "reach")
+        setup = setup.changed({LEARNER: given | {"changes": json.dumps({"retests": 1})}})
         plan = plan_of(folder, setup, stand_ins=True, also=[LEARNER], namespace=f"/{name}")
         plan.file.parent.mkdir(parents=True)
         for file, text in plan.written.items():

@@ -97,14 +97,15 @@ def plan(
         folder = session.expanduser().resolve()
         seed, task = chosen(folder, asked, devices)
         parameters = devices.parameters(task, seed, folder)
-        parameters[LEARNER] |= learner_parameters(folder, asked, seed, task)
+        given = learner_parameters(folder, asked, seed, task)
         if folder.exists():
             with folder_lock(folder):
                 pass
     else:
         task = asked.task or DEFAULT_TASK
         parameters = devices.parameters(task, asked.seed or 0)
-        parameters[LEARNER] |= {"session": "", "task": task}
+        given = {"session": "", "task": task}
+    parameters = parameters.changed({LEARNER: given})
     locks = []
     if held := hold(domain, namespace):  # else by a parent of this process
         held.close()
