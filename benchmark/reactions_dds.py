@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from std_srvs.srv import SetBool
 
 from benchmark.false_states import PHASES, REST_TICKS, Driver, Falsifier, Reading
 from benchmark.hidden_arm import HiddenArm
@@ -105,7 +104,7 @@ def jumps(lab: Lab, arms: int) -> Iterator[Line]:
     lab.controller()
     for name, make in JUMPS.items():
         ready(driver)
-        driver.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        driver.call(interface.GRAVITY_COMPENSATION, True)
         driver.play(0.4)
         driver.falsify = make()
         outcome = observe(lab, driver)
@@ -138,10 +137,11 @@ def hands_off(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
         yield f"| {name} | hands off | not reached: {lab.label} | | | | | | good |", True
         return
     driver.play(1.0)
-    answer = driver.ask(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+    answer = lab.ask(interface.GRAVITY_COMPENSATION, True)
     driver.play(5.0, answer.done)
-    if not answer.result().success:
-        yield f"| {name} | hands off | {answer.result().message} | | | | | | good |", True
+    given = answer.result()
+    if given is None or not given.success:
+        yield f"| {name} | hands off | {given or 'no answer'} | | | | | | good |", True
         return
     outcome = observe(lab, driver)
     good = outcome.travel < TRAVEL_MAX or (

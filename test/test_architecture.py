@@ -49,16 +49,17 @@ ALLOWED: dict[str, set[str]] = {
     "reporting": {"durable_files", "rotations", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
-ALLOWED["view"] = {*BELOW, "console"} - {"conformance"}
-ALLOWED["nodes"] = BELOW - {"reporting"}
-ALLOWED["console"] = BELOW - {"reporting", "practice", "tasks"}
+ALLOWED["client"] = {"bags", "learning", "control", "tasks", "params", "ros"}
+ALLOWED["view"] = {*BELOW, "client"} - {"conformance"}
+ALLOWED["nodes"] = {*BELOW, "client"} - {"reporting"}
+ALLOWED["console"] = {*BELOW, "client"} - {"reporting", "practice", "tasks"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
 ALLOWED["experiments"] = {*BELOW, "hardware_sim"} - {"ros"}
 ALLOWED["cli"] = {*BELOW, "nodes", "console", "experiments", "view"}
-ALLOWED["robot"] = {"bags", "control", "learning", "params", "ros", "nodes", "cli"}
+ALLOWED["robot"] = {"client", "cli"}
 ALLOWED["benchmark"] = {*ALLOWED, "cli"}
 PURE = ("rotations", "arm_identity", "learning", "control", "tracking", "tasks", "conformance")
-SPEAK_ROS = {"params", "ros", "nodes", "console", "view", "robot", "hardware_sim", "benchmark"}
+SPEAK_ROS = {"params", "ros", "client", "nodes", "console", "view", "hardware_sim", "benchmark"}
 SIMULATE = {"hardware_sim", "experiments", "benchmark"}
 
 MODULES = sorted([*PACKAGE.rglob("*.py"), *STAND_INS.rglob("*.py")])
@@ -182,6 +183,11 @@ def test_only_some_folders_speak_ros_and_only_some_simulate() -> None:
             assert not roots(imports(path)) & ROS, label(path)
         if folder(path) not in SIMULATE:
             assert not roots(imports(path)) & SIMULATOR, label(path)
+
+
+def test_the_services_of_other_nodes_are_called_by_the_client_alone() -> None:
+    made = {label(path) for path in MODULES if "create_client(" in path.read_text()}
+    assert made == {"wam_power_ros/client/link.py"}
 
 
 def test_every_module_says_its_licence_in_one_line() -> None:

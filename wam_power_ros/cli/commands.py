@@ -285,13 +285,12 @@ def feedback(options: argparse.Namespace) -> int:
     folder = existing_session(options.session)
     if not learner_is_running(folder):
         raise UsageError(f"no learner is running in {short_path(folder)}")
-    os.environ |= session_environment(folder)
     from wam_power_ros.console.feedback import give
 
     namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
-    accepted, answer = give(options.kind, options.bag, namespace)
-    print(answer if accepted else f"refused: {answer}")
-    return 0 if accepted else 2
+    answer = give(options.kind, options.bag, namespace, session_environment(folder))
+    print(answer.text if answer.success else f"refused: {answer.text}")
+    return 0 if answer.success else 2
 
 
 def report(options: argparse.Namespace) -> int:

@@ -19,7 +19,6 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import QosDurability, QosReliability
 
 from wam_power_ros.bags import layout, reader
@@ -96,7 +95,7 @@ def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float 
     topics, excluded = select_topics(path, wanted)
     for name, reason in excluded.items():
         show(f"not played: {name}, because {reason}")
-    with participant(lambda: Node("player"), SignalHandlerOptions.NO) as node:
+    with participant(lambda: Node("player")) as node:
         _Player(node, topics).play(path, rate, wait)
 
 
