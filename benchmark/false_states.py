@@ -178,6 +178,8 @@ class Driver:
             self.play(0.5)
             if lab.label == "fault":
                 self.call(interface.RESET)
+            elif lab.label == "gravity_compensation":
+                self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
             elif lab.label == "hold":
                 self._policies.publish(String(data=to_json(self.policy)))
                 if self.call(interface.MOVE_TO_START):

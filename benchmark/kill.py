@@ -12,8 +12,8 @@ and `bag`: a recording that a kill cut short keeps its name, so the repeated rol
 rollout_<id>_2.
 
 With `--each`, that many sessions of `wam-power learn` lose one process each (-9), in turn each of
-its nodes, its preparation process, and `wam-power` itself, at a random moment. They are resumed by
-the same command, and compared with the undisturbed session.
+its nodes, its preparation process, and `wam-power` itself, at a random moment. They are resumed as
+`wam-power` says, and compared with the undisturbed session.
 """
 
 from __future__ import annotations
@@ -178,7 +178,7 @@ def learn_bereaved(folder: Path, options: argparse.Namespace, name: str, seed: i
     while status and resumed < 3:
         resumed += 1
         status = subprocess.run(
-            command,
+            learn_command(folder, options),
             env=learn_environment(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

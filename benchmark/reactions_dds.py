@@ -81,6 +81,13 @@ def ready(driver: Driver) -> bool:
     return driver.ready(lambda: time.monotonic() > end)
 
 
+def refused(lab: Lab, driver: Driver, name: str, phase: str) -> Line:
+    """An arm that does not reach a phase, because a fault ends every attempt, must still rest."""
+    outcome = observe(lab, driver)
+    good = acceptable(outcome, 0.0)
+    return row(name, phase, 0.0, outcome, good), good
+
+
 def lies(lab: Lab, arms: int) -> Iterator[Line]:
     """See `reactions.lies`."""
     driver = Driver(lab)
@@ -118,10 +125,13 @@ def faults(lab: Lab, arm: HiddenArm, name: str, phases: tuple[str, ...]) -> Iter
     lab.controller()
     for phase in phases:
         if not ready(driver):
-            yield f"| {name} | {phase} | not reached: {lab.label} | | | | | | good |", True
+            yield refused(lab, driver, f"{name}, did not get there", phase)
             continue
         driver.begin(phase)
         nominal = observe(lab, driver, 1.2).peak
+        if not ready(driver):
+            yield refused(lab, driver, f"{name}, did not get there again", phase)
+            continue
         driver.begin(phase)
         driver.falsify = unreadable()
         outcome = observe(lab, driver)
@@ -134,7 +144,7 @@ def hands_off(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
     driver = Driver(lab, arm)
     lab.controller()
     if not ready(driver):
-        yield f"| {name} | hands off | not reached: {lab.label} | | | | | | good |", True
+        yield refused(lab, driver, f"{name}, did not get there", "hands off")
         return
     driver.play(1.0)
     answer = lab.ask(interface.GRAVITY_COMPENSATION, True)

@@ -28,6 +28,8 @@ def session_parser(doc: str, seed: int) -> argparse.ArgumentParser:
 def learn_command(folder: Path, options: argparse.Namespace) -> list[str]:
     """Command that runs or resumes a session in a folder."""
     command = [sys.executable, "-m", "wam_power_ros.cli", "learn", "--session", str(folder)]
+    if (folder / "session.yaml").exists():  # its options are on disk
+        return command
     for name in ("seed", "trials", "demonstrations"):
         command += [f"--{name}", str(getattr(options, name))]
     return command

@@ -28,7 +28,7 @@ PAGES = [
     "README.md",
     "CONTRIBUTING.md",
     "SECURITY.md",
-    *(f"docs/{path.name}" for path in ROOT.glob("docs/*.md")),
+    *(str(path.relative_to(ROOT)) for path in ROOT.glob("docs/**/*.md")),
 ]
 CITATION = re.compile(r"\[([A-Z][A-Za-z]+(?:19|20)\d\d)[],]")
 SOURCES = [
