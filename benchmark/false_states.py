@@ -179,7 +179,7 @@ class Driver:
             if lab.label == "fault":
                 self.call(interface.RESET)
             elif lab.label == "gravity_compensation":
-                self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+                self.call(interface.GRAVITY_COMPENSATION, False)
             elif lab.label == "hold":
                 self._policies.publish(String(data=to_json(self.policy)))
                 if self.call(interface.MOVE_TO_START):
