@@ -220,7 +220,8 @@ class Link:
 
     def _discovered(self, name: str) -> bool:
         """Whether a service is available and has had the time to discover its client."""
-        return self.offers(name) and time.monotonic() - self._ready_times[name] >= DISCOVERY
+        now = time.monotonic()
+        return self.offers(name) and now - self._ready_times.get(name, now) >= DISCOVERY
 
     def _full(self, name: str) -> str:
         """Name of a service with its namespace, for messages."""
