@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -185,25 +185,40 @@ class Robot:
         Raises:
             Stopped: After an interrupt.
         """
-        self.stop()  # succeeds once the controller is active
+        future, name = None, interface.REPLAY
+        try:
+            self.stop()  # succeeds once the controller is active
+            self._send(movement_message(self.joint_names, JointMovement(t, q)))
+            late = time.monotonic() + RECEIPT_TIMEOUT
+            while True:
+                future = self.link.begin(name)
+                self.link.until(future.done, "the end of the movement", MOVE_TIMEOUT)
+                answer = self.link.answer(name, future)
+                unread = answer is not None and answer.code in (Code.BUSY, Code.NOTHING)
+                if not unread or time.monotonic() > late:
+                    break
+                self.link.sleep(RETRY_PERIOD)
+        except KeyboardInterrupt:
+            self.stop()
+            if future is not None:
+                self.link.until(future.done, "the end of the movement")
+            raise Stopped(future and self.link.answer(name, future)) from None
+        if answer is None or not answer.success:
+            raise ServiceError(answer.text if answer else f"{name} did not answer", answer)
+        return answer.text
+
+    def _send(self, movement: JointTrajectory) -> None:
+        """Publish a movement, and wait until the controller has received it.
+
+        Topics and services are not ordered: otherwise the last movement might be repeated.
+        """
         movements, topic = self._movements, interface.REPLAY_TRAJECTORY
         if not self.link.until(movements.get_subscription_count, f"a subscriber of {topic}"):
             raise ServiceError(f"{topic} has no subscriber: is the controller running?")
-        movements.publish(movement_message(self.joint_names, JointMovement(t, q)))
-        # Topics and services are not ordered: without this the last movement might be repeated.
-        if not movements.wait_for_all_acked(Duration(seconds=TIMEOUT)):
+        movements.publish(movement)
+        received = partial(movements.wait_for_all_acked, Duration(nanoseconds=1))
+        if not self.link.until(received, f"the receipt of the movement on {topic}"):
             raise ServiceError(f"the movement on {topic} was not received")
-        late = time.monotonic() + RECEIPT_TIMEOUT
-        while True:
-            answer = self._moving(interface.REPLAY)
-            unread = answer is not None and answer.code in (Code.BUSY, Code.NOTHING)
-            if not unread or time.monotonic() > late:
-                break
-            self.link.sleep(RETRY_PERIOD)
-        if answer is None or not answer.success:
-            text = answer.text if answer else f"{interface.REPLAY} did not answer"
-            raise ServiceError(text, answer)
-        return answer.text
 
     def rollout(self, policy: Policy, ready: Ready = lambda state: "") -> Executed:
         """Move to the start of a policy, execute it once and hold.
@@ -241,17 +256,6 @@ class Robot:
     @cached_property
     def _rollouts(self) -> Rollouts:
         return Rollouts(self.link, self._settings, self._body)
-
-    def _moving(self, name: str) -> Answer | None:
-        """Answer to a request for a movement, which is stopped by an interrupt."""
-        future = self.link.begin(name)
-        try:
-            self.link.until(future.done, f"the end of {name}", MOVE_TIMEOUT)
-        except KeyboardInterrupt:
-            self.stop()
-            self.link.until(future.done, f"the end of {name}")
-            raise Stopped(self.link.answer(name, future)) from None
-        return self.link.answer(name, future)
 
     # Demonstrations
 

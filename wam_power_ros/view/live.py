@@ -100,7 +100,7 @@ class View(Node):
         )
         link.prepare(*triggers)
         link.prepare(*switches, data=True)
-        self._services = (*triggers, *switches)
+        self._offered = (*triggers, *switches)
 
     def update(self) -> LiveState:
         """Take the newest messages received since the last update."""
@@ -110,7 +110,7 @@ class View(Node):
         path = self._path()
         self.state.policy = self._policy()
         self.state.tool_path = None if path is None else path.position
-        for name in self._services:
+        for name in self._offered:
             self.link.offers(name)  # so that a button need not wait for the discovery
         return self.state
 
