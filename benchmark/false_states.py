@@ -12,11 +12,8 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from rclpy.client import Client
-from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
 
 from benchmark.hidden_arm import HiddenArm
 from benchmark.lab import TIMEOUT, Lab
@@ -29,7 +26,6 @@ from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.joint_messages import JointStateWriter
-from wam_power_ros.ros.service_client import DISCOVERY
 
 SPEED_MARGIN = 0.5  # [m/s] allowed increase of the tool's peak speed by false states
 REST_TICKS = 250  # [periods] from the fault to rest: 0.5 s
@@ -131,7 +127,6 @@ class Driver:
         self._world, self._zeros = hidden.world(), hidden.zeros
         self._arm = Arm(self._world.urdf, JOINTS)
         self._write = JointStateWriter(JOINTS)
-        self._clients: dict[str, Client] = {}
         self.falsify: Falsifier = lambda state: state
         self.speeds: list[float] = []
         self.path: list[np.ndarray] = []
@@ -184,29 +179,19 @@ class Driver:
             if lab.label == "fault":
                 self.call(interface.RESET)
             elif lab.label == "gravity_compensation":
-                self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+                self.call(interface.GRAVITY_COMPENSATION, False)
             elif lab.label == "hold":
                 self._policies.publish(String(data=to_json(self.policy)))
                 if self.call(interface.MOVE_TO_START):
                     return True
         return False
 
-    def ask(self, name: str, request: object = None) -> Future:
-        """Call a service while the arm keeps running; return the future of its response."""
-        request = request or Trigger.Request()
-        kind = SetBool if isinstance(request, SetBool.Request) else Trigger
-        client = self._clients.get(name)
-        if client is None:
-            client = self._clients[name] = self._lab.node.create_client(kind, name)
-        if not client.service_is_ready():
-            self.play(TIMEOUT, client.service_is_ready)
-            self.play(DISCOVERY)
-        return client.call_async(request)
-
-    def call(self, name: str, request: object = None) -> bool:
+    def call(self, name: str, data: bool | None = None) -> bool:
         """Call a service while the arm keeps running; return True on success."""
-        future = self.ask(name, request)
-        return self.play(TIMEOUT, future.done) and future.result().success
+        future = self._lab.ask(name, data)
+        done = self.play(TIMEOUT, future.done)
+        answer = future.result() if done else None
+        return answer is not None and answer.success
 
     def begin(self, phase: str) -> None:
         """Bring the arm into a phase, to the moment at which false states begin."""
@@ -217,14 +202,14 @@ class Driver:
             self.play(5.0, lambda: lab.label.startswith("rollout"))
             self.play(moment * self.policy.basis.duration)
         elif phase in ("move", "teaching"):
-            self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+            self.call(interface.GRAVITY_COMPENSATION, True)
             self._world.attach(self._demonstrator())
             self.play(0.4)
         if phase == "move":
             self.release()
-            self.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+            self.call(interface.GRAVITY_COMPENSATION, False)
             self.play(1.0)
-            self.ask(interface.MOVE_TO_START)
+            lab.ask(interface.MOVE_TO_START)
             self.play(5.0, lambda: lab.label == "move_to_start")
             self.play(0.2)
 

@@ -26,9 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
 
 from benchmark.false_states import FALSE_STATES, PHASES, Driver, acceptable, inject
 from benchmark.fuzz import bombard, spoilt, states
@@ -264,12 +262,12 @@ def fuzz_over_dds(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
     limit = new_controller().limits.torque
     policy, source, count, wrong = fuzz_policy(), states(JOINTS, HOME, rng), 0, 0
-    reset = lab.node.create_client(Trigger, interface.RESET)
+    lab.link.wait_for(interface.RESET)
     for number in range(repeats):
         lab._states.publish(next(source))
         if number % 50 == 0:
             policies.publish(String(data=spoilt(policy, rng)))
-            reset.call_async(Trigger.Request())
+            lab.link.begin(interface.RESET)
         lab.spin(0.001)
         new, lab.torques = lab.torques, lab.torques[-1:]
         count += len(new) - 1
@@ -424,8 +422,7 @@ def false_states(name: str) -> Callable[[Lab, int, np.random.Generator], Row]:
 def ended(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
     """The controller is ended or deactivated in a rollout; the arm keeps the last torque."""
     driver = Driver(lab)
-    off = lab.node.create_client(ChangeState, "/torque_controller/change_state")
-    request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+    off = Transition(id=Transition.TRANSITION_DEACTIVATE)
     rests, wrong = [], []
     for number in range(repeats):
         controller = lab.controller()
@@ -433,7 +430,7 @@ def ended(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
         driver.play(rng.uniform(0.0, 0.8))
         how = (signal.SIGTERM, signal.SIGINT, None)[number % 3]
         if how is None:
-            off.call_async(request)
+            lab.ask("/torque_controller/change_state", off)
         else:
             controller.process.send_signal(how)
         driver.play(0.5)

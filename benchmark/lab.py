@@ -11,6 +11,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -20,16 +21,16 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
 
 from benchmark.nodes import HOME, JOINTS, PERIOD_NS, environment, node_command
 from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.client.link import Data, Link
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
+from wam_power_ros.ros.answers import Answer
 from wam_power_ros.ros.domain import private_domain
-from wam_power_ros.ros.service_client import DISCOVERY
 from wam_power_ros.ros.simulation_guard import STAND_IN
 
 TIMEOUT = 90.0  # [s] for a node to start, to hold, to fault
@@ -49,6 +50,7 @@ class Lab:
 
     Attributes:
         domain: Number of the domain; set by `open`.
+        link: Link of a node beside the observing one; set by `open`.
         torques: Reception times [ns, steady clock] and readings of the last torques.
         readings: States of the stand-in, if it plays the arm.
     """
@@ -71,17 +73,19 @@ class Lab:
             rclpy.init(context=self._context, domain_id=domain)
             self.node = Node("faults", context=self._context)
             self.driver_node = Node(STAND_IN, context=self._context)
+            self.link = Link(Node("person", context=self._context))
+            self._threads = ThreadPoolExecutor()
             self._executor = EventsExecutor(context=self._context)
             self._executor.add_node(self.node)
             self.node.create_subscription(
                 Float64MultiArray, interface.EFFORT_COMMANDS, self._on_torque, interface.COMMAND
             )
             self._write = joint_messages.JointStateWriter(JOINTS)
-            self._services: dict[str, object] = {}
             try:
-                with Processes(self.folder, given) as self.processes:
+                with Processes(self.folder, given) as self.processes, self.link:
                     yield self
             finally:
+                self._threads.shutdown()
                 self._executor.shutdown()
                 self.node.destroy_node()
                 self.driver_node.destroy_node()
@@ -146,17 +150,16 @@ class Lab:
             self.spin(2.0, lambda: self.label == "hold")
             self.processes.check()
 
+    def ask(self, name: str, data: Data = None) -> Future[Answer | None]:
+        """Call a service in another thread: this one may have to play the arm meanwhile."""
+        return self._threads.submit(self.link.call, name, data)
+
     def call(self, name: str, play: bool = False) -> bool:
         """Call a Trigger service and wait for its response; return True on success."""
-        client = self._services.get(name)
-        if client is None:
-            client = self._services[name] = self.node.create_client(Trigger, name)
-        if not client.service_is_ready():
-            self.wait(client.service_is_ready, f"service {name}", play)
-            (self.play if play else self.spin)(DISCOVERY)
-        future = client.call_async(Trigger.Request())
+        future = self.ask(name)
         self.wait(future.done, f"response of {name}", play)
-        return future.result().success
+        answer = future.result()
+        return answer is not None and answer.success
 
     # The arm played by this process; it never moves.
 

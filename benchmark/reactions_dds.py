@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from std_srvs.srv import SetBool
 
 from benchmark.false_states import PHASES, REST_TICKS, Driver, Falsifier, Reading
 from benchmark.hidden_arm import HiddenArm
@@ -113,7 +112,7 @@ def jumps(lab: Lab) -> Iterator[Line]:
     lab.controller()
     for name, make in JUMPS.items():
         ready(driver)
-        driver.call(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+        driver.call(interface.GRAVITY_COMPENSATION, True)
         driver.play(0.4)
         driver.falsify = make()
         outcome = observe(lab, driver)
@@ -149,10 +148,11 @@ def hands_off(lab: Lab, arm: HiddenArm, name: str) -> Iterator[Line]:
         yield refused(lab, driver, f"{name}, did not get there", "hands off")
         return
     driver.play(1.0)
-    answer = driver.ask(interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
+    answer = lab.ask(interface.GRAVITY_COMPENSATION, True)
     driver.play(5.0, answer.done)
-    if not answer.result().success:
-        yield f"| {name} | hands off | {answer.result().message} | | | | | | good |", True
+    given = answer.result()
+    if given is None or not given.success:
+        yield f"| {name} | hands off | {given or 'no answer'} | | | | | | good |", True
         return
     outcome = observe(lab, driver)
     good = outcome.travel < TRAVEL_MAX or (

@@ -33,11 +33,9 @@ from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from std_srvs.srv import SetBool
 
 from benchmark.nodes import JOINTS, environment, node_command
 from wam_power_ros.bags import layout, reader
@@ -45,7 +43,8 @@ from wam_power_ros.bags.layout import unfinished
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import BagWriter
 from wam_power_ros.cli.processes import Processes, Running
-from wam_power_ros.ros import answers, interface, joint_messages
+from wam_power_ros.client.link import Link
+from wam_power_ros.ros import interface, joint_messages
 from wam_power_ros.ros.domain import private_domain
 
 START = 1_700_000_000_000_000_000  # [ns]
@@ -123,28 +122,19 @@ class Source(Node):
             JointState, interface.JOINT_STATES, interface.STATE_OUT
         )
         self._write = joint_messages.JointStateWriter(JOINTS)
-        self._record = self.create_client(SetBool, interface.RECORD)
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(self)
+        self.link = Link(self)
         self.sent = 0
         self.unfinished = False
-        self.create_subscription(
-            DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
-        )
+        qos = interface.DIAGNOSTICS_QOS
+        self.link.listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, qos)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.unfinished |= "left unfinished" in str(message)
 
     def begin(self) -> Path:
         """Start a recording; return its bag."""
-        if not self._record.wait_for_service(60.0):
-            raise RuntimeError("the recorder did not appear within 60 s")
-        end = time.monotonic() + 60.0
-        while self._states.get_subscription_count() == 0 and time.monotonic() < end:
-            time.sleep(0.05)
-        future = self._record.call_async(SetBool.Request(data=True))
-        self._executor.spin_until_future_complete(future, 60.0)
-        return Path(answers.read(True, future.result().message).text)
+        self.link.until(self._states.get_subscription_count)
+        return Path(self.link.insist(interface.RECORD, True).text)
 
     def send(self, seconds: float, enough: Callable[[], bool] = lambda: False) -> None:
         """Publish for some time [s], or until `enough()` is true."""
@@ -155,7 +145,7 @@ class Source(Node):
             self._states.publish(self._write(START + 2_000_000 * self.sent, zero, zero, zero))
             self.sent += 1
             due += 0.002
-            self._executor.spin_once(timeout_sec=max(0.0, due - time.monotonic()))
+            time.sleep(max(0.0, due - time.monotonic()))
 
 
 def lost(folder: Path, rng: np.random.Generator, full: bool) -> tuple[float, int]:
@@ -167,7 +157,7 @@ def lost(folder: Path, rng: np.random.Generator, full: bool) -> tuple[float, int
         command = node_command("demonstration_recorder", directory=str(folder))
         source = Source(context)
         try:
-            with Processes(folder / "logs", environment(domain)) as processes:
+            with Processes(folder / "logs", environment(domain)) as processes, source.link:
                 recorder = processes.start("demonstration_recorder", command)
                 path = source.begin()
                 source.send(1.0 + 2.0 * rng.random())

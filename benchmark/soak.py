@@ -17,7 +17,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections import Counter
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -25,26 +25,23 @@ from pathlib import Path
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from nav_msgs.msg import Path as RosPath
-from rclpy.client import Client
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
 
 from benchmark.nodes import JOINTS, environment
 from wam_power_ros.bags import reader
 from wam_power_ros.cli.processes import Processes, Running
+from wam_power_ros.client.link import Link
+from wam_power_ros.client.robot import Robot
+from wam_power_ros.client.rollouts import RolloutSettings
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
-from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.domain import private_domain
-from wam_power_ros.ros.service_client import DISCOVERY
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 NODES = ("wam_sim", "torque_controller", "pancake_tracker", "demonstration_recorder")
@@ -88,26 +85,33 @@ class Samples:
         }
 
 
-class Director(Node):
-    """Directs the arm and receives the diagnostics of the nodes."""
+SETTINGS = RolloutSettings(
+    scene_reset=True,
+    reset_faults=True,  # faults occur on a busy machine
+    record_rollouts=False,  # all is in one recording
+    service_timeout=30.0,
+    rollout_timeout=30.0,
+    patience=60.0,
+)
 
-    def __init__(self, context: rclpy.Context) -> None:
-        super().__init__("director", context=context)
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(self)
-        self.published: list[tuple[int, int]] = []  # number of states, stamp of the last one
-        self.counts: dict[str, int] = {}  # activities by name
+
+class Director:
+    """Directs the arm and receives the diagnostics of the nodes.
+
+    Attributes:
+        published: Number of states that the stand-in has published, and stamp of the last one.
+        counts: Activities by name.
+        diagnostics: Last values of each node.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self.robot = Robot(link, body="pancake", settings=SETTINGS)
+        self.published: list[tuple[int, int]] = []
+        self.counts: Counter[str] = Counter()
         self.diagnostics: dict[str, dict[str, str]] = {}
-        self._paths: list[RosPath] = []
-        self._asked: dict[str, Client] = {}
-        self._between: Callable[[], None] = lambda: None
-        self._policies = self.create_publisher(String, interface.POLICY, interface.LATCHED)
-        self.create_subscription(
-            DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, interface.DIAGNOSTICS_QOS
-        )
-        self.create_subscription(
-            RosPath, interface.ROLLOUT_END_EFFECTOR, self._paths.append, interface.LATCHED
-        )
+        qos = interface.DIAGNOSTICS_QOS
+        link.listen(DiagnosticArray, interface.DIAGNOSTICS, self._on_diagnostics, qos)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -116,104 +120,40 @@ class Director(Node):
             if status.name.startswith("wam_sim"):
                 self.published.append((int(values[COUNT]), int(values[STAMP])))
 
-    @property
-    def mode(self) -> str:
-        """Mode of the controller, from its diagnostics."""
-        return self.diagnostics.get("torque_controller", {}).get("mode", "")
-
-    def attend(self, between: Callable[[], None]) -> None:
-        """Set a function that is called between callbacks."""
-        self._between = between
-
-    def until(self, condition: Callable[[], bool], patience: float) -> bool:
-        """Dispatch callbacks until a condition holds; return False after `patience` [s]."""
-        end = time.monotonic() + patience
-        while not condition():
-            if time.monotonic() > end:
-                return False
-            self._executor.spin_once(timeout_sec=0.05)
-            self._between()
-        return True
-
-    def wait(self, seconds: float) -> None:
-        """Dispatch callbacks for some time [s]."""
-        self.until(lambda: False, seconds)
-
-    def call(self, kind: type, name: str, request: object = None, patience: float = 60.0) -> str:
-        """Call a service until it succeeds; return the id of its policy, or its text.
+    def await_hold(self) -> None:
+        """Wait until the controller holds the arm.
 
         Raises:
-            TimeoutError: If it does not succeed within `patience` [s].
+            TimeoutError: It does not.
         """
-        why = "did not appear"
-        end = time.monotonic() + patience
-        while time.monotonic() < end:
-            answer = self._ask(kind, name, request or kind.Request(), 60.0)
-            if answer is not None:
-                if answer.success:
-                    return answer.values.get("policy", answer.text)
-                why = f"refused: {answer.text}"
-                if answer.code is Code.FAULT:  # faults occur on a busy machine
-                    self._ask(Trigger, interface.RESET, Trigger.Request(), 5.0)
-                    self._count("resets of a fault")
-            self.wait(0.2)
-        raise TimeoutError(f"{name} {why}")
-
-    def _ask(self, kind: type, name: str, request: object, patience: float) -> Answer | None:
-        """Response of a service; None if it is not found in 5 s or too late (`patience` [s])."""
-        client = self._asked.get(name)
-        if client is None:
-            client = self._asked[name] = self.create_client(kind, name)
-        if not client.service_is_ready():
-            if not self.until(client.service_is_ready, 5.0):
-                return None
-            self.wait(DISCOVERY)
-        future = client.call_async(request)
-        if not self.until(future.done, patience):
-            return None
-        return read(future.result().success, future.result().message)
+        mode = lambda: self.diagnostics.get("torque_controller", {}).get("mode")  # noqa: E731
+        if not self._link.until(lambda: mode() == "hold", timeout=120.0):
+            raise TimeoutError(f"the controller does not hold: {mode()}")
 
     def rollout(self, policy: Policy) -> None:
-        """Move to the start, reset the pancake, execute, wait for the path; repeat if it fails."""
-        while not self._rollout(policy):
-            self._count("rollouts broken off")
-
-    def _rollout(self, policy: Policy) -> bool:
-        self._paths.clear()
-        self._policies.publish(String(data=to_json(policy)))
-        self.until(lambda: self.call(Trigger, interface.MOVE_TO_START) == policy.id, 60.0)
-        try:
-            self.call(Trigger, interface.body_topic("pancake", "reset"), patience=10.0)
-            self.call(Trigger, interface.EXECUTE, patience=10.0)
-        except TimeoutError:  # after a fault the arm is no longer at the start
-            return False
-        done = self.until(lambda: bool(self._paths), 30.0)
-        self._count("rollouts")
-        return done
+        """Execute a policy; repeat if it fails."""
+        while self.robot.rollout(policy).rollout.fault is not None:
+            self.counts["rollouts broken off"] += 1
+        self.counts["rollouts"] += 1
 
     def teach(self) -> None:
         """Let the demonstrator guide the arm under gravity compensation; repeat if it fails."""
-        while not self._teach():
-            self._count("demonstrations broken off")
-
-    def _teach(self) -> bool:
-        self.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
-        try:
-            self.call(Trigger, interface.body_topic("pancake", "reset"), patience=10.0)
-            self.call(Trigger, interface.DEMONSTRATE, patience=10.0)
-        except TimeoutError:  # after a fault the arm is no longer free
-            return False
-        self.call(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
-        self._count("demonstrations")
-        return True
+        while True:
+            try:
+                with self.robot.guided():
+                    self.robot.put_back()
+                    self.robot.demonstrate()
+            except ServiceError:  # after a fault the arm is no longer free
+                self.robot.reset()
+                self.counts["demonstrations broken off"] += 1
+            else:
+                self.counts["demonstrations"] += 1
+                return
 
     def hold(self, seconds: float) -> None:
         """Let the arm hold for some time [s]."""
-        self.wait(seconds)
-        self._count("holds")
-
-    def _count(self, what: str) -> None:
-        self.counts[what] = self.counts.get(what, 0) + 1
+        self._link.sleep(seconds)
+        self.counts["holds"] += 1
 
 
 def taught() -> Policy:
@@ -254,36 +194,36 @@ def soak(seconds: float, every: float, folder: Path) -> dict[str, object]:
         os.environ.update(environment(domain))
         context = rclpy.Context()
         rclpy.init(context=context, domain_id=domain)
-        director = Director(context)
+        node = Node("director", context=context)
         samples = {name: Samples() for name in NODES}
         try:
-            with Processes(folder / "logs", environment(domain)) as processes:
-                running = start(processes, folder)
-                policy = taught()
-                director.until(lambda: director.mode == "hold", 120.0)
+            with (
+                Processes(folder / "logs", environment(domain)) as processes,
+                Link(node) as link,
+            ):
+                running, director, policy = start(processes, folder), Director(link), taught()
+                director.await_hold()
                 director.rollout(policy)  # warm-up
                 director.teach()
-                path = Path(director.call(SetBool, interface.RECORD, SetBool.Request(data=True)))
-                began = time.monotonic()
+                with director.robot.record() as path:
+                    began = time.monotonic()
 
-                def look() -> None:
-                    t = time.monotonic() - began
-                    if not samples[NODES[0]].t or t - samples[NODES[0]].t[-1] >= every:
+                    def look() -> None:
                         processes.check()
+                        t = time.monotonic() - began
                         for name, process in running.items():
                             samples[name].add(t, process.process.pid)
 
-                director.attend(look)
-                while time.monotonic() - began < seconds:
-                    director.rollout(policy)
-                    director.hold(1.0)
-                    director.rollout(policy)
-                    director.teach()
-                director.attend(lambda: None)
-                director.call(SetBool, interface.RECORD, SetBool.Request(data=False))
-                director.wait(1.5)  # for the last diagnostics
+                    looking = node.create_timer(every, look)
+                    while time.monotonic() - began < seconds:
+                        director.rollout(policy)
+                        director.hold(1.0)
+                        director.rollout(policy)
+                        director.teach()
+                    looking.cancel()
+                link.sleep(1.5)  # for the last diagnostics
         finally:
-            director.destroy_node()
+            node.destroy_node()
             rclpy.shutdown(context=context)
     stamps_ns, _ = reader.read_demonstration(path, JOINTS)
     lost, total = missing(stamps_ns, director.published)

@@ -26,11 +26,11 @@ from rclpy.qos import QoSProfile
 from rclpy.task import Future
 
 from wam_power_ros import rotations
+from wam_power_ros.client.link import DISCOVERY
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.ros import network
 from wam_power_ros.ros.domain import private_domain
-from wam_power_ros.ros.service_client import DISCOVERY
 
 network.confine(os.environ)  # this process, too
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell

@@ -60,13 +60,14 @@ ALLOWED: dict[str, set[str]] = {
     "reporting": {"durable_files", "plotting", "learning", "tasks", "practice"},
 }
 BELOW = set(ALLOWED)
-ALLOWED["view"] = {*BELOW, "console"} - {"conformance"}
-ALLOWED["nodes"] = BELOW - {"reporting"}
-ALLOWED["console"] = BELOW - {"reporting", "practice", "tasks"}
+ALLOWED["client"] = {"faults", "bags", "learning", "control", "tasks", "params", "ros"}
+ALLOWED["view"] = {*BELOW, "client"} - {"conformance"}
+ALLOWED["nodes"] = {*BELOW, "client"} - {"reporting"}
+ALLOWED["console"] = {*BELOW, "client"} - {"reporting", "practice", "tasks"}
 ALLOWED["hardware_sim"] = BELOW - {"bags", "practice", "conformance", "reporting"}
 ALLOWED["in_process"] = {*BELOW, "hardware_sim"} - {"ros"}
 ALLOWED["cli"] = {*BELOW, "nodes", "console", "view"}
-ALLOWED["robot"] = {"bags", "control", "learning", "params", "ros", "nodes", "cli"}
+ALLOWED["robot"] = {"client", "cli"}
 ALLOWED["reproduction"] = ALLOWED["in_process"] | {"in_process"}
 ALLOWED["benchmark"] = {*ALLOWED}
 PURE = (
@@ -80,7 +81,7 @@ PURE = (
     "tasks",
     "conformance",
 )
-SPEAK_ROS = {"params", "ros", "nodes", "console", "view", "robot", "hardware_sim", "benchmark"}
+SPEAK_ROS = {"params", "ros", "client", "nodes", "console", "view", "hardware_sim", "benchmark"}
 SIMULATE = {"hardware_sim", "in_process", "benchmark"}
 
 INSTALLED = (PACKAGE, STAND_INS)
@@ -254,6 +255,11 @@ def decides(node: ast.AST) -> set[object]:
 def test_a_decision_by_the_name_of_a_task_would_be_found() -> None:
     for text in ("x == 'flip'", "x in ('flip', 'reach')", "{'flip': 1}", "x['flip']"):
         assert "flip" in set().union(*map(decides, ast.walk(ast.parse(text)))), text
+
+
+def test_the_services_of_other_nodes_are_called_by_the_client_alone() -> None:
+    made = {label(path) for path in MODULES if "create_client(" in path.read_text()}
+    assert made == {"wam_power_ros/client/link.py"}
 
 
 def test_every_module_says_its_licence_in_one_line() -> None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,12 +12,18 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 from test_docs import blocks
 
 from wam_power_ros import robot
+from wam_power_ros.client.link import Link
+from wam_power_ros.client.robot import REST_TIMES, Robot, Stopped
+from wam_power_ros.client.rollouts import Rollouts, RolloutSettings
+from wam_power_ros.control.arm import Arm
 from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.view.live import View
 
 
@@ -53,10 +60,8 @@ def test_a_rollout_follows_its_policy_and_is_recorded(example: dict[str, Any]) -
 
 
 def test_a_posture_beyond_the_limits_is_refused_before_anything_is_sent() -> None:
-    never = robot.Robot.__new__(robot.Robot)
-    never.arm = robot.Arm(
-        robot.share("urdf/wam7.urdf").read_text(), [f"wam_j{i}" for i in range(1, 8)]
-    )
+    names = [f"wam_j{i}" for i in range(1, 8)]
+    never = Robot(None, arm=Arm(share("urdf/wam7.urdf").read_text(), names))
     for q in ([0.0] * 6, [0.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0], [np.nan] * 7):
         with pytest.raises(ValueError, match="must be 7 angles within"):
             never.move_to(q)
@@ -67,20 +72,63 @@ def test_an_unknown_set_up_is_refused() -> None:
         pass
 
 
-def test_an_interrupt_stops_the_arm() -> None:
-    moving, stopped = robot.Robot.__new__(robot.Robot), []
-    moving.stop = lambda: stopped.append(True)
-    with pytest.raises(KeyboardInterrupt), moving._stopping():
-        raise KeyboardInterrupt
-    assert stopped == [True]
+class Controller:
+    """A link to a controller whose answers to a replay are given; requests are noted."""
+
+    def __init__(self, answers: Sequence[Answer], interrupted: bool = False) -> None:
+        self.asked: list[str] = []
+        self._answers, self._interrupted = [*answers], interrupted
+        publisher = SimpleNamespace(
+            get_subscription_count=lambda: 1,
+            publish=lambda _: None,
+            wait_for_all_acked=lambda _: True,
+        )
+        self.node = SimpleNamespace(create_publisher=lambda *_: publisher)
+
+    def begin(self, name: str) -> SimpleNamespace:
+        """Note a request; with an interrupt, it is answered only after the stop."""
+        self.asked.append(name)
+        return SimpleNamespace(done=lambda: not self._interrupted or name != self.asked[-1])
+
+    def until(self, condition: Callable[[], object], what: str, timeout: float = 0.0) -> bool:
+        """Whether the condition holds already; otherwise a person interrupts."""
+        if not condition():
+            raise KeyboardInterrupt
+        return True
+
+    def answer(self, name: str, future: object) -> Answer:
+        """Return the next answer."""
+        return self._answers.pop(0)
+
+    def insist(self, name: str) -> None:
+        """Note a request."""
+        self.asked.append(name)
+
+    def sleep(self, seconds: float) -> None:
+        """Do not wait."""
+
+
+MOVEMENT = REST_TIMES, np.zeros((len(REST_TIMES), 1))
+
+
+def test_an_interrupt_stops_the_arm_and_keeps_the_answer_of_the_controller() -> None:
+    stopped = Answer(Code.STOPPED, "stopped")
+    controller = Controller([stopped], interrupted=True)
+    with pytest.raises(Stopped) as raised:
+        Robot(controller, joint_names=["a"]).follow(*MOVEMENT)
+    assert isinstance(raised.value, KeyboardInterrupt) and raised.value.answer == stopped
+    assert controller.asked == [interface.STOP, interface.REPLAY, interface.STOP]
 
 
 def test_a_controller_that_is_busy_is_asked_again_and_one_that_refuses_is_not() -> None:
-    for code in (Code.DONE, Code.REFUSED):
-        answers = [Answer(code, "then"), Answer(Code.BUSY, "not read within 5 s")]
-        asking = robot.Robot.__new__(robot.Robot)
-        asking._calls = SimpleNamespace(call=lambda *_, timeout: answers.pop())  # noqa: B023
-        assert asking._request_replay() == Answer(code, "then")
+    busy = Answer(Code.BUSY, "not read within 5 s")
+    controller = Controller([busy, Answer(Code.DONE, "then")])
+    assert Robot(controller, joint_names=["a"]).follow(*MOVEMENT) == "then"
+    refused = Answer(Code.REFUSED, "never")
+    controller = Controller([busy, refused, Answer(Code.DONE)])
+    with pytest.raises(ServiceError, match="never") as raised:
+        Robot(controller, joint_names=["a"]).follow(*MOVEMENT)
+    assert raised.value.answer == refused
 
 
 def names(node: Node) -> set[str]:
@@ -99,7 +147,9 @@ def test_robot_and_page_use_the_names_of_their_namespace(domain_id: int) -> None
     rclpy.init(domain_id=domain_id)
     try:
         node = rclpy.create_node("robot", namespace="left")
-        robot.Robot(node, setup)
+        link = Link(node)
+        Rollouts(link, RolloutSettings.of(setup["learner"]), "pancake")
+        link.newest(JointState, "joint_states")
         of_listener = node.get_subscriber_names_and_types_by_node("robot_states", "/left")
         listener = {name for name, _ in of_listener}
         page = View(setup["torque_controller"], "pancake", "/left")

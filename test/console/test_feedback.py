@@ -11,7 +11,7 @@ import pytest
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.cli import main
-from wam_power_ros.console.feedback import REQUESTS
+from wam_power_ros.client.feedback import REQUESTS
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
 
@@ -49,7 +49,8 @@ def test_the_answer_of_the_learner_is_returned_and_a_pause_is_not_a_continuation
         ("continue", "(True, 'paused')"),
         ("reward", "(False, 'no rollout has finished')"),
     ):
-        code = f"from wam_power_ros.console.feedback import give; print(give({kind!r}))"
+        code = f"from wam_power_ros.console.feedback import give; a = give({kind!r}); "
+        code += "print((a.success, a.text))"
         given = subprocess.Popen(
             [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )

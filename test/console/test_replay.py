@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from conftest import Probe, Processes
 from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.bags import layout, reader
 from wam_power_ros.cli import main
@@ -104,6 +105,7 @@ def test_a_replay_that_is_refused_leaves_no_bag(
 
         return respond
 
+    probe.listen(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
     probe.node.create_service(Trigger, interface.STOP, answer(""))
     probe.node.create_service(Trigger, interface.REPLAY, answer("no", code))
     probe.node.create_service(SetBool, interface.RECORD, answer(str(made)))

@@ -52,10 +52,9 @@ import os, signal, sys, time
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Int64
 from wam_power_ros.ros import node_runner
-node_runner.init(SignalHandlerOptions.NO)
+node_runner.init()
 numbers = Node("writer").create_publisher(Int64, "/numbers", QoSProfile(depth=10_000))
 while numbers.get_subscription_count() < 1:
     time.sleep(0.01)

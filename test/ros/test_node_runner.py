@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import time
 from typing import TYPE_CHECKING
 
 import pytest
+import rclpy
+from rclpy.context import Context
 from std_msgs.msg import String
 
 from wam_power_ros.ros import interface, node_runner
@@ -167,10 +170,21 @@ def test_an_executor_that_dispatches_nothing_is_replaced(
         def spin_once(self, timeout_sec: float | None = None) -> None:
             time.sleep(timeout_sec or 0.0)
 
-    monkeypatch.setattr(events_executor, "EventsExecutor", lambda: Deaf(context=probe.context))
-    monkeypatch.setattr(
-        node_runner, "SingleThreadedExecutor", lambda: SingleThreadedExecutor(context=probe.context)
-    )
+    monkeypatch.setattr(events_executor, "EventsExecutor", lambda context: Deaf(context=context))
     executor = node_runner.executor_for(probe.node, timeout=0.2)
     assert type(executor) is SingleThreadedExecutor
     assert probe.node in executor.get_nodes()
+
+
+def test_a_node_in_another_domain_leaves_the_environment_of_its_process_as_it_was(
+    domain_id: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    monkeypatch.delenv("ROS_STATIC_PEERS", raising=False)
+    before, context = dict(os.environ), Context()
+    make = lambda: rclpy.create_node("guest", context=context)  # noqa: E731
+    given = {"ROS_DOMAIN_ID": str(domain_id), "ROS_STATIC_PEERS": ""}
+    with node_runner.participant(make, given, context):
+        assert context.get_domain_id() == domain_id
+        assert dict(os.environ) == before
+    assert not context.ok()

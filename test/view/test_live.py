@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import rclpy
 
 from wam_power_ros.params import overlay
@@ -19,9 +17,9 @@ def test_a_button_of_a_session_that_has_ended_is_answered_and_raises_nothing(
     rclpy.init(domain_id=domain_id)
     try:
         page = View(overlay.setup()["torque_controller"], "pancake")
-        page.destroy_node()
-        assert not page.is_offered(interface.DEMONSTRATE)
-        page.publish_bag(Path("/bags/demo_1"))
-        assert page.call(interface.RECORD, True).code is Code.NOT_ACTIVE
+        with page.link:
+            pass
     finally:
         rclpy.shutdown()
+    assert page.call(interface.RECORD, True).code is Code.NOT_ACTIVE
+    assert page.teach(lambda: None, str).code is Code.NOT_ACTIVE

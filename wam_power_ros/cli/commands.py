@@ -283,13 +283,12 @@ def feedback(kind: str, bag: Path | None, session: Path | None) -> int:
     folder = existing_session(session)
     if not learner_is_running(folder):
         raise UsageError(f"no learner is running in {short_path(folder)}")
-    os.environ |= session_environment(folder)
     from wam_power_ros.console.feedback import give
 
     namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
-    accepted, answer = give(kind, bag, namespace)
-    print(answer if accepted else f"refused: {answer}")
-    return 0 if accepted else 2
+    answer = give(kind, bag, namespace, session_environment(folder))
+    print(answer.text if answer.success else f"refused: {answer.text}")
+    return 0 if answer.success else 2
 
 
 def report(session: Path) -> int:

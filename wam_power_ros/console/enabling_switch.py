@@ -19,7 +19,7 @@ import rclpy
 from std_msgs.msg import Bool
 
 from wam_power_ros.console.prompt import show
-from wam_power_ros.ros import interface
+from wam_power_ros.ros import interface, interrupts
 from wam_power_ros.ros.node_runner import participant
 
 FIRST_REPEAT = 0.75  # [s] at most until a held key repeats for the first time
@@ -46,6 +46,7 @@ def main() -> int:
     """Run `wam-power enable`: publish until Ctrl-C or until the terminal is closed."""
     if not sys.stdin.isatty():
         raise ValueError("enable reads keys from a terminal, but standard input is not one")
+    interrupts.install()
     with participant(lambda: rclpy.create_node("enabling_switch")) as node:
         switch = node.create_publisher(Bool, interface.ENABLE, interface.ENABLE_OUT)
         key, terminal = HeldKey(), sys.stdin.fileno()
@@ -53,7 +54,7 @@ def main() -> int:
         show("Hold any key down to enable the arm; Ctrl-C ends.")
         try:
             tty.setcbreak(terminal)
-            while rclpy.ok():
+            while True:
                 if select.select([terminal], [], [], PUBLISH_PERIOD)[0]:
                     if not os.read(terminal, 1024):
                         break
@@ -63,6 +64,5 @@ def main() -> int:
             pass
         finally:
             termios.tcsetattr(terminal, termios.TCSADRAIN, before)
-            if rclpy.ok():
-                switch.publish(Bool(data=False))
+            switch.publish(Bool(data=False))
     return 0

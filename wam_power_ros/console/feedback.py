@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Send a person's feedback to a running learner through its services."""
+"""Send a person's feedback to a running learner."""
 
 from __future__ import annotations
 
@@ -9,77 +9,58 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
     raise SystemExit(start("wam_power_ros.console.feedback", INTERRUPTED))
 
 import sys
-import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import rclpy
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
 
+from wam_power_ros.client.feedback import Feedback
+from wam_power_ros.client.link import LOG_AFTER, Link
 from wam_power_ros.console.prompt import show
-from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Code
+from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.node_runner import participant, run_script
-from wam_power_ros.ros.service_client import LOG_AFTER, TIMEOUT, ServiceClient, ServiceError
 
 APPEAR_TIMEOUT = 10.0  # [s of wall time] until a service of the learner is available
-REQUESTS = {
-    "reward": (interface.LEARNER_REWARD, Trigger, Trigger.Request()),
-    "punish": (interface.LEARNER_PUNISH, Trigger, Trigger.Request()),
-    "demonstration": (interface.LEARNER_DEMONSTRATION, Trigger, Trigger.Request()),
-    "pause": (interface.LEARNER_PAUSE, SetBool, SetBool.Request(data=True)),
-    "continue": (interface.LEARNER_PAUSE, SetBool, SetBool.Request(data=False)),
-}
 
 
-def give(kind: str, bag: Path | None = None, namespace: str = "") -> tuple[bool, str]:
-    """Send feedback to the learner in this DDS domain.
+def give(
+    kind: str,
+    bag: Path | None = None,
+    namespace: str = "",
+    environment: Mapping[str, str] | None = None,
+) -> Answer:
+    """Send feedback to the learner.
 
     Args:
-        kind: One of `REQUESTS`.
+        kind: One of `client.feedback.REQUESTS`.
         bag: Bag of the demonstration, for the kind "demonstration".
         namespace: Namespace of the learner.
+        environment: Variables that select the DDS domain of the learner, over those of this
+            process.
 
     Returns:
-        Whether the learner accepted the feedback, and its answer.
+        Answer of the learner, or why there is none.
     """
+    make = lambda: rclpy.create_node("feedback", namespace=namespace)  # noqa: E731
     try:
-        make = lambda: rclpy.create_node("feedback", namespace=namespace)  # noqa: E731
-        with participant(make, SignalHandlerOptions.NO) as node:
-            calls = ServiceClient(node, None, APPEAR_TIMEOUT, LOG_AFTER)
-            return _call(calls, node, kind, bag)
+        with participant(make, environment) as node, Link(node, APPEAR_TIMEOUT, LOG_AFTER) as link:
+            return Feedback(link).give(kind, bag)
     except ServiceError as error:
-        return False, f"{error}; does a learner run with the same ROS_DOMAIN_ID?"
+        text = f"{error}; does a learner run with the same ROS_DOMAIN_ID?"
+        return Answer(Code.NOT_ACTIVE, text)
 
 
 def _answer_lines(node: Node) -> None:
     """Send the kind of feedback named on each input line; print one line per answer."""
-    calls = ServiceClient(node, appear_timeout=APPEAR_TIMEOUT)
-    for kind in map(str.strip, sys.stdin):
-        try:
-            accepted, answer = _call(calls, node, kind, None)
-        except ServiceError as error:
-            accepted, answer = False, str(error)
-        show(answer if accepted else f"{kind} refused: {answer}")
-
-
-def _call(calls: ServiceClient, node: Node, kind: str, bag: Path | None) -> tuple[bool, str]:
-    name, service, request = REQUESTS[kind]
-    if bag is not None:
-        publisher = node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
-        publisher.publish(String(data=str(bag.resolve())))
-    deadline = time.monotonic() + TIMEOUT
-    while True:
-        answer = calls.call(service, name, request)
-        if answer is None:
-            raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
-        # topics and services are not ordered: the learner may not have received the bag yet
-        early = bag is not None and answer.code is Code.NOTHING
-        if not early or time.monotonic() > deadline:
-            return answer.success, answer.text
-        calls.until(lambda: False, timeout=0.05)
+    with Link(node, APPEAR_TIMEOUT) as link:
+        feedback = Feedback(link)
+        for kind in map(str.strip, sys.stdin):
+            try:
+                answer = feedback.give(kind)
+            except ServiceError as error:
+                answer = Answer(Code.NOT_ACTIVE, str(error))
+            show(answer.text if answer.success else f"{kind} refused: {answer.text}")
 
 
 def main() -> int:

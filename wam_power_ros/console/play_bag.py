@@ -19,7 +19,6 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.signals import SignalHandlerOptions
 from rosbags.interfaces import QosReliability
 
 from wam_power_ros.bags import layout
@@ -95,7 +94,7 @@ def play(path: Path, rate: float = 1.0, wanted: Sequence[str] = (), wait: float 
     topics, excluded = select_topics(bag, wanted)
     for name, reason in excluded.items():
         show(f"not played: {name}, because {reason}")
-    with participant(lambda: Node("player"), SignalHandlerOptions.NO) as node:
+    with participant(lambda: Node("player")) as node:
         _Player(node, topics).play(bag, rate, wait)
 
 

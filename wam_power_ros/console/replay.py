@@ -13,28 +13,22 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
     raise SystemExit(start("wam_power_ros.console.replay", INTERRUPTED))
 
 import shutil
-import signal
-import time
 from pathlib import Path
 
 from pydantic import Field
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.task import Future
-from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.arm_identity import from_json
 from wam_power_ros.bags import reader
+from wam_power_ros.client.link import LOG_AFTER, Link
+from wam_power_ros.client.robot import Robot, Stopped
 from wam_power_ros.console.prompt import ask, show
 from wam_power_ros.control import replay_trajectory
+from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.node_runner import run_script
-from wam_power_ros.ros.service_client import LOG_AFTER, ServiceClient, ServiceError
 
-STOPPED_STATUS = 130  # exit status
 NO_MOTION_CODES = (
     Code.REFUSED,
     Code.TOO_FAST,
@@ -42,9 +36,6 @@ NO_MOTION_CODES = (
     Code.BUSY,
     Code.NOTHING,
 )
-RETRY_CODES = (Code.NOTHING, Code.BUSY)  # the movement was not received, or not read, yet
-RECEIPT_TIMEOUT = 15.0  # [s of wall time] in which the controller must have read the movement
-REPLAY_TIMEOUT = 3600.0  # [s of wall time]
 SETTLE_TIME = 1.0  # [s of wall time] recorded after a stop, while the arm comes to rest
 
 
@@ -70,83 +61,52 @@ class ReplayParams(Params):
     person: bool
 
 
-class Replay(Node):
-    """Sends a movement to the controller and waits until it has ended."""
+class Replaying(Node):
+    """Node of the script, with its parameters."""
 
     def __init__(self) -> None:
         super().__init__("replaying", automatically_declare_parameters_from_overrides=True)
-        self._params = params = ReplayParams.of(self)
-        names = params.joint_names
-        t, q = replay_trajectory.movement(
-            *reader.read_demonstration(params.bag, names, arm=from_json(params.arm)), params.speed
-        )
-        self._duration = float(t[-1])
-        self._message = joint_messages.movement_message(names, joint_messages.JointMovement(t, q))
-        self._movements = self.create_publisher(
-            JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED
-        )
-        self._calls = ServiceClient(self, log_period=LOG_AFTER)
-        self._signals: list[int] = []
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, lambda received, _: self._signals.append(received))
+        self.params = ReplayParams.of(self)
 
-    def run(self) -> int:
-        """Replay once; returns the exit status.
 
-        Raises:
-            ServiceError: A service does not appear, does not answer in time, or refuses.
-        """
-        calls, name = self._calls, Path(self._params.bag).name
-        calls.insist(Trigger, interface.STOP)  # succeeds once the controller is active
-        self._movements.publish(self._message)
-        movement = f"{name} at {self._params.speed:g} times its speed, {self._duration:.1f} s"
-        self._ask(f"The arm will move to the start of {movement}. Press Enter: ")
-        if self._signals:
-            return STOPPED_STATUS
+def replay(node: Replaying) -> int:
+    """Replay once; returns the exit status.
+
+    Raises:
+        ValueError: The bag is not acceptable.
+        ServiceError: A service does not appear, does not answer in time, or refuses.
+    """
+    params = node.params
+    recorded = reader.read_demonstration(params.bag, params.joint_names, arm=from_json(params.arm))
+    t, q = replay_trajectory.movement(*recorded, params.speed)
+    movement = f"{Path(params.bag).name} at {params.speed:g} times its speed, {t[-1]:.1f} s"
+    with Link(node, log_period=LOG_AFTER) as link:
+        robot = Robot(link, joint_names=params.joint_names)
+        robot.stop()  # succeeds once the controller is active
+        if params.person:
+            ask(f"The arm will move to the start of {movement}. Press Enter: ")
         show(f"Replaying {movement}; Ctrl-C stops the arm")
-        calls.insist(SetBool, interface.RECORD, SetBool.Request(data=True))
-        try:
-            answer = self._follow()
-        finally:
-            path = calls.insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text
-        show(with_possible_speed(answer, self._params.speed))
-        if answer.code in NO_MOTION_CODES:
-            shutil.rmtree(path)
-            show("The arm has not moved; nothing was recorded.")
-        else:
-            show(f"recorded: {path}")
-        if self._signals:
-            show("Stopped: the arm holds.")
-        self._signals.clear()
-        self._ask("The arm holds. Support it, then press Enter to let it go: ")
-        if answer.success:
-            return 0
-        return STOPPED_STATUS if answer.code is Code.STOPPED else 1
-
-    def _follow(self) -> Answer:
-        """Answer of the controller once the movement has ended or was stopped."""
-        calls = self._calls
-        late = time.monotonic() + RECEIPT_TIMEOUT
-        while True:
-            future = calls.begin(Trigger, interface.REPLAY)
-            ended = lambda f=future: f.done() or self._signals  # noqa: E731
-            calls.until(ended, "the end of the replay", REPLAY_TIMEOUT)
-            if not future.done():
-                self._stop(future)
-            answer = calls.answer(future)
-            if self._signals or answer.code not in RETRY_CODES or time.monotonic() > late:
-                return answer
-            calls.until(lambda: False, timeout=0.05)
-
-    def _stop(self, future: Future) -> None:
-        self._calls.insist(Trigger, interface.STOP)
-        if not self._calls.until(future.done, "the end of the replay"):
-            raise ServiceError(f"{interface.REPLAY} did not answer after {interface.STOP}")
-        self._calls.until(lambda: False, timeout=SETTLE_TIME)
-
-    def _ask(self, text: str) -> None:
-        if self._params.person and not self._signals:
-            ask(text)
+        with robot.record() as bag:
+            try:
+                answer = Answer(Code.DONE, robot.follow(t, q))
+            except Stopped as stopped:
+                answer = stopped.answer or Answer(Code.STOPPED, "stopped")
+                link.sleep(SETTLE_TIME)
+            except ServiceError as error:
+                answer = error.answer or Answer(Code.UNKNOWN, str(error))
+    show(with_possible_speed(answer, params.speed))
+    if answer.code in NO_MOTION_CODES:
+        shutil.rmtree(bag)
+        show("The arm has not moved; nothing was recorded.")
+    else:
+        show(f"recorded: {bag}")
+    if answer.code is Code.STOPPED:
+        show("Stopped: the arm holds.")
+    if params.person:
+        ask("The arm holds. Support it, then press Enter to let it go: ")
+    if answer.success:
+        return 0
+    return INTERRUPTED if answer.code is Code.STOPPED else 1
 
 
 def with_possible_speed(answer: Answer, speed: float) -> str:
@@ -166,4 +126,4 @@ def with_possible_speed(answer: Answer, speed: float) -> str:
 
 def main() -> int:
     """Run `python -m wam_power_ros.console.replay`."""
-    return run_script(Replay, Replay.run, signals=SignalHandlerOptions.NO)
+    return run_script(Replaying, replay)

@@ -17,16 +17,15 @@ from pathlib import Path
 
 from pydantic import Field
 from rclpy.node import Node
-from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.bags import series
+from wam_power_ros.client.link import LOG_AFTER, Link
+from wam_power_ros.client.robot import Robot
 from wam_power_ros.console.prompt import ask, choose, cue, show
 from wam_power_ros.params.node_params import Params
-from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.node_runner import run_script
-from wam_power_ros.ros.service_client import LOG_AFTER, TIMEOUT, ServiceClient, ServiceError
 
-RECORDER = "demonstration_recorder"
 KEEP, AGAIN, DISCARD, DONE = "keep", "again", "discard", "done"
 KEYS = {"a": AGAIN, "d": DISCARD, "q": DONE}
 
@@ -53,70 +52,66 @@ class TeachParams(Params):
     state_topic: str
 
 
-class Teach(Node):
-    """Calls the services of controller, recorder and demonstrator in turn."""
+class Teaching(Node):
+    """Node of the script, with its parameters."""
 
     def __init__(self) -> None:
         super().__init__("teaching", automatically_declare_parameters_from_overrides=True)
-        self._params = TeachParams.of(self)
-        self._calls = ServiceClient(self, log_period=LOG_AFTER)
+        self.params = TeachParams.of(self)
 
-    def run(self) -> None:
-        """Record the series; the arm holds its position afterwards.
 
-        Raises:
-            ServiceError: A service does not appear, does not answer in time, or refuses.
-        """
-        params, insist = self._params, self._calls.insist
-        insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=True))
-        if not params.person:  # a person is slower than the start of any node
-            self._wait_for_recorder()
-        file = Path(params.series)
-        bags, number, wanted = series.read(file), 1, params.demonstrations
-        while number <= wanted:
-            bag = self._take(number)
-            bags.append(bag)
-            series.write(file, bags)  # at once: kept even if interrupted
-            show(f"  {number} of {wanted}: {bag}")
-            choice = choose(KEEP, KEYS) if params.review else KEEP
-            if choice in (AGAIN, DISCARD):
-                bags.pop()
-                show(f"  discarded; moved to {series.discard(bag)}")
-            wanted = {DONE: number, DISCARD: wanted - 1}.get(choice, wanted)
-            number += choice in (KEEP, DONE)
-        insist(SetBool, interface.GRAVITY_COMPENSATION, SetBool.Request(data=False))
+def record_series(node: Teaching) -> None:
+    """Record the series; the arm holds its position afterwards.
 
-    def _take(self, number: int) -> Path:
-        """Record one demonstration; returns the path of its bag."""
-        params, insist = self._params, self._calls.insist
-        if params.person:
-            self._ask(f"demonstration {number}: press Enter, then guide the arm by hand ")
-        else:  # arm and body back to the start
-            insist(Trigger, interface.body_topic(params.body, "reset"))
-        insist(SetBool, interface.RECORD, SetBool.Request(data=True))
+    Raises:
+        ServiceError: A service does not appear, does not answer in time, or refuses.
+    """
+    params = node.params
+    with Link(node, log_period=LOG_AFTER) as link:
+        robot = Robot(link, params.state_topic, body=params.body)
+        with robot.guided():
+            if not params.person:  # a person is slower than the start of any node
+                robot.await_recorder()
+            _record_takes(robot, params)
+
+
+def _record_takes(robot: Robot, params: TeachParams) -> None:
+    file = Path(params.series)
+    bags, number, wanted = series.read(file), 1, params.demonstrations
+    while number <= wanted:
+        bag = _take(robot, params, number)
+        bags.append(bag)
+        series.write(file, bags)  # at once: kept even if interrupted
+        show(f"  {number} of {wanted}: {bag}")
+        choice = choose(KEEP, KEYS) if params.review else KEEP
+        if choice in (AGAIN, DISCARD):
+            bags.pop()
+            show(f"  discarded; moved to {series.discard(bag)}")
+        wanted = {DONE: number, DISCARD: wanted - 1}.get(choice, wanted)
+        number += choice in (KEEP, DONE)
+
+
+def _take(robot: Robot, params: TeachParams, number: int) -> Path:
+    """Record one demonstration; returns the path of its bag."""
+    if params.person:
+        _ask(f"demonstration {number}: press Enter, then guide the arm by hand ")
+    else:
+        robot.put_back()
+    with robot.record() as bag:
         cue(params.bell, "recording")
         if params.person:
-            self._ask("press Enter when the movement is over ")
+            _ask("press Enter when the movement is over ")
         else:
-            insist(Trigger, interface.DEMONSTRATE)
-        bag = Path(insist(SetBool, interface.RECORD, SetBool.Request(data=False)).text)
-        cue(params.bell, "recorded")
-        return bag
+            robot.demonstrate()
+    cue(params.bell, "recorded")
+    return bag
 
-    def _wait_for_recorder(self) -> None:
-        """Wait until the recorder has subscribed, which may be later than its service appears."""
-        if not self._calls.until(self._recorder_subscribed, f"the subscription of {RECORDER}"):
-            raise ServiceError(f"{RECORDER} did not subscribe within {TIMEOUT:.0f} s")
 
-    def _recorder_subscribed(self) -> bool:
-        infos = self.get_subscriptions_info_by_topic(self._params.state_topic)
-        return RECORDER in {info.node_name for info in infos}
-
-    def _ask(self, text: str) -> None:
-        if not ask(text):
-            raise ServiceError("no answer: standard input is closed")
+def _ask(text: str) -> None:
+    if not ask(text):
+        raise ServiceError("no answer: standard input is closed")
 
 
 def main() -> int:
     """Run `python -m wam_power_ros.console.teach`."""
-    return run_script(Teach, Teach.run)
+    return run_script(Teaching, record_series)

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Terminal of `check_driver`: lines typed by a person, and the table of findings."""
+"""Table of the findings of `check_driver` in the terminal."""
 
 from __future__ import annotations
 
-import os
-import select
 from collections.abc import Sequence
 
 from rich.markup import escape
@@ -18,29 +16,6 @@ COLOURS = {
     Verdict.FAIL: "bold red",
     Verdict.UNCHECKED: "dim",
 }
-
-
-class Keyboard:
-    """Reads lines of standard input without blocking.
-
-    Attributes:
-        closed: True once standard input has ended.
-    """
-
-    def __init__(self) -> None:
-        self._text = b""
-        self.closed = False
-
-    def line(self) -> str | None:
-        """Return the next line, None when none has been typed."""
-        if b"\n" not in self._text and not self.closed and select.select([0], [], [], 0.0)[0]:
-            read = os.read(0, 4096)
-            self.closed = not read
-            self._text += read
-        if b"\n" not in self._text:
-            return None
-        line, _, self._text = self._text.partition(b"\n")
-        return line.decode(errors="replace").strip()
 
 
 def table(rows: Sequence[Row]) -> Table:

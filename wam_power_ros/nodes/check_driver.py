@@ -20,18 +20,20 @@ from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from rclpy.utilities import remove_ros_args
 from rich.console import Console
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import String
-from std_srvs.srv import Trigger
 
+from wam_power_ros.client.link import Link
 from wam_power_ros.conformance import arm_checks, mocap_checks, topic_checks
 from wam_power_ros.conformance.arm_checks import ArmRecord, StateSample
 from wam_power_ros.conformance.mocap_checks import CloudSample, FrameSample
@@ -70,7 +72,7 @@ class CheckDriver(Node):
     ) -> None:
         super().__init__("check_driver")
         self._arm_params, self._mocap, self._console = arm, mocap, console
-        self._keyboard = check_console.Keyboard()
+        self._recording = self._input_ended = False
         self._read = joint_messages.JointStateReader(arm.joint_names)
         self.states: list[StateSample] = []
         self.velocities: list[tuple[int, np.ndarray]] = []
@@ -81,7 +83,7 @@ class CheckDriver(Node):
         self._torque_count = 0
         self._send_torque: Callable[[StateSample], None] | None = None
         self._command_type = joint_messages.COMMAND_TYPES[arm.command_type]
-        subscribe = self.create_subscription
+        subscribe = self._subscribe
         subscribe(JointState, arm.state_topic, self._on_state, interface.CHECK_IN)
         if arm.velocity_topic:
             subscribe(JointState, arm.velocity_topic, self._on_velocity, interface.CHECK_IN)
@@ -90,15 +92,24 @@ class CheckDriver(Node):
         else:
             subscribe(PoseStamped, mocap.pose_topic, self._on_pose, interface.CHECK_IN)
         if not arm.urdf:
-            subscribe(String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED)
-        self._listener = subscribe(
+            self.create_subscription(
+                String, interface.ROBOT_DESCRIPTION, self._on_urdf, interface.LATCHED
+            )
+        self._listener = self.create_subscription(
             self._command_type, arm.command_topic, self._on_torque, interface.CHECK_IN
         )
-        self._drop = self.create_client(Trigger, interface.body_topic(mocap.body, "drop"))
         scheduling.request(arm.realtime_priority)  # as in the controller, to measure its jitter
-        self._executor = node_runner.executor_for(self)
+        self.link = Link(self)
+        self._drop = interface.body_topic(mocap.body, "drop")
+        self.link.prepare(self._drop)
 
-    # Callbacks
+    # Callbacks, of the link's thread; messages count only while the check waits
+
+    def _subscribe(
+        self, kind: type, topic: str, then: Callable[[Any], None], qos: QoSProfile
+    ) -> Subscription:
+        counted = lambda message: self._recording and then(message)  # noqa: E731
+        return self.create_subscription(kind, topic, counted, qos)
 
     def _on_state(self, message: JointState) -> None:
         q, qd, tau = (np.array(v) for v in (message.position, message.velocity, message.effort))
@@ -138,33 +149,34 @@ class CheckDriver(Node):
 
     # Waiting
 
-    def spin(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Dispatch callbacks for some time [s], or until a condition holds."""
-        end = time.monotonic() + seconds
-        while not until() and (left := end - time.monotonic()) > 0.0:
-            interrupts.spin_once(self._executor, min(left, 0.05))
+    def wait(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Wait for some time [s], or until a condition holds; messages are received meanwhile."""
+        self._recording = True
+        self.link.until(until, timeout=seconds)
+        self._recording = False
 
     def ask(self, question: str) -> str | None:
-        """Ask a person, and spin until the answer; None when standard input has ended."""
-        if not self._keyboard.closed:
-            self._console.print(question)
-        answer = None
-        while answer is None and not self._keyboard.closed:
-            self.spin(0.05)
-            answer = self._keyboard.line()
-        return answer
+        """Ask a person; None when standard input has ended."""
+        if self._input_ended:
+            return None
+        self._console.print(question)
+        self._recording = True
+        line = sys.stdin.readline()
+        self._recording = False
+        self._input_ended = not line
+        return line.strip() if line else None
 
     # Rows
 
     def check(self, seconds: float, active: bool) -> list[Row]:
         """Record for `seconds` [s] and make all rows; `active` is consent to the watchdog test."""
-        self.spin(DISCOVERY_TIMEOUT, lambda: bool(self.states and (self.frames or self.clouds)))
+        self.wait(DISCOVERY_TIMEOUT, lambda: bool(self.states and (self.frames or self.clouds)))
         for samples in (self.states, self.velocities, self.frames, self.clouds):
             samples.clear()
         self._console.print(
             f"Recording for {seconds:.0f} s: leave the arm at rest and the body still, in view."
         )
-        self.spin(seconds)
+        self.wait(seconds)
         if not (self.states or self.frames or self.clouds):
             mocap_topic = self._mocap.markers_topic or self._mocap.pose_topic
             topics = " nor on ".join(
@@ -281,7 +293,7 @@ class CheckDriver(Node):
         write = joint_messages.TorqueWriter(names, params.command_type)
         topic = params.command_topic
         publisher = self.create_publisher(write.message_type, topic, interface.COMMAND)
-        self.spin(DISCOVERY_TIMEOUT, lambda: publisher.get_subscription_count() > 0)
+        self.wait(DISCOVERY_TIMEOUT, lambda: publisher.get_subscription_count() > 0)
 
         def send_torque(sample: StateSample) -> None:
             state, _ = arm_checks.collect([sample], names)
@@ -292,23 +304,23 @@ class CheckDriver(Node):
 
         self._send_torque = send_torque
         try:
-            self.spin(DISCOVERY_TIMEOUT, lambda: check.finished)
+            self.wait(DISCOVERY_TIMEOUT, lambda: check.finished)
         finally:
             self._send_torque = None
             if not check.finished:
                 publisher.publish(write(record.stamp_ns[-1], "check", check.carrying_torque))
-            self.spin(0.1)
+            self.wait(0.1)
             self.destroy_publisher(publisher)
         return check.row
 
     def _fall(self) -> Row:
         """Row about a fall of the body, dropped by a person or the stand-in."""
         samples = self.clouds if self._mocap.markers_topic else self.frames
-        if self._drop.service_is_ready():
+        if self.link.offers(self._drop):
             for _ in range(DROP_ATTEMPTS):
                 samples.clear()
-                self._drop.call_async(Trigger.Request())
-                self.spin(0.5 * FALL_TIME)
+                self.link.begin(self._drop)
+                self.wait(0.5 * FALL_TIME)
                 if (row := self._fall_row()).verdict is not Verdict.UNCHECKED:
                     break
             return row
@@ -316,7 +328,7 @@ class CheckDriver(Node):
         answer = self.ask(f"{question}go within {FALL_TIME:.0f} s (s: skip): ")
         samples.clear()
         if answer is not None and answer != "s":
-            self.spin(2.0 * FALL_TIME)
+            self.wait(2.0 * FALL_TIME)
         return self._fall_row()
 
     def _fall_row(self) -> Row:
@@ -344,7 +356,7 @@ class CheckDriver(Node):
             question = f"{name}: move only this joint until {direction}, then Enter (s: skip) "
             if self.ask(question) == "s":
                 continue
-            self.spin(DISCOVERY_TIMEOUT, lambda: len(moved().q) > 0)  # Enter may precede any state
+            self.wait(DISCOVERY_TIMEOUT, lambda: len(moved().q) > 0)  # Enter may precede any state
             rows += [
                 arm_checks.hand_movement(moved(), joint),
                 arm_checks.velocity_lag(moved(), joint),
@@ -400,7 +412,7 @@ def main() -> int:
         arm = TorqueControllerParams.of_setup(setup)
         mocap = PancakeTrackerParams.of_setup(setup)
         make = lambda: CheckDriver(arm, mocap, console)  # noqa: E731
-        with node_runner.participant(make, SignalHandlerOptions.NO) as node:
+        with node_runner.participant(make) as node, node.link:
             rows = node.check(options.seconds, options.active)
         rows = topic_checks.accept(rows, options.accept)
     except (ValueError, OSError) as error:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learner: demonstrations and finished rollouts in, policies to try out; everything is logged.
 
-`Practice` chooses the trials of a session, `Session` keeps its folder, `RolloutClient` executes a
-trial; this node connects them. Meanwhile a person may reward or punish the last finished rollout,
-add a demonstration, or pause to record one: this is on disk before it is answered.
+`Practice` chooses the trials of a session, `Session` keeps its folder, `Rollouts` executes a trial;
+this node connects them. Meanwhile a person may reward or punish the last finished rollout, add a
+demonstration, or pause to record one: this is on disk before it is answered.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ if __name__ == "__main__":  # before the other imports, which a signal may inter
     raise SystemExit(start("wam_power_ros.nodes.learner"))
 
 import math
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path as FilePath
@@ -23,16 +24,16 @@ import rclpy
 from pydantic import Field, model_validator
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import Self
 
 from wam_power_ros import plain_json
 from wam_power_ros.arm_identity import refusal, remark
+from wam_power_ros.client.link import Link
+from wam_power_ros.client.rollouts import Executed, Rollouts, RolloutSettings
 from wam_power_ros.nodes.demonstrations import Demonstrations
 from wam_power_ros.nodes.markers import Markers
-from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
 from wam_power_ros.nodes.simulated_arm import SimulatedArm
 from wam_power_ros.params.node_params import Names, Params
 from wam_power_ros.practice import plugins
@@ -41,10 +42,9 @@ from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Event, Record, Trial
 from wam_power_ros.practice.settings import SessionSettings, preset
 from wam_power_ros.ros import interface, interrupts
-from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.node_runner import (
     end,
-    executor_for,
     init,
     parameter_file_hint,
     refusing_open_sockets,
@@ -102,7 +102,11 @@ class SessionFailed(RuntimeError):
 
 
 class Learner(Node):
-    """Runs a session of one task, one rollout at a time."""
+    """Runs a session of one task, one rollout at a time.
+
+    The main thread practises, that of the link serves the requests of a person; whichever uses the
+    session holds the lock.
+    """
 
     def __init__(self) -> None:
         super().__init__("learner", automatically_declare_parameters_from_overrides=True)
@@ -113,6 +117,7 @@ class Learner(Node):
         )
         self._session: Session | None = None
         self._practice: Practice | None = None
+        self._lock = threading.Lock()
         self._paused = self._under_way = False
         self._bag = ""  # last path on LEARNER_BAG
         self.create_subscription(String, interface.LEARNER_BAG, self._on_bag, interface.LATCHED)
@@ -126,7 +131,9 @@ class Learner(Node):
             self.create_service(kind, name, answer)
         self._kind = self._task_type()
         self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
-        self._rollouts = RolloutClient(self, executor_for(self), params, self._kind.body)
+        self._link = Link(self, params.service_timeout)
+        settings = RolloutSettings.of(params.model_dump())
+        self._rollouts = Rollouts(self._link, settings, self._kind.body)
         self._markers = Markers(self, self._kind.body, self._arm.region)
 
     # Requests of a person
@@ -135,12 +142,13 @@ class Learner(Node):
         self._bag = message.data
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._paused = request.data
+        with self._lock:
+            self._paused, under_way = request.data, self._under_way
         response.success = True
         text = "continues"
         if request.data:
-            text = "pauses after the trial under way" if self._under_way else "paused"
-        trial = {"trial": "under_way" if self._under_way else "over"}
+            text = "pauses after the trial under way" if under_way else "paused"
+        trial = {"trial": "under_way" if under_way else "over"}
         response.message = str(Answer(Code.DONE, text, trial))
         return response
 
@@ -151,9 +159,11 @@ class Learner(Node):
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                if self._practice is None:
-                    raise ValueError("no session is under way")
-                event = make()
+                with self._lock:
+                    if self._practice is None:
+                        raise ValueError("no session is under way")
+                    event = make()
+                    self._session.append(event)
             except LookupError as error:
                 response.message = str(Answer(Code.NOTHING, str(error.args[0])))
                 return response
@@ -161,7 +171,6 @@ class Learner(Node):
                 response.message = str(Answer(Code.REFUSED, str(error)))
                 self.get_logger().warning(f"request refused: {error}")
                 return response
-            self._session.append(event)
             self.get_logger().info(event.note)
             response.success = True
             response.message = str(Answer(Code.DONE, event.note))
@@ -190,32 +199,59 @@ class Learner(Node):
         """Begin or resume the session of the parameters, and run it to its end.
 
         Raises:
-            SessionFailed, RolloutError: It cannot go on.
+            SessionFailed, ServiceError: It cannot go on.
             ValueError, OSError: Its folder or a parameter is not valid.
         """
-        session, practice = self._open()
-        log = self.get_logger()
-        with session:
-            self._session, self._practice = session, practice
-            self._save_best(session, practice)  # a killed learner may have missed it
-            while True:
-                self._under_way = False
-                self._rollouts.until(lambda: not self._paused, "the end of the pause", math.inf)
-                self._under_way = True
-                if (trial := practice.next_trial()) is None:
-                    break
-                record = self._perform(practice, trial)
-                session.append(record)  # on disk before the next trial
-                self._save_best(session, practice)
-                log.info(f"{_line(record)} {record.note}")
-                if practice.unusable_in_a_row >= self.params.unusable_max:
-                    raise SessionFailed(
-                        f"{practice.unusable_in_a_row} rollouts in a row could not be learnt "
-                        f"from, the last one: {record.why}. Check arm and motion capture, then "
-                        "resume the session"
-                    )
+        with self._link:
+            session, practice = self._open()
+            with session:
+                self._save_best(session, practice)  # a killed learner may have missed it
+                with self._lock:
+                    self._session, self._practice = session, practice
+                try:
+                    while self._trial(session, practice):
+                        pass
+                finally:
+                    with self._lock:
+                        self._practice = None
         best = practice.best
-        log.info(f"session finished: {practice.stopped}. {'' if best is None else best.why}")
+        self.get_logger().info(
+            f"session finished: {practice.stopped}. {'' if best is None else best.why}"
+        )
+
+    def _trial(self, session: Session, practice: Practice) -> bool:
+        """Execute the next trial and learn from it; returns False if there is none."""
+        self._link.until(self._may_begin, "the end of the pause", math.inf)
+        with self._lock:
+            trial = practice.next_trial()
+        if trial is None:
+            return False
+        begun = time.time()
+        executed = self._execute(trial, practice.task)
+        with self._lock:
+            record = practice.learn(
+                trial,
+                executed.rollout,
+                bag=executed.bag,
+                truth=executed.truth,
+                clock={"begun": begun, "took": time.time() - begun},
+            )
+            session.append(record)  # on disk before the next trial
+            self._save_best(session, practice)
+            self._under_way = False
+        self.get_logger().info(f"{_line(record)} {record.note}")
+        if practice.unusable_in_a_row >= self.params.unusable_max:
+            raise SessionFailed(
+                f"{practice.unusable_in_a_row} rollouts in a row could not be learnt from, the "
+                f"last one: {record.why}. Check arm and motion capture, then resume the session"
+            )
+        return True
+
+    def _may_begin(self) -> bool:
+        """Whether the next trial may begin, which then counts as under way."""
+        with self._lock:
+            self._under_way = not self._paused
+            return self._under_way
 
     def _save_best(self, session: Session, practice: Practice) -> None:
         if (best := practice.best) is not None:
@@ -266,14 +302,13 @@ class Learner(Node):
             if note := remark(policy.arm, self._arm.identity):
                 self.get_logger().info(f"{session.folder}: policy {policy.id} {note}")
 
-    def _perform(self, practice: Practice, trial: Trial) -> Record:
-        """Execute one trial and learn from it."""
+    def _execute(self, trial: Trial, task: Task) -> Executed:
+        """Execute one trial."""
         if fault := self._arm.infeasible(trial.policy):  # if begun with other limits
             raise SessionFailed(
                 f"{trial.id} ({trial.purpose}) was not sent: with the present limits it would end "
                 f"in a fault: {fault.text}"
             )
-        begun, task = time.time(), practice.task
         tool = Pose(*self._arm.kinematics.tool_pose(trial.policy.q_start))
         self._markers.plan(trial.policy, tool.position)
         executed = self._rollouts.execute(
@@ -282,13 +317,7 @@ class Learner(Node):
             lambda state: task.ready(state, tool),
         )
         self._markers.executed(executed.rollout.tool.position)
-        return practice.learn(
-            trial,
-            executed.rollout,
-            bag=executed.bag,
-            truth=executed.truth,
-            clock={"begun": begun, "took": time.time() - begun},
-        )
+        return executed
 
 
 def _line(record: Record) -> str:
@@ -301,11 +330,11 @@ def main() -> int:
     node = None
     interrupts.install()
     try:
-        init(SignalHandlerOptions.NO)
+        init()
         with refusing_open_sockets():
             node = Learner()
         node.practise()
-    except (SessionFailed, RolloutError, ValueError, OSError) as error:
+    except (SessionFailed, ServiceError, ValueError, OSError) as error:
         log = node.get_logger() if node else rclpy.logging.get_logger("learner")
         log.fatal(str(error) if node else f"{error}{parameter_file_hint()}")
         return 2

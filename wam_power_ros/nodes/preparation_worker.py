@@ -23,7 +23,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
@@ -272,8 +271,7 @@ def other_threads_idle() -> bool:
 def main() -> int:
     """Run until the torque controller has ended; SIGINT and SIGTERM are blocked in this process."""
     channel = channel_of_process()
-    make = lambda: PreparationWorker(channel)  # noqa: E731
-    with node_runner.participant(make, SignalHandlerOptions.NO) as node:
+    with node_runner.participant(lambda: PreparationWorker(channel)) as node:
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         while not node.ended:

@@ -29,6 +29,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 from std_srvs.srv import SetBool, Trigger
 
+from wam_power_ros.client.link import unanswered
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.guarded_controller import GuardedController
 from wam_power_ros.control.joint_references import Sampled
@@ -99,7 +100,7 @@ class TorqueController(LifecycleNode):
             SimulationGuard(self, params.state_topic) if params.simulation else None
         )
         idle = params.idle_service or interface.WAM_IDLE
-        self._idle = self.create_client(Trigger, idle, qos_profile=interface.IDLE_QOS)
+        self._idle = unanswered(self, idle, interface.IDLE_QOS)
         subscribe = self.create_subscription
         self._states = subscribe(
             JointState, params.state_topic, self._on_state, interface.STATE_IN, raw=True
@@ -357,7 +358,7 @@ class TorqueController(LifecycleNode):
         if silence.fault is not None:
             core.fault(silence.fault)
         if silence.idle and self._params.idle_service:
-            self._idle.call_async(Trigger.Request())
+            self._idle()
         label = core.mode.value if core.mode is Mode.FAULT else core.label
         self._send(self._stale_torque(), label)
 

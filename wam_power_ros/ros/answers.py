@@ -62,6 +62,18 @@ class Answer:
         return f"[{head}] {self.text}".rstrip()
 
 
+class ServiceError(RuntimeError):
+    """A service did not appear, did not answer or refused; the message names it.
+
+    Attributes:
+        answer: Refusal; None without an answer.
+    """
+
+    def __init__(self, text: str, answer: Answer | None = None) -> None:
+        super().__init__(text)
+        self.answer = answer
+
+
 def read(success: bool, message: str) -> Answer:
     """Read the answer in a response of std_srvs.
 

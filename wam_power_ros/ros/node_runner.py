@@ -11,13 +11,14 @@ import os
 import signal
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 import rclpy
 from rclpy.clock import Clock, ClockType
+from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.logging import get_logger
@@ -27,28 +28,29 @@ from rclpy.signals import SignalHandlerOptions
 from wam_power_ros.entry import INTERRUPTED, REFUSED
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros import interrupts, network, security
+from wam_power_ros.ros.answers import ServiceError
 from wam_power_ros.ros.domain import exported
-from wam_power_ros.ros.service_client import ServiceError
 
 N = TypeVar("N", bound=Node)
 RCLError = rclpy_implementation.RCLError  # error of the middleware, such as invalid keys
 
 
-def init(signals: SignalHandlerOptions) -> None:
+def init(context: Context | None = None) -> None:
     """Initialise rclpy, on the loopback interface only unless the environment asks for more.
 
     Args:
-        signals: Signals that rclpy handles.
+        context: Context to initialise; that of the process by default.
 
     Raises:
         ValueError: ROS_DOMAIN_ID is not a domain, or security is enforced without keys.
     """
-    exported(os.environ)
+    domain = exported(os.environ)
     security.check_keystore(os.environ, sys.argv)
     network.confine(os.environ)
     if not any(map(os.environ.get, ("ROS_LOG_DIR", "ROS_HOME", "HOME"))):  # rclpy insists on one
         os.environ["ROS_LOG_DIR"] = str(Path(tempfile.gettempdir()) / f"ros_log_{os.getuid()}")
-    rclpy.init(signal_handler_options=signals)
+    signals = SignalHandlerOptions.NO  # its handlers end all communication at once
+    rclpy.init(context=context, domain_id=domain, signal_handler_options=signals)
 
 
 @contextmanager
@@ -77,7 +79,7 @@ def executor_for(node: Node, timeout: float = 1.0) -> Executor:
     try:
         from rclpy.experimental.events_executor import EventsExecutor
 
-        executor = EventsExecutor()
+        executor = EventsExecutor(context=node.context)
     except ImportError:
         return _plain(node, "is not in this rclpy")
     executor.add_node(node)
@@ -86,7 +88,7 @@ def executor_for(node: Node, timeout: float = 1.0) -> Executor:
     timer = node.create_timer(1e-3, lambda: called.append(True), clock=steady)
     start = steady.now()
     while not called and (steady.now() - start).nanoseconds < timeout * 1e9:
-        interrupts.spin_once(executor, 0.05)
+        executor.spin_once(timeout_sec=0.05)
     node.destroy_timer(timer)
     if called:
         return executor
@@ -96,7 +98,7 @@ def executor_for(node: Node, timeout: float = 1.0) -> Executor:
 
 def _plain(node: Node, reason: str) -> Executor:
     node.get_logger().warning(f"events executor {reason}; using the single-threaded executor")
-    executor = SingleThreadedExecutor()
+    executor = SingleThreadedExecutor(context=node.context)
     executor.add_node(node)
     return executor
 
@@ -149,7 +151,7 @@ def run(
         signal.signal(number, lambda received, _: signals.append(received))
     node = None
     try:
-        init(SignalHandlerOptions.NO)
+        init()
         with refusing_open_sockets():
             made = make_node()
         node = made
@@ -192,45 +194,50 @@ def end() -> None:
 
 @contextmanager
 def participant(
-    make_node: Callable[[], N], signals: SignalHandlerOptions = SignalHandlerOptions.ALL
+    make_node: Callable[[], N],
+    environment: Mapping[str, str] | None = None,
+    context: Context | None = None,
 ) -> Iterator[N]:
-    """Make the only node of a process; ROS is shut down at the end.
+    """Make a node; its context is shut down at the end.
 
     Args:
         make_node: Makes the node.
-        signals: Signals that rclpy handles, each of which shuts ROS down.
+        environment: Variables that select the DDS domain and the transports, over those of this
+            process, which are restored when the middleware has read them.
+        context: Context of the node; that of the process by default.
     """
-    init(signals)
-    node = None
+    node, before = None, dict(os.environ)
     try:
-        with refusing_open_sockets():
-            node = make_node()
+        try:
+            os.environ.update(environment or {})
+            init(context)
+            with refusing_open_sockets():
+                node = make_node()
+        finally:
+            for name in os.environ.keys() - before.keys():
+                del os.environ[name]
+            os.environ.update(before)
         yield node
     finally:
-        with suppress(RuntimeError):  # a thread of rclpy has shut down first, after a signal
-            if node is not None and isinstance(node.executor, SingleThreadedExecutor):
-                node.executor.shutdown()  # its garbage collection may print a traceback
-            rclpy.try_shutdown()
+        if node is not None and isinstance(node.executor, SingleThreadedExecutor):
+            node.executor.shutdown()  # its garbage collection may print a traceback
+        rclpy.try_shutdown(context=context)
 
 
-def run_script(
-    make_node: Callable[[], N],
-    work: Callable[[N], int | None],
-    signals: SignalHandlerOptions = SignalHandlerOptions.ALL,
-) -> int:
-    """Run a script that needs a node.
+def run_script(make_node: Callable[[], N], work: Callable[[N], int | None]) -> int:
+    """Run a script that needs a node, and whose main thread dispatches no callbacks.
 
     Args:
         make_node: Makes the node.
         work: Does the work of the script; its result is the exit status, 0 if None.
-        signals: Signals that rclpy handles.
 
     Returns:
         Exit status: that of `work`, REFUSED after an exception that is reported without a
         traceback, INTERRUPTED after a signal.
     """
+    interrupts.install()
     try:
-        with participant(make_node, signals) as node:
+        with participant(make_node) as node:
             return work(node) or 0
     except (ServiceError, ValueError, OSError) as error:
         sys.stderr.write(f"{error}\n")

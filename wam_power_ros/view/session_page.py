@@ -18,7 +18,7 @@ from wam_power_ros.learning.policy_shapes import plan
 from wam_power_ros.params import overlay
 from wam_power_ros.practice import session
 from wam_power_ros.ros import interface
-from wam_power_ros.view import recorded, teach_again
+from wam_power_ros.view import recorded
 from wam_power_ros.view.live import LiveState, View
 from wam_power_ros.view.page import EXECUTED, NO_SAFETY, PLANNED, TRAIL, Page
 from wam_power_ros.view.player import Player
@@ -72,7 +72,7 @@ class SessionPage:
         self._node: View | None = None
         self._drawn = LiveState()
         self._trail: deque[np.ndarray] = deque(maxlen=TRAIL_LENGTH)
-        self._teaching = False
+        self._teaching: threading.Event | None = None  # set at the end of the movement
         call, last, pause = self._call, "the last finished rollout", interface.LEARNER_PAUSE
         buttons = {
             REWARD: ("green", last, partial(call, REWARD, interface.LEARNER_REWARD)),
@@ -111,7 +111,7 @@ class SessionPage:
     def connect(self, node: View | None) -> None:
         """Follow a running session through a node; None once it has ended."""
         self._node, self._drawn = node, LiveState()
-        self._teaching = False
+        self._end_teaching()
         self._enable_buttons()
 
     def _enable_buttons(self) -> None:
@@ -176,29 +176,24 @@ class SessionPage:
         self._page.notify(label, answer.text or answer.code.value, good=answer.success)
 
     def _teach(self) -> None:
-        if self._teaching or self._node is None:
-            return
-        self._teaching = True
-        threading.Thread(target=self._begin_teaching, args=(self._node,), daemon=True).start()
+        if self._teaching is None and self._node is not None:
+            self._teaching = threading.Event()
+            given = self._node, self._teaching
+            threading.Thread(target=self._run_teaching, args=given, daemon=True).start()
 
-    def _begin_teaching(self, node: View) -> None:
-        try:
-            teach_again.begin(node, partial(self._page.notify, TEACH))
-            if node.is_offered(interface.DEMONSTRATE):
-                self._end_teaching()
-            else:
-                self._buttons[END_TEACHING].disabled = False
-        except teach_again.NotTaughtError as error:
-            self._teaching = False
-            self._page.notify(TEACH, str(error), good=False)
+    def _run_teaching(self, node: View, ended: threading.Event) -> None:
+        notify = partial(self._page.notify, TEACH)
+
+        def lead() -> None:
+            notify("guide the arm by hand, then press End of movement")
+            self._buttons[END_TEACHING].disabled = False
+            ended.wait()
+
+        answer = node.teach(lead, notify)
+        notify(answer.text, good=answer.success)
+        self._teaching = None
 
     def _end_teaching(self) -> None:
-        if not self._teaching or self._node is None:
-            return
         self._buttons[END_TEACHING].disabled = True
-        try:
-            self._page.notify(TEACH, teach_again.finish(self._node))
-        except teach_again.NotTaughtError as error:
-            self._page.notify(TEACH, str(error), good=False)
-        finally:
-            self._teaching = False
+        if self._teaching is not None:
+            self._teaching.set()

@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import viser
-from rclpy.signals import SignalHandlerOptions
 
 from wam_power_ros.params import parameter_file
 from wam_power_ros.ros.node_runner import participant
@@ -69,34 +67,20 @@ def of_session(
     Raises:
         SessionError: The session cannot be read.
     """
-    exported = dict(os.environ)
     page = SessionPage(server, folder)
     page.tick(0.0)
     ready()
     while True:
         if not running(folder):
             _tick_until(page, PLAYBACK_PERIOD, lambda: running(folder))
-        enter(environment(folder), exported)
         setup = parameters(folder)
         body = setup["pancake_tracker"]["body"]
         namespace = parameter_file.namespace(folder / "logs/parameters.yaml")
         make = partial(View, setup["torque_controller"], body, namespace)
-        with participant(make, SignalHandlerOptions.NO) as node:
+        with participant(make, environment(folder)) as node, node.link:
             page.connect(node)
             _tick_until(page, LIVE_PERIOD, lambda: not running(folder))
             page.connect(None)
-
-
-def enter(wanted: Mapping[str, str], exported: Mapping[str, str]) -> None:
-    """Set the environment of this process: exported variables, overridden by those of the session.
-
-    Args:
-        wanted: Variables of the session; none for a session on a real arm.
-        exported: Variables with which this process was started.
-    """
-    for name in os.environ.keys() - exported.keys():
-        del os.environ[name]
-    os.environ.update({**exported, **wanted})
 
 
 def _tick_until(page: SessionPage, period: float, ended: Callable[[], bool]) -> None:

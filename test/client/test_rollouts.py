@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -14,24 +16,26 @@ import rclpy
 from conftest import Probe, Processes, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry, Path
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from wam_power_ros.client import link, rollouts
+from wam_power_ros.client.link import Link
+from wam_power_ros.client.rollouts import RolloutError, Rollouts, RolloutSettings
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
-from wam_power_ros.nodes import rollout_client
-from wam_power_ros.nodes.rollout_client import RolloutClient, RolloutError
-from wam_power_ros.ros import interface, pose_messages, service_client
+from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
 
 POLICY = lift("trial-0002")
 RECORDER = "demonstration_recorder.yaml"
 WHOLE = 0.5  # [s]
-PARAMS = SimpleNamespace(
+SETTINGS = RolloutSettings(
     scene_reset=False,
     reset_faults=True,
     record_rollouts=False,
@@ -42,10 +46,10 @@ PARAMS = SimpleNamespace(
 
 
 class Cell:
-    """Services and topics of a controller, on the node of the test; every request is kept."""
+    """Services and topics of a controller; every request is kept."""
 
-    def __init__(self, probe: Probe) -> None:
-        self.node, self.requests = probe.node, []
+    def __init__(self, node: Node) -> None:
+        self.node, self.requests = node, []
         self.answers = {
             interface.MOVE_TO_START: [],
             interface.EXECUTE: [],
@@ -100,16 +104,35 @@ class Cell:
 
 
 @pytest.fixture
-def cell(probe: Probe) -> Cell:
-    return Cell(probe)
+def cell(probe: Probe) -> Iterator[Cell]:
+    node = rclpy.create_node("cell", context=probe.context)
+    cell = Cell(node)
+    with Link(node):
+        yield cell
+
+
+Connect = Callable[..., Rollouts]
 
 
 @pytest.fixture
-def client(probe: Probe, cell: Cell) -> RolloutClient:
-    return RolloutClient(probe.node, probe._executor, PARAMS, "")
+def connect(probe: Probe, cell: Cell) -> Iterator[Connect]:
+    """Function that makes a client with changed settings, or with others, for a body."""
+    with ExitStack() as stack:
+
+        def connect(body: str = "", settings: object = SETTINGS, **changes: object) -> Rollouts:
+            node = rclpy.create_node("client", context=probe.context)
+            given = replace(settings, **changes) if changes else settings
+            return Rollouts(stack.enter_context(Link(node)), given, body)
+
+        yield connect
 
 
-def test_a_rollout_is_executed_from_its_start(client: RolloutClient, cell: Cell) -> None:
+@pytest.fixture
+def client(connect: Connect) -> Rollouts:
+    return connect()
+
+
+def test_a_rollout_is_executed_from_its_start(client: Rollouts, cell: Cell) -> None:
     executed = client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.requests == [interface.MOVE_TO_START, interface.EXECUTE]
     assert executed.rollout.tool.id == POLICY.id and executed.rollout.body is None
@@ -117,7 +140,7 @@ def test_a_rollout_is_executed_from_its_start(client: RolloutClient, cell: Cell)
 
 
 def test_the_arm_is_not_asked_to_move_before_all_readers_have_the_policy(
-    client: RolloutClient, cell: Cell, processes: Processes
+    client: Rollouts, cell: Cell, processes: Processes
 ) -> None:
     reader = processes.node("wam_power_ros.nodes.demonstration_recorder", RECORDER)
     client.until(client._policies.get_subscription_count, "a reader of the policy", 60.0)
@@ -136,7 +159,7 @@ def test_the_arm_is_not_asked_to_move_before_all_readers_have_the_policy(
     assert cell.requests == [interface.MOVE_TO_START, interface.EXECUTE]
 
 
-def test_the_path_of_another_rollout_is_not_taken(client: RolloutClient, cell: Cell) -> None:
+def test_the_path_of_another_rollout_is_not_taken(client: Rollouts, cell: Cell) -> None:
     cell.publish(0.2, "trial-0001", start_ns=5 * 10**8)
     client.until(lambda: client._tool_path, "that path", 20.0)
     cell.late = 0.3
@@ -145,9 +168,10 @@ def test_the_path_of_another_rollout_is_not_taken(client: RolloutClient, cell: C
 
 
 def test_the_ground_truth_of_an_earlier_rollout_of_the_same_trial_is_not_taken_however_late(
-    client: RolloutClient, cell: Cell, probe: Probe, monkeypatch: pytest.MonkeyPatch
+    client: Rollouts, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    truths = probe.publisher(String, interface.body_topic("", "truth"), interface.LATCHED)
+    topic = interface.body_topic("", "truth")
+    truths = cell.node.create_publisher(String, topic, interface.LATCHED)
     before, now = (
         pose_messages.GroundTruth(end_ns, {"id": POLICY.id, "caught": caught})
         for end_ns, caught in ((9 * 10**8, False), (15 * 10**8, True))
@@ -157,7 +181,7 @@ def test_the_ground_truth_of_an_earlier_rollout_of_the_same_trial_is_not_taken_h
     def publish(end: float) -> None:
         rollout(end)  # at 1 s
         truths.publish(pose_messages.ground_truth_message(before))
-        timer = probe.node.create_timer(0.3, lambda: (timer.cancel(), truths.publish(after)))
+        timer = cell.node.create_timer(0.3, lambda: (timer.cancel(), truths.publish(after)))
 
     after = pose_messages.ground_truth_message(now)
     monkeypatch.setattr(cell, "publish", publish)
@@ -166,22 +190,20 @@ def test_the_ground_truth_of_an_earlier_rollout_of_the_same_trial_is_not_taken_h
 
 @pytest.mark.parametrize("kind", [FaultKind.TOOL_SPEED, FaultKind.STATES_LOST])
 def test_the_fault_of_a_rollout_that_was_cut_short_keeps_its_kind(
-    client: RolloutClient, cell: Cell, kind: FaultKind
+    client: Rollouts, cell: Cell, kind: FaultKind
 ) -> None:
     cell.end, cell.fault = 0.2, Fault(kind, "a sentence about a limit of the workspace")
     executed = client.execute(POLICY, WHOLE, lambda state: "")
     assert executed.rollout.fault == cell.fault
 
 
-def test_a_rollout_that_ended_early_without_a_fault_has_none(
-    client: RolloutClient, cell: Cell
-) -> None:
+def test_a_rollout_that_ended_early_without_a_fault_has_none(client: Rollouts, cell: Cell) -> None:
     cell.end = 0.2
     assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault is None
 
 
 def test_a_fault_before_the_rollout_is_reset_and_it_begins_again(
-    client: RolloutClient, cell: Cell
+    client: Rollouts, cell: Cell
 ) -> None:
     at_fault = Answer(Code.FAULT, "refused")
     cell.answers[interface.EXECUTE] = [at_fault]
@@ -195,11 +217,11 @@ def test_a_fault_before_the_rollout_is_reset_and_it_begins_again(
 def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_and_again(
     service: str,
     cell: Cell,
-    probe: Probe,
+    connect: Connect,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(service_client, "LOG_AFTER", 0.1)
+    monkeypatch.setattr(link, "LOG_AFTER", 0.1)
     refused: list[str] = []  # modes since the refusal: a person takes half a second
 
     def waits() -> bool:
@@ -212,9 +234,9 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
         def patience(self) -> float:
             return 0.1 if waits() and "hold" not in refused else 20.0
 
-    params = Params(**{name: value for name, value in vars(PARAMS).items() if name != "patience"})
-    client = RolloutClient(probe.node, probe._executor, params, "")
-    sent = probe.listen(String, interface.POLICY, interface.LATCHED)
+    params = Params(**{name: value for name, value in vars(SETTINGS).items() if name != "patience"})
+    client, sent = connect(settings=params), []
+    cell.node.create_subscription(String, interface.POLICY, sent.append, interface.LATCHED)
     inactive = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
     move, execute = interface.MOVE_TO_START, interface.EXECUTE
     begun = [move, execute] if service == execute else []  # deactivated in between
@@ -228,32 +250,29 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
         refused.extend(["inactive" if len(refused) < 5 else "hold"] * waits())
         cell.diagnose(refused[-1] if refused else "inactive", "warn", "not active")
 
-    probe.node.create_timer(0.1, publish)
+    cell.node.create_timer(0.1, publish)
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.requests == [*begun, move, move, execute]
     assert "waiting for the torque controller to be active" in capfd.readouterr().err
-    probe.until(lambda: len(sent) >= 2, "the policies")
+    client.until(lambda: len(sent) >= 2, "the policies", 60.0)
     assert len(sent) == cell.requests.count(move)
 
 
-def test_an_answer_for_another_policy_is_asked_again(client: RolloutClient, cell: Cell) -> None:
+def test_an_answer_for_another_policy_is_asked_again(client: Rollouts, cell: Cell) -> None:
     other = Answer(Code.DONE, values={"policy": "trial-0001"})
     cell.answers[interface.MOVE_TO_START] = [other]
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.requests == [interface.MOVE_TO_START] * 2 + [interface.EXECUTE]
 
 
-def test_the_enabling_switch_is_waited_for(probe: Probe, cell: Cell) -> None:
-    impatient = SimpleNamespace(**vars(PARAMS) | {"service_timeout": 1.0})
-    client = RolloutClient(probe.node, probe._executor, impatient, "")
+def test_the_enabling_switch_is_waited_for(connect: Connect, cell: Cell) -> None:
+    client = connect(service_timeout=1.0)
     cell.answers[interface.EXECUTE] = [Answer(Code.SWITCH, "not held") for _ in range(30)]
     client.execute(POLICY, WHOLE, lambda state: "")
     assert cell.requests == [interface.MOVE_TO_START, *[interface.EXECUTE] * 31]
 
 
-def test_a_fault_that_comes_again_and_again_ends_it_by_name(
-    client: RolloutClient, cell: Cell
-) -> None:
+def test_a_fault_that_comes_again_and_again_ends_it_by_name(client: Rollouts, cell: Cell) -> None:
     cell.answers[interface.EXECUTE] = [Answer(Code.FAULT, "no rollout")] * 10
     with pytest.raises(RolloutError, match="no rollout"):
         client.execute(POLICY, WHOLE, lambda state: "")
@@ -261,20 +280,20 @@ def test_a_fault_that_comes_again_and_again_ends_it_by_name(
 
 @pytest.mark.parametrize("scene_reset", [True, False])
 def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulation_can(
-    scene_reset: bool, probe: Probe, cell: Cell, monkeypatch: pytest.MonkeyPatch
+    scene_reset: bool, connect: Connect, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(rollout_client, "READY_TIMEOUT", 0.5)
+    monkeypatch.setattr(rollouts, "READY_TIMEOUT", 0.5)
     put_back = interface.body_topic("pancake", "reset")
     cell.answers[put_back] = []
-    probe.node.create_service(Trigger, put_back, cell._serve(put_back))
+    cell.node.create_service(Trigger, put_back, cell._serve(put_back))
     level = np.array([0.0, 0.0, 0.0, 1.0])
     start_ns, t = 10**9, np.arange(0.0, WHOLE, 0.01)
     path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(level, (len(t), 1)))
     topic = interface.rollout_topic("pancake")
-    paths = probe.node.create_publisher(Path, topic, interface.LATCHED)
+    paths = cell.node.create_publisher(Path, topic, interface.LATCHED)
     paths.publish(pose_messages.path_message(path, start_ns, "wam_base"))
     topic = interface.body_topic("pancake", "state")
-    states, sent = probe.node.create_publisher(Odometry, topic, interface.STATE_OUT), []
+    states, sent = cell.node.create_publisher(Odometry, topic, interface.STATE_OUT), []
 
     def publish() -> None:  # on the floor until the second reset of the scene
         sent.append(start_ns + len(sent))
@@ -283,9 +302,9 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
         state = pose_messages.StateReading(sent[-1], "wam_base", position, level, zero, zero, 1e-6)
         states.publish(pose_messages.odometry_message(state, "pancake"))
 
-    probe.node.create_timer(0.02, publish)
-    params = vars(PARAMS) | {"scene_reset": scene_reset, "patience": 20.0 if scene_reset else 1.0}
-    client = RolloutClient(probe.node, probe._executor, SimpleNamespace(**params), "pancake")
+    cell.node.create_timer(0.02, publish)
+    patience = 20.0 if scene_reset else 1.0
+    client = connect("pancake", scene_reset=scene_reset, patience=patience)
     execute = lambda: client.execute(  # noqa: E731
         POLICY, WHOLE, lambda state: "" if state.position[2] > 0.5 else "on the floor"
     )
@@ -301,11 +320,11 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
 
 @pytest.mark.parametrize("step", [10_000_000, 0, 2_000_000_000])
 def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overdue_is_not(
-    step: int, client: RolloutClient, probe: Probe
+    step: int, client: Rollouts, cell: Cell
 ) -> None:
     limit, ticks, now_ns = 1.0, 0, 10**9
-    probe.node.set_parameters([Parameter("use_sim_time", value=True)])
-    clock = probe.publisher(Clock, "/clock", 1)
+    client._node.set_parameters([Parameter("use_sim_time", value=True)])
+    clock = cell.node.create_publisher(Clock, "/clock", 1)
 
     def tick() -> None:
         nonlocal ticks, now_ns
@@ -314,8 +333,9 @@ def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overd
         message.clock.sec, message.clock.nanosec = divmod(now_ns, 10**9)
         clock.publish(message)
 
-    timer = probe.node.create_timer(0.05, tick, clock=rclpy.clock.Clock())
-    probe.until(lambda: probe.node.get_clock().now().nanoseconds, "the simulated clock")
+    timer = cell.node.create_timer(0.05, tick, clock=rclpy.clock.Clock())
+    now = client._node.get_clock().now
+    client._link.until(lambda: now().nanoseconds, "the simulated clock")
     begun = ticks
     late = lambda: ticks > begun + 50  # noqa: E731 - after two limits of wall time and a half
     if step == 10_000_000:
@@ -323,18 +343,18 @@ def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overd
     else:
         with pytest.raises(RolloutError, match="waited 1 s in vain for the overdue end"):
             client.until(late, "the overdue end", limit)
-    probe.node.destroy_timer(timer)
+    timer.cancel()
 
 
 @pytest.mark.requirement("S-103")
 def test_a_rollout_of_another_policy_under_our_id_is_not_learnt_from_and_says_why(
-    client: RolloutClient, cell: Cell, probe: Probe
+    client: Rollouts, cell: Cell, probe: Probe
 ) -> None:
     probe.publisher(String, interface.POLICY, interface.LATCHED, readers=0, node="stranger")
     cell.digest = policies.digest(policies.to_json(replace(POLICY, damping=31.0)))
     fault = client.execute(POLICY, WHOLE, lambda state: "").rollout.fault
     assert fault.kind is FaultKind.OTHER_POLICY and not fault.kind.of_policy
-    assert fault.text.startswith(f"another policy was executed under the id {POLICY.id}: /probe, ")
+    assert fault.text.startswith(f"another policy was executed under the id {POLICY.id}: /client, ")
     assert "/stranger" in fault.text
     cell.digest = ""  # of a controller that does not say
     assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault is None
@@ -342,7 +362,7 @@ def test_a_rollout_of_another_policy_under_our_id_is_not_learnt_from_and_says_wh
 
 @pytest.mark.requirement("S-103")
 def test_the_arm_is_sent_again_to_the_start_of_our_policy_if_another_has_come(
-    client: RolloutClient, cell: Cell
+    client: Rollouts, cell: Cell
 ) -> None:
     other = Answer(Code.DONE, values={"policy": POLICY.id, "digest": "0" * 16})
     cell.answers[interface.MOVE_TO_START] += [other, other]

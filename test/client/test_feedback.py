@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Feedback to a learner and a demonstration during its session; the answers are given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from wam_power_ros.client import feedback as feedbacks
+from wam_power_ros.client import link as links
+from wam_power_ros.client.feedback import Feedback
+from wam_power_ros.client.robot import Robot
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code, ServiceError
+
+PAUSE, FREE = interface.LEARNER_PAUSE, interface.GRAVITY_COMPENSATION
+RECORD, LEARN = interface.RECORD, interface.LEARNER_DEMONSTRATION
+RESET, LEAD = interface.body_topic("pancake", "reset"), interface.DEMONSTRATE
+BEFORE, AFTER = [(PAUSE, True), (FREE, True)], [(RECORD, False), (FREE, False)]
+GIVEN = [(LEARN, None), (PAUSE, False)]
+
+
+class Services:
+    """A link to services that succeed once the given answers are used up."""
+
+    insist = links.Link.insist
+
+    def __init__(self, **answers: list[Answer]) -> None:
+        self.answers, self.bags = answers, []
+        self.asked: list[tuple[str, bool | None]] = []
+        recorder = SimpleNamespace(node_name="demonstration_recorder")
+        self.node = SimpleNamespace(
+            create_publisher=lambda *_: SimpleNamespace(publish=self.bags.append),
+            get_subscriptions_info_by_topic=lambda _: [recorder],
+        )
+
+    def call(self, name: str, data: bool | None = None, timeout: float = 0.0) -> Answer:
+        """Note the call, and answer."""
+        self.asked.append((name, data))
+        waiting = self.answers.get(name.rpartition("/")[2], [])
+        return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1", {"trial": "over"})
+
+    def until(self, condition: Callable[[], object], what: str) -> bool:
+        """Whether the condition holds already."""
+        return bool(condition())
+
+    def sleep(self, seconds: float) -> None:
+        """Do not wait."""
+
+    def _full(self, name: str) -> str:
+        return name
+
+
+def teach(
+    services: Services,
+    lead: Callable[[], object] | None = lambda: None,
+    notify: Callable[[str], object] = lambda text: None,
+) -> Answer:
+    return Feedback(services).teach(Robot(services, body="pancake"), lead, notify)
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (feedbacks, links):
+        monkeypatch.setattr(module, "TIMEOUT", 0.01)
+
+
+def test_gravity_compensation_begins_only_after_the_trial_has_ended() -> None:
+    under_way = Answer(Code.DONE, "pauses after the trial under way", {"trial": "under_way"})
+    services = Services(pause=[under_way] * 3)
+    teach(services)
+    assert services.asked == [(PAUSE, True)] * 3 + [*BEFORE, (RECORD, True), *AFTER, *GIVEN]
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("said", [{"trial": "under_way"}, {}])  # {}: another version
+def test_gravity_compensation_never_begins_if_the_trial_does_not_end(said: dict[str, str]) -> None:
+    services = Services(pause=[Answer(Code.DONE, "waits", said)] * 10_000)
+    with pytest.raises(ServiceError, match="no trial ended in 0 s; the learner is paused"):
+        teach(services)
+    assert set(services.asked) == {(PAUSE, True)}
+
+
+def test_the_stand_in_demonstrates_from_the_start() -> None:
+    services = Services()
+    teach(services, lead=None)
+    simulated = [(RESET, None), (RECORD, True), (LEAD, None)]
+    assert services.asked == [*BEFORE, *simulated, *AFTER, *GIVEN]
+
+
+def test_a_person_leads_while_it_is_recorded_and_is_told_that_the_learner_pauses() -> None:
+    said: list[str] = []
+    services = Services()
+    teach(services, lambda: services.asked.append(("hand", None)), said.append)
+    assert said == ["/bags/demo_1"]
+    assert services.asked == [*BEFORE, (RECORD, True), ("hand", None), *AFTER, *GIVEN]
+
+
+def test_the_learner_learns_from_the_bag_while_the_arm_holds_and_then_continues() -> None:
+    services = Services()
+    assert teach(services).text == "/bags/demo_1"
+    assert services.asked[-4:] == [*AFTER, *GIVEN]
+    assert [message.data for message in services.bags] == ["/bags/demo_1"]
+
+
+def test_a_learner_that_has_not_received_the_bag_yet_is_called_again() -> None:
+    services = Services(demonstration=[Answer(Code.NOTHING), Answer(Code.DONE, "learnt")])
+    assert Feedback(services).give("demonstration", Path("/bags/demo_1")).text == "learnt"
+
+
+def test_a_refused_demonstration_is_reported_and_the_learner_continues() -> None:
+    services = Services(demonstration=[Answer(Code.REFUSED, "it never moves")])
+    assert teach(services) == Answer(Code.REFUSED, "it never moves")
+    assert services.asked[-1] == (PAUSE, False)
+
+
+@pytest.mark.usefixtures("impatient")
+def test_a_service_that_keeps_refusing_is_named() -> None:
+    busy = [Answer(Code.BUSY, "a rollout is under way")] * 10_000
+    with pytest.raises(ServiceError, match=f"{FREE} refused: a rollout is under way"):
+        teach(Services(gravity_compensation=busy))
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("begun", [False, True])
+def test_an_arm_that_cannot_be_recorded_holds_again(begun: bool) -> None:
+    begin = [Answer(Code.DONE, "/bags/demo_1")] * begun
+    services = Services(record=[*begin, *[Answer(Code.BUSY, "the disk is full")] * 10_000])
+    with pytest.raises(ServiceError, match="the disk is full"):
+        teach(services)
+    assert services.asked[-1] == (FREE, False)

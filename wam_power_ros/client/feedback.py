@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person's feedback to a running learner, and a demonstration for it during its session."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from std_msgs.msg import String
+
+from wam_power_ros.client.link import RETRY_PERIOD, TIMEOUT, Link
+from wam_power_ros.client.robot import Robot
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code, ServiceError
+
+REQUESTS = {  # kind of feedback -> service and its data
+    "reward": (interface.LEARNER_REWARD, None),
+    "punish": (interface.LEARNER_PUNISH, None),
+    "demonstration": (interface.LEARNER_DEMONSTRATION, None),
+    "pause": (interface.LEARNER_PAUSE, True),
+    "continue": (interface.LEARNER_PAUSE, False),
+}
+
+
+class Feedback:
+    """Gives feedback to the learner.
+
+    Args:
+        link: Link in whose namespace the learner runs.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._bags = link.node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
+
+    def give(self, kind: str, bag: Path | None = None) -> Answer:
+        """Give feedback.
+
+        Args:
+            kind: One of `REQUESTS`.
+            bag: Bag of the demonstration, for the kind "demonstration".
+
+        Raises:
+            ServiceError: The learner does not appear or does not answer.
+        """
+        if bag is not None:
+            self._bags.publish(String(data=str(bag.resolve())))
+        name, data = REQUESTS[kind]
+        deadline = time.monotonic() + TIMEOUT
+        while True:
+            answer = self._link.call(name, data)
+            if answer is None:
+                raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
+            # Topics and services are not ordered: the learner may not have received the bag yet.
+            early = bag is not None and answer.code is Code.NOTHING
+            if not early or time.monotonic() > deadline:
+                return answer
+            self._link.sleep(RETRY_PERIOD)
+
+    def teach(
+        self, robot: Robot, lead: Callable[[], object] | None, notify: Callable[[str], object]
+    ) -> Answer:
+        """Pause the learner, record a demonstration, hand it over and let the learner continue.
+
+        The arm is set to gravity compensation only after the learner has reported that it is paused
+        and no trial is under way; from then on it sends nothing until it continues.
+
+        Args:
+            robot: The arm.
+            lead: See `Robot.teach`.
+            notify: Called with each progress message.
+
+        Returns:
+            Answer of the learner to the demonstration.
+
+        Raises:
+            ServiceError: A service refused, or the trial did not end; the learner may be paused.
+        """
+        deadline = time.monotonic() + TIMEOUT
+        answer = self.give("pause")
+        notify(answer.text)
+        while answer.values.get("trial") != "over":
+            if time.monotonic() > deadline:
+                raise ServiceError(f"no trial ended in {TIMEOUT:.0f} s; the learner is paused")
+            self._link.sleep(RETRY_PERIOD)
+            answer = self.give("pause")
+        answer = self.give("demonstration", robot.teach(lead))
+        self.give("continue")
+        return answer

@@ -1,0 +1,311 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests to other nodes and waits for their answers and messages.
+
+The rule for threads: within its `with` block a `Link` has one thread, which alone dispatches the
+callbacks of its node. Every other thread may call any method, and blocks until the answer or a
+timeout. So a signal interrupts the main thread in a wait, never the middleware.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.client import Client
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+
+from wam_power_ros.ros import answers, interface
+from wam_power_ros.ros.answers import Answer, ServiceError
+from wam_power_ros.ros.node_runner import executor_for
+
+TIMEOUT = 60.0  # [s of wall time] for a service to appear, to answer and to succeed
+# A client that has discovered a service may not be discovered by it yet: the middleware drops an
+# answer to a client that it has not discovered within 0.1 s.
+DISCOVERY = 0.3  # [s of wall time]
+LOG_AFTER = 5.0  # [s of wall time] of waiting before it is logged
+LOG_PERIOD = 60.0  # [s of wall time] between log entries about one wait
+RETRY_PERIOD = 0.2  # [s of wall time] between a refusal and the next request
+DISPATCH_PERIOD = 0.1  # [s of wall time] in which the thread notices that it shall end
+CHECK_PERIOD = 0.05  # [s of wall time] between two checks of what is waited for
+NEWEST = QoSProfile(depth=1, reliability=interface.STATE_IN.reliability)
+Data = bool | Transition | None  # of a request: of a SetBool, a ChangeState, or a Trigger
+
+
+class Link:
+    """Calls services and waits for conditions; a context manager, which ends its thread.
+
+    Attributes:
+        node: The node.
+
+    Args:
+        node: Node that nothing else spins.
+        appear_timeout: Time for a service to appear [s of wall time].
+        log_period: Time between two log entries about one wait [s of wall time].
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        appear_timeout: float = TIMEOUT,
+        log_period: float = LOG_PERIOD,
+    ) -> None:
+        self.node = node
+        self._appear_timeout, self._log_period = appear_timeout, log_period
+        self._clients: dict[str, Client] = {}
+        self._ready_times: dict[str, float] = {}  # since when a service has been seen ready
+        self._changed = threading.Condition()  # notified of every message and answer
+        self._ended = False
+        self._error: Exception | None = None  # of a callback; it ends the thread
+        self._thread = threading.Thread(target=self._dispatch, name="callbacks", daemon=True)
+
+    def __enter__(self) -> Link:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._ended = True
+        self._thread.join()
+
+    def _dispatch(self) -> None:
+        try:
+            executor = executor_for(self.node)
+            try:
+                while not self._ended:
+                    executor.spin_once(timeout_sec=DISPATCH_PERIOD)
+            finally:
+                executor.shutdown()
+        except Exception as error:  # raised by the waits of other threads
+            self._error = error
+
+    def until(
+        self,
+        condition: Callable[[], object],
+        what: str | Callable[[], str] = "",
+        timeout: float = TIMEOUT,
+    ) -> bool:
+        """Wait until a condition holds or the timeout is over.
+
+        Args:
+            condition: Condition, checked after every message and answer and every CHECK_PERIOD.
+            what: Noun phrase for the log, or a function that returns it at the time of logging;
+                nothing is logged if empty.
+            timeout: Longest wait [s of wall time].
+
+        Returns:
+            True if the condition holds, False after the timeout.
+
+        Raises:
+            ExternalShutdownException: The node is being ended.
+            Exception: One that a callback has raised.
+        """
+        begun, log_at = time.monotonic(), LOG_AFTER if what else math.inf
+        with self._changed:
+            while not condition():
+                if self._error is not None:
+                    raise self._error
+                if self._ended or not self.node.context.ok():
+                    raise ExternalShutdownException
+                waited = time.monotonic() - begun
+                if waited > timeout:
+                    return False
+                if waited > log_at:
+                    awaited = what() if callable(what) else what
+                    self.node.get_logger().info(f"waiting for {awaited}, {waited:.0f} s so far")
+                    log_at = waited + self._log_period
+                self._changed.wait(min(CHECK_PERIOD, timeout - waited))
+        return True
+
+    def _notify(self, _: object = None) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def sleep(self, seconds: float) -> None:
+        """Wait for some time [s of wall time]."""
+        self.until(lambda: False, timeout=seconds)
+
+    # Topics
+
+    def listen(
+        self, kind: type, topic: str, then: Callable[[Any], object], qos: QoSProfile
+    ) -> None:
+        """Subscribe; `then` raises a ValueError for a message that is to be ignored."""
+
+        def received(message: Any) -> None:  # noqa: ANN401 - of any type
+            self.read(then, message)
+            self._notify()
+
+        self.node.create_subscription(kind, topic, received, qos)
+
+    def last(self, kind: type, topic: str, read: Callable[[Any], Any]) -> Callable[[], Any]:
+        """Subscribe to a latched topic; returns a function for what was read last, None before."""
+        found: list[Any] = [None]
+
+        def keep(message: Any) -> None:  # noqa: ANN401 - of any type
+            found[0] = read(message)
+
+        self.listen(kind, topic, keep, interface.LATCHED)
+        return lambda: found[0]
+
+    def read(self, then: Callable[[Any], object], message: Any) -> None:  # noqa: ANN401
+        """Call a function with a message; a ValueError is logged."""
+        try:
+            then(message)
+        except ValueError as error:
+            log = self.node.get_logger()
+            log.warning(f"message ignored: {error}", throttle_duration_sec=1.0)
+
+    def newest(self, kind: type, topic: str) -> Callable[[], Any]:
+        """Subscribe; returns a function that takes the newest message not taken yet, or None.
+
+        Callbacks for 500 states a second would use a whole core: its node is not dispatched.
+        """
+        handle = self._polled.create_subscription(kind, topic, lambda _: None, NEWEST).handle
+
+        def take() -> Any:  # noqa: ANN401 - a message of any type
+            with handle:
+                taken = handle.take_message(kind, False)
+            return None if taken is None else taken[0]
+
+        return take
+
+    @cached_property
+    def _polled(self) -> Node:
+        return rclpy.create_node(
+            f"{self.node.get_name()}_states",
+            namespace=self.node.get_namespace(),
+            context=self.node.context,
+            start_parameter_services=False,
+            enable_rosout=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+
+    # Services
+
+    def prepare(self, *names: str, data: Data = None) -> None:
+        """Make the clients of services with such data early, so that they are discovered."""
+        kind, _ = _request(data)
+        for name in names:
+            if name not in self._clients:
+                self._clients[name] = self.node.create_client(kind, name)
+
+    def offers(self, name: str) -> bool:
+        """Whether a service, of which there is a client, is available now."""
+        ready = not self._ended and bool(self._clients[name].service_is_ready())
+        if not ready:
+            self._ready_times.pop(name, None)
+        else:
+            self._ready_times.setdefault(name, time.monotonic())
+        return ready
+
+    def wait_for(self, name: str) -> None:
+        """Wait for a service of type Trigger, however long it takes to appear.
+
+        Raises:
+            ExternalShutdownException: The node is being ended.
+        """
+        self.prepare(name)
+        self.until(lambda: self.offers(name), f"service {self._full(name)}", math.inf)
+
+    def _discovered(self, name: str) -> bool:
+        """Whether a service is available and has had the time to discover its client."""
+        now = time.monotonic()
+        return self.offers(name) and now - self._ready_times.get(name, now) >= DISCOVERY
+
+    def _full(self, name: str) -> str:
+        """Name of a service with its namespace, for messages."""
+        return str(self.node.resolve_service_name(name))
+
+    def begin(self, name: str, data: Data = None) -> Future:
+        """Send a request; see `answer` for what to do with the future.
+
+        Raises:
+            ServiceError: The service does not appear in time.
+        """
+        self.prepare(name, data=data)
+        full, timeout = self._full(name), self._appear_timeout
+        if not self.until(lambda: self._discovered(name), f"service {full}", timeout + DISCOVERY):
+            raise ServiceError(f"{full} did not appear in {timeout:.0f} s")
+        _, request = _request(data)
+        future = self._clients[name].call_async(request)
+        future.add_done_callback(self._notify)
+        return future
+
+    def answer(self, name: str, future: Future) -> Answer | None:
+        """Answer received so far; if None, the request is abandoned and its answer ignored."""
+        if not future.done():
+            self._clients[name].remove_pending_request(future)
+            return None
+        response = future.result()
+        message = getattr(response, "message", "")  # of a transition: none
+        return answers.read(response.success, message)
+
+    def call(
+        self,
+        name: str,
+        data: Data = None,
+        timeout: float = TIMEOUT,
+        abandon: Callable[[], bool] = lambda: False,
+    ) -> Answer | None:
+        """Call a service.
+
+        Args:
+            name: Name of the service.
+            data: Data of a SetBool or a ChangeState; None for a Trigger.
+            timeout: Longest wait for the answer [s of wall time].
+            abandon: Returns True to stop waiting earlier.
+
+        Returns:
+            The answer, which may be a refusal; None if none came. The request may have been done
+            even so: the answer is lost if the node is restarted while it works on the request.
+
+        Raises:
+            ServiceError: The service does not appear in time.
+        """
+        future = self.begin(name, data)
+        self.until(lambda: future.done() or abandon(), f"answer of {self._full(name)}", timeout)
+        return self.answer(name, future)
+
+    def insist(self, name: str, data: Data = None) -> Answer:
+        """Call a service until it succeeds; a node that has just started may lack inputs.
+
+        Raises:
+            ServiceError: The service does not appear, does not answer or still refuses after
+                TIMEOUT.
+        """
+        end = time.monotonic() + TIMEOUT
+        while True:
+            answer = self.call(name, data, max(end - time.monotonic(), 1.0))
+            if answer is None:
+                raise ServiceError(f"{self._full(name)} did not answer in {TIMEOUT:.0f} s")
+            if answer.success:
+                return answer
+            if time.monotonic() > end:
+                raise ServiceError(f"{self._full(name)} refused: {answer.text}", answer)
+            self.sleep(RETRY_PERIOD)
+
+
+def unanswered(node: Node, name: str, qos: QoSProfile) -> Callable[[], object]:
+    """Function that requests a Trigger without waiting for the answer, for a node of its own."""
+    client = node.create_client(Trigger, name, qos_profile=qos)
+    return lambda: client.call_async(Trigger.Request())
+
+
+def _request(data: Data) -> tuple[type, object]:
+    """Type and request of a service with such data."""
+    if data is None:
+        return Trigger, Trigger.Request()
+    if isinstance(data, Transition):
+        return ChangeState, ChangeState.Request(transition=data)
+    return SetBool, SetBool.Request(data=data)

@@ -1,0 +1,353 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An arm as a Python object, for scripts, notebooks and the console.
+
+It calls the services of running nodes. A call returns when the motion has ended; Ctrl-C, or the
+interrupt of a notebook, stops the arm. It is no safety function.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from wam_power_ros.bags import reader
+from wam_power_ros.client.link import TIMEOUT, Link
+from wam_power_ros.client.reports import ControllerReports
+from wam_power_ros.client.rollouts import Executed, Ready, Rollouts, RolloutSettings
+from wam_power_ros.control import replay_trajectory
+from wam_power_ros.control.arm import Arm
+from wam_power_ros.learning.policy import Policy
+from wam_power_ros.params import overlay
+from wam_power_ros.params.resources import share
+from wam_power_ros.ros import interface
+from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
+from wam_power_ros.ros.node_runner import participant
+
+RECORDER = "demonstration_recorder"  # node
+MOVE_TIMEOUT = 3600.0  # [s of wall time]
+RECEIPT_TIMEOUT = 15.0  # [s of wall time] in which the controller must have read a movement
+RETRY_PERIOD = 0.05  # [s of wall time] between requests to a controller that has not read it yet
+TAKE_PERIOD = 0.002  # [s of wall time] between looks for the next state
+REST_TIMES = np.linspace(0.0, 0.1, 6)  # [s] of a movement that rests at one posture
+
+
+class Stopped(KeyboardInterrupt):
+    """An interrupt, after which the arm was stopped.
+
+    Attributes:
+        answer: Answer of the controller to the movement that was stopped; None if none came.
+    """
+
+    def __init__(self, answer: Answer | None) -> None:
+        super().__init__(answer.text if answer else "")
+        self.answer = answer
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """State of an arm.
+
+    Attributes:
+        q: Joint angles [rad]. Shape (n,).
+        qd: Joint speeds [rad/s], None if the driver sends none. Shape (n,).
+        position: Position of the tool in the base frame [m]. Shape (3,).
+        rotation: Axes of the tool as columns. Shape (3, 3).
+        mode: Mode of the controller in its last report, sent once a second; "" before the first.
+        report: Text of that report, such as a fault; "" before the first.
+    """
+
+    q: np.ndarray
+    qd: np.ndarray | None
+    position: np.ndarray
+    rotation: np.ndarray
+    mode: str
+    report: str
+
+
+class Robot:
+    """An arm whose nodes are running, see `connect`.
+
+    Publishers and clients are made when they are used. Every method raises ServiceError if a
+    service does not appear, does not answer in time or refuses.
+
+    Attributes:
+        link: Link to the nodes.
+        joint_names: Joint names of the driver, base to tip.
+        arm: Model of the arm; only for `state`, `move_to` and `replay`.
+
+    Args:
+        link: Link in whose namespace the nodes run.
+        state_topic: Topic of the joint states.
+        joint_names: Joint names of the driver.
+        body: Name of the tracked body; "" for none.
+        arm: Model of the arm.
+        settings: For rollouts.
+        settle_time: Time after the movement of a policy that belongs to its rollout [s].
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        state_topic: str = interface.JOINT_STATES,
+        joint_names: Sequence[str] = (),
+        body: str = "",
+        arm: Arm | None = None,
+        settings: RolloutSettings | None = None,
+        settle_time: float = 0.0,
+    ) -> None:
+        self.link, self.joint_names, self.arm = link, tuple(joint_names), arm
+        self._state_topic, self._body = state_topic, body
+        self._settings, self._settle_time = settings, settle_time
+
+    # State
+
+    @cached_property
+    def _take(self) -> Callable[[], JointState | None]:
+        return self.link.newest(JointState, self._state_topic)
+
+    @cached_property
+    def _reports(self) -> ControllerReports:
+        return ControllerReports(self.link)
+
+    def state(self) -> RobotState:
+        """Wait for the next state of the driver.
+
+        Raises:
+            ValueError: The state is not valid.
+        """
+        self._take()  # an old state
+        deadline = time.monotonic() + TIMEOUT
+        while (message := self._take()) is None:
+            if time.monotonic() > deadline:
+                raise ServiceError(f"no state on {self._state_topic} in {TIMEOUT:.0f} s")
+            time.sleep(TAKE_PERIOD)
+        reading = JointStateReader(self.joint_names)(message)
+        if reading is None:
+            raise ValueError(f"{self._state_topic} has none of the joints {self.joint_names}")
+        position, rotation = self.arm.tool_pose(reading.q)
+        said = self._reports
+        return RobotState(reading.q, reading.qd, position, rotation, said.mode, said.text)
+
+    # Movements
+
+    def move_to(self, q: Sequence[float]) -> None:
+        """Move to joint angles [rad], shape (n,), at the controller's move speed, and hold.
+
+        Raises:
+            ValueError: The number of angles is wrong, or an angle is beyond its limits.
+        """
+        q = np.asarray(q, dtype=float)
+        low, high = self.arm.q_min, self.arm.q_max
+        if q.shape != low.shape or not np.all((q >= low) & (q <= high)):
+            limits = f"{low.tolist()} to {high.tolist()}"
+            raise ValueError(f"q {q.tolist()} must be {len(low)} angles within {limits}")
+        self.follow(REST_TIMES, np.tile(q, (len(REST_TIMES), 1)))
+
+    def replay(self, bag: Path | str, speed: float = 1.0) -> str:
+        """Replay a recorded movement and hold.
+
+        Args:
+            bag: Path of a bag with joint states of this arm.
+            speed: Speed relative to the recording.
+
+        Returns:
+            Tracking error as text, reported by the controller.
+
+        Raises:
+            ValueError: The bag or the speed is not acceptable.
+        """
+        recorded = reader.read_demonstration(bag, self.joint_names, arm=self.arm.identity())
+        return self.follow(*replay_trajectory.movement(*recorded, speed))
+
+    def follow(self, t: np.ndarray, q: np.ndarray) -> str:
+        """Move to the start of a movement, follow it and hold.
+
+        Args:
+            t: Times [s]. Shape (N,).
+            q: Joint angles [rad]. Shape (N, n).
+
+        Returns:
+            Tracking error as text, reported by the controller.
+
+        Raises:
+            Stopped: After an interrupt.
+        """
+        future, name = None, interface.REPLAY
+        try:
+            self.stop()  # succeeds once the controller is active
+            self._send(movement_message(self.joint_names, JointMovement(t, q)))
+            late = time.monotonic() + RECEIPT_TIMEOUT
+            while True:
+                future = self.link.begin(name)
+                self.link.until(future.done, "the end of the movement", MOVE_TIMEOUT)
+                answer = self.link.answer(name, future)
+                unread = answer is not None and answer.code in (Code.BUSY, Code.NOTHING)
+                if not unread or time.monotonic() > late:
+                    break
+                self.link.sleep(RETRY_PERIOD)
+        except KeyboardInterrupt:
+            self.stop()
+            if future is not None:
+                self.link.until(future.done, "the end of the movement")
+            raise Stopped(future and self.link.answer(name, future)) from None
+        if answer is None or not answer.success:
+            raise ServiceError(answer.text if answer else f"{name} did not answer", answer)
+        return answer.text
+
+    def _send(self, movement: JointTrajectory) -> None:
+        """Publish a movement, and wait until the controller has received it.
+
+        Topics and services are not ordered: otherwise the last movement might be repeated.
+        """
+        movements, topic = self._movements, interface.REPLAY_TRAJECTORY
+        if not self.link.until(movements.get_subscription_count, f"a subscriber of {topic}"):
+            raise ServiceError(f"{topic} has no subscriber: is the controller running?")
+        movements.publish(movement)
+        received = partial(movements.wait_for_all_acked, Duration(nanoseconds=1))
+        if not self.link.until(received, f"the receipt of the movement on {topic}"):
+            raise ServiceError(f"the movement on {topic} was not received")
+
+    def rollout(self, policy: Policy, ready: Ready = lambda state: "") -> Executed:
+        """Move to the start of a policy, execute it once and hold.
+
+        Args:
+            policy: Policy to execute.
+            ready: Returns what is missing before it may begin, given the state of the tracked body,
+                as `Task.ready` does; "" for nothing.
+
+        Returns:
+            Paths of tool and body, fault if any, bag, and ground truth of a simulation.
+
+        Raises:
+            Stopped: After an interrupt.
+        """
+        try:
+            return self._rollouts.execute(policy, policy.basis.duration + self._settle_time, ready)
+        except KeyboardInterrupt:
+            self.stop()
+            raise Stopped(None) from None
+
+    def stop(self) -> None:
+        """End any movement and hold; no safety function."""
+        self.link.insist(interface.STOP)
+
+    def reset(self) -> None:
+        """Reset a fault of the controller; the arm must be at rest."""
+        self.link.insist(interface.RESET)
+
+    @cached_property
+    def _movements(self) -> Publisher:
+        topic = interface.REPLAY_TRAJECTORY
+        return self.link.node.create_publisher(JointTrajectory, topic, interface.LATCHED)
+
+    @cached_property
+    def _rollouts(self) -> Rollouts:
+        return Rollouts(self.link, self._settings, self._body)
+
+    # Demonstrations
+
+    def teach(self, lead: Callable[[], object] | None = None) -> Path:
+        """Record a demonstration under gravity compensation; the arm holds afterwards.
+
+        Args:
+            lead: Returns when the person has finished guiding the arm by hand, such as
+                `lambda: input("Enter")`; None for the simulated demonstrator.
+
+        Returns:
+            Path of the bag.
+        """
+        self.await_recorder()
+        with self.guided():
+            if lead is None:
+                self.put_back()
+            with self.record() as bag:
+                (lead or self.demonstrate)()
+        return bag
+
+    def await_recorder(self) -> None:
+        """Wait until the recorder has subscribed to the states, later than its service appears."""
+        subscribers = self.link.node.get_subscriptions_info_by_topic
+
+        def subscribed() -> bool:
+            return RECORDER in {info.node_name for info in subscribers(self._state_topic)}
+
+        if not self.link.until(subscribed, f"the subscription of {RECORDER}"):
+            raise ServiceError(f"{RECORDER} did not subscribe to the joint states")
+
+    @contextmanager
+    def guided(self) -> Iterator[None]:
+        """Gravity compensation within a `with` block; the arm holds afterwards."""
+        self.link.insist(interface.GRAVITY_COMPENSATION, True)
+        try:
+            yield
+        finally:
+            self.link.insist(interface.GRAVITY_COMPENSATION, False)
+
+    @contextmanager
+    def record(self) -> Iterator[Path]:
+        """Record within a `with` block; yields the path of the bag, complete afterwards."""
+        bag = Path(self.link.insist(interface.RECORD, True).text)
+        try:
+            yield bag
+        finally:
+            self.link.insist(interface.RECORD, False)
+
+    def put_back(self) -> None:
+        """Put arm and body of a simulation to the start of the next demonstration."""
+        self.link.insist(interface.body_topic(self._body, "reset"))
+
+    def demonstrate(self) -> None:
+        """Let the simulated demonstrator guide the arm."""
+        self.link.insist(interface.DEMONSTRATE)
+
+
+@contextmanager
+def connect(*config: str, namespace: str = "", domain: int | None = None) -> Iterator[Robot]:
+    """Connect to an arm whose nodes run.
+
+    Args:
+        config: Set-ups with which the nodes were started.
+        namespace: Namespace of the nodes, such as `left`.
+        domain: DDS domain of the nodes; that of ROS_DOMAIN_ID by default.
+
+    Raises:
+        ValueError: A set-up is unknown, or none names a URDF.
+    """
+    environment = {} if domain is None else {"ROS_DOMAIN_ID": str(domain)}
+    with connected(overlay.setup(config), environment, namespace) as robot:
+        yield robot
+
+
+@contextmanager
+def connected(
+    setup: overlay.Setup, environment: Mapping[str, str], namespace: str = ""
+) -> Iterator[Robot]:
+    """Connect to the nodes of a set-up; see `node_runner.participant` for the environment."""
+    controller, context = setup["torque_controller"], Context()
+    if not controller["urdf"]:
+        raise ValueError("the set-up names no urdf: give the one of the nodes")
+    urdf = share(controller["urdf"]).read_text()
+    make = lambda: rclpy.create_node("robot", namespace=namespace, context=context)  # noqa: E731
+    with participant(make, environment, context) as node, Link(node) as link:
+        yield Robot(
+            link,
+            controller["state_topic"],
+            controller["joint_names"],
+            setup["pancake_tracker"]["body"],
+            Arm(urdf, controller["model_joint_names"], controller["tool_frame"], guarded=()),
+            RolloutSettings.of(setup["learner"]),
+            float(controller["settle_time"]),
+        )
