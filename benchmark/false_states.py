@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
 from benchmark.hidden_arm import HiddenArm
 from benchmark.lab import TIMEOUT, Lab
@@ -23,7 +22,6 @@ from hardware_sim.demonstrator import Demonstrator
 from hardware_sim.scenes.flip import wrist_flick
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.safety import REST_SPEED
-from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.joint_messages import JointStateWriter
 
@@ -132,7 +130,6 @@ class Driver:
         self.path: list[np.ndarray] = []
         self._stamp_ns = time.time_ns()
         self.policy = taught()
-        self._policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._states = lab.driver_node.create_publisher(
             JointState, interface.JOINT_STATES, interface.STATE_OUT
         )
@@ -181,8 +178,7 @@ class Driver:
             elif lab.label == "gravity_compensation":
                 self.call(interface.GRAVITY_COMPENSATION, False)
             elif lab.label == "hold":
-                self._policies.publish(String(data=to_json(self.policy)))
-                if self.call(interface.MOVE_TO_START):
+                if self.request("move_to_start"):
                     return True
         return False
 
@@ -193,12 +189,19 @@ class Driver:
         answer = future.result() if done else None
         return answer is not None and answer.success
 
+    def request(self, do: str) -> bool:
+        """Request something about the policy while the arm keeps running; True on success."""
+        future = self._lab.request(do, self.policy)
+        asked = future.result() if self.play(TIMEOUT, future.done) else None
+        self.play(TIMEOUT, lambda: asked is None or asked.answer or not asked.answers)
+        return asked is not None and asked.answer is not None and asked.answer.success
+
     def begin(self, phase: str) -> None:
         """Bring the arm into a phase, to the moment at which false states begin."""
         self.ready()
         lab, moment = self._lab, MOMENTS.get(phase)
         if moment is not None:
-            self.call(interface.EXECUTE)
+            lab.request("execute", self.policy)
             self.play(5.0, lambda: lab.label.startswith("rollout"))
             self.play(moment * self.policy.basis.duration)
         elif phase in ("move", "teaching"):
@@ -209,7 +212,7 @@ class Driver:
             self.release()
             self.call(interface.GRAVITY_COMPENSATION, False)
             self.play(1.0)
-            lab.ask(interface.MOVE_TO_START)
+            lab.request("move_to_start", self.policy)
             self.play(5.0, lambda: lab.label == "move_to_start")
             self.play(0.2)
 

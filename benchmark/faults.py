@@ -35,6 +35,7 @@ from benchmark.nodes import HOME, JOINTS, ROOT, environment
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.learning.policy import Basis, Policy
 from wam_power_ros.ros import interface, scheduling
+from wam_power_ros.ros.requests import Request
 from wam_power_ros.rotations import quat_xyzw
 
 
@@ -259,14 +260,15 @@ def fuzz_over_dds(lab: Lab, repeats: int, rng: np.random.Generator) -> Row:
 
     running = lab.controller()
     lab.played()
-    policies = lab.node.create_publisher(String, interface.POLICY, interface.LATCHED)
+    policies = lab.node.create_publisher(String, interface.CONTROLLER_REQUEST, interface.REQUESTS)
     limit = new_controller().limits.torque
     policy, source, count, wrong = fuzz_policy(), states(JOINTS, HOME, rng), 0, 0
     lab.link.wait_for(interface.RESET)
     for number in range(repeats):
         lab._states.publish(next(source))
         if number % 50 == 0:
-            policies.publish(String(data=spoilt(policy, rng)))
+            request = Request("move_to_start", {"policy": spoilt(policy, rng)})
+            policies.publish(request.message())
             lab.link.begin(interface.RESET)
         lab.spin(0.001)
         new, lab.torques = lab.torques, lab.torques[-1:]

@@ -25,7 +25,9 @@ from std_msgs.msg import Float64MultiArray
 from benchmark.nodes import HOME, JOINTS, PERIOD_NS, environment, node_command
 from wam_power_ros.cli.processes import Processes, Running
 from wam_power_ros.client.link import Data, Link
+from wam_power_ros.client.requests import Asked, Requests
 from wam_power_ros.control.controller import Controller
+from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.params.resources import share
 from wam_power_ros.params.torque_controller_params import TorqueControllerParams
 from wam_power_ros.ros import interface, joint_messages
@@ -74,6 +76,9 @@ class Lab:
             self.node = Node("faults", context=self._context)
             self.driver_node = Node(STAND_IN, context=self._context)
             self.link = Link(Node("person", context=self._context))
+            self._requests = Requests(
+                self.link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER
+            )
             self._threads = ThreadPoolExecutor()
             self._executor = EventsExecutor(context=self._context)
             self._executor.add_node(self.node)
@@ -153,6 +158,10 @@ class Lab:
     def ask(self, name: str, data: Data = None) -> Future[Answer | None]:
         """Call a service in another thread: this one may have to play the arm meanwhile."""
         return self._threads.submit(self.link.call, name, data)
+
+    def request(self, do: str, policy: Policy) -> Future[Asked]:
+        """Send a request about a policy, in another thread; done once it has begun or not."""
+        return self._threads.submit(self._requests.begin, do, policy=to_json(policy))
 
     def call(self, name: str, play: bool = False) -> bool:
         """Call a Trigger service and wait for its response; return True on success."""

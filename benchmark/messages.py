@@ -23,6 +23,7 @@ from trajectory_msgs.msg import JointTrajectory
 from benchmark.nodes import HOME, JOINTS, PERIOD_NS
 from wam_power_ros.learning.policy import COUNT_MAX, DURATION_MAX, Basis, Policy, to_json
 from wam_power_ros.ros import interface, joint_messages, node_runner
+from wam_power_ros.ros.requests import Request
 from wam_power_ros.ros.stamps import time_message
 
 POINTS = 200_000
@@ -70,18 +71,20 @@ class Messages(Node):
         super().__init__("messages")
         self._report = report
         make = self.create_publisher
-        policies = make(String, interface.POLICY, interface.LATCHED)
-        movements = make(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
+        policies = make(String, interface.CONTROLLER_REQUEST, interface.REQUESTS)
+        movements = make(JointTrajectory, interface.REPLAY, interface.REQUESTS)
         states = make(Empty, BAD_STATE, interface.COMMAND)
-        policy, movement = String(data=largest_policy()), longest_movement()
+        policy = Request("move_to_start", {"policy": largest_policy()}).message()
+        movement = longest_movement()
+        movement.header.frame_id = Request("replay").id
         self._messages: list[tuple[str, Publisher | None, Callable[[], object]]] = [
             ("nothing", None, lambda: None),
             ("first refusal: a NaN state", states, Empty),
-            ("second refusal: `{` as a policy", policies, lambda: String(data="{")),
-            ("1 MB of invalid data as a policy", policies, lambda: String(data="{" * 1_000_000)),
+            ("second refusal: `{` as a request", policies, lambda: String(data="{")),
+            ("1 MB of invalid data as a request", policies, lambda: String(data="{" * 1_000_000)),
             (f"policy of {COUNT_MAX} primitives, 60 s", policies, lambda: policy),
             (f"movement of {POINTS} points", movements, lambda: movement),
-            ("17 MB of invalid data as a policy", policies, lambda: String(data="{" * 17_000_000)),
+            ("17 MB of invalid data as a request", policies, lambda: String(data="{" * 17_000_000)),
         ]
 
     def run(self) -> int:

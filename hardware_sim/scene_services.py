@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services of the simulation beside those of a driver: reset the scene, demonstrate, drop the body.
+"""Requests to the simulation: reset the scene, demonstrate, drop the body.
 
 They replace the person in the lab, who puts the pancake back and guides the arm by hand. The ground
 truth of a rollout is published when it ends.
@@ -7,7 +7,6 @@ truth of a rollout is published when it ends.
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -20,15 +19,18 @@ from hardware_sim.world import World
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.deferred_service import DeferredTrigger
 from wam_power_ros.ros.pose_messages import GroundTruth, ground_truth_message
+from wam_power_ros.ros.requests import Request, Server
 
-WAIT_TICKS = 50  # from a reset to its answer, and from a demonstration request to its refusal
+WAIT_TICKS = 50  # from a reset to its answer, and from a request to a refusal
 START_TOLERANCE = 0.05  # [rad] between the arm and q_start for a reset
 
 
 class SceneServices:
-    """Services on a simulated world.
+    """Requests to a simulated world.
+
+    "reset" puts the scene back: for the rollout of a policy whose text is given, or else, under
+    gravity compensation, for the next demonstration, which "demonstrate" guides.
 
     Attributes:
         label: Activity of the controller, the label of its torques; "" before the first.
@@ -39,7 +41,6 @@ class SceneServices:
         seed: Seed of the demonstrations.
         lockstep: True if the world steps in lockstep; a reset then takes one tick.
         overridden: Returns True while the driver moves the arm itself.
-        counters: Counters of the node, for refused policies.
     """
 
     def __init__(
@@ -49,15 +50,13 @@ class SceneServices:
         seed: int,
         lockstep: bool,
         overridden: Callable[[], bool],
-        counters: Counter[str],
     ) -> None:
         self.label = ""
         self._node, self._world, self._seed = node, world, seed
         self._lockstep, self._overridden = lockstep, overridden
-        self._counters = counters
-        self._policy: policies.Policy | None = None
         self._demonstrations = 0  # completed
         self._demonstrating = False
+        self._awaited = False  # a demonstration whose scene is to be put back
         self._ticks_left = 0  # see WAIT_TICKS
         self._resetting: Iterator[None] | None = None
         self._put_back_to: tuple[str, np.ndarray] | None = None  # after the arm was carried there
@@ -65,9 +64,8 @@ class SceneServices:
         self._truths = node.create_publisher(
             String, interface.body_topic(body, "truth"), interface.LATCHED
         )
-        node.create_subscription(String, interface.POLICY, self._on_policy, interface.LATCHED)
-        self._reset = DeferredTrigger(node, interface.body_topic(body, "reset"), self._begin_reset)
-        self._demonstrate = DeferredTrigger(node, interface.DEMONSTRATE, self._begin_demonstration)
+        begin = {"reset": self._begin_reset, "demonstrate": self._begin_demonstration}
+        self._server = Server(node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, begin)
         if body:
             node.create_service(Trigger, interface.body_topic(body, "drop"), self._on_drop)
 
@@ -98,54 +96,63 @@ class SceneServices:
         if self._resetting is not None and next(self._resetting, self) is self:
             self._resetting = None
             world.release()
-        if self._reset.pending and waited and self._resetting is None:
-            self._finish(self._reset)  # the controller has settled by now
-        if self._demonstrate.pending and not self._demonstrating:
-            if self.label == "gravity_compensation" and not self._overridden():
+        pending, guided = self._server.pending, self.label == "gravity_compensation"
+        text = f"the arm is not free to be guided (mode {self.label!r})"
+        if self._awaited and (guided or waited):
+            self._awaited = False
+            if guided:
+                self._put_back_for_demonstration()
+            else:
+                self._server.finish("reset", Answer(Code.BUSY, text))
+        elif "reset" in pending and waited and self._resetting is None:
+            self._finish("reset")  # the controller has settled by now
+        if "demonstrate" in pending and not self._demonstrating:
+            if guided and not self._overridden():
                 if self._resetting is None:
                     self._grip()
             elif waited:
-                text = f"the arm is not free to be guided (mode {self.label!r})"
-                self._demonstrate.finish(False, str(Answer(Code.BUSY, text)))
+                self._server.finish("demonstrate", Answer(Code.BUSY, text))
         elif self._demonstrating and not world.pulled:
             self._demonstrating = False
             self._demonstrations += 1
-            self._finish(self._demonstrate)
+            self._finish("demonstrate")
 
-    def _finish(self, service: DeferredTrigger) -> None:
-        rollout_id = self._world.rollout_id
-        service.finish(True, str(Answer(Code.DONE, rollout_id, {"policy": rollout_id})))
+    def _finish(self, do: str) -> None:
+        self._server.finish(do, Answer(Code.DONE, values={"rollout": self._world.rollout_id}))
 
-    def _on_policy(self, message: String) -> None:
-        try:
-            self._policy = policies.from_json(message.data)
-        except ValueError as error:
-            self._counters["policies refused"] += 1
-            self._node.get_logger().warning(f"policy refused: {error}")
-
-    def _begin_reset(self) -> str | None:
+    def _begin_reset(self, asked: Request) -> Answer | None:
         """Reset the scene; in lockstep the world then stays frozen until the next activity.
 
-        Under gravity compensation, the arm is put to the start of the next demonstration as well.
+        Without a policy it waits for gravity compensation, and the arm is put to the start of the
+        next demonstration as well.
+
+        Raises:
+            ValueError: The policy is not valid, or of another arm.
         """
-        policy, world = self._policy, self._world
-        if self.label == "gravity_compensation" and not world.pulled:
-            rollout_id, home = self._next_demonstration()
-            if self._carry(home):
-                self._put_back_to = rollout_id, home
-            else:
-                self._put_back(rollout_id, home)
+        world = self._world
+        if "policy" not in asked.about:
+            if world.pulled:
+                return Answer(Code.BUSY, "a demonstration is under way")
+            self._awaited, self._ticks_left = True, WAIT_TICKS
             return None
-        if policy is None or len(policy.q_start) != world.n:
-            return str(Answer(Code.NOTHING, "no policy for this arm has been received"))
+        policy = policies.from_json(asked.about["policy"])
+        if len(policy.q_start) != world.n:
+            raise ValueError(f"{policy.id} is for {len(policy.q_start)} joints, not {world.n}")
         if world.pulled or self.label not in ("", "inactive", "hold", "move_to_start"):
-            return str(Answer(Code.BUSY, f"the arm is in use (mode {self.label!r})"))
+            return Answer(Code.BUSY, f"the arm is in use (mode {self.label!r})")
         far = np.abs(world.joint_state().q - policy.q_start).max()
         if far > START_TOLERANCE:
             text = f"the arm is {far:.3f} rad from the start of {policy.id}"
-            return str(Answer(Code.NOT_AT_START, text, {"policy": policy.id}))
+            return Answer(Code.NOT_AT_START, text)
         self._put_back(policy.id, policy.q_start)
         return None
+
+    def _put_back_for_demonstration(self) -> None:
+        rollout_id, home = self._next_demonstration()
+        if self._carry(home):
+            self._put_back_to = rollout_id, home
+        else:
+            self._put_back(rollout_id, home)
 
     def _carry(self, home: np.ndarray) -> bool:
         """Whether the arm is away from a posture (n,) [rad], so that it is carried there first."""
@@ -162,11 +169,10 @@ class SceneServices:
             self._resetting = self._world.resetting(rollout_id, q)
         self._ticks_left = WAIT_TICKS
 
-    def _begin_demonstration(self) -> str | None:
+    def _begin_demonstration(self, _: Request) -> Answer | None:
         self._ticks_left = WAIT_TICKS
-        if self._world.pulled:
-            return str(Answer(Code.BUSY, "a demonstration is under way"))
-        return None
+        busy = self._world.pulled
+        return Answer(Code.BUSY, "a demonstration is under way") if busy else None
 
     def _grip(self) -> None:
         """Begin the next demonstration."""

@@ -72,7 +72,7 @@ class WamSim(Node):
         home = FOLDED if params.drives == "wam" else world.home
         self._barrett = BarrettServices(self, world, self._control, home, lockstep)
         engaged = lambda: self._control.engaged  # noqa: E731
-        self._scene = SceneServices(self, world, params.seed, lockstep, engaged, self.counters)
+        self._scene = SceneServices(self, world, params.seed, lockstep, engaged)
         self._description.publish(String(data=world.urdf))
 
     def _connect(self) -> None:

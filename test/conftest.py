@@ -24,13 +24,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros import rotations
 from wam_power_ros.client.link import DISCOVERY
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.policy import Basis, Policy
-from wam_power_ros.ros import network
+from wam_power_ros.learning.policy import Basis, Policy, to_json
+from wam_power_ros.ros import interface, network
+from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.domain import private_domain
+from wam_power_ros.ros.requests import Request, read_answer
 
 network.confine(os.environ)  # this process, too
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell
@@ -89,6 +93,8 @@ class Probe:
         self._executor.add_node(self.node)
         self._clients: dict[str, Any] = {}
         self._others: list[Node] = []
+        self._requests: dict[str, Publisher] = {}
+        self._answers: dict[str, dict[str, list[Answer]]] = {}
 
     def listen(self, message_type: type, topic: str, qos: QoSProfile) -> list[Any]:
         """Subscribe; the list grows by every message that comes in."""
@@ -140,6 +146,56 @@ class Probe:
         future = self.begin(service_type, name, request)
         self.until(future.done, f"answer of {name}", deadline)
         return future.result()
+
+    def ask(
+        self, do: str, policy: Policy | str | None = None, to: str = "CONTROLLER", **about: str
+    ) -> list[Answer]:
+        """Send a request to a node; the list grows by every answer to it."""
+        if policy is not None:
+            about["policy"] = policy if isinstance(policy, str) else to_json(policy)
+        request = Request(do, about)
+        return self.send(String, f"{to}_REQUEST", request.message(), request.id, to)
+
+    def insist(
+        self, do: str, policy: Policy | None = None, to: str = "CONTROLLER", deadline: float = 60.0
+    ) -> Answer:
+        """Send a request until it succeeds, such as to a controller that becomes active."""
+        end = time.monotonic() + deadline
+        while True:
+            answers = self.ask(do, policy, to)
+            ended = lambda: answers and answers[-1].code is not Code.BEGUN  # noqa: B023, E731
+            self.until(ended, f"the end of {do}", deadline)
+            if answers[-1].success:
+                return answers[-1]
+            if time.monotonic() > end:
+                pytest.fail(f"{do} was refused to the end: {answers[-1]}")
+            self.spin(0.1)
+
+    def replay(self, movement: JointTrajectory) -> list[Answer]:
+        """Send a movement to replay; the list grows by every answer to it."""
+        movement.header.frame_id = Request("replay").id
+        return self.send(JointTrajectory, "REPLAY", movement, movement.header.frame_id)
+
+    def send(
+        self, kind: type, topic: str, message: object, id: str, to: str = "CONTROLLER"
+    ) -> list[Answer]:
+        """Send a request of an id on a topic; the list grows by every answer to it."""
+        answered_on = getattr(interface, f"{to}_ANSWER")
+        if answered_on not in self._answers:
+            self._answers[answered_on] = {}
+            self.node.create_subscription(
+                String, answered_on, functools.partial(self._on_answer, to), interface.ANSWERS
+            )
+        if topic not in self._requests:
+            name = getattr(interface, topic)
+            self._requests[topic] = self.publisher(kind, name, interface.REQUESTS)
+        answers = self._answers[answered_on].setdefault(id, [])
+        self._requests[topic].publish(message)
+        return answers
+
+    def _on_answer(self, to: str, message: String) -> None:
+        id, answer = read_answer(message)
+        self._answers[getattr(interface, f"{to}_ANSWER")].setdefault(id, []).append(answer)
 
     def close(self) -> None:
         """Leave the domain."""

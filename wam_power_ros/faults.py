@@ -27,7 +27,6 @@ class FaultKind(str, enum.Enum):
     EXTERNAL_TORQUE = "external_torque"  # motion not explained by the commanded torques
     STAMPS = "stamps"  # the stamps do not advance with real time
     RELEASED = "released"  # the enabling switch was released
-    OTHER_POLICY = "other_policy"  # another publisher's policy was executed under this id
     SECOND_COMMANDER = "second_commander"  # another node publishes torques
     OVERLOAD = "overload"  # too many control periods missed
     SOFTWARE = "software"  # a callback raised an exception

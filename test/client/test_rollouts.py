@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Execution of a trial over ROS, with a controller of scripted services."""
+"""Execution of a trial over ROS, with a controller of scripted answers."""
 
 from __future__ import annotations
 
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -13,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rclpy
-from conftest import Probe, Processes, lift
+from conftest import Probe, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry, Path
 from rclpy.node import Node
@@ -22,7 +20,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from wam_power_ros.client import link, rollouts
+from wam_power_ros.client import link, requests, rollouts
 from wam_power_ros.client.link import Link
 from wam_power_ros.client.rollouts import RolloutError, Rollouts, RolloutSettings
 from wam_power_ros.faults import Fault, FaultKind
@@ -31,9 +29,10 @@ from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
+from wam_power_ros.ros.requests import Request, RolloutEnd, Server
 
 POLICY = lift("trial-0002")
-RECORDER = "demonstration_recorder.yaml"
+MOVE, EXECUTE = "move_to_start", "execute"
 WHOLE = 0.5  # [s]
 SETTINGS = RolloutSettings(
     scene_reset=False,
@@ -45,48 +44,60 @@ SETTINGS = RolloutSettings(
 )
 
 
+class Deaf(Server):
+    """A server that loses the first messages."""
+
+    def __init__(self, cell: Cell, *args: object) -> None:
+        self._cell = cell
+        super().__init__(*args)
+
+    def _called(self, message: String) -> None:
+        if self._cell.deaf:
+            self._cell.deaf -= 1
+        else:
+            super()._called(message)
+
+
 class Cell:
-    """Services and topics of a controller; every request is kept."""
+    """Requests and topics of a controller; every request is kept."""
 
     def __init__(self, node: Node) -> None:
         self.node, self.requests = node, []
-        self.answers = {
-            interface.MOVE_TO_START: [],
-            interface.EXECUTE: [],
-            interface.RESET: [],
-        }  # first answers; later ones are done
-        for name in self.answers:
-            self.node.create_service(Trigger, name, self._serve(name))
+        self.policies: list[str] = []
+        self.answers = {MOVE: [], EXECUTE: [], interface.RESET: []}  # first ones; later ones: done
+        self.deaf = 0  # number of messages that are lost
+        take = {MOVE: self.take, EXECUTE: self.take}
+        Deaf(self, node, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER, take)
+        node.create_service(Trigger, interface.RESET, self._reset)
         latched = interface.LATCHED
         self.paths = self.node.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, latched)
-        self.ends = self.node.create_publisher(String, interface.ROLLOUT_FINISHED, latched)
         self._diagnostics = self.node.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
         self.end, self.late = WHOLE, 0.01  # of the path; time after the end of its rollout [s]
         self.fault: Fault | None = None
-        self.digest = policies.digest(policies.to_json(POLICY))  # of what it executes
 
-    def _serve(self, name: str):  # noqa: ANN202 - a callback of rclpy
-        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            self.requests.append(name)
-            answer = Answer(Code.DONE, values={"policy": POLICY.id})
-            if self.answers[name]:
-                answer = self.answers[name].pop(0)
-            elif name == interface.EXECUTE:
-                self.publish(self.end)
-            response.success, response.message = answer.success, str(answer)
-            return response
+    def take(self, asked: Request) -> Answer:
+        """Answer a request."""
+        self.requests.append(asked.do)
+        self.policies.append(asked.about["policy"])
+        if self.answers[asked.do]:
+            return self.answers[asked.do].pop(0)
+        if asked.do != EXECUTE:
+            return Answer(Code.DONE, values={"policy": POLICY.id})
+        self.publish(self.end)
+        return RolloutEnd(POLICY.id, 10**9, self.fault).answer()
 
-        return serve
+    def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.requests.append(interface.RESET)
+        response.success, response.message = True, str(Answer(Code.DONE))
+        return response
 
     def publish(self, end: float, policy_id: str = POLICY.id, start_ns: int = 10**9) -> None:
-        """Publish a path of the tool and the end of its rollout, as a controller does."""
+        """Publish a path of the tool, as a controller does."""
         t = np.arange(0.0, end, 0.01)
         level = np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1))
         path = EndEffectorPath(policy_id, t, np.zeros((len(t), 3)), level)
-        finished = pose_messages.Finished(policy_id, start_ns, self.fault, self.digest)
-        self.ends.publish(pose_messages.finished_message(finished))
         message = pose_messages.path_message(path, start_ns, "wam_base")
 
         def once() -> None:
@@ -134,29 +145,9 @@ def client(connect: Connect) -> Rollouts:
 
 def test_a_rollout_is_executed_from_its_start(client: Rollouts, cell: Cell) -> None:
     executed = client.execute(POLICY, WHOLE, lambda state: "")
-    assert cell.requests == [interface.MOVE_TO_START, interface.EXECUTE]
+    assert cell.requests == [MOVE, EXECUTE]
     assert executed.rollout.tool.id == POLICY.id and executed.rollout.body is None
     assert executed.rollout.fault is None and (executed.bag, executed.truth) == ("", None)
-
-
-def test_the_arm_is_not_asked_to_move_before_all_readers_have_the_policy(
-    client: Rollouts, cell: Cell, processes: Processes
-) -> None:
-    reader = processes.node("wam_power_ros.nodes.demonstration_recorder", RECORDER)
-    client.until(client._policies.get_subscription_count, "a reader of the policy", 60.0)
-    reader.send_signal(signal.SIGSTOP)
-    asked: list[str] = []
-
-    def go_on() -> None:
-        asked.extend(cell.requests)
-        reader.send_signal(signal.SIGCONT)
-
-    waking = threading.Timer(4.0, go_on)  # what was lost is sent again within 3 s
-    waking.start()
-    client.execute(POLICY, WHOLE, lambda state: "")
-    waking.join()
-    assert asked == []
-    assert cell.requests == [interface.MOVE_TO_START, interface.EXECUTE]
 
 
 def test_the_path_of_another_rollout_is_not_taken(client: Rollouts, cell: Cell) -> None:
@@ -206,14 +197,14 @@ def test_a_fault_before_the_rollout_is_reset_and_it_begins_again(
     client: Rollouts, cell: Cell
 ) -> None:
     at_fault = Answer(Code.FAULT, "refused")
-    cell.answers[interface.EXECUTE] = [at_fault]
-    cell.answers[interface.MOVE_TO_START] = [at_fault]
+    cell.answers[EXECUTE] = [at_fault]
+    cell.answers[MOVE] = [at_fault]
     client.execute(POLICY, WHOLE, lambda state: "")
-    move, execute, reset = interface.MOVE_TO_START, interface.EXECUTE, interface.RESET
-    assert cell.requests == [move, reset, move, execute, move, execute]
+    reset = interface.RESET
+    assert cell.requests == [MOVE, reset, MOVE, EXECUTE, MOVE, EXECUTE]
 
 
-@pytest.mark.parametrize("service", [interface.MOVE_TO_START, interface.EXECUTE])
+@pytest.mark.parametrize("service", [MOVE, EXECUTE])
 def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_and_again(
     service: str,
     cell: Cell,
@@ -225,7 +216,7 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
     refused: list[str] = []  # modes since the refusal: a person takes half a second
 
     def waits() -> bool:
-        return not cell.answers[move] and not cell.answers[execute]
+        return not cell.answers[MOVE] and not cell.answers[EXECUTE]
 
     class Params(SimpleNamespace):
         """Patient, but not while a person is to activate the controller: that has no limit."""
@@ -235,15 +226,13 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
             return 0.1 if waits() and "hold" not in refused else 20.0
 
     params = Params(**{name: value for name, value in vars(SETTINGS).items() if name != "patience"})
-    client, sent = connect(settings=params), []
-    cell.node.create_subscription(String, interface.POLICY, sent.append, interface.LATCHED)
+    client = connect(settings=params)
     inactive = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
-    move, execute = interface.MOVE_TO_START, interface.EXECUTE
-    begun = [move, execute] if service == execute else []  # deactivated in between
+    begun = [MOVE, EXECUTE] if service == EXECUTE else []  # deactivated in between
     done = Answer(Code.DONE, values={"policy": POLICY.id})
     cell.answers |= {
-        move: [done, inactive] if begun else [inactive],
-        execute: [inactive][: len(begun)],
+        MOVE: [done, inactive] if begun else [inactive],
+        EXECUTE: [inactive][: len(begun)],
     }
 
     def publish() -> None:
@@ -252,28 +241,19 @@ def test_a_controller_that_is_not_active_is_waited_for_without_asking_it_again_a
 
     cell.node.create_timer(0.1, publish)
     client.execute(POLICY, WHOLE, lambda state: "")
-    assert cell.requests == [*begun, move, move, execute]
+    assert cell.requests == [*begun, MOVE, MOVE, EXECUTE]
     assert "waiting for the torque controller to be active" in capfd.readouterr().err
-    client.until(lambda: len(sent) >= 2, "the policies", 60.0)
-    assert len(sent) == cell.requests.count(move)
-
-
-def test_an_answer_for_another_policy_is_asked_again(client: Rollouts, cell: Cell) -> None:
-    other = Answer(Code.DONE, values={"policy": "trial-0001"})
-    cell.answers[interface.MOVE_TO_START] = [other]
-    client.execute(POLICY, WHOLE, lambda state: "")
-    assert cell.requests == [interface.MOVE_TO_START] * 2 + [interface.EXECUTE]
 
 
 def test_the_enabling_switch_is_waited_for(connect: Connect, cell: Cell) -> None:
     client = connect(service_timeout=1.0)
-    cell.answers[interface.EXECUTE] = [Answer(Code.SWITCH, "not held") for _ in range(30)]
+    cell.answers[EXECUTE] = [Answer(Code.SWITCH, "not held") for _ in range(30)]
     client.execute(POLICY, WHOLE, lambda state: "")
-    assert cell.requests == [interface.MOVE_TO_START, *[interface.EXECUTE] * 31]
+    assert cell.requests == [MOVE, *[EXECUTE] * 31]
 
 
 def test_a_fault_that_comes_again_and_again_ends_it_by_name(client: Rollouts, cell: Cell) -> None:
-    cell.answers[interface.EXECUTE] = [Answer(Code.FAULT, "no rollout")] * 10
+    cell.answers[EXECUTE] = [Answer(Code.FAULT, "no rollout")] * 10
     with pytest.raises(RolloutError, match="no rollout"):
         client.execute(POLICY, WHOLE, lambda state: "")
 
@@ -283,9 +263,10 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
     scene_reset: bool, connect: Connect, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rollouts, "READY_TIMEOUT", 0.5)
-    put_back = interface.body_topic("pancake", "reset")
+    put_back = "reset"
     cell.answers[put_back] = []
-    cell.node.create_service(Trigger, put_back, cell._serve(put_back))
+    begin = {put_back: cell.take}
+    Server(cell.node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, begin)
     level = np.array([0.0, 0.0, 0.0, 1.0])
     start_ns, t = 10**9, np.arange(0.0, WHOLE, 0.01)
     path = BodyPath(POLICY.id, t, np.zeros((len(t), 3)), np.tile(level, (len(t), 1)))
@@ -310,12 +291,12 @@ def test_a_body_thrown_off_by_a_lost_request_is_put_back_again_where_a_simulatio
     )
     if scene_reset:
         execute()
-        begun = [interface.MOVE_TO_START, put_back]
-        assert cell.requests == [*begun, *begun, interface.EXECUTE]
+        begun = [MOVE, put_back]
+        assert cell.requests == [*begun, *begun, EXECUTE]
     else:  # a person places it
         with pytest.raises(RolloutError, match="the pancake to be ready: on the floor"):
             execute()
-        assert cell.requests == [interface.MOVE_TO_START]
+        assert cell.requests == [MOVE]
 
 
 @pytest.mark.parametrize("step", [10_000_000, 0, 2_000_000_000])
@@ -347,24 +328,15 @@ def test_a_simulation_that_is_slow_is_waited_for_and_one_that_stands_or_is_overd
 
 
 @pytest.mark.requirement("S-103")
-def test_a_rollout_of_another_policy_under_our_id_is_not_learnt_from_and_says_why(
-    client: Rollouts, cell: Cell, probe: Probe
-) -> None:
-    probe.publisher(String, interface.POLICY, interface.LATCHED, readers=0, node="stranger")
-    cell.digest = policies.digest(policies.to_json(replace(POLICY, damping=31.0)))
-    fault = client.execute(POLICY, WHOLE, lambda state: "").rollout.fault
-    assert fault.kind is FaultKind.OTHER_POLICY and not fault.kind.of_policy
-    assert fault.text.startswith(f"another policy was executed under the id {POLICY.id}: /client, ")
-    assert "/stranger" in fault.text
-    cell.digest = ""  # of a controller that does not say
-    assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault is None
+def test_every_request_brings_the_policy_it_is_about(client: Rollouts, cell: Cell) -> None:
+    client.execute(POLICY, WHOLE, lambda state: "")
+    assert cell.policies == [policies.to_json(POLICY)] * 2
 
 
-@pytest.mark.requirement("S-103")
-def test_the_arm_is_sent_again_to_the_start_of_our_policy_if_another_has_come(
-    client: Rollouts, cell: Cell
+def test_a_request_without_any_answer_is_sent_again_as_the_same(
+    client: Rollouts, cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    other = Answer(Code.DONE, values={"policy": POLICY.id, "digest": "0" * 16})
-    cell.answers[interface.MOVE_TO_START] += [other, other]
-    assert client.execute(POLICY, WHOLE, lambda state: "").rollout.fault is None
-    assert cell.requests == [*3 * [interface.MOVE_TO_START], interface.EXECUTE]
+    monkeypatch.setattr(requests, "REPEAT_PERIOD", 0.2)
+    cell.deaf = 2
+    client.execute(POLICY, WHOLE, lambda state: "")
+    assert cell.requests == [MOVE, EXECUTE]

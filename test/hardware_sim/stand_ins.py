@@ -13,10 +13,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from hardware_sim.wam import JOINTS
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.ros import interface, joint_messages, pose_messages
-from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.answers import Answer, Code
 
 TICK = 2_000_000  # [ns]
 CONFIGS = ("wam_sim.yaml", "optitrack_sim.yaml")
@@ -47,7 +47,6 @@ class Hardware:
         **parameters: object,
     ) -> None:
         self.probe, self.processes, self.pace = probe, processes, pace
-        self.reset_service = interface.body_topic(body, "reset")
         self.messages = probe.listen(JointState, interface.JOINT_STATES, interface.STATE_RECORD)
         self.diagnostics = probe.listen(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
@@ -77,9 +76,6 @@ class Hardware:
             move_speed=overlay.MOVE_SPEED,
             realtime_priority=0 if lockstep else 60,
         )
-        self.policies = self.probe.node.create_publisher(
-            String, interface.POLICY, interface.LATCHED
-        )
         self.holds()
 
     def holds(self) -> None:
@@ -96,10 +92,11 @@ class Hardware:
         """Activity of the controller, as the stand-in reports it once a second."""
         return diagnosis(self.diagnostics, "wam_sim").get("label", "")
 
-    def ask(self, name: str) -> Answer:
-        """Call a Trigger service."""
-        response = self.probe.call(Trigger, name)
-        return read(response.success, response.message)
+    def ask(self, do: str, policy: Policy | None = None, to: str = "SCENE") -> Answer:
+        """Send a request and wait for the answer that ends it."""
+        answers = self.probe.ask(do, policy, to)
+        self.probe.until(lambda: answers and answers[-1].code is not Code.BEGUN, f"the end of {do}")
+        return answers[-1]
 
     def free(self) -> None:
         """Begin gravity compensation."""
@@ -111,16 +108,15 @@ class Hardware:
         request = SetBool.Request(data=False)
         assert self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success
 
-    def insist(self, name: str) -> str:
-        """Call a service until it succeeds; returns the id of the policy in its answer.
+    def insist(self, do: str, policy: Policy | None = None, to: str = "CONTROLLER") -> Answer:
+        """Send a request until it succeeds.
 
-        Latched messages may still be on their way. In real time a busy machine may cause a fault,
-        which is reset as by an operator.
+        In real time a busy machine may cause a fault, which is reset as by an operator.
         """
         answers = []
 
         def agreed() -> bool:
-            answers.append(self.ask(name))
+            answers.append(self.ask(do, policy, to))
             if answers[-1].success:
                 return True
             fault = answers[-1].code is Code.FAULT or self.label() == "fault"
@@ -130,10 +126,10 @@ class Hardware:
             return False
 
         try:
-            self.probe.until(agreed, name)
+            self.probe.until(agreed, do)
         except pytest.fail.Exception:
-            pytest.fail(f"{name} was refused to the end: {answers[-1:]}, {self.label()}")
-        return answers[-1].values.get("policy", answers[-1].text)
+            pytest.fail(f"{do} was refused to the end: {answers[-1:]}, {self.label()}")
+        return answers[-1]
 
     def rollout(
         self, policy: Policy, pauses: tuple[float, float]
@@ -141,13 +137,10 @@ class Hardware:
         """One rollout, with pauses [s of wall time] before and after the reset."""
         self.paths.clear()
         self.truths.clear()
-        self.policies.publish(String(data=to_json(policy)))
-        self.probe.until(
-            lambda: self.insist(interface.MOVE_TO_START) == policy.id, "at the policy's start"
-        )
+        self.insist("move_to_start", policy)
         self.probe.spin(pauses[0])
-        self.probe.until(lambda: self.insist(self.reset_service) == policy.id, "the reset")
+        self.insist("reset", policy, "SCENE")
         self.probe.spin(pauses[1])
-        assert self.insist(interface.EXECUTE) == policy.id
+        self.insist("execute", policy)
         self.probe.until(lambda: self.paths and self.truths, "path and truth", deadline=60.0)
         return self.paths[0], pose_messages.ground_truth(self.truths[0]).values

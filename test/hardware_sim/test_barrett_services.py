@@ -6,10 +6,8 @@ from __future__ import annotations
 import numpy as np
 from conftest import Probe, Processes, lift
 from stand_ins import Hardware
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface
 
 
@@ -37,9 +35,8 @@ def test_an_arm_that_waits_frozen_for_a_rollout_moves_home_on_request(
     hardware = Hardware(probe, processes, "lockstep")
     hardware.control()
     policy = lift("never-executed")
-    hardware.policies.publish(String(data=to_json(policy)))
-    probe.until(lambda: hardware.insist(interface.MOVE_TO_START) == policy.id, "at the start")
-    probe.until(lambda: hardware.insist(hardware.reset_service) == policy.id, "the reset")
+    hardware.insist("move_to_start", policy)
+    hardware.insist("reset", policy, "SCENE")
     waiting = hardware.state().q
     home = probe.begin(Trigger, interface.WAM_MOVE_HOME)
     probe.until(lambda: np.abs(hardware.state().q - waiting).max() > 0.1, "the arm on its way")

@@ -6,11 +6,10 @@ from __future__ import annotations
 import numpy as np
 from conftest import Probe, Processes, lift
 from stand_ins import TICK, Hardware, arm_model
-from std_msgs.msg import String
 
 from hardware_sim.scenes.reach import HOME
 from hardware_sim.settings import REACH_GOAL
-from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.learning.policy import Policy
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code
 
@@ -23,7 +22,6 @@ def test_a_reset_is_refused_without_a_policy_and_away_from_its_start(
     assert hardware.ask(hardware.reset_service).code is Code.NOTHING
     policy = lift("far-away")
     far = Policy(**{**vars(policy), "q_start": policy.q_start + 0.3})
-    hardware.policies.publish(String(data=to_json(far)))
     away = probe.until(
         lambda: (
             (answer := hardware.ask(hardware.reset_service)).code is Code.NOT_AT_START and answer
@@ -38,13 +36,13 @@ def test_the_demonstrator_guides_the_arm_under_gravity_compensation_only(
 ) -> None:
     hardware = Hardware(probe, processes, "lockstep")
     hardware.control()
-    assert hardware.ask(interface.DEMONSTRATE).code is Code.BUSY
+    assert hardware.ask("demonstrate").code is Code.BUSY
     hardware.free()
     starts = []
     for number in range(2):
         hardware.messages.clear()
-        answer = hardware.ask(interface.DEMONSTRATE)
-        assert (answer.code, answer.values) == (Code.DONE, {"policy": f"demonstration-{number}"})
+        answer = hardware.ask("demonstrate")
+        assert (answer.code, answer.values) == (Code.DONE, {"rollout": f"demonstration-{number}"})
         speed = max(np.abs(hardware.state(i).qd).max() for i in range(len(hardware.messages)))
         assert speed > 2.0  # a toss
         starts.append(speed)
@@ -57,14 +55,13 @@ def test_in_real_time_states_go_on_while_the_pancake_is_put_back(
     hardware = Hardware(probe, processes, "real_time", realtime_priority=70)
     hardware.control()
     policy = lift("put-back")
-    hardware.policies.publish(String(data=to_json(policy)))
     # A reset takes at least 50 states; all of them would be missing if it blocked the process, and
     # the controller would latch a fault. A busy machine may do so in one reset, but not in all.
     outcomes: list[tuple[str, bool]] = []  # of each reset: mode after it, short gaps in between
     while ("hold", True) not in outcomes and len(outcomes) < 5:
-        probe.until(lambda: hardware.insist(interface.MOVE_TO_START) == policy.id, "at the start")
+        hardware.insist("move_to_start", policy)
         hardware.messages.clear()
-        probe.until(lambda: hardware.insist(hardware.reset_service) == policy.id, "the reset")
+        hardware.insist("reset", policy, "SCENE")
         # on a busy machine they arrive after the answer
         probe.until(lambda: len(hardware.messages) > 50, "the states meanwhile")
         stamps = [hardware.state(i).stamp_ns for i in range(len(hardware.messages))]
@@ -83,16 +80,15 @@ def test_a_scene_without_a_body_can_be_reset_taught_and_practised(
     hardware = Hardware(
         probe, processes, "lockstep", body="", scene="reach", guarded_region=[*start, 0.02]
     )
-    assert hardware.reset_service == "scene/reset"
     topics = {name for name, _ in probe.node.get_topic_names_and_types()}
     assert not [name for name in topics if "pancake" in name or name == f"/{interface.MARKERS}"]
     hardware.control()
     hardware.free()
     for number in range(2):
-        done = {"policy": f"demonstration-{number}"}
-        assert hardware.insist(hardware.reset_service) == done["policy"]
+        done = {"rollout": f"demonstration-{number}"}
+        assert hardware.ask("reset").values == done
         probe.until(lambda: np.abs(hardware.state().q - HOME).max() < 0.05, "the arm at home")
-        assert hardware.ask(interface.DEMONSTRATE).values == done
+        assert hardware.ask("demonstrate").values == done
         probe.until(
             lambda: np.linalg.norm(arm.tool_pose(hardware.state().q)[0] - REACH_GOAL) < 0.08,
             "the tool at the goal",
@@ -113,8 +109,8 @@ def test_demonstrations_on_another_arm_begin_at_its_own_home(
     hardware = Hardware(probe, processes, "lockstep", body="", scene="reach", **own)
     hardware.control()
     hardware.free()
-    assert hardware.insist(hardware.reset_service) == "demonstration-0"
+    assert hardware.ask("reset").values == {"rollout": "demonstration-0"}
     probe.until(lambda: np.abs(hardware.state().q - home).max() < 0.05, "the arm at home")
-    assert hardware.ask(interface.DEMONSTRATE).code is Code.DONE
+    assert hardware.ask("demonstrate").code is Code.DONE
     tool = arm_model().tool_pose(hardware.state().q)[0]
     assert np.linalg.norm(tool - REACH_GOAL) < 0.1

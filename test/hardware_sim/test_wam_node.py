@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from conftest import Probe, Processes, diagnosis, lift
 from stand_ins import NAMES, Hardware, arm_model
-from std_msgs.msg import Float64MultiArray, String
-from trajectory_msgs.msg import JointTrajectory
+from std_msgs.msg import Float64MultiArray
 
-from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface, joint_messages, pose_messages
 
 
@@ -39,9 +37,8 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
     hardware.control()
     if during == "rollout":
         policy = lift("killed")
-        hardware.policies.publish(String(data=to_json(policy)))
-        probe.until(lambda: hardware.insist(interface.MOVE_TO_START) == policy.id, "at the start")
-        hardware.insist(interface.EXECUTE)
+        hardware.insist("move_to_start", policy)
+        probe.ask("execute", policy)
         probe.spin(0.15)
     processes.end(hardware.controller, signal.SIGKILL)
     killed_ns = time.time_ns()  # older states may still arrive
@@ -63,14 +60,14 @@ def test_a_killed_controller_lets_the_arm_come_to_rest_under_its_own_gravity(
 def test_a_recorded_movement_is_replayed_by_the_arm(probe: Probe, processes: Processes) -> None:
     hardware = Hardware(probe, processes, "lockstep")
     hardware.control()
-    movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
     t = np.linspace(0.0, 2.0, 41)
     swing = 0.2 * np.sin(np.pi * t / 2.0) ** 2  # out and back, at rest at both ends
     q = hardware.state().q + swing[:, None] * np.eye(7)[3]
-    movements.publish(joint_messages.movement_message(NAMES, joint_messages.JointMovement(t, q)))
     start = hardware.state().q[3]
     hardware.messages.clear()
-    message = hardware.insist(interface.REPLAY)
+    movement = joint_messages.JointMovement(t, q)
+    replay = probe.replay(joint_messages.movement_message(NAMES, movement))
+    message = probe.until(lambda: replay[1:], "the end of the replay")[0].text
     moved = max(hardware.state(i).q[3] for i in range(len(hardware.messages))) - start
     assert moved == pytest.approx(0.2, abs=0.03)
     assert "rms error 0.0" in message

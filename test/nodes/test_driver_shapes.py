@@ -12,20 +12,18 @@ from conftest import Probe, Processes, diagnosis, lift
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
 from open_loop import reproduced
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros import rotations
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning.demonstration import from_joint_samples
 from wam_power_ros.learning.dmp import fit
-from wam_power_ros.learning.policy import Policy, to_json
+from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface, joint_messages, pose_messages
-from wam_power_ros.ros.answers import read
 from wam_power_ros.ros.stamps import sensor_stamp
 from wam_power_ros.tasks.reach.settings import REACH_FIT
 
@@ -50,29 +48,16 @@ class Rehearsal:
         processes.node("hardware_sim.main", self.file)
         probe.until(lambda: self.states, "a state")
 
-    def insist(self, name: str, policy: Policy, policies: Publisher) -> None:
-        """Call a service until it has succeeded for this policy."""
-
-        def done() -> bool:
-            policies.publish(String(data=to_json(policy)))
-            answer = self.probe.call(Trigger, name)
-            self.probe.spin(0.0 if answer.success else 0.1)
-            result = read(answer.success, answer.message)
-            return result.success and result.values.get("policy", result.text) == policy.id
-
-        self.probe.until(done, name)
-
     def execute(self, policy: Policy) -> pose_messages.PathReading:
         """The path of a rollout of this policy, by a controller that is started for it."""
         paths = self.probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self.processes.node("wam_power_ros.nodes.torque_controller", self.file)
-        policies = self.probe.publisher(String, interface.POLICY, interface.LATCHED)
-        for service in (
-            interface.MOVE_TO_START,
-            interface.body_topic("pancake", "reset"),
-            interface.EXECUTE,
+        for do, to in (
+            ("move_to_start", "CONTROLLER"),
+            ("reset", "SCENE"),
+            ("execute", "CONTROLLER"),
         ):
-            self.insist(service, policy, policies)
+            self.probe.insist(do, policy, to)
         message = self.probe.until(lambda: paths and paths[-1], "the path")
         return pose_messages.path(message)
 

@@ -19,21 +19,22 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from benchmark.messages import largest_policy
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.safety import limits_of
-from wam_power_ros.learning.policy import SIZE_MAX, to_json
 from wam_power_ros.nodes import preparation, preparation_worker
 from wam_power_ros.nodes.preparation import (
     MOVEMENT,
-    POLICY,
+    REQUEST,
     Preparation,
     settings_of,
     settings_values,
 )
 from wam_power_ros.regions import Region
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.requests import SIZE_MAX
 
 
 class Worker:
@@ -84,42 +85,21 @@ def answered(arm: PlayedArm, count: int = 25) -> None:
 def test_the_loop_waits_neither_for_a_policy_nor_for_a_log_and_stop_is_obeyed_at_once(
     probe: Probe, processes: Processes, arm: PlayedArm, worker: Worker
 ) -> None:
-    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
+    refused = probe.ask("wave")
+    assert not probe.until(lambda: refused, "an answer, so both have been discovered")[0].success
     worker.signal(signal.SIGSTOP)
-    policies.publish(String(data=to_json(lift("slow"))))
     arm.send(q=np.append(HOME[:6], math.nan))  # the first refusal, which is logged
     answered(arm)
-    execute = probe.begin(Trigger, interface.EXECUTE)
+    execute = probe.ask("execute", lift("slow"))
     probe.spin(0.3)
     answered(arm)
-    assert not execute.done()
     assert probe.call(Trigger, interface.STOP).success
-    assert read(execute.result().success, execute.result().message).code is Code.STOPPED
+    answered(arm)
+    assert not execute
     worker.signal(signal.SIGCONT)
-    arm.diagnosis(lambda d: d["policy"] == "slow", "the policy is loaded")
-    answered(arm, 1)  # a stopped rollout is not executed
+    assert probe.until(lambda: execute, "the answer")[0].code is Code.STOPPED
+    answered(arm)  # a stopped rollout is not executed
     probe.until(lambda: "must be finite" in processes.output(arm.process), "the log")
-
-
-@pytest.mark.requirement("S-54")
-def test_a_request_uses_the_policy_that_was_published_before_it(
-    probe: Probe, arm: PlayedArm, worker: Worker
-) -> None:
-    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
-    policies.publish(String(data=to_json(lift("before"))))
-    # Messages from before the discovery of publisher and reader have no order.
-    arm.diagnosis(lambda d: d["policy"] == "before", "the publisher has been found")
-    for name in ("first", "second", "third"):
-        worker.signal(signal.SIGSTOP)
-        policies.publish(String(data=to_json(lift(name))))
-        future = probe.begin(Trigger, interface.EXECUTE)
-        probe.spin(0.1)
-        worker.signal(signal.SIGCONT)
-        probe.until(future.done, "the answer")
-        answer = read(future.result().success, future.result().message)
-        assert answer.success and answer.values["policy"] == name
-        assert probe.call(Trigger, interface.STOP).success
-        answered(arm, 100)  # until the arm holds and rests
 
 
 @pytest.mark.requirement("S-54")
@@ -128,32 +108,20 @@ def test_a_killed_process_is_started_again_and_the_policy_in_force_stays(
 ) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):  # only the controller acts on them
         assert worker.blocked >> (number - 1) & 1
-    older, newer = (probe.publisher(String, interface.POLICY, interface.LATCHED) for _ in range(2))
-    for publisher, name in ((older, "older"), (newer, "newer")):
-        publisher.publish(String(data=to_json(lift(name))))
-        arm.diagnosis(lambda d, n=name: d["policy"] == n, f"policy {name}")
-    worker.signal(signal.SIGSTOP)
-    move = probe.begin(Trigger, interface.MOVE_TO_START)
-    probe.spin(1.0)  # until the controller has received the request, on a busy machine too
+    moved = probe.ask("move_to_start", lift("loaded"))
+    arm.diagnosis(lambda d: arm.send() or d["policy"] == "loaded", "the policy")
+    probe.until(lambda: arm.send() or moved[1:], "the end of the move")
+    execute = probe.ask("execute", largest_policy())
+    time.sleep(0.05)  # it takes longer to prepare
     worker.signal(signal.SIGKILL)
-    probe.until(move.done, "the answer")
-    refusal = read(move.result().success, move.result().message)
-    assert refusal.code is Code.BUSY and "has ended" in refusal.text
+    answer = probe.until(lambda: arm.send() or execute, "the answer")[0]
+    assert answer.code is Code.BUSY and "has ended" in answer.text
     answered(arm)
-
-    def again() -> bool:
-        arm.send()
-        probe.spin(0.02)
-        return worker.find() not in (0, worker.pid)
-
-    probe.until(again, "another process")
-    report = arm.diagnosis(lambda d: d["preparation processes"] == "2", "it is reported")
-    probe.until(
-        lambda: newer.get_subscription_count() and older.get_subscription_count(), "readers"
-    )
-    answer = probe.call(Trigger, interface.EXECUTE)  # waits until latched policies have been read
-    assert read(answer.success, answer.message).values["policy"] == "newer"
-    assert report["policy"] == "newer" and report["mode"] == "hold"
+    assert worker.find() not in (0, worker.pid)
+    report = arm.diagnosis(lambda d: arm.send() or d["preparation processes"] == "2", "the report")
+    assert report["policy"] == "loaded" and report["mode"] == "hold"
+    execute = probe.ask("execute", lift("loaded"))
+    assert probe.until(lambda: arm.send() or execute, "the answer")[0].code is Code.BEGUN
 
 
 @pytest.mark.requirement("S-54")
@@ -173,11 +141,11 @@ def test_a_robot_description_is_read_before_the_loop_runs_and_not_in_it(
 
 @pytest.mark.requirement("S-54")
 def test_a_message_above_its_size_is_refused_unread(probe: Probe, arm: PlayedArm) -> None:
-    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
-    policies.publish(String(data="{" * (SIZE_MAX + 100)))
-    report = arm.diagnosis(lambda d: d.get(f"refused: {POLICY}") == "1", "the policy's refusal")
-    assert f"at most {preparation_worker.SIZE_MAX[POLICY]} allowed" in report["last refusal"]
-    movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
+    requests = probe.publisher(String, interface.CONTROLLER_REQUEST, interface.REQUESTS)
+    requests.publish(String(data="{" * (SIZE_MAX + 100)))
+    report = arm.diagnosis(lambda d: d.get(f"refused: {REQUEST}") == "1", "the request's refusal")
+    assert f"at most {preparation_worker.SIZE_MAX[REQUEST]} allowed" in report["last refusal"]
+    movements = probe.publisher(JointTrajectory, interface.REPLAY, interface.REQUESTS)
     large = "x" * preparation_worker.SIZE_MAX[MOVEMENT]
     movements.publish(JointTrajectory(joint_names=[large]))
     report = arm.diagnosis(lambda d: d.get(f"refused: {MOVEMENT}") == "1", "the other refusal")
@@ -188,63 +156,42 @@ def test_a_message_above_its_size_is_refused_unread(probe: Probe, arm: PlayedArm
 def test_a_long_movement_is_replayed_and_one_too_fast_refused_when_it_is_asked_for(
     probe: Probe, arm: PlayedArm
 ) -> None:
-    movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
     t = np.arange(0.0, 13.0, 0.01)  # 13 s
     sway = HOME + 0.1 * np.sin(t)[:, None]
 
     def asked(stretched: float) -> Answer | None:
         moved = joint_messages.JointMovement(stretched * t, sway)
-        movements.publish(joint_messages.movement_message(NAMES, moved))
-        replay = probe.begin(Trigger, interface.REPLAY)
+        replay = probe.replay(joint_messages.movement_message(NAMES, moved))
         labels = set()
-        while not replay.done() and "replay" not in labels:
+        while not (replay and replay[0].code is not Code.BEGUN) and "replay" not in labels:
             arm.send()
             labels.add(arm.answer().label)
         assert "fault" not in labels
-        if not replay.done():
-            return None
-        return read(replay.result().success, replay.result().message)
+        return None if replay[0].code is Code.BEGUN else replay[0]
 
-    def insisted(stretched: float) -> Answer | None:
-        answer, end = asked(stretched), time.monotonic() + 60.0
-        while answer is not None and answer.code in (Code.NOTHING, Code.BUSY):  # not read yet
-            assert time.monotonic() < end, answer
-            answer = asked(stretched)
-        return answer
-
-    refusal = insisted(0.01)
+    refusal = asked(0.01)
     assert refusal.code is Code.TOO_FAST and 0.0 < float(refusal.values["speed"]) < 1.0
-    assert insisted(1.0) is None  # it is under way
+    assert asked(1.0) is None  # it is under way
     assert probe.call(Trigger, interface.STOP).success
 
 
 @pytest.mark.requirement("S-54")
-def test_what_a_process_died_of_is_refused_and_not_read_again(
+def test_a_request_that_a_process_died_of_is_refused_and_another_process_is_started(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(preparation, "MODULE", "dying_preparation")
     monkeypatch.setattr(preparation, "RESTART_PERIOD", 0.0)
-    monkeypatch.setattr(preparation, "READ_TIMEOUT", 60.0)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(ROOT / "test")]))
-    refused: list[tuple[str, str]] = []
-    reasons: list[str | None] = []
-    beside = Preparation(0, _never, _never, lambda *refusal: refused.append(refusal))
+    lost: list[tuple[str, str]] = []
+    beside = Preparation(0, _never, _never, lambda *request: lost.append(request))
     beside.configure(None, ())
-    beside.when_read(reasons.append)
-
-    def refusals(count: int) -> list[tuple[str, str]]:
-        end = time.monotonic() + 60.0
-        while len(refused) < count and time.monotonic() < end:
-            beside.tend()
-            beside.poll()
-            time.sleep(0.01)
-        return refused
-
-    assert refusals(1)[0][0] == POLICY and "has ended" in refused[0][1]
-    assert reasons == [refused[0][1]]
-    refusals(2)
-    assert beside.starts == 2
-    assert refused[1] == ("seen", "[['policy', 7]]")
+    end = time.monotonic() + 60.0
+    while len(lost) < 2 and time.monotonic() < end:
+        beside.tend()
+        beside.poll()
+        time.sleep(0.01)
+    assert [id for id, _ in lost] == ["7", "7"] and "has ended" in lost[0][1]
+    assert beside.starts >= 2
     beside.close()
 
 

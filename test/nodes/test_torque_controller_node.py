@@ -15,12 +15,12 @@ from played_arm import HOME, MODULE, NAMES, TICK, PlayedArm
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
-from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.control.arm import Arm
-from wam_power_ros.learning.policy import digest, to_json, with_id
+from wam_power_ros.learning.policy import to_json, with_id
 from wam_power_ros.ros import interface, joint_messages
-from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.requests import Request, RolloutEnd
 
 
 @pytest.mark.requirement("S-03")
@@ -90,21 +90,20 @@ def test_a_bad_policy_is_refused_whole_and_the_good_one_stays(
 ) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
-    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
-    policies.publish(String(data=to_json(lift("good"))))
-    arm.diagnosis(lambda d: d["policy"] == "good", "the policy is loaded")
+
+    def asked(do: str, text: str) -> Answer:
+        answers = probe.ask(do, text)
+        return probe.until(lambda: arm.send() or answers, "an answer")[0]
+
+    assert asked("move_to_start", to_json(lift("good"))).code is Code.BEGUN
+    arm.diagnosis(lambda d: arm.send() or d["mode"] == "hold", "the end of the move")
     bad = to_json(with_id(lift("good"), "bad")).replace("300.0", "NaN", 1)
     stiff = to_json(with_id(lift("good"), "stiff")).replace("300.0", "9e9")
     for count, text in enumerate((bad, "{", stiff), start=1):  # each is taken before the next
-        policies.publish(String(data=text))
-        report = arm.diagnosis(lambda d, n=str(count): d.get("refused: policy") == n, "a refusal")
+        assert asked("execute", text).code is Code.REFUSED
+        report = arm.diagnosis(lambda d, n=str(count): d.get("refused: request") == n, "a refusal")
     assert report["policy"] == "good"
-    arm.send()
-    arm.answer()
-    response = probe.call(Trigger, interface.EXECUTE)
-    assert read(response.success, response.message) == Answer(
-        Code.DONE, values={"policy": "good", "digest": digest(to_json(lift("good")))}
-    )
+    assert asked("execute", to_json(lift("good"))) == Answer(Code.BEGUN, values={"policy": "good"})
 
 
 def test_a_state_that_is_repeated_in_lockstep_is_recent_at_a_late_activation(
@@ -135,7 +134,9 @@ def test_the_life_cycle_decides_whether_torques_are_sent(
         request = ChangeState.Request(transition=Transition(id=transition))
         return probe.call(ChangeState, "/torque_controller/change_state", request).success
 
-    assert not probe.call(Trigger, interface.EXECUTE).success
+    answers = probe.ask("execute", lift("trial-0001"))
+    probe.until(lambda: answers, "an answer")
+    assert answers[0].code is Code.NOT_ACTIVE
     logged = lambda: processes.output(arm.process)  # noqa: E731
     waiting = "waiting for ros2 lifecycle set /torque_controller"
     probe.until(lambda: f"{waiting} configure" in logged(), "what it waits for")
@@ -208,35 +209,56 @@ def test_teaching_and_stopping_are_a_service_call_away(probe: Probe, processes: 
     assert probe.call(SetBool, interface.GRAVITY_COMPENSATION, on).success
     arm.send()
     assert arm.answer().label == "gravity_compensation"
-    assert not probe.call(Trigger, interface.EXECUTE).success
+    answers = probe.ask("execute", lift("trial-0001"))
+    assert not probe.until(lambda: answers, "an answer")[0].success
     assert probe.call(Trigger, interface.STOP).success
     arm.send()
     assert arm.answer().label == "hold"
-    refusal = probe.call(Trigger, interface.MOVE_TO_START)
-    assert read(refusal.success, refusal.message).code is Code.NOTHING
+    answers = probe.ask("wave", lift("trial-0001"))
+    assert "not wave" in probe.until(lambda: answers, "an answer")[0].text
 
 
-def test_a_move_is_answered_for_the_policy_it_was_made_for(
+def test_each_request_is_answered_by_its_id_and_one_at_a_time(
     probe: Probe, processes: Processes
 ) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
-    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
-    policies.publish(String(data=to_json(lift("first"))))
-    arm.diagnosis(lambda values: values["policy"] == "first", "the first policy")
-    moved = probe.begin(Trigger, interface.MOVE_TO_START)
+    first = probe.ask("move_to_start", lift("first"))
     arm.diagnosis(lambda values: values["mode"] == "move_to_start", "the move")
-    policies.publish(String(data=to_json(lift("second"))))
-    arm.diagnosis(lambda values: values["policy"] == "second", "the second policy")
+    second = probe.ask("move_to_start", lift("second"))
+    assert probe.until(lambda: second, "an answer")[0].code is Code.BUSY
+    probe.until(lambda: arm.send() or first[1:], "the end of the move")
+    assert [answer.code for answer in first] == [Code.BEGUN, Code.DONE]
+    assert first[1].values == {"policy": "first"} and len(second) == 1
 
-    def answered() -> bool:
+
+def test_a_request_that_comes_again_is_answered_again_and_not_done_again(
+    probe: Probe, processes: Processes
+) -> None:
+    arm = PlayedArm(probe, processes)
+    arm.activate()
+    request = Request("execute", {"policy": to_json(lift("once"))})
+
+    def send() -> list[Answer]:
+        return probe.send(String, "CONTROLLER_REQUEST", request.message(), request.id)
+
+    answers = send()
+    probe.until(lambda: arm.send() or answers, "the begin")
+    assert probe.call(Trigger, interface.STOP).success
+    probe.until(lambda: arm.send() or answers[1:], "the end of the rollout")
+    end = RolloutEnd.of(answers[1])
+    assert (end.id, end.fault) == ("once", None)
+    for _ in range(100):
         arm.send()
-        probe.spin(0.02)
-        return moved.done()
-
-    probe.until(answered, "the end of the move")
-    answer = read(moved.result().success, moved.result().message)
-    assert answer.success and answer.values["policy"] == "first"
+        arm.answer()
+    before = len(arm.read())
+    send()
+    probe.until(lambda: arm.send() or answers[2:], "an answer to the repetition")
+    assert answers[2] == answers[1]
+    for _ in range(20):
+        arm.send()
+        arm.answer()
+    assert {torque.label for torque in arm.read()[before:]} == {"hold"}
 
 
 def test_a_driver_may_name_its_joints_otherwise_than_the_model(
@@ -268,26 +290,23 @@ def test_a_recorded_movement_is_replayed_and_a_bad_one_refused(
 ) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
-    movements = probe.publisher(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
-    refusal = probe.call(Trigger, interface.REPLAY)
-    assert read(refusal.success, refusal.message).code is Code.NOTHING
     t = np.linspace(0.0, 0.1, 6)
     still = joint_messages.JointMovement(t, np.tile(HOME, (6, 1)))
-    movements.publish(joint_messages.movement_message(NAMES[:6], still._replace(q=still.q[:, :6])))
+    few = joint_messages.movement_message(NAMES[:6], still._replace(q=still.q[:, :6]))
+    refused = probe.replay(few)
     arm.diagnosis(lambda d: d.get("refused: replay trajectory") == "1", "the refusal is reported")
-    movements.publish(joint_messages.movement_message(NAMES, still))
-    probe.spin(0.2)
-    replay = probe.begin(Trigger, interface.REPLAY)
+    assert refused[0].code is Code.REFUSED
+    replay = probe.replay(joint_messages.movement_message(NAMES, still))
     labels = set()
 
     def done() -> bool:
         arm.send()
         labels.add(arm.answer().label)
-        return replay.done()
+        return len(replay) > 1
 
     probe.until(done, "the replay has ended")
-    assert replay.result().success
-    assert "rms" in replay.result().message
+    assert replay[1].success
+    assert "rms" in replay[1].text
     assert "replay" in labels
 
 

@@ -22,9 +22,10 @@ from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.control.arm import Arm
 from wam_power_ros.faults import FaultKind
-from wam_power_ros.learning.policy import digest, to_json
-from wam_power_ros.ros import interface, pose_messages
+from wam_power_ros.learning.policy import to_json
+from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, read
+from wam_power_ros.ros.requests import RolloutEnd
 
 DRIVER = """
 from rclpy.node import Node
@@ -276,8 +277,9 @@ import sys
 from wam_power_ros.nodes import torque_controller
 
 class Broken(torque_controller.TorqueController):
-    def _on_policy(self, policy):
-        raise KeyError("a mistake in the code")
+    def __init__(self):
+        super().__init__()
+        self._requests.begin = lambda *request: {}["a mistake in the code"]
 
     def _on_stop(self, request, response):
         self._read = None  # every state from now on
@@ -364,7 +366,7 @@ def test_a_clock_that_jumps_is_a_fault_in_which_torques_go_on(
 
 
 @pytest.mark.requirement("S-02")
-@pytest.mark.parametrize("during", ["policy", "state"])
+@pytest.mark.parametrize("during", ["request", "state"])
 def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     probe: Probe, processes: Processes, during: str
 ) -> None:
@@ -374,9 +376,8 @@ def test_a_callback_that_fails_is_a_fault_and_not_the_end_of_the_node(
     quick = ["-p", "realtime_priority:=0", "-p", "state_timeout:=0.0"]
     arm = PlayedArm(probe, processes, [sys.executable, "-c", BROKEN, *config, *quick])
     arm.activate()
-    if during == "policy":
-        policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
-        policies.publish(String(data=to_json(lift("good"))))
+    if during == "request":
+        probe.ask("execute", lift("good"))
     else:
         probe.begin(Trigger, interface.STOP)
 
@@ -440,44 +441,36 @@ def test_no_service_says_done_in_a_fault_but_a_stop_that_names_it(
     for on in (True, False):
         request = SetBool.Request(data=on)
         assert ask(SetBool, interface.GRAVITY_COMPENSATION, request).code is Code.FAULT
-    assert ask(Trigger, interface.EXECUTE).code is Code.FAULT
+    execute = probe.ask("execute", lift("trial-0001"))
+    assert probe.until(lambda: arm.send() or execute, "an answer")[0].code is Code.FAULT
     stopped = ask(Trigger, interface.STOP)
     assert stopped.success and "nothing to stop: fault (" in stopped.text
 
 
 @pytest.mark.requirement("S-103")
-def test_a_policy_of_a_second_publisher_is_told_by_its_digest_and_both_publishers_are_named(
+def test_each_request_executes_the_policy_that_it_brings_whatever_its_id(
     probe: Probe, processes: Processes
 ) -> None:
     arm = PlayedArm(probe, processes)
     arm.activate()
-    ours = to_json(lift("trial-0001"))
-    theirs = to_json(replace(lift("trial-0001"), damping=31.0))
-    one = probe.publisher(String, interface.POLICY, interface.LATCHED, node="learner")
-    other = probe.publisher(String, interface.POLICY, interface.LATCHED, node="stranger")
-    ends = probe.listen(String, interface.ROLLOUT_FINISHED, interface.LATCHED)
-    one.publish(String(data=ours))
-    report = arm.diagnosis(lambda d: arm.send() or d["policy"] == "trial-0001", "the policy")
-    for text in (ours, theirs):
-        (one if text == ours else other).publish(String(data=text))
-        moving = probe.begin(Trigger, interface.MOVE_TO_START)
-        probe.until(lambda: arm.send() or moving.done(), "the arm is at the start")  # noqa: B023
-        executing = probe.begin(Trigger, interface.EXECUTE)
-        probe.until(lambda: arm.send() or executing.done(), "the rollout")  # noqa: B023
-        for response in (moving.result(), executing.result()):
-            answer = read(response.success, response.message)
-            assert answer.values == {"policy": "trial-0001", "digest": digest(text)}
-        ends.clear()
+    ours, theirs = lift("trial-0001"), replace(lift("trial-0001"), damping=31.0)
+    accepted = probe.listen(String, interface.POLICY, interface.LATCHED)
+    for policy in (ours, theirs):
+        move = probe.ask("move_to_start", policy)
+        probe.until(lambda: arm.send() or move[1:], "the arm is at the start")  # noqa: B023
+        execute = probe.ask("execute", policy)
+        probe.until(lambda: arm.send() or execute, "the rollout")  # noqa: B023
+        assert execute[0].code is Code.BEGUN
+        probe.until(lambda: accepted and accepted[-1].data == to_json(policy), "what is executed")  # noqa: B023
         for _ in range(20):
             arm.send()
             arm.answer()
         probe.call(Trigger, interface.STOP)
-        probe.until(lambda: arm.send() or ends, "the end of the rollout")
-        assert pose_messages.finished(ends[-1]).digest == digest(text)
-    report = arm.diagnosis(lambda d: arm.send() or "stranger" in d["policy publishers"], "both")
-    assert report["policy publishers"] == "/learner, /stranger"
-    said = "2 nodes publish policies (/learner, /stranger): the last one counts"
-    probe.until(lambda: said in processes.output(arm.process), "the warning in the log")
+        end = RolloutEnd.of(probe.until(lambda: arm.send() or execute[1:], "the end")[0])  # noqa: B023
+        assert (end.id, end.fault) == ("trial-0001", None)
+        for _ in range(100):
+            arm.send()
+            arm.answer()
 
 
 @pytest.mark.requirement("S-125")

@@ -14,12 +14,10 @@ from conftest import ROOT, Probe, Processes, diagnosis
 from played_arm import HOME, NAMES, SIMULATED, PlayedArm
 from rigid_arm import MODEL, Plant, check, make_policy, tool
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from wam_power_ros.control.safety import REST_SPEED
 from wam_power_ros.faults import FaultKind
-from wam_power_ros.learning.policy import to_json
 from wam_power_ros.ros import interface
 
 BREAKING = """
@@ -130,10 +128,8 @@ def test_a_model_that_raises_ends_a_move_at_rest_and_the_node_goes_on(
             speeds.append(MODEL.speeds(plant.q, plant.qd).tool_speed)
         return speeds
 
-    policies = probe.publisher(String, interface.POLICY, interface.LATCHED)
-    policies.publish(String(data=to_json(make_policy(q_start=HOME + 0.4))))
     run(200)
-    probe.begin(Trigger, interface.MOVE_TO_START)
+    probe.ask("move_to_start", make_policy(q_start=HOME + 0.4))
     probe.until(lambda: run(1) and arm.read()[-1].label == "move_to_start", "the move")
     nominal = max(run(300))
     assert nominal > 0.1

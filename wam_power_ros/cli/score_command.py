@@ -124,13 +124,13 @@ def recorded_rollout(
     from wam_power_ros.bags import layout
     from wam_power_ros.learning import policy as policies
     from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
-    from wam_power_ros.ros import interface, pose_messages
+    from wam_power_ros.ros import interface, pose_messages, requests
     from wam_power_ros.tasks.task import cut_short
 
     found: dict[str, Any] = {}
     topics = bag.topics
     body_topic = interface.rollout_topic(task.body) if task.body else ""
-    tool_topics = (interface.ROLLOUT_END_EFFECTOR, interface.ROLLOUT_FINISHED)
+    tool_topics = (interface.ROLLOUT_END_EFFECTOR, interface.CONTROLLER_ANSWER)
     names = (interface.POLICY, *tool_topics, body_topic)
     wanted = {topic: name for name in names if name and (topic := _topic(topics, name))}
     for topic, _, data in bag.messages(wanted):
@@ -149,12 +149,12 @@ def recorded_rollout(
             raise ValueError(f"the path of the {task.body} is of another rollout than the tool's")
         body = BodyPath(policy.id, *body_path)
     rollout = Rollout(tool, body)
-    if interface.ROLLOUT_FINISHED in found:  # not in bags of earlier versions
-        finished = pose_messages.finished(found[interface.ROLLOUT_FINISHED])
-        if (finished.id, finished.start_ns) != (policy.id, path.start_ns):
+    if interface.CONTROLLER_ANSWER in found:
+        end = requests.RolloutEnd.of(requests.read_answer(found[interface.CONTROLLER_ANSWER])[1])
+        if (end.id, end.start_ns) != (policy.id, path.start_ns):
             raise ValueError(f"the paths do not belong to the policy {policy.id}")
         if cut_short(policy, rollout, task.settle_time):
-            rollout = replace(rollout, fault=finished.fault, stopped_in=finished.stopped_in)
+            rollout = replace(rollout, fault=end.fault, stopped_in=end.stopped_in)
     return policy, rollout
 
 

@@ -7,17 +7,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from std_msgs.msg import String
-
 from wam_power_ros.client.link import RETRY_PERIOD, TIMEOUT, Link
+from wam_power_ros.client.requests import Requests
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.answers import Answer, ServiceError
 
-REQUESTS = {  # kind of feedback -> service and its data
+SERVICES = {  # kind of feedback -> service and its data
     "reward": (interface.LEARNER_REWARD, None),
     "punish": (interface.LEARNER_PUNISH, None),
-    "demonstration": (interface.LEARNER_DEMONSTRATION, None),
     "pause": (interface.LEARNER_PAUSE, True),
     "continue": (interface.LEARNER_PAUSE, False),
 }
@@ -32,31 +30,33 @@ class Feedback:
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        self._bags = link.node.create_publisher(String, interface.LEARNER_BAG, interface.LATCHED)
+        self._requests = Requests(link, interface.LEARNER_REQUEST, interface.LEARNER_ANSWER)
 
     def give(self, kind: str, bag: Path | None = None) -> Answer:
-        """Give feedback.
+        """Give feedback; the answer may be a refusal.
 
         Args:
-            kind: One of `REQUESTS`.
-            bag: Bag of the demonstration, for the kind "demonstration".
+            kind: One of `SERVICES`, or "demonstration".
+            bag: Bag of the demonstration.
 
         Raises:
             ServiceError: The learner does not appear or does not answer.
         """
-        if bag is not None:
-            self._bags.publish(String(data=str(bag.resolve())))
-        name, data = REQUESTS[kind]
-        deadline = time.monotonic() + TIMEOUT
-        while True:
-            answer = self._link.call(name, data)
-            if answer is None:
-                raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
-            # Topics and services are not ordered: the learner may not have received the bag yet.
-            early = bag is not None and answer.code is Code.NOTHING
-            if not early or time.monotonic() > deadline:
-                return answer
-            self._link.sleep(RETRY_PERIOD)
+        if kind == "demonstration":
+            return self._add(bag)
+        name, data = SERVICES[kind]
+        answer = self._link.call(name, data)
+        if answer is None:
+            raise ServiceError(f"{name} did not answer in {TIMEOUT:.0f} s")
+        return answer
+
+    def _add(self, bag: Path) -> Answer:
+        try:
+            return self._requests.ask("add_demonstration", bag=str(bag.resolve()))
+        except ServiceError as error:
+            if error.answer is None:
+                raise
+            return error.answer
 
     def teach(
         self, robot: Robot, lead: Callable[[], object] | None, notify: Callable[[str], object]

@@ -48,6 +48,7 @@ class Link:
 
     Attributes:
         node: The node.
+        appear_timeout: Time for a service to appear [s of wall time].
 
     Args:
         node: Node that nothing else spins.
@@ -62,7 +63,7 @@ class Link:
         log_period: float = LOG_PERIOD,
     ) -> None:
         self.node = node
-        self._appear_timeout, self._log_period = appear_timeout, log_period
+        self.appear_timeout, self._log_period = appear_timeout, log_period
         self._clients: dict[str, Client] = {}
         self._ready_times: dict[str, float] = {}  # since when a service has been seen ready
         self._changed = threading.Condition()  # notified of every message and answer
@@ -234,7 +235,7 @@ class Link:
             ServiceError: The service does not appear in time.
         """
         self.prepare(name, data=data)
-        full, timeout = self._full(name), self._appear_timeout
+        full, timeout = self._full(name), self.appear_timeout
         if not self.until(lambda: self._discovered(name), f"service {full}", timeout + DISCOVERY):
             raise ServiceError(f"{full} did not appear in {timeout:.0f} s")
         _, request = _request(data)

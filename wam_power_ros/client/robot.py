@@ -11,20 +11,20 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 import rclpy
 from rclpy.context import Context
-from rclpy.duration import Duration
-from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros.bags import reader
 from wam_power_ros.client.link import TIMEOUT, Link
 from wam_power_ros.client.reports import ControllerReports
+from wam_power_ros.client.requests import FIRST_TIMEOUT, Requests, succeeded
 from wam_power_ros.client.rollouts import Executed, Ready, Rollouts, RolloutSettings
 from wam_power_ros.control import replay_trajectory
 from wam_power_ros.control.arm import Arm
@@ -32,13 +32,12 @@ from wam_power_ros.learning.policy import Policy
 from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.answers import Answer, ServiceError
 from wam_power_ros.ros.joint_messages import JointMovement, JointStateReader, movement_message
 from wam_power_ros.ros.node_runner import participant
 
 RECORDER = "demonstration_recorder"  # node
 MOVE_TIMEOUT = 3600.0  # [s of wall time]
-RECEIPT_TIMEOUT = 15.0  # [s of wall time] in which the controller must have read a movement
 RETRY_PERIOD = 0.05  # [s of wall time] between requests to a controller that has not read it yet
 TAKE_PERIOD = 0.002  # [s of wall time] between looks for the next state
 REST_TIMES = np.linspace(0.0, 0.1, 6)  # [s] of a movement that rests at one posture
@@ -185,40 +184,18 @@ class Robot:
         Raises:
             Stopped: After an interrupt.
         """
-        future, name = None, interface.REPLAY
+        message, asked = movement_message(self.joint_names, JointMovement(t, q)), None
+        message.header.frame_id = id = uuid4().hex
         try:
             self.stop()  # succeeds once the controller is active
-            self._send(movement_message(self.joint_names, JointMovement(t, q)))
-            late = time.monotonic() + RECEIPT_TIMEOUT
-            while True:
-                future = self.link.begin(name)
-                self.link.until(future.done, "the end of the movement", MOVE_TIMEOUT)
-                answer = self.link.answer(name, future)
-                unread = answer is not None and answer.code in (Code.BUSY, Code.NOTHING)
-                if not unread or time.monotonic() > late:
-                    break
-                self.link.sleep(RETRY_PERIOD)
+            asked = self._replays.send(message, id, "replay")
+            self.link.until(lambda: asked.answer, "the end of the movement", MOVE_TIMEOUT)
         except KeyboardInterrupt:
-            self.stop()
-            if future is not None:
-                self.link.until(future.done, "the end of the movement")
-            raise Stopped(future and self.link.answer(name, future)) from None
-        if answer is None or not answer.success:
-            raise ServiceError(answer.text if answer else f"{name} did not answer", answer)
-        return answer.text
-
-    def _send(self, movement: JointTrajectory) -> None:
-        """Publish a movement, and wait until the controller has received it.
-
-        Topics and services are not ordered: otherwise the last movement might be repeated.
-        """
-        movements, topic = self._movements, interface.REPLAY_TRAJECTORY
-        if not self.link.until(movements.get_subscription_count, f"a subscriber of {topic}"):
-            raise ServiceError(f"{topic} has no subscriber: is the controller running?")
-        movements.publish(movement)
-        received = partial(movements.wait_for_all_acked, Duration(nanoseconds=1))
-        if not self.link.until(received, f"the receipt of the movement on {topic}"):
-            raise ServiceError(f"the movement on {topic} was not received")
+            self._stop_requests(self._replays)
+            if asked is not None:
+                self.link.until(lambda: asked.answer, "the end of the movement")
+            raise Stopped(asked and asked.answer) from None
+        return succeeded(asked).text
 
     def rollout(self, policy: Policy, ready: Ready = lambda state: "") -> Executed:
         """Move to the start of a policy, execute it once and hold.
@@ -237,8 +214,15 @@ class Robot:
         try:
             return self._rollouts.execute(policy, policy.basis.duration + self._settle_time, ready)
         except KeyboardInterrupt:
-            self.stop()
+            self._stop_requests(self._rollouts.controller)
             raise Stopped(None) from None
+
+    def _stop_requests(self, requests: Requests) -> None:
+        """Stop, and again once a request under way has been answered: it may begin in between."""
+        self.stop()
+        if not requests.settled:
+            self.link.until(lambda: requests.settled, "the answer to a request", FIRST_TIMEOUT)
+            self.stop()
 
     def stop(self) -> None:
         """End any movement and hold; no safety function."""
@@ -249,9 +233,14 @@ class Robot:
         self.link.insist(interface.RESET)
 
     @cached_property
-    def _movements(self) -> Publisher:
-        topic = interface.REPLAY_TRAJECTORY
-        return self.link.node.create_publisher(JointTrajectory, topic, interface.LATCHED)
+    def _replays(self) -> Requests:
+        topic, answers = interface.REPLAY, interface.CONTROLLER_ANSWER
+        return Requests(self.link, topic, answers, JointTrajectory)
+
+    @cached_property
+    def scene(self) -> Requests:
+        """Requests to a simulated scene."""
+        return Requests(self.link, interface.SCENE_REQUEST, interface.SCENE_ANSWER)
 
     @cached_property
     def _rollouts(self) -> Rollouts:
@@ -307,11 +296,11 @@ class Robot:
 
     def put_back(self) -> None:
         """Put arm and body of a simulation to the start of the next demonstration."""
-        self.link.insist(interface.body_topic(self._body, "reset"))
+        self.scene.ask("reset")
 
     def demonstrate(self) -> None:
         """Let the simulated demonstrator guide the arm."""
-        self.link.insist(interface.DEMONSTRATE)
+        self.scene.ask("demonstrate", MOVE_TIMEOUT)
 
 
 @contextmanager

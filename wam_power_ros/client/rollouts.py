@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Execution of a trial over ROS: policy out, services called, paths of the finished rollout in.
+"""Execution of a trial over ROS: policy out, paths of the finished rollout in.
 
-Publish the policy, move the arm to its start, wait until the body is ready, begin a recording,
-execute, and collect the paths, the fault and the recording. Requests and answers can be lost and
-nodes can be restarted: no single answer is awaited for long, and what may have begun is repeated
-from the start of the trial.
+Move the arm to the start of the policy, wait until the body is ready, begin a recording, execute,
+and collect the paths, the fault and the recording. A node can be restarted: what may have begun is
+repeated from the start of the trial.
 """
 
 from __future__ import annotations
@@ -12,35 +11,32 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
-from functools import partial
+from dataclasses import dataclass, fields
 from pathlib import Path as FilePath
 from typing import Any
 
 from nav_msgs.msg import Odometry, Path
-from rclpy.duration import Duration
 from std_msgs.msg import String
 
-from wam_power_ros.client.link import Link
+from wam_power_ros.client.link import RETRY_PERIOD, Link
 from wam_power_ros.client.reports import ControllerReports
+from wam_power_ros.client.requests import Requests
 from wam_power_ros.control.modes import Mode
-from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.ros import interface, pose_messages
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
 from wam_power_ros.ros.pose_messages import PathReading, StateReading
+from wam_power_ros.ros.requests import RolloutEnd
 from wam_power_ros.tasks.task import MISSING_MAX
 
 STARTS_MAX = 5  # attempts to begin one rollout
-ANSWER_TIMEOUT = 10.0  # after which an answer counts as lost [s of wall time]
-RECEIPT_TIMEOUT = 20.0  # longest wait until all readers have a policy; DDS drops a dead one [s]
-CLOCK_OFFSET_MAX = 0.2  # between arm and motion capture; the tracker allows no more [s]
+ANSWER_TIMEOUT = 10.0  # after which the answer of a service counts as lost [s of wall time]
 READY_TIMEOUT = 10.0  # after which the scene is reset again [s of wall time]
-SENDERS_LOG_PERIOD = 20.0  # between two lines about several publishers of policies [s]
 SWITCH_LOG_PERIOD = 5.0  # between two lines about the enabling switch [s]
 READY_STATES = 3  # number of successive states in which the body must be ready
+NOT_BEGUN_CODES = (Code.UNKNOWN, Code.FAULT, Code.NOT_ACTIVE, Code.NOT_AT_START, Code.STOPPED)
 NO_ANSWER = Answer(Code.UNKNOWN, "no answer")
 INACTIVE_MODES = ("", "unconfigured", Mode.INACTIVE.value)  # the first before any is known
 Ready = Callable[[StateReading | None], str]  # what is missing before a rollout, empty if nothing
@@ -94,11 +90,11 @@ class _Readiness:
 
     def __init__(self, ready: Ready, body: str) -> None:
         self._ready, self._missing = ready, f"no state of the {body} received"
-        self.count = self.stamp_ns = 0  # successive states; stamp of the last one
+        self.count = 0  # successive states
 
     def add(self, state: StateReading) -> None:
         """Judge the next state."""
-        self._missing, self.stamp_ns = self._ready(state), state.stamp_ns
+        self._missing = self._ready(state)
         self.count = 0 if self._missing else self.count + 1
 
     def __str__(self) -> str:
@@ -107,7 +103,10 @@ class _Readiness:
 
 
 class Rollouts:
-    """Executes policies through the services of controller, recorder and stand-in.
+    """Executes policies by requests to controller, recorder and stand-in.
+
+    Attributes:
+        controller: Requests to the controller.
 
     Args:
         link: Link in whose namespace the nodes run.
@@ -119,18 +118,17 @@ class Rollouts:
         self._link, self._node, self._log = link, link.node, link.node.get_logger()
         self._settings, self._body, self._reports = settings, body, ControllerReports(link)
         self._readiness = _Readiness(lambda state: "no rollout is prepared", body)
-        self._policies = self._node.create_publisher(String, interface.POLICY, interface.LATCHED)
-        self._reset = interface.body_topic(body, "reset")
+        self.controller = Requests(link, interface.CONTROLLER_REQUEST, interface.CONTROLLER_ANSWER)
+        self._scene = Requests(link, interface.SCENE_REQUEST, interface.SCENE_ANSWER)
         self._truth_topic = interface.body_topic(body, "truth")
         last, path = link.last, pose_messages.path
-        self._finished = last(String, interface.ROLLOUT_FINISHED, pose_messages.finished)
         self._tool_path = last(Path, interface.ROLLOUT_END_EFFECTOR, path)
         self._truth = last(String, self._truth_topic, pose_messages.ground_truth)
         if body:
             self._body_path = last(Path, interface.rollout_topic(body), path)
             states = interface.body_topic(body, "state")
             link.listen(Odometry, states, self._on_state, interface.STATE_OUT)
-        link.prepare(interface.MOVE_TO_START, interface.EXECUTE, interface.RESET, self._reset)
+        link.prepare(interface.RESET)
         link.prepare(interface.RECORD, data=True)
 
     def _on_state(self, message: Odometry) -> None:
@@ -149,15 +147,18 @@ class Rollouts:
             ServiceError: A service did not appear.
             ValueError: A path is not valid.
         """
-        for attempt in range(STARTS_MAX):
+        starts = 0
+        while True:
+            starts += 1
             try:
-                ready_ns = self._start(policy, ready)
-                break
+                self._prepare(policy, ready)
+                if self._settings.record_rollouts:
+                    self._begin_bag(policy.id)
+                return self._collect(policy, duration, self._execute(policy))
             except NotBegunError as error:  # the trial is not counted
                 self._log.warning(f"{policy.id} is started again: {error}")
-                if attempt == STARTS_MAX - 1:
+                if starts == STARTS_MAX:
                     raise
-        return self._collect(policy, duration, ready_ns)
 
     def until(
         self, condition: Callable[[], object], what: str | Callable[[], str], timeout: float
@@ -180,46 +181,21 @@ class Rollouts:
                 raise RolloutError(f"waited {timeout:.0f} s in vain for {awaited}")
             last = now
 
-    # Services
+    # Requests
+
+    def _ask(self, requests: Requests, do: str, policy: Policy, timeout: float) -> Answer:
+        """Answer that ends a request about a policy; of code UNKNOWN if none came at all."""
+        asked = requests.begin(do, policy=policies.to_json(policy))
+        if asked.answers:
+            self.until(lambda: asked.answer, f"the end of {asked.what} of {policy.id}", timeout)
+        return asked.answer or NO_ANSWER
 
     def _call(self, name: str, data: bool | None = None) -> Answer:
         """Answer of a service; of code UNKNOWN if none came."""
-        deadline = time.monotonic() + ANSWER_TIMEOUT
-
-        def lost() -> bool:  # a move is answered when the arm has arrived
-            mode, start = self._reports.mode, interface.MOVE_TO_START
-            moving = name == start and mode == Mode.MOVE_TO_START.value
-            return time.monotonic() > deadline and not moving
-
-        answer = self._link.call(name, data, self._settings.patience, abandon=lost)
+        answer = self._link.call(name, data, ANSWER_TIMEOUT)
         if answer is None:
             self._log.warning(f"no answer from {self._node.resolve_service_name(name)}")
         return answer or NO_ANSWER
-
-    def _insist(self, name: str, policy_id: str) -> None:
-        """Call a service until it has succeeded for this policy.
-
-        Topics and services are not ordered: a request that arrives before the policy is refused, or
-        answered for the last one. Waits without limit for a person to hold the enabling switch.
-        """
-        end = time.monotonic() + self._settings.service_timeout
-        while True:
-            answer = self._call(name)
-            if answer.success and _is_about(answer, policy_id):
-                return
-            # With no answer it may have been done: it is begun again rather than done twice. An arm
-            # that has left the start has executed a call that was given up as lost.
-            left = answer.code is Code.NOT_AT_START and _is_about(answer, policy_id)
-            if answer is NO_ANSWER or answer.code in (Code.FAULT, Code.NOT_ACTIVE) or left:
-                fault = self._reports.fault
-                reason = f" ({fault.text})" if fault else ""
-                raise NotBegunError(f"{name}: {answer.text}{reason}")
-            if answer.code is Code.SWITCH:
-                text = f"waiting for the enabling switch to be held, for {policy_id}"
-                self._log.info(text, throttle_duration_sec=SWITCH_LOG_PERIOD)
-            elif time.monotonic() > end:
-                raise RolloutError(f"{name} for {policy_id} failed: {answer}")
-            self._link.sleep(0.05)
 
     def _begin_bag(self, policy_id: str) -> None:
         answer = self._call(interface.RECORD, True)
@@ -235,36 +211,44 @@ class Rollouts:
 
     # One rollout
 
-    def _start(self, policy: Policy, ready: Ready) -> int:
-        """Begin the rollout of a policy.
+    def _execute(self, policy: Policy) -> RolloutEnd:
+        """Execute the policy, to the end.
 
-        Returns:
-            Stamp of a state at which the body was ready before it [ns], 0 without a body.
+        Waits without limit for a person to hold the enabling switch.
 
         Raises:
             NotBegunError: The controller had a fault before, or did not answer.
         """
-        ready_ns = self._await_body(policy, ready)
-        if self._settings.record_rollouts:
-            self._begin_bag(policy.id)
-        self._reports.fault = None
-        self._insist(interface.EXECUTE, policy.id)
-        return ready_ns
+        end = time.monotonic() + self._settings.service_timeout
+        while True:
+            answer = self._ask(self.controller, "execute", policy, self._settings.rollout_timeout)
+            if answer.success:
+                return RolloutEnd.of(answer)
+            if answer.code in NOT_BEGUN_CODES:
+                raise NotBegunError(answer.text)
+            if answer.code is Code.SWITCH:
+                text = f"waiting for the enabling switch to be held, for {policy.id}"
+                self._log.info(text, throttle_duration_sec=SWITCH_LOG_PERIOD)
+            elif time.monotonic() > end:
+                raise RolloutError(f"{policy.id} could not be executed: {answer}")
+            self._link.sleep(RETRY_PERIOD)
 
-    def _await_body(self, policy: Policy, ready: Ready) -> int:
+    def _prepare(self, policy: Policy, ready: Ready) -> None:
         """Move the arm to the start of the policy, and wait until the body is ready there.
 
-        In simulation the scene is reset, repeatedly if needed: a request that was given up as lost
-        may be served late and throw the body off. On hardware a person has `patience` for it.
+        In simulation the scene is reset, again if needed. On hardware a person has `patience` to do
+        that.
         """
         end = time.monotonic() + self._settings.patience
         scene_reset = self._settings.scene_reset
         while True:
             self._reach_start(policy)
             if scene_reset:
-                self._insist(self._reset, policy.id)
+                answer = self._ask(self._scene, "reset", policy, self._settings.service_timeout)
+                if not answer.success:
+                    raise NotBegunError(f"the scene is not reset: {answer.text}")
             if not self._body:
-                return 0
+                return
             self._readiness = readiness = _Readiness(ready, self._body)
             try:
                 self.until(
@@ -272,7 +256,7 @@ class Rollouts:
                     lambda: f"the {self._body} to be ready: {readiness}",  # noqa: B023
                     READY_TIMEOUT if scene_reset else self._settings.patience,
                 )
-                return readiness.stamp_ns
+                return
             except RolloutError:
                 if not scene_reset or time.monotonic() > end:
                     raise
@@ -284,38 +268,21 @@ class Rollouts:
         Waits without limit for a person to activate the controller.
         """
         end = time.monotonic() + self._settings.patience
-        late = time.monotonic() + RECEIPT_TIMEOUT  # readers not discovered yet have no policy
-        text = policies.to_json(policy)
-        digest = policies.digest(text)
-        if self._node.count_publishers(self._policies.topic_name) > 1:
-            self._log.warning(self._senders(), throttle_duration_sec=SENDERS_LOG_PERIOD)
-        while True:  # publish each time: a policy is refused in a rollout, as of a killed learner
-            self._link.wait_for(interface.MOVE_TO_START)
-            self._policies.publish(String(data=text))
-            # Topics and services are not ordered: the move could be to the last policy's start.
-            received = partial(self._policies.wait_for_all_acked, Duration(nanoseconds=1))
-            self._link.until(received, "all readers to have the policy", RECEIPT_TIMEOUT)
-            answer = self._call(interface.MOVE_TO_START)
-            if answer.success and _is_about(answer, policy.id):
-                if answer.values.get("digest", digest) == digest:
-                    return
-                answer = replace(answer, text=f"another policy with this id: {self._senders()}")
+        while True:
+            answer = self._ask(self.controller, "move_to_start", policy, self._settings.patience)
+            if answer.success:
+                return
             if answer.code is Code.NOT_ACTIVE:
                 self._await_activation()
                 end = time.monotonic() + self._settings.patience
                 continue
-            if time.monotonic() > end:
-                raise RolloutError(f"{interface.MOVE_TO_START} for {policy.id} failed: {answer}")
+            if time.monotonic() > end or answer.code is Code.REFUSED:
+                raise RolloutError(f"the arm cannot move to the start of {policy.id}: {answer}")
             if answer.code is Code.FAULT and self._settings.reset_faults:
                 self._call(interface.RESET)
-            elif answer.code is not Code.NOTHING or time.monotonic() > late:
+            else:
                 self._log.warning(f"the arm cannot move to its start yet: {answer}", once=True)
-            self._link.sleep(0.1)
-
-    def _senders(self) -> str:
-        """Publishers of policies, as text; the last message of any of them is executed."""
-        senders = interface.publishers(self._node, self._policies.topic_name)
-        return f"{', '.join(senders)} publish {self._policies.topic_name}"
+            self._link.sleep(RETRY_PERIOD)
 
     def _await_activation(self) -> None:
         """Wait until the diagnostics say that the controller is active."""
@@ -326,13 +293,11 @@ class Rollouts:
             math.inf,
         )
 
-    def _collect(self, policy: Policy, duration: float, ready_ns: int) -> Executed:
-        """Wait for the end of the rollout that began after the body was ready, and its messages.
+    def _collect(self, policy: Policy, duration: float, end: RolloutEnd) -> Executed:
+        """Wait for the messages of the rollout that has ended.
 
-        The latched topics may still have those of an earlier rollout of the same trial, whose
-        learner was killed; all messages of one rollout have the stamp of its start.
+        The latched topics may have those of an earlier one; paths have the stamp of its start.
         """
-        earliest_ns = ready_ns - round(CLOCK_OFFSET_MAX * 1e9)
 
         def awaited(last: Callable[[], Any], fits: Callable[[Any], bool], what: str) -> Any:  # noqa: ANN401
             found: list[Any] = []
@@ -345,11 +310,8 @@ class Rollouts:
             return found[0]
 
         def same(path: PathReading) -> bool:
-            return path.start_ns == finished.start_ns
+            return path.start_ns == end.start_ns
 
-        finished = awaited(
-            self._finished, lambda it: it.id == policy.id and it.start_ns >= earliest_ns, "end"
-        )
         tool = EndEffectorPath(policy.id, *awaited(self._tool_path, same, "path of the tool")[1:])
         body = truth = None
         if self._body:
@@ -359,16 +321,8 @@ class Rollouts:
         if self._node.count_publishers(self._truth_topic):
             truth = awaited(
                 self._truth,
-                lambda it: it.values.get("id") == policy.id and it.end_ns >= finished.start_ns,
+                lambda it: it.values.get("id") == policy.id and it.end_ns >= end.start_ns,
                 "ground truth",
             ).values
-        fault = finished.fault if tool.t[-1] < duration - MISSING_MAX else None
-        if finished.digest not in ("", policies.digest(policies.to_json(policy))):
-            text = f"another policy was executed under the id {policy.id}: {self._senders()}"
-            self._log.error(text)
-            fault = Fault(FaultKind.OTHER_POLICY, text)
-        return Executed(Rollout(tool, body, fault, finished.stopped_in), bag, truth)
-
-
-def _is_about(answer: Answer, policy_id: str) -> bool:
-    return answer.values.get("policy") == policy_id
+        fault = end.fault if tool.t[-1] < duration - MISSING_MAX else None
+        return Executed(Rollout(tool, body, fault, end.stopped_in), bag, truth)

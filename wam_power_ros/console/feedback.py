@@ -33,7 +33,7 @@ def give(
     """Send feedback to the learner.
 
     Args:
-        kind: One of `client.feedback.REQUESTS`.
+        kind: One of `client.feedback.SERVICES`, or "demonstration".
         bag: Bag of the demonstration, for the kind "demonstration".
         namespace: Namespace of the learner.
         environment: Variables that select the DDS domain of the learner, over those of this

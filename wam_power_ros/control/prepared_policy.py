@@ -25,7 +25,6 @@ class PreparedPolicy:
         orientation_reference: R_ref as a unit quaternion xyzw. Shape (4,).
         tables: Tables of Eq. 1, sampled at the control period.
         content: Digest of the policy without its id; empty without `hold_to_run`.
-        digest: Digest of the text that the policy came as, see `policy.digest`; empty if unknown.
     """
 
     id: str
@@ -34,7 +33,6 @@ class PreparedPolicy:
     orientation_reference: np.ndarray
     tables: dmp.Tables
     content: str
-    digest: str = ""
 
 
 def prepare(policy: Policy, n: int, limits: Limits, settings: ControllerSettings) -> PreparedPolicy:

@@ -6,7 +6,6 @@ key, a number that is not finite, a wrong shape or a stiffness that is not posit
 a ValueError that names it. Floats survive the round trip bit for bit.
 """
 
-import hashlib
 import json
 import re
 from collections.abc import Sequence
@@ -21,7 +20,6 @@ from wam_power_ros.arm_identity import JOINTS_MAX, ArmIdentity, identity_of
 
 SCHEMA = "wam_power_ros/policy/2"  # version 1, without the identity of the arm, is still read
 PERIOD = 0.002  # control period [s]
-DIGEST_LENGTH = 16  # hexadecimal digits of a digest: against accidents, not against an attacker
 SIZE_MAX = 1_000_000  # largest JSON text [byte]
 COUNT_MAX = 200  # largest number of spring-dampers
 DURATION_MAX = 60.0  # longest movement [s]
@@ -278,11 +276,6 @@ def to_json(policy: Policy) -> str:
         },
         allow_nan=False,
     )
-
-
-def digest(text: str) -> str:
-    """Digest of the JSON text of a policy, to compare a sent with an executed one."""
-    return hashlib.sha256(text.encode()).hexdigest()[:DIGEST_LENGTH]
 
 
 def from_json(text: str) -> Policy:

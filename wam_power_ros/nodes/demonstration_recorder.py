@@ -216,14 +216,15 @@ class DemonstrationRecorder(Node):
         all states up to the time of the request.
         """
         begun, now_ns = time.monotonic(), self.get_clock().now().nanoseconds
-        path, finished = self._body_path_topic, self.resolve_topic_name(interface.ROLLOUT_FINISHED)
+        path = self._body_path_topic
+        tool_path = self.resolve_topic_name(interface.ROLLOUT_END_EFFECTOR)
         self._topics.take()
         while self._sim_time and 0 < self._state_ns < now_ns:
             if time.monotonic() - begun > STATES_TIMEOUT:
                 break
             time.sleep(0.01)
             self._topics.take()
-        while path and finished in recording and path not in recording:
+        while path and tool_path in recording and path not in recording:
             if time.monotonic() - begun > PATH_TIMEOUT:
                 return
             time.sleep(0.01)

@@ -24,7 +24,6 @@ import rclpy
 from pydantic import Field, model_validator
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from typing_extensions import Self
 
@@ -49,6 +48,7 @@ from wam_power_ros.ros.node_runner import (
     parameter_file_hint,
     refusing_open_sockets,
 )
+from wam_power_ros.ros.requests import Request, Server
 from wam_power_ros.tasks.task import Pose, Task
 
 Timeout = Annotated[
@@ -119,16 +119,15 @@ class Learner(Node):
         self._practice: Practice | None = None
         self._lock = threading.Lock()
         self._paused = self._under_way = False
-        self._bag = ""  # last path on LEARNER_BAG
-        self.create_subscription(String, interface.LEARNER_BAG, self._on_bag, interface.LATCHED)
         rating = self.params.rating
         for kind, name, answer in (
-            (Trigger, interface.LEARNER_REWARD, self._serve(lambda: self._rate(rating))),
-            (Trigger, interface.LEARNER_PUNISH, self._serve(lambda: self._rate(-rating))),
-            (Trigger, interface.LEARNER_DEMONSTRATION, self._serve(self._add_demonstration)),
+            (Trigger, interface.LEARNER_REWARD, self._rated(rating)),
+            (Trigger, interface.LEARNER_PUNISH, self._rated(-rating)),
             (SetBool, interface.LEARNER_PAUSE, self._on_pause),
         ):
             self.create_service(kind, name, answer)
+        begin = {"add_demonstration": self._add_demonstration}
+        Server(self, interface.LEARNER_REQUEST, interface.LEARNER_ANSWER, begin)
         self._kind = self._task_type()
         self._demonstrations = Demonstrations(self._kind, self._arm, params.joint_names, log)
         self._link = Link(self, params.service_timeout)
@@ -137,9 +136,6 @@ class Learner(Node):
         self._markers = Markers(self, self._kind.body, self._arm.region)
 
     # Requests of a person
-
-    def _on_bag(self, message: String) -> None:
-        self._bag = message.data
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         with self._lock:
@@ -152,46 +148,53 @@ class Learner(Node):
         response.message = str(Answer(Code.DONE, text, trial))
         return response
 
-    def _serve(
-        self, make: Callable[[], Event]
+    def _rated(
+        self, amount: float
     ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        """Service callback that appends an event to the log, or answers why it cannot."""
+        """Service callback that rates the last finished rollout, or answers why it cannot."""
 
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             try:
-                with self._lock:
-                    if self._practice is None:
-                        raise ValueError("no session is under way")
-                    event = make()
-                    self._session.append(event)
-            except LookupError as error:
-                response.message = str(Answer(Code.NOTHING, str(error.args[0])))
-                return response
+                answer = self._log(
+                    lambda practice: practice.rate(amount, clock={"at": time.time()})
+                )
             except ValueError as error:
-                response.message = str(Answer(Code.REFUSED, str(error)))
+                answer = Answer(Code.REFUSED, str(error))
                 self.get_logger().warning(f"request refused: {error}")
-                return response
-            self.get_logger().info(event.note)
-            response.success = True
-            response.message = str(Answer(Code.DONE, event.note))
+            response.success, response.message = answer.success, str(answer)
             return response
 
         return serve
 
-    def _rate(self, amount: float) -> Event:
-        return self._practice.rate(amount, clock={"at": time.time()})
+    def _log(self, make: Callable[[Practice], Event]) -> Answer:
+        """Append an event to the log of the session.
 
-    def _add_demonstration(self) -> Event:
-        practice, bag, self._bag = self._practice, self._bag, ""
-        if not bag:  # topics and services are not ordered: the path may still come
-            raise LookupError(f"no bag was named on {interface.LEARNER_BAG}")
-        taken = [candidate.id for candidate in practice.candidates]
-        number = len(taken) + 1
-        while f"demonstration-{number}" in taken:
-            number += 1
-        read = self._demonstrations.read(bag)
-        policy = self._demonstrations.fit([read], bag, f"demonstration-{number}")
-        return practice.add_demonstration(policy, bag, clock={"at": time.time()})
+        Raises:
+            ValueError: There is none, or the event is not possible.
+        """
+        with self._lock:
+            if self._practice is None:
+                raise ValueError("no session is under way")
+            event = make(self._practice)
+            self._session.append(event)
+        self.get_logger().info(event.note)
+        return Answer(Code.DONE, event.note)
+
+    def _add_demonstration(self, asked: Request) -> Answer:
+        bag = asked.about.get("bag", "")
+        if not bag:
+            raise ValueError("the request names no bag")
+
+        def make(practice: Practice) -> Event:
+            taken = [candidate.id for candidate in practice.candidates]
+            number = len(taken) + 1
+            while f"demonstration-{number}" in taken:
+                number += 1
+            read = self._demonstrations.read(bag)
+            policy = self._demonstrations.fit([read], bag, f"demonstration-{number}")
+            return practice.add_demonstration(policy, bag, clock={"at": time.time()})
+
+        return self._log(make)
 
     # A session
 

@@ -1,22 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services that move the arm: carried out after earlier messages are read, answered at rest."""
+"""Requests that move the arm, one at a time, and the answers when it rests again."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import ControllerError, Mode
-from wam_power_ros.ros import interface
-from wam_power_ros.ros.answers import Answer, Code
-from wam_power_ros.ros.deferred_service import DeferredTrigger
+from wam_power_ros.control.prepared_policy import PreparedPolicy
+from wam_power_ros.learning.rollout import EndEffectorPath
+from wam_power_ros.ros.answers import NOT_ACTIVE, Answer, Code
+from wam_power_ros.ros.requests import RolloutEnd
 
-NOT_ACTIVE = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
+KEPT = 16  # last answers, for a request that comes again after the preparation process has ended
+STOPPED = Answer(Code.STOPPED, "stopped")
 
 
 def attempt(core: Controller | None, request: Callable[[Controller], None]) -> Answer:
@@ -32,12 +34,7 @@ def attempt(core: Controller | None, request: Callable[[Controller], None]) -> A
         request(core)
     except ControllerError as error:
         return Answer(Code(error.refusal.value), str(error), error.values)
-    return done(core.policy_id)
-
-
-def done(policy_id: str | None) -> Answer:
-    """Answer to a request that was done, with the id of the loaded policy."""
-    return Answer(Code.DONE, values={"policy": policy_id} if policy_id else {})
+    return Answer(Code.DONE, values={"policy": core.policy_id} if core.policy_id else {})
 
 
 def fill(response: Trigger.Response, answer: Answer) -> Trigger.Response:
@@ -47,126 +44,109 @@ def fill(response: Trigger.Response, answer: Answer) -> Trigger.Response:
 
 
 class MotionRequests:
-    """Requests for rollouts, moves to the start and replays, and their answers.
-
-    Attributes:
-        movement: Movement to replay, or why it cannot be replayed; None when none has come.
-        digest: Digest of the loaded policy, see `policy.digest`; empty before the first.
-        executed: Digest of the policy that was executed last.
+    """Requests for rollouts, moves to the start and replays.
 
     Args:
-        node: Node that offers the services.
         joint_names: Names of the joints, for the summary of a replay.
         active: Returns the controller, None when it is not active.
-        when_read: Calls a function once all messages published before have been read, see
-            `Preparation.when_read`.
+        give: Sends the answer to the request of an id.
     """
 
     def __init__(
         self,
-        node: Node,
         joint_names: Sequence[str],
         active: Callable[[], Controller | None],
-        when_read: Callable[[Callable[[str | None], None]], None],
+        give: Callable[[str, Answer], None],
     ) -> None:
-        self._node, self._joint_names = node, joint_names
-        self._active, self._when_read = active, when_read
-        self.movement: Sampled | ControllerError | None = None
-        self.digest = self.executed = ""
-        self._move_done = done(None)  # names the policy to whose start the arm was last sent
-        self._moving: list[DeferredTrigger] = []  # services whose movement has begun
-        self._execute = self._serve_in_order(interface.EXECUTE, self._begin_rollout)
-        self._move = self._serve_in_order(interface.MOVE_TO_START, self._begin_move)
-        self._replay = self._serve_in_order(interface.REPLAY, self._begin_replay)
+        self._joint_names, self._active, self._send = joint_names, active, give
+        self._given: dict[str, Answer] = {}  # last answers by id
+        self._id = self._do = ""  # request under way; "" for none
+        self._stopped_ns = 0  # wall time; what was sent before is not begun
 
-    def answer(self, core: Controller) -> None:
-        """Answer the requests for a movement once the arm rests or the movement was aborted."""
-        if not self._moving:
-            return
-        mode = core.mode
-        if mode in (Mode.MOVE_TO_START, Mode.REPLAY) or (mode is Mode.HOLD and not core.at_rest):
-            return
-        if core.latched is not None:
-            failed = Answer(Code.FAULT, f"failed: {core.latched.text}")
-        else:
-            failed = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
-        # The move's policy: another one, with a start nearby, may have come since.
-        if self._move in self._moving:
-            answer = self._move_done if core.ready else failed
-            self._move.finish(answer.success, str(answer))
-        if self._replay in self._moving:
-            answer = Answer(Code.DONE, self._summary(core)) if mode is Mode.HOLD else failed
-            self._replay.finish(answer.success, str(answer))
-        self._moving.clear()
+    def begin(self, id: str, do: str, about: PreparedPolicy | Sampled, sent_ns: int) -> None:
+        """Begin a movement and answer that it has begun, or why not.
 
-    def stop(self, core: Controller | None) -> None:
-        """Answer all pending requests: a person has stopped the arm."""
-        summary = self._summary(core) if self._replay in self._moving else ""
-        self._replay.finish(False, str(Answer(Code.STOPPED, f"stopped\n{summary}".rstrip())))
-        for service in (self._execute, self._move):
-            service.finish(False, str(Answer(Code.STOPPED, "stopped")))
-        self._moving.clear()
-
-    def refuse(self) -> None:
-        """Answer all pending requests: the controller is not active any more."""
-        for service in (self._execute, self._move, self._replay):
-            service.finish(False, str(NOT_ACTIVE))
-
-    def _serve_in_order(self, name: str, begin: Callable[[], Answer | None]) -> DeferredTrigger:
-        """Service whose request is made once earlier policies and movements have been read.
+        A request that comes again is answered as before: nothing is done twice.
 
         Args:
-            name: Name of the service.
-            begin: Makes the request; returns the answer, or None when `answer` will give it.
+            id: Id of the request.
+            do: "move_to_start" or "execute" a policy, or "replay" a movement.
+            about: The policy or the movement.
+            sent_ns: When the request was sent, by the clock of its sender [ns].
         """
-
-        def called() -> str | None:
-            if self._active() is None:
-                return str(NOT_ACTIVE)
-            if service.pending:
-                return str(Answer(Code.BUSY, "refused: the previous request is under way"))
-            self._when_read(ready)
-            return None
-
-        def ready(problem: str | None) -> None:
-            answer = begin() if problem is None else Answer(Code.BUSY, f"refused: {problem}")
-            if answer is None:
-                self._moving.append(service)
-            else:
-                service.finish(answer.success, str(answer))
-
-        service = DeferredTrigger(self._node, name, called)
-        return service
-
-    def _begin_rollout(self) -> Answer:
-        answer = attempt(self._active(), Controller.execute)
-        if answer.success:
-            self.executed = self.digest
-        return self._with_digest(answer)
-
-    def _begin_move(self) -> Answer | None:
-        answer = attempt(self._active(), Controller.move_to_start)
-        self._move_done = self._with_digest(answer)
-        return None if answer.success else answer
-
-    def _with_digest(self, answer: Answer) -> Answer:
-        """Add the digest of the loaded policy to an answer that has its id."""
-        known = answer.success and "policy" in answer.values and self.digest
-        return replace(answer, values={**answer.values, "digest": self.digest}) if known else answer
-
-    def _begin_replay(self) -> Answer | None:
-        movement = self.movement
-        if movement is None:
-            text = f"refused: no valid trajectory has come on {interface.REPLAY_TRAJECTORY}"
-            return Answer(Code.NOTHING, text)
+        if id in self._given:
+            return self._send(id, self._given[id])
 
         def start(core: Controller) -> None:
-            if isinstance(movement, ControllerError):
-                raise movement
-            core.start_replay(movement)
+            if do == "replay":
+                return core.start_replay(about)
+            core.load_prepared(about)
+            return core.execute() if do == "execute" else core.move_to_start()
 
+        if sent_ns < self._stopped_ns:
+            return self._give(id, replace(STOPPED, text="stopped: sent before the last stop"))
+        if self._id:
+            return self.refuse(id, "the previous request is under way")
         answer = attempt(self._active(), start)
-        return None if answer.success else answer
+        if answer.success:
+            self._id, self._do = id, do
+            answer = replace(answer, code=Code.BEGUN)
+        return self._give(id, answer)
+
+    def refuse(self, id: str, reason: str) -> None:
+        """Refuse a request for now."""
+        self._give(id, Answer(Code.BUSY, f"refused: {reason}"))
+
+    def rollout_ended(self, core: Controller, path: EndEffectorPath, start_ns: int) -> None:
+        """Answer the request for a rollout whose path, from a stamp [ns] on, is complete."""
+        if self._do == "execute":
+            self._end(RolloutEnd(path.id, start_ns, core.latched, core.stopped_in).answer())
+
+    def answer(self, core: Controller) -> None:
+        """Answer the request under way once the arm rests or the movement was aborted."""
+        mode = core.mode
+        if not self._id or mode in (Mode.MOVE_TO_START, Mode.REPLAY, Mode.ROLLOUT):
+            return
+        if mode is Mode.HOLD and not core.at_rest:
+            return
+        if core.latched is not None:
+            answer = Answer(Code.FAULT, f"failed: {core.latched.text}")
+        else:
+            answer = Answer(Code.STOPPED, f"failed: mode is {mode.value}")
+        if self._do == "move_to_start" and core.ready:
+            answer = Answer(Code.DONE, values={"policy": core.policy_id})
+        elif self._do == "replay" and mode is Mode.HOLD:
+            answer = Answer(Code.DONE, self._summary(core))
+        self._end(answer)
+
+    def stop(self, core: Controller | None) -> None:
+        """Answer the request under way: a person has stopped the arm.
+
+        A request that was sent before, and is still being read, is not begun any more.
+        """
+        self._stopped_ns = time.time_ns()
+        if self._do == "replay":
+            summary = self._summary(core)
+            self._end(replace(STOPPED, text=f"stopped\n{summary}".rstrip()))
+        elif self._do == "move_to_start":
+            self._end(STOPPED)
+
+    def deactivated(self) -> None:
+        """Answer the request under way: the controller is not active any more."""
+        self._stopped_ns = time.time_ns()
+        if self._id:
+            self._end(NOT_ACTIVE)
+
+    def _end(self, answer: Answer) -> None:
+        id, self._id, self._do = self._id, "", ""
+        self._give(id, answer)
+
+    def _give(self, id: str, answer: Answer) -> None:
+        self._given.pop(id, None)
+        self._given[id] = answer
+        if len(self._given) > KEPT:
+            del self._given[next(iter(self._given))]
+        self._send(id, answer)
 
     def _summary(self, core: Controller | None) -> str:
         """Tracking error of the last replay, as text."""

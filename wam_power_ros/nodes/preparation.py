@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The torque controller's side of its preparation process.
 
-Slow work is done in a process beside the 500 Hz loop (`preparation_worker`): it receives policies
-and movements to replay, reads, checks and tabulates them, and publishes and logs for the loop.
+Slow work is done in a process beside the 500 Hz loop (`preparation_worker`): it receives requests,
+reads, checks and tabulates their policies and movements, and answers, publishes and logs.
 docs/architecture.md says why this is a process and not a thread.
 """
 
@@ -23,22 +23,19 @@ import numpy as np
 from wam_power_ros.arm_identity import ArmIdentity
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.joint_references import Sampled
-from wam_power_ros.control.modes import ControllerError, Refusal
 from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.safety import Limits
-from wam_power_ros.faults import Fault
 from wam_power_ros.learning.dmp import Tables
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.regions import Region
+from wam_power_ros.ros.answers import Answer
 from wam_power_ros.ros.process_channel import Channel, Message, pair
 
 NAME = "torque_controller_preparation"  # node of the process
 MODULE = "wam_power_ros.nodes.preparation_worker"
 CHANNEL = 3  # file descriptor of its end of the channel
-POLICY, MOVEMENT = "policy", "replay trajectory"  # kinds of messages, as refusals name them
-READ_TIMEOUT = 5.0  # longest wait of a request until earlier messages are read [s]
+REQUEST, MOVEMENT = "request", "replay trajectory"  # kinds of messages, as refusals name them
 RESTART_PERIOD = 1.0  # [s] between two starts of the process
-SEEN_MAX = 16  # last messages, which a restarted process must not read again
 UNSENT_MAX = 200  # messages that wait for the process; the oldest are dropped
 LOG_PERIOD_NS = 1_000_000_000  # [ns] between two warnings
 
@@ -52,23 +49,26 @@ class Preparation:
 
     Args:
         domain: DDS domain of the node.
-        on_policy: Called by `poll` with every policy that fits the arm.
-        on_movement: Called by `poll` with every movement to replay, or the error if it cannot be.
-        on_refusal: Called by `poll` with the kind of a refused message, POLICY or MOVEMENT, and the
-            reason.
+        on_request: Called by `poll` with the id of a request, what to do, the policy or movement
+            that it is about, and when it was sent [ns].
+        on_refusal: Called by `poll` with the kind of a refused message, REQUEST or MOVEMENT, and
+            the reason.
+        on_lost: Called by `poll` with the id of a request that the process had not read when it
+            ended, and the reason.
     """
 
     def __init__(
         self,
         domain: int,
-        on_policy: Callable[[PreparedPolicy], None],
-        on_movement: Callable[[Sampled | ControllerError], None],
+        on_request: Callable[[str, str, PreparedPolicy | Sampled, int], None],
         on_refusal: Callable[[str, str], None],
+        on_lost: Callable[[str, str], None],
     ) -> None:
         self._domain = domain
-        self._on_policy, self._on_movement, self._on_refusal = on_policy, on_movement, on_refusal
+        self._on_request, self._on_refusal, self._on_lost = on_request, on_refusal, on_lost
         self.starts = 0
         self.pid: int | None = None
+        self._reading = ""  # id of the request that the process is reading; "" for none
         self._started = -RESTART_PERIOD  # [s, steady clock]
         self._channel: Channel | None = None
         self._settings: dict[str, object] | None = None
@@ -77,10 +77,6 @@ class Preparation:
         self._unsent: deque[tuple[dict[str, object], dict[str, np.ndarray] | None]] = deque(
             maxlen=UNSENT_MAX
         )
-        self._reading: tuple[str, int] | None = None  # the message being read: kind, stamp
-        self._seen: deque[tuple[str, int]] = deque(maxlen=SEEN_MAX)
-        self._waiting: dict[int, tuple[Callable[[str | None], None], float]] = {}  # by mark
-        self._marks = 0
         self._warned_ns = -LOG_PERIOD_NS
         self.tend()
 
@@ -101,44 +97,19 @@ class Preparation:
             "joint_names": list(joint_names),
         }
         if self._channel is not None:
-            self._send({**self._settings, "seen": list(self._seen)})
+            self._send(self._settings)
 
-    def when_read(self, then: Callable[[str | None], None]) -> None:
-        """Call `then` from `poll` once all messages published before have been read.
+    def answer(self, id: str, answer: Answer) -> None:
+        """Answer a request."""
+        code, values = answer.code.value, dict(answer.values)
+        self._send(
+            {"what": "answer", "id": id, "code": code, "text": answer.text, "values": values}
+        )
 
-        Args:
-            then: Called with None, or with the reason why this is not known.
-        """
-        self._marks += 1
-        self._waiting[self._marks] = then, time.monotonic() + READ_TIMEOUT
-        self._send({"what": "mark", "number": self._marks})
-
-    def forget_requests(self) -> None:
-        """Drop all pending calls of `when_read`."""
-        self._waiting.clear()
-
-    def publish_path(
-        self,
-        path: EndEffectorPath,
-        start_ns: int,
-        frame: str,
-        fault: Fault | None = None,
-        digest: str = "",
-        stopped_in: str = "",
-    ) -> None:
-        """Publish the path of a rollout.
-
-        Args:
-            path: Path of the tool.
-            start_ns: Stamp of its begin [ns].
-            frame: Frame of the path.
-            fault: Fault at its end, None without one.
-            digest: Digest of the executed policy, see `policy.digest`.
-            stopped_in: Name of the guarded region that ended it, "" if none did.
-        """
-        values: dict[str, object] = {"what": "path", "id": path.id, "start_ns": start_ns}
-        values |= {"frame": frame, "fault": fault and [fault.kind.value, fault.text]}
-        values |= {"digest": digest, "stopped_in": stopped_in}
+    def publish_path(self, path: EndEffectorPath, start_ns: int, frame: str) -> None:
+        """Publish the path of a rollout that began at a stamp [ns], in a frame."""
+        values: dict[str, object] = {"what": "path", "id": path.id}
+        values |= {"start_ns": start_ns, "frame": frame}
         self._path = (values, {"t": path.t, "position": path.position, "quat_xyzw": path.quat_xyzw})
         self._send(*self._path)
 
@@ -184,73 +155,46 @@ class Preparation:
 
     # From the process
 
-    @property
-    def waiting(self) -> bool:
-        """True while calls of `when_read` are pending."""
-        return bool(self._waiting)
-
     def poll(self) -> None:
         """Handle at most one message from the process; called between two states."""
-        if self._channel is not None:
-            self._flush()
-            try:
-                message = self._channel.receive()
-            except MemoryError as error:
-                self._refused(self._reading[0] if self._reading else POLICY, str(error))
-            except EOFError:
-                self._ended()
-            else:
-                if message is not None:
-                    self._take(message)
-        if self._waiting:
-            now = time.monotonic()
-            reason = f"messages published before were not read within {READ_TIMEOUT:.0f} s"
-            for mark in [mark for mark, (_, late) in self._waiting.items() if now > late]:
-                self._waiting.pop(mark)[0](reason)
+        if self._channel is None:
+            return None
+        self._flush()
+        try:
+            message = self._channel.receive()
+        except MemoryError as error:
+            return self._lose(str(error))
+        except EOFError:
+            self.close()
+            reason = "the process that reads policies and trajectories has ended and is restarted"
+            self._lose(reason)
+            return self.log("warning", reason)
+        return None if message is None else self._take(message)
+
+    def _lose(self, reason: str) -> None:
+        """Refuse the request that the process was reading."""
+        id, self._reading = self._reading, ""
+        if id:
+            self._on_lost(id, reason)
 
     def _take(self, message: Message) -> None:
         values, arrays = message
         what = values["what"]
-        if what == "mark":
-            if (waiting := self._waiting.pop(values["number"], None)) is not None:
-                waiting[0](None)
-        elif what == "reading":
-            self._reading = values["kind"], values["stamp"]
-        elif what == "refused":
-            self._refused(values["kind"], values["text"])
+        if what == "reading":
+            self._reading = values["id"]
+            return
+        self._reading = ""
+        if what == "refused":
+            self._on_refusal(values["kind"], values["text"])
+        elif values["configuration"] != self._configuration:
+            self._on_lost(values["id"], "the controller was configured anew")
+        elif what == "policy":
+            tables = Tables(**{name: arrays.pop(name) for name in TABLES}, **values["tables"])
+            policy = PreparedPolicy(**values["policy"], **arrays, tables=tables)
+            self._on_request(values["id"], values["do"], policy, values["sent_ns"])
         else:
-            self._finish_reading()
-            if values["configuration"] != self._configuration:
-                return
-            if what == "policy":
-                scalars = values["tables"]
-                tables = Tables(**{name: arrays.pop(name) for name in TABLES}, **scalars)
-                self._on_policy(PreparedPolicy(**values["policy"], **arrays, tables=tables))
-            elif what == "movement":
-                self._on_movement(Sampled(**arrays, **values["movement"]))
-            elif what == "no movement":
-                refusal = Refusal(values["refusal"])
-                self._on_movement(ControllerError(refusal, values["text"], values["values"]))
-
-    def _refused(self, kind: str, text: str) -> None:
-        self._finish_reading()
-        self._on_refusal(kind, text)
-
-    def _finish_reading(self) -> None:
-        if self._reading is not None:
-            self._seen.append(self._reading)
-        self._reading = None
-
-    def _ended(self) -> None:
-        """Refuse the message that the process was reading, and let `tend` start another."""
-        self.close()
-        reason = "the process that reads policies and trajectories has ended and is restarted"
-        if self._reading is not None:
-            self._refused(self._reading[0], reason)
-        self.log("warning", reason)
-        waiting, self._waiting = self._waiting, {}
-        for then, _ in waiting.values():
-            then(reason)
+            movement = Sampled(**arrays, **values["movement"])
+            self._on_request(values["id"], "replay", movement, values["sent_ns"])
 
     # Start and end of the process
 
@@ -277,7 +221,7 @@ class Preparation:
         if self._path is not None:
             self._unsent.appendleft(self._path)  # its topic is latched
         if self._settings is not None:
-            self._unsent.appendleft(({**self._settings, "seen": list(self._seen)}, None))
+            self._unsent.appendleft((self._settings, None))
         self._flush()
 
     def close(self) -> None:

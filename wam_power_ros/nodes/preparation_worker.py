@@ -1,19 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Process beside the torque controller: prepares policies and movements, publishes and logs.
+"""Process beside the torque controller: takes its requests, answers, publishes and logs.
 
 Started by `preparation.Preparation`, with plain scheduling and its own node; ends with the
-controller. It hands over policies with their tables, and movements sampled on the control grid.
+controller. It hands requests over with what they are about: policies with their tables, and
+movements sampled on the control grid.
 """
 
 from __future__ import annotations
 
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
-from rclpy.subscription import Subscription
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
@@ -31,28 +29,28 @@ from wam_power_ros.control import prepared_policy, replay_trajectory
 from wam_power_ros.control.controller_settings import ControllerSettings
 from wam_power_ros.control.modes import ControllerError
 from wam_power_ros.control.safety import Limits
-from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.rollout import EndEffectorPath
 from wam_power_ros.nodes.preparation import (
     MOVEMENT,
     NAME,
-    POLICY,
+    REQUEST,
     TABLES,
     channel_of_process,
     settings_of,
 )
-from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages
+from wam_power_ros.ros import interface, joint_messages, node_runner, pose_messages, requests
+from wam_power_ros.ros.answers import NOT_ACTIVE, Answer, Code
 from wam_power_ros.ros.diagnostics import diagnostics_message
 from wam_power_ros.ros.process_channel import Channel, Message
 from wam_power_ros.ros.stamps import time_message
 
-# Larger messages are refused unread. A policy is as long as its text; 20 MB are 200 000 points of
-# seven joints with positions alone, where the 600 s that may be replayed have 60 000 points.
-SIZE_MAX = {POLICY: policies.SIZE_MAX + 64, MOVEMENT: 20_000_000}
+# Larger messages are refused unread: 20 MB are 200 000 points of seven joints with positions alone,
+# where the 600 s that may be replayed have 60 000 points.
+SIZE_MAX = {REQUEST: requests.SIZE_MAX + 64, MOVEMENT: 20_000_000}
 POINTS_MAX = 200_000
 TEXT_MAX = 2000  # characters of a refusal
-SETTLE_TIMEOUT = 1.0  # [s] longest wait until the threads of the middleware are idle
+POLICY_REQUESTS = ("move_to_start", "execute")
 
 
 class PreparationWorker(Node):
@@ -73,18 +71,17 @@ class PreparationWorker(Node):
         self._configuration = 0  # number of the last `configure`
         self._settings: ControllerSettings | None = None
         self._joint_names: tuple[str, ...] = ()
-        self._seen: set[tuple[str, int]] = set()
-        self._senders: list[str] = []  # nodes that publish policies, at the last report
+        self._asked = ("", "")  # id and policy of the last request about one
         # Arrays of the last two of each kind: when the loop releases one, its memory is freed here.
         self._shared: dict[str, deque[object]] = {what: deque(maxlen=2) for what in SIZE_MAX}
         self._paths = self.create_publisher(Path, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
-        self._finished = self.create_publisher(
-            String, interface.ROLLOUT_FINISHED, interface.LATCHED
-        )
+        self._policies = self.create_publisher(String, interface.POLICY, interface.LATCHED)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, interface.DIAGNOSTICS, interface.DIAGNOSTICS_QOS
         )
-        self._callbacks: dict[Subscription, Callable[[bytes, dict[str, int]], None]] = {}
+        self._answers = requests.Answers(self, interface.CONTROLLER_ANSWER)
+        self._take(String, interface.CONTROLLER_REQUEST, REQUEST, self._request)
+        self._take(JointTrajectory, interface.REPLAY, MOVEMENT, self._movement)
         # Not Executor.wake(), after which the executor waits again without calling anything.
         self._arrived = self.create_guard_condition(self._handle_messages)
         threading.Thread(target=self._listen, daemon=True).start()
@@ -116,53 +113,25 @@ class PreparationWorker(Node):
         settings = values["settings"]
         self._settings = None if settings is None else settings_of(settings)
         self._joint_names = tuple(values["joint_names"])
-        self._seen.update((kind, stamp) for kind, stamp in values["seen"])
-        if not self._callbacks:
-            self._subscribe(String, interface.POLICY, POLICY, self._policy)
-            self._subscribe(JointTrajectory, interface.REPLAY_TRAJECTORY, MOVEMENT, self._movement)
 
-    def _do_mark(self, values: dict[str, Any], _: object) -> None:
-        """Answer once all messages that had arrived by now have been read.
-
-        The request came over the channel and may have overtaken messages that a thread of the
-        middleware has not taken from its socket yet; such a thread is running.
-        """
-        deadline = time.monotonic() + SETTLE_TIMEOUT
-        while not other_threads_idle() and time.monotonic() < deadline:
-            time.sleep(0.001)
-        for each, callback in self._callbacks.items():
-            while (taken := each.handle.take_message(each.msg_type, each.raw)) is not None:
-                callback(*taken)
-        self._channel.send(values)
+    def _do_answer(self, values: dict[str, Any], _: object) -> None:
+        id, policy = self._asked
+        if values["id"] == id and values["code"] == Code.BEGUN.value:
+            self._policies.publish(String(data=policy))
+        self._answers.give(
+            values["id"], Answer(Code(values["code"]), values["text"], values["values"])
+        )
 
     def _do_path(self, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
         path = EndEffectorPath(values["id"], **arrays)
         message = pose_messages.path_message(path, values["start_ns"], values["frame"])
         self._paths.publish(message)
-        fault = values["fault"] and Fault(FaultKind(values["fault"][0]), values["fault"][1])
-        finished = pose_messages.Finished(
-            path.id, values["start_ns"], fault, values["digest"], values["stopped_in"]
-        )
-        self._finished.publish(pose_messages.finished_message(finished))
 
     def _do_report(self, values: dict[str, Any], _: object) -> None:
         if any(later is not None and later.values["what"] == "report" for later in self._inbox):
             return  # reports that waited for the start of this process are out of date
-        senders = self._policy_senders()
-        values["values"]["policy publishers"] = ", ".join(senders)
-        if len(senders) > 1 and values["level"] == "ok":
-            values |= {"level": "warn", "text": f"{values['text']}; {several(senders)}"}
         parts = (values[key] for key in ("name", "hardware_id", "level", "text", "values"))
         self._diagnostics.publish(diagnostics_message(time_message(values["stamp_ns"]), *parts))
-
-    def _policy_senders(self) -> list[str]:
-        """Nodes that publish policies; logged when there are several others than before."""
-        topic = self.resolve_topic_name(interface.POLICY)
-        senders = interface.publishers(self, topic)
-        if len(senders) > 1 and senders != self._senders:
-            self.get_logger().warning(several(senders))
-        self._senders = senders
-        return senders
 
     def _do_log(self, values: dict[str, Any], _: object) -> None:
         log = self.get_logger()  # rclpy requires a separate line of code for each severity
@@ -175,37 +144,51 @@ class PreparationWorker(Node):
 
     # From the network
 
-    def _subscribe(
-        self, kind: type, topic: str, what: str, prepare: Callable[[bytes], None]
-    ) -> None:
-        def callback(data: bytes, info: dict[str, int]) -> None:
-            self._read(what, data, info["source_timestamp"], prepare)
+    def _take(self, kind: type, topic: str, what: str, take: Callable[[bytes, int], None]) -> None:
+        """Subscribe to messages of a kind; a message that cannot be taken is refused."""
 
-        subscription = self.create_subscription(kind, topic, callback, interface.LATCHED, raw=True)
-        self._callbacks[subscription] = callback
+        def received(data: bytes, info: dict[str, int]) -> None:
+            try:
+                if (size := len(data)) > SIZE_MAX[what]:
+                    raise ValueError(f"{size} bytes; at most {SIZE_MAX[what]} allowed")
+                take(data, info["source_timestamp"])
+            except Exception as error:  # of any kind: the process goes on
+                self._refuse(what, error)
 
-    def _read(self, what: str, data: bytes, stamp: int, prepare: Callable[[bytes], None]) -> None:
-        """Prepare a message, or send the reason why it is refused.
+        self.create_subscription(kind, topic, received, interface.REQUESTS, raw=True)
 
-        Messages that are received again because this process was restarted are skipped: an older
-        one must not replace the one in use.
-        """
-        if (what, stamp) in self._seen:
+    def _refuse(self, what: str, error: Exception) -> str:
+        """Report a refusal; returns its text."""
+        text = str(error) if isinstance(error, (ValueError, ControllerError)) else repr(error)
+        self._channel.send({"what": "refused", "kind": what, "text": text[:TEXT_MAX]})
+        return text[:TEXT_MAX]
+
+    def _prepare(self, id: str, what: str, prepare: Callable[[], None]) -> None:
+        """Prepare what a request is about and hand it over, or answer why it is refused."""
+        if not self._answers.is_new(id):
             return
-        self._seen.add((what, stamp))
-        self._channel.send({"what": "reading", "kind": what, "stamp": stamp})
+        if self._settings is None:
+            return self._answers.give(id, NOT_ACTIVE)
+        self._channel.send({"what": "reading", "id": id})
         try:
-            if (size := len(data)) > SIZE_MAX[what]:
-                raise ValueError(f"{size} bytes; at most {SIZE_MAX[what]} allowed")
-            prepare(data)
-        except Exception as error:  # of any kind; the loop keeps the last valid message
-            text = str(error) if isinstance(error, (ValueError, ControllerError)) else repr(error)
-            self._channel.send({"what": "refused", "kind": what, "text": text[:TEXT_MAX]})
+            prepare()
+        except ControllerError as error:
+            text = self._refuse(what, error)
+            self._answers.give(id, Answer(Code(error.refusal.value), text, error.values))
+        except Exception as error:  # of any kind: the process goes on
+            self._answers.give(id, Answer(Code.REFUSED, self._refuse(what, error)))
+        return None
 
-    def _policy(self, data: bytes) -> None:
+    def _request(self, data: bytes, sent_ns: int) -> None:
+        asked = requests.request(deserialize_message(data, String).data)
+        self._prepare(asked.id, REQUEST, lambda: self._prepare_policy(asked, sent_ns))
+
+    def _prepare_policy(self, asked: requests.Request, sent_ns: int) -> None:
+        if asked.do not in POLICY_REQUESTS or asked.about.keys() != {"policy"}:
+            given = ", ".join([asked.do, *asked.about])
+            raise ValueError(f"{POLICY_REQUESTS} of a policy can be requested, not {given}")
         settings, limits = self._arm()
-        text = deserialize_message(data, String).data
-        policy = policies.from_json(text)
+        policy = policies.from_json(asked.about["policy"])
         prepared = prepared_policy.prepare(policy, len(limits.q_min), limits, settings)
         tables = vars(prepared.tables)
         values = {
@@ -213,7 +196,6 @@ class PreparationWorker(Node):
                 "id": policy.id,
                 "duration": prepared.duration,
                 "content": prepared.content,
-                "digest": policies.digest(text),
             },
             "tables": {name: value for name, value in tables.items() if name not in TABLES},
         }
@@ -221,51 +203,33 @@ class PreparationWorker(Node):
             "q_start": prepared.q_start,
             "orientation_reference": prepared.orientation_reference,
         }
-        self._hand_over(POLICY, {"what": "policy", **values}, arrays)
+        self._asked = asked.id, asked.about["policy"]
+        values |= {"what": "policy", "id": asked.id, "do": asked.do, "sent_ns": sent_ns}
+        self._hand_over(REQUEST, values, arrays)
 
-    def _movement(self, data: bytes) -> None:
-        settings, limits = self._arm()
+    def _movement(self, data: bytes, sent_ns: int) -> None:
         message = deserialize_message(data, JointTrajectory)
+        id = requests.checked_id(message.header.frame_id)
+        self._prepare(id, MOVEMENT, lambda: self._prepare_movement(id, message, sent_ns))
+
+    def _prepare_movement(self, id: str, message: JointTrajectory, sent_ns: int) -> None:
+        settings, limits = self._arm()
         if (points := len(message.points)) > POINTS_MAX:
             raise ValueError(f"{points} points; at most {POINTS_MAX} allowed")
         movement = joint_messages.movement(message, self._joint_names)
-        try:
-            sampled = replay_trajectory.sampled(movement, 1.0, settings.period, limits)
-        except ControllerError as error:  # reported when its replay is requested
-            values = {"refusal": error.refusal.value, "text": str(error), "values": error.values}
-            self._hand_over(MOVEMENT, {"what": "no movement", **values}, {})
-            return
+        sampled = replay_trajectory.sampled(movement, 1.0, settings.period, limits)
         values = {"duration": sampled.duration, "period": sampled.period}
         arrays = {"q": sampled.q, "qd": sampled.qd, "qdd": sampled.qdd}
-        self._hand_over(MOVEMENT, {"what": "movement", "movement": values}, arrays)
+        about = {"what": "movement", "id": id, "movement": values, "sent_ns": sent_ns}
+        self._hand_over(MOVEMENT, about, arrays)
 
     def _arm(self) -> tuple[ControllerSettings, Limits]:
-        """Settings and limits of the arm; ValueError when the controller is not configured."""
-        settings = self._settings
-        if settings is None or settings.limits is None:
-            raise ValueError("the controller is not configured")
-        return settings, settings.limits
+        """Settings and limits of the arm."""
+        return self._settings, self._settings.limits
 
     def _hand_over(self, what: str, values: dict[str, Any], arrays: dict[str, np.ndarray]) -> None:
         shared = self._channel.send({**values, "configuration": self._configuration}, arrays)
         self._shared[what].append(shared)
-
-
-def several(senders: list[str]) -> str:
-    """Warning that several nodes publish policies: the last message is executed."""
-    return f"{len(senders)} nodes publish policies ({', '.join(senders)}): the last one counts"
-
-
-def other_threads_idle() -> bool:
-    """Return True if no other thread of this process is running."""
-    tasks = FilePath("/proc/self/task")
-    mine = threading.get_native_id()
-    states = [
-        (task / "stat").read_text().rpartition(")")[2].split()[0]
-        for task in tasks.iterdir()
-        if task.name != str(mine)
-    ]
-    return all(state != "R" for state in states)
 
 
 def main() -> int:

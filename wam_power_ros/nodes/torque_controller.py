@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Torque controller: joint states in, one torque each out; policies in, finished rollouts out.
+"""Torque controller: joint states in, one torque each out; requests in, finished rollouts out.
 
 A managed (lifecycle) node that wraps `control.controller.Controller`. Each state triggers a control
 step; a watchdog on the steady clock acts when no states come. All slow work is done in a process
-beside it (see `preparation`), which prepares policies and movements, publishes paths and
-diagnostics, and logs.
+beside it (see `preparation`), which takes requests, prepares their policies and movements, answers,
+publishes paths and diagnostics, and logs.
 """
 
 from __future__ import annotations
@@ -32,9 +32,7 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros.client.link import unanswered
 from wam_power_ros.control.controller import Controller
 from wam_power_ros.control.guarded_controller import GuardedController
-from wam_power_ros.control.joint_references import Sampled
 from wam_power_ros.control.modes import MOVING_MODES, ControllerError, Mode
-from wam_power_ros.control.prepared_policy import PreparedPolicy
 from wam_power_ros.control.watchdog import StampClock, Watchdog, overload
 from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.nodes.controller_report import Condition, ControllerReport
@@ -90,9 +88,9 @@ class TorqueController(LifecycleNode):
         self._commands = self.create_publisher(writer.message_type, params.command_topic, qos)
         self._preparation = Preparation(
             self.context.get_domain_id(),
-            self._on_policy,
-            self._on_movement,
+            lambda *request: self._requests.begin(*request),
             lambda what, reason: self._report.refuse(what, reason),
+            lambda id, reason: self._requests.refuse(id, reason),
         )
         self._report = ControllerReport(self, params, self._preparation)
         self._guard = CommandGuard(self, self._commands)
@@ -117,7 +115,7 @@ class TorqueController(LifecycleNode):
         switch = self._answering(lambda core, asked: core.set_gravity_compensation(asked.data))
         serve(SetBool, interface.GRAVITY_COMPENSATION, switch)
         self._requests = MotionRequests(
-            self, params.joint_names, self._active_controller, self._preparation.when_read
+            params.joint_names, self._active_controller, self._preparation.answer
         )
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._supervise, clock=steady)
@@ -175,7 +173,6 @@ class TorqueController(LifecycleNode):
         """Delete the controller and its policy; a fault stays latched."""
         self._latched = None if self._controller is None else self._controller.latched
         self._controller = None
-        self._requests.movement = None
         self._preparation.configure(None, ())
         self._await_description()
         return SUCCESS
@@ -213,9 +210,8 @@ class TorqueController(LifecycleNode):
         """Send no torque any more, and refuse the pending requests."""
         self._active = False
         self._controller.deactivate()
-        self._requests.answer(self._controller)
-        self._preparation.forget_requests()
-        self._requests.refuse()
+        self._answer_requests(self._stamp_ns)
+        self._requests.deactivated()
 
     def _answer_next(self) -> None:
         """Answer the next state if it has come, without an executor."""
@@ -305,14 +301,16 @@ class TorqueController(LifecycleNode):
             controller.fault(Fault(FaultKind.SECOND_COMMANDER, text))
         self._send(tau, controller.label)
         self._statistics.add(arrived_ns, self._watchdog.sent_ns)
-        path = controller.take_finished()
-        if path is not None:
-            start_ns = controller.rollout_stamp_ns or stamp_ns
-            digest = self._requests.executed
-            end = (controller.latched, digest, controller.stopped_in)
-            self._preparation.publish_path(path, start_ns, self._frame, *end)
-        self._requests.answer(controller)
-        return None
+        return self._answer_requests(stamp_ns)
+
+    def _answer_requests(self, stamp_ns: int) -> None:
+        """Publish the path of a rollout that has ended, and answer what was requested."""
+        core = self._controller
+        if (path := core.take_finished()) is not None:
+            start_ns = core.rollout_stamp_ns or stamp_ns
+            self._preparation.publish_path(path, start_ns, self._frame)
+            self._requests.rollout_ended(core, path, start_ns)
+        self._requests.answer(core)
 
     def _on_enable(self, message: Bool) -> None:
         self._enabled_ns = time.monotonic_ns() if message.data else -ENABLE_TIMEOUT_NS
@@ -343,7 +341,7 @@ class TorqueController(LifecycleNode):
     def patience(self) -> float:
         """Longest time until the next call of `watch` if no state comes [s]."""
         if not self._active or not self._watchdog.enabled:
-            return 0.01 if self._preparation.waiting else 0.1
+            return 0.01 if self._active else 0.1
         return self._watchdog.time_to_check(time.monotonic_ns())
 
     def watch(self) -> None:
@@ -375,23 +373,12 @@ class TorqueController(LifecycleNode):
         if (error := self._controller.take_error()) is not None:
             self._report_failure(error)
 
-    # Policies and requests
+    # Requests
 
     def attend(self) -> None:
         """Between callbacks: handle a message of the preparation process, then `watch`."""
         self._preparation.poll()
         self.watch()
-
-    def _on_policy(self, policy: PreparedPolicy) -> None:
-        try:
-            if self._controller is not None:
-                self._controller.load_prepared(policy)
-                self._requests.digest = policy.digest
-        except ControllerError as error:
-            self._report.refuse("policy", error)
-
-    def _on_movement(self, movement: Sampled | ControllerError) -> None:
-        self._requests.movement = movement
 
     def _await_description(self) -> None:
         if not self._params.urdf:
@@ -407,7 +394,6 @@ class TorqueController(LifecycleNode):
         return self._controller if self._active else None
 
     def _on_stop(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._preparation.forget_requests()
         self._requests.stop(self._controller)
         answer = attempt(self._active_controller(), Controller.stop)
         fault = self._controller.latched if answer.success and self._controller else None
@@ -438,7 +424,7 @@ class TorqueController(LifecycleNode):
         if self._active and (intruder := self._guard.intruder()):
             self._controller.fault(Fault(FaultKind.SECOND_COMMANDER, intruder))
         if self._active:
-            self._requests.answer(self._controller)
+            self._answer_requests(self._stamp_ns)
         self._report.log_changes(self._condition())
         if self._controller is None or self._controller.mode not in MOVING_MODES:
             self._preparation.tend()

@@ -22,6 +22,7 @@ class Code(str, enum.Enum):
     """Outcome of a request."""
 
     DONE = "done"
+    BEGUN = "begun"  # another answer to the same request will follow
     REFUSED = "refused"  # for a reason that only the sentence gives
     NOT_ACTIVE = "not_active"  # the node is not configured or not active
     FAULT = "fault"  # a fault is latched, or occurred before the request was done
@@ -42,24 +43,29 @@ class Answer:
     text: str = ""  # sentence for a person
     values: Mapping[str, str] = field(default_factory=dict)  # such as the id of the policy
 
-    def __post_init__(self) -> None:
-        for key, value in self.values.items():
-            if not re.fullmatch(r"\w+", key) or not re.fullmatch(r"[^\s\]]+", value):
-                raise ValueError(
-                    f"{key}={value!r} in an answer: key must be a word, value without space or ']'"
-                )
-
     @property
     def success(self) -> bool:
         """True if the request was done."""
         return self.code is Code.DONE
 
     def __str__(self) -> str:
-        """Text of the message."""
+        """Text of the message.
+
+        Raises:
+            ValueError: When a key is no word, or a value has a space or "]".
+        """
+        for key, value in self.values.items():
+            if not re.fullmatch(r"\w+", key) or not re.fullmatch(r"[^\s\]]+", value):
+                raise ValueError(
+                    f"{key}={value!r} in an answer: key must be a word, value without space or ']'"
+                )
         head = " ".join(
             [self.code.value, *(f"{key}={value}" for key, value in self.values.items())]
         )
         return f"[{head}] {self.text}".rstrip()
+
+
+NOT_ACTIVE = Answer(Code.NOT_ACTIVE, "refused: the controller is not active")
 
 
 class ServiceError(RuntimeError):

@@ -19,48 +19,45 @@ JOINT_STATES = "joint_states"
 EFFORT_COMMANDS = "effort_controller/commands"
 MARKERS = "pointCloud"
 POLICY = "policy"
-REPLAY_TRAJECTORY = "replay/trajectory"
 ROLLOUT_END_EFFECTOR = "rollout/end_effector"
-ROLLOUT_FINISHED = "rollout/finished"  # policy and fault; paths with its start stamp belong to it
 LEARNER_MARKERS = "learner/markers"
-LEARNER_BAG = "learner/bag"  # path of the bag that LEARNER_DEMONSTRATION adds
 ROBOT_DESCRIPTION = "robot_description"
 DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 ENABLE = "controller/enable"
 
+# Topics of requests and of their answers, see `requests`; a movement to replay has its own
+CONTROLLER_REQUEST, CONTROLLER_ANSWER = "controller/request", "controller/answer"
+LEARNER_REQUEST, LEARNER_ANSWER = "learner/request", "learner/answer"
+SCENE_REQUEST, SCENE_ANSWER = "scene/request", "scene/answer"  # stand-in only
+REPLAY = "controller/replay"
+
 # Services
-EXECUTE = "rollout/execute"
 STOP = "controller/stop"
 RESET = "controller/reset"
-MOVE_TO_START = "controller/move_to_start"
-REPLAY = "controller/replay"
 GRAVITY_COMPENSATION = "controller/gravity_compensation"
 RECORD = "recorder/record"
 LEARNER_REWARD = "learner/reward"
 LEARNER_PUNISH = "learner/punish"
-LEARNER_DEMONSTRATION = "learner/demonstration"
 LEARNER_PAUSE = "learner/pause"
 WAM_GRAVITY_COMPENSATE = "wam/gravityCompensate"
 WAM_HOLD = "wam/holdJointPosition"
 WAM_MOVE_HOME = "wam/moveHome"
 WAM_IDLE = "wam/idle"
-DEMONSTRATE = "demonstrator/demonstrate"  # stand-in only
 
 # Topics and services of a tracked body begin with its name; its frame is the name itself
-BODY_LEAVES = ("pose", "state", "truth", "reset", "drop")  # the last three: stand-in only
-SCENE_LEAVES = ("truth", "reset")  # of a task without a body
+BODY_LEAVES = ("pose", "state", "truth", "drop")  # the last two: stand-in only
+SCENE_LEAVES = ("truth",)  # of a task without a body
 SCENE = "scene"
 _BODY = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_RESERVED = {SCENE, "end_effector", "finished"}
+_RESERVED = {SCENE, "end_effector"}
 
 
 def body_topic(body: str, leaf: str) -> str:
     """Topic or service of a tracked body, such as `ball/state`.
 
     Args:
-        body: Name of the body; empty for a task without one, which has `scene/truth` and
-            `scene/reset`.
+        body: Name of the body; empty for a task without one, which has `scene/truth`.
         leaf: One of `BODY_LEAVES`.
 
     Raises:
@@ -122,6 +119,8 @@ MOCAP_OUT_BEST_EFFORT = _qos(10, "BEST_EFFORT")  # as of some drivers
 MOCAP_IN = _qos(500, "BEST_EFFORT")  # a path needs every frame: a burst must not drop any
 MOCAP_IN_RELIABLE = _qos(500)  # in lockstep, where a busy machine must not change a rollout
 LATCHED = _qos(1, durability="TRANSIENT_LOCAL")
+REQUESTS = _qos(10)
+ANSWERS = _qos(10, durability="TRANSIENT_LOCAL")  # to a client that was discovered meanwhile
 DIAGNOSTICS_QOS = _qos(10)
 CLOCK_QOS = _qos(1, "BEST_EFFORT")
 ENABLE_OUT, ENABLE_IN = _qos(1), _qos(1, "BEST_EFFORT")

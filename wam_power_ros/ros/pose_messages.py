@@ -17,7 +17,6 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
 
 from wam_power_ros import plain_json
-from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.ros.stamps import nanoseconds, sensor_stamp, time_message
 
 if TYPE_CHECKING:
@@ -210,49 +209,6 @@ def path(message: Path) -> PathReading:
     position = np.array([item[0] for item in arrays]).reshape(-1, 3)  # (M, 3)
     quat_xyzw = np.array([item[1] for item in arrays]).reshape(-1, 4)  # (M, 4)
     return PathReading(start_ns, t, position, quat_xyzw)
-
-
-class Finished(NamedTuple):
-    """A rollout that has ended."""
-
-    id: str  # of the policy that was executed
-    start_ns: int  # stamp of its start and of its paths
-    fault: Fault | None  # latched at its end
-    digest: str = ""  # of the executed policy, see `policy.digest`; empty if unknown
-    stopped_in: str = ""  # name of the guarded region that ended it, empty if none did
-
-
-def finished_message(finished: Finished) -> String:
-    """Message about the end of a rollout: a JSON object."""
-    fault = finished.fault
-    sec, nanosec = divmod(finished.start_ns, 1_000_000_000)
-    values = {
-        "id": finished.id,
-        "start": {"sec": sec, "nanosec": nanosec},
-        "fault": None if fault is None else {"kind": fault.kind.value, "text": fault.text},
-        "digest": finished.digest,
-        "stopped_in": finished.stopped_in,
-    }
-    return String(data=json.dumps(values))
-
-
-def finished(message: String) -> Finished:
-    """Read a message about the end of a rollout.
-
-    Raises:
-        ValueError: When it is not such a JSON object.
-    """
-    try:
-        values = plain_json.parse(message.data, "the end of a rollout")
-        start, fault = values["start"], values["fault"]
-        start_ns = int(start["sec"]) * 1_000_000_000 + int(start["nanosec"])
-        if fault is not None:
-            fault = Fault(FaultKind(fault["kind"]), str(fault["text"]))
-        optional = (str(values.get(name, "")) for name in ("digest", "stopped_in"))
-        return Finished(str(values["id"]), start_ns, fault, *optional)
-    except (KeyError, TypeError, OverflowError) as error:
-        text = f"{message.data[:200]!r} must describe the end of a rollout: {error!r}"
-        raise ValueError(text) from error
 
 
 class GroundTruth(NamedTuple):

@@ -37,8 +37,8 @@ LIFECYCLE = (
 )
 
 
-CONTROLLER = "EXECUTE STOP RESET MOVE_TO_START REPLAY GRAVITY_COMPENSATION"
-FEEDBACK = "LEARNER_REWARD LEARNER_PUNISH LEARNER_DEMONSTRATION LEARNER_PAUSE"
+CONTROLLER = "STOP RESET GRAVITY_COMPENSATION"
+FEEDBACK = "LEARNER_REWARD LEARNER_PUNISH LEARNER_PAUSE"
 # Node -> rights -> names: constants of `interface`; names in lower case are derived from the set-up
 # by `_names`. The controller subscribes to its own command topic to detect another commander.
 TABLE: dict[str, dict[str, str]] = {
@@ -49,8 +49,8 @@ TABLE: dict[str, dict[str, str]] = {
         "calls": "idle",
     },
     "torque_controller_preparation": {
-        "publishes": "ROLLOUT_END_EFFECTOR ROLLOUT_FINISHED DIAGNOSTICS",
-        "subscribes": "POLICY REPLAY_TRAJECTORY",
+        "publishes": "CONTROLLER_ANSWER POLICY ROLLOUT_END_EFFECTOR DIAGNOSTICS",
+        "subscribes": "CONTROLLER_REQUEST REPLAY",
     },
     "demonstration_recorder": {
         "publishes": "DIAGNOSTICS",
@@ -62,31 +62,44 @@ TABLE: dict[str, dict[str, str]] = {
         "subscribes": "mocap ROLLOUT_END_EFFECTOR",
     },
     "learner": {
-        "publishes": "POLICY LEARNER_MARKERS",
-        "subscribes": "ROLLOUT_END_EFFECTOR ROLLOUT_FINISHED state rollout truth DIAGNOSTICS "
-        "LEARNER_BAG",
+        "publishes": "CONTROLLER_REQUEST SCENE_REQUEST LEARNER_ANSWER LEARNER_MARKERS",
+        "subscribes": "CONTROLLER_ANSWER SCENE_ANSWER LEARNER_REQUEST ROLLOUT_END_EFFECTOR state "
+        "rollout truth DIAGNOSTICS",
         "serves": FEEDBACK,
-        "calls": "MOVE_TO_START EXECUTE reset RESET RECORD",
+        "calls": "RESET RECORD",
     },
-    "teaching": {"calls": "GRAVITY_COMPENSATION RECORD reset DEMONSTRATE"},
-    "replaying": {"publishes": "REPLAY_TRAJECTORY", "calls": "REPLAY STOP RECORD"},
+    "teaching": {
+        "publishes": "SCENE_REQUEST",
+        "subscribes": "SCENE_ANSWER",
+        "calls": "GRAVITY_COMPENSATION RECORD",
+    },
+    "replaying": {
+        "publishes": "REPLAY",
+        "subscribes": "CONTROLLER_ANSWER",
+        "calls": "STOP RECORD",
+    },
     "activation": {"subscribes": "DIAGNOSTICS", "calls": "lifecycle"},
     "enabling_switch": {"publishes": "ENABLE"},
-    "feedback": {"publishes": "LEARNER_BAG", "calls": FEEDBACK},
+    "feedback": {
+        "publishes": "LEARNER_REQUEST",
+        "subscribes": "LEARNER_ANSWER",
+        "calls": FEEDBACK,
+    },
     "view": {
-        "publishes": "LEARNER_BAG",
-        "subscribes": "states description POLICY ROLLOUT_END_EFFECTOR DIAGNOSTICS state",
-        "calls": f"STOP GRAVITY_COMPENSATION RECORD {FEEDBACK} reset DEMONSTRATE",
+        "publishes": "LEARNER_REQUEST SCENE_REQUEST",
+        "subscribes": "states description POLICY ROLLOUT_END_EFFECTOR DIAGNOSTICS state "
+        "LEARNER_ANSWER SCENE_ANSWER",
+        "calls": f"STOP GRAVITY_COMPENSATION RECORD {FEEDBACK}",
     },
     "operator": {  # a person with `ros2 service call`, `ros2 lifecycle set`, `ros2 topic hz`
-        "publishes": "REPLAY_TRAJECTORY LEARNER_BAG",
-        "subscribes": "DIAGNOSTICS states state",
+        "publishes": "LEARNER_REQUEST",
+        "subscribes": "DIAGNOSTICS states state LEARNER_ANSWER",
         "calls": f"{CONTROLLER} RECORD {FEEDBACK} lifecycle",
     },
     "wam_sim": {
-        "publishes": "states ROBOT_DESCRIPTION truth CLOCK DIAGNOSTICS",
-        "subscribes": "command POLICY",
-        "serves": "WAM_GRAVITY_COMPENSATE WAM_HOLD WAM_MOVE_HOME WAM_IDLE reset drop DEMONSTRATE",
+        "publishes": "states ROBOT_DESCRIPTION truth SCENE_ANSWER CLOCK DIAGNOSTICS",
+        "subscribes": "command SCENE_REQUEST",
+        "serves": "WAM_GRAVITY_COMPENSATE WAM_HOLD WAM_MOVE_HOME WAM_IDLE drop",
     },
     "optitrack_sim": {"publishes": "mocap pose MARKERS"},
 }

@@ -79,6 +79,7 @@ class View(Node):
         self.link = link = Link(self, APPEAR_TIMEOUT)
         self._feedback = Feedback(link)
         self._robot = Robot(link, controller["state_topic"], body=body)
+        self._scene = self._robot.scene  # made early, so that it is discovered
         self._newest = [(link.newest(JointState, controller["state_topic"]), self._on_joints)]
         if body:
             states = link.newest(Odometry, interface.body_topic(body, "state"))
@@ -93,10 +94,7 @@ class View(Node):
         triggers = (
             interface.LEARNER_REWARD,
             interface.LEARNER_PUNISH,
-            interface.LEARNER_DEMONSTRATION,
             interface.STOP,
-            interface.DEMONSTRATE,
-            interface.body_topic(body, "reset"),
         )
         link.prepare(*triggers)
         link.prepare(*switches, data=True)
@@ -134,7 +132,7 @@ class View(Node):
         """
 
         def teach() -> Answer:
-            simulated = self.link.offers(interface.DEMONSTRATE)
+            simulated = self.link.node.count_subscribers(interface.SCENE_REQUEST)
             return self._feedback.teach(self._robot, None if simulated else lead, notify)
 
         return self._answered(teach)
