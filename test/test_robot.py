@@ -4,16 +4,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from types import SimpleNamespace
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
+from conftest import Probe
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 from test_docs import blocks
+from trajectory_msgs.msg import JointTrajectory
 
 from wam_power_ros import robot
 from wam_power_ros.client.link import Link
@@ -24,6 +26,7 @@ from wam_power_ros.params import overlay
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
+from wam_power_ros.ros.requests import Answers
 from wam_power_ros.view.live import View
 
 
@@ -72,63 +75,69 @@ def test_an_unknown_set_up_is_refused() -> None:
         pass
 
 
-class Controller:
-    """A link to a controller whose answers to a replay are given; requests are noted."""
+@pytest.fixture
+def asked(probe: Probe) -> Iterator[tuple[Robot, list[str], list[Answer]]]:
+    """A robot, what its controller was asked, and the answers to replays that it still has."""
+    said: list[str] = []
+    answers: list[Answer] = []
+    node = rclpy.create_node("controller", context=probe.context)
+    give = Answers(node, interface.CONTROLLER_ANSWER).give
+    begun: list[str] = []
 
-    def __init__(self, answers: Sequence[Answer], interrupted: bool = False) -> None:
-        self.asked: list[str] = []
-        self._answers, self._interrupted = [*answers], interrupted
-        publisher = SimpleNamespace(
-            get_subscription_count=lambda: 1,
-            publish=lambda _: None,
-            wait_for_all_acked=lambda _: True,
-        )
-        self.node = SimpleNamespace(create_publisher=lambda *_: publisher)
+    def stop(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        said.append("stop")
+        for id in begun:
+            give(id, Answer(Code.STOPPED, "stopped"))
+        begun.clear()
+        response.success, response.message = True, str(Answer(Code.DONE))
+        return response
 
-    def begin(self, name: str) -> SimpleNamespace:
-        """Note a request; with an interrupt, it is answered only after the stop."""
-        self.asked.append(name)
-        return SimpleNamespace(done=lambda: not self._interrupted or name != self.asked[-1])
+    def replay(message: JointTrajectory) -> None:
+        said.append("replay")
+        id = message.header.frame_id
+        give(id, answers.pop(0) if answers else Answer(Code.BEGUN))
+        begun.append(id)
 
-    def until(self, condition: Callable[[], object], what: str, timeout: float = 0.0) -> bool:
-        """Whether the condition holds already; otherwise a person interrupts."""
-        if not condition():
-            raise KeyboardInterrupt
-        return True
-
-    def answer(self, name: str, future: object) -> Answer:
-        """Return the next answer."""
-        return self._answers.pop(0)
-
-    def insist(self, name: str) -> None:
-        """Note a request."""
-        self.asked.append(name)
-
-    def sleep(self, seconds: float) -> None:
-        """Do not wait."""
+    node.create_service(Trigger, interface.STOP, stop)
+    node.create_subscription(JointTrajectory, interface.REPLAY, replay, interface.REQUESTS)
+    client = rclpy.create_node("client", context=probe.context)
+    with Link(node), Link(client) as link:
+        yield Robot(link, joint_names=["a"]), said, answers
 
 
 MOVEMENT = REST_TIMES, np.zeros((len(REST_TIMES), 1))
 
 
-def test_an_interrupt_stops_the_arm_and_keeps_the_answer_of_the_controller() -> None:
-    stopped = Answer(Code.STOPPED, "stopped")
-    controller = Controller([stopped], interrupted=True)
+def test_an_interrupt_stops_the_arm_and_keeps_the_answer_of_the_controller(
+    asked: tuple[Robot, list[str], list[Answer]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, said, _ = asked
+    until = robot.link.until
+
+    def interrupted(condition: Callable[[], object], what: str = "", timeout: float = 60.0) -> bool:
+        if what == "the end of the movement" and "replay" in said and said[-1] == "replay":
+            raise KeyboardInterrupt
+        return until(condition, what, timeout)
+
+    monkeypatch.setattr(robot.link, "until", interrupted)
     with pytest.raises(Stopped) as raised:
-        Robot(controller, joint_names=["a"]).follow(*MOVEMENT)
-    assert isinstance(raised.value, KeyboardInterrupt) and raised.value.answer == stopped
-    assert controller.asked == [interface.STOP, interface.REPLAY, interface.STOP]
+        robot.follow(*MOVEMENT)
+    assert isinstance(raised.value, KeyboardInterrupt)
+    assert raised.value.answer == Answer(Code.STOPPED, "stopped")
+    assert said == ["stop", "replay", "stop"]
 
 
-def test_a_controller_that_is_busy_is_asked_again_and_one_that_refuses_is_not() -> None:
-    busy = Answer(Code.BUSY, "not read within 5 s")
-    controller = Controller([busy, Answer(Code.DONE, "then")])
-    assert Robot(controller, joint_names=["a"]).follow(*MOVEMENT) == "then"
-    refused = Answer(Code.REFUSED, "never")
-    controller = Controller([busy, refused, Answer(Code.DONE)])
+def test_the_answer_to_a_replay_is_its_text_or_an_error_that_has_it(
+    asked: tuple[Robot, list[str], list[Answer]],
+) -> None:
+    robot, said, answers = asked
+    answers.append(Answer(Code.DONE, "rms error"))
+    assert robot.follow(*MOVEMENT) == "rms error"
+    answers.append(Answer(Code.REFUSED, "never"))
     with pytest.raises(ServiceError, match="never") as raised:
-        Robot(controller, joint_names=["a"]).follow(*MOVEMENT)
-    assert raised.value.answer == refused
+        robot.follow(*MOVEMENT)
+    assert raised.value.answer == Answer(Code.REFUSED, "never")
+    assert said == ["stop", "replay"] * 2
 
 
 def names(node: Node) -> set[str]:

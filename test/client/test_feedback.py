@@ -4,21 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from wam_power_ros.client import feedback as feedbacks
 from wam_power_ros.client import link as links
+from wam_power_ros.client import robot as robots
 from wam_power_ros.client.feedback import Feedback
 from wam_power_ros.client.robot import Robot
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code, ServiceError
 
 PAUSE, FREE = interface.LEARNER_PAUSE, interface.GRAVITY_COMPENSATION
-RECORD, LEARN = interface.RECORD, interface.LEARNER_DEMONSTRATION
-RESET, LEAD = interface.body_topic("pancake", "reset"), interface.DEMONSTRATE
+RECORD, LEARN = interface.RECORD, interface.LEARNER_REQUEST
+RESET, LEAD = ("reset", "demonstrate")
 BEFORE, AFTER = [(PAUSE, True), (FREE, True)], [(RECORD, False), (FREE, False)]
 GIVEN = [(LEARN, None), (PAUSE, False)]
 
@@ -33,14 +33,15 @@ class Services:
         self.asked: list[tuple[str, bool | None]] = []
         recorder = SimpleNamespace(node_name="demonstration_recorder")
         self.node = SimpleNamespace(
-            create_publisher=lambda *_: SimpleNamespace(publish=self.bags.append),
             get_subscriptions_info_by_topic=lambda _: [recorder],
         )
 
-    def call(self, name: str, data: bool | None = None, timeout: float = 0.0) -> Answer:
+    def call(
+        self, name: str, data: bool | None = None, timeout: float = 0.0, do: str = ""
+    ) -> Answer:
         """Note the call, and answer."""
         self.asked.append((name, data))
-        waiting = self.answers.get(name.rpartition("/")[2], [])
+        waiting = self.answers.get(do or name.rpartition("/")[2], [])
         return waiting.pop(0) if waiting else Answer(Code.DONE, "/bags/demo_1", {"trial": "over"})
 
     def until(self, condition: Callable[[], object], what: str) -> bool:
@@ -52,6 +53,27 @@ class Services:
 
     def _full(self, name: str) -> str:
         return name
+
+
+class Requests:
+    """Requests to a node whose answers are given."""
+
+    def __init__(self, services: Services, topic: str, answers: str) -> None:
+        self._services, self._topic = services, topic
+
+    def ask(self, do: str, timeout: float = 0.0, **about: str) -> Answer:
+        """Note the request, and answer."""
+        self._services.bags += about.values()
+        answer = self._services.call(self._topic if about else do, do=do)
+        if not answer.success:
+            raise ServiceError(answer.text, answer)
+        return answer
+
+
+@pytest.fixture(autouse=True)
+def given(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (feedbacks, robots):
+        monkeypatch.setattr(module, "Requests", Requests)
 
 
 def teach(
@@ -103,16 +125,11 @@ def test_the_learner_learns_from_the_bag_while_the_arm_holds_and_then_continues(
     services = Services()
     assert teach(services).text == "/bags/demo_1"
     assert services.asked[-4:] == [*AFTER, *GIVEN]
-    assert [message.data for message in services.bags] == ["/bags/demo_1"]
-
-
-def test_a_learner_that_has_not_received_the_bag_yet_is_called_again() -> None:
-    services = Services(demonstration=[Answer(Code.NOTHING), Answer(Code.DONE, "learnt")])
-    assert Feedback(services).give("demonstration", Path("/bags/demo_1")).text == "learnt"
+    assert services.bags == ["/bags/demo_1"]
 
 
 def test_a_refused_demonstration_is_reported_and_the_learner_continues() -> None:
-    services = Services(demonstration=[Answer(Code.REFUSED, "it never moves")])
+    services = Services(add_demonstration=[Answer(Code.REFUSED, "it never moves")])
     assert teach(services) == Answer(Code.REFUSED, "it never moves")
     assert services.asked[-1] == (PAUSE, False)
 

@@ -11,7 +11,7 @@ import pytest
 from std_srvs.srv import SetBool, Trigger
 
 from wam_power_ros.cli import main
-from wam_power_ros.client.feedback import REQUESTS
+from wam_power_ros.client.feedback import SERVICES
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def test_every_kind_of_feedback_can_be_given_on_the_command_line() -> None:
-    for kind in REQUESTS:
+    for kind in (*SERVICES, "demonstration"):
         assert main._parser().parse_args(["feedback", kind]).kind == kind
     with pytest.raises(SystemExit):
         main._parser().parse_args(["feedback", "applause"])

@@ -24,6 +24,7 @@ from wam_power_ros.console.replay import with_possible_speed
 from wam_power_ros.params.resources import share
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.requests import Answers
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [f"wam_j{number}" for number in range(1, 8)]
@@ -85,7 +86,6 @@ def test_an_invalid_bag_or_speed_is_refused_before_any_node_starts(
     [
         (Code.TOO_FAST, False),
         (Code.REFUSED, False),
-        (Code.NOTHING, False),  # the movement never arrives
         (Code.BUSY, False),  # or is never read
         (Code.FAULT, True),
     ],
@@ -95,19 +95,23 @@ def test_a_replay_that_is_refused_leaves_no_bag(
 ) -> None:
     made = tmp_path / "replay_1"
 
-    def answer(text: str, code: Code = Code.DONE) -> Callable[..., Any]:
+    def answer(text: str) -> Callable[..., Any]:
         def respond(_: object, response: Trigger.Response) -> Trigger.Response:
             made.mkdir(exist_ok=True)
-            values = {"speed": "0.5"} if code is Code.TOO_FAST else {}
-            found = Answer(code, text, values)
-            response.success, response.message = found.success, str(found)
+            response.success, response.message = True, str(Answer(Code.DONE, text))
             return response
 
         return respond
 
-    probe.listen(JointTrajectory, interface.REPLAY_TRAJECTORY, interface.LATCHED)
+    give = Answers(probe.node, interface.CONTROLLER_ANSWER).give
+
+    def refuse(message: JointTrajectory) -> None:
+        made.mkdir(exist_ok=True)
+        values = {"speed": "0.5"} if code is Code.TOO_FAST else {}
+        give(message.header.frame_id, Answer(code, "no", values))
+
+    probe.node.create_subscription(JointTrajectory, interface.REPLAY, refuse, interface.REQUESTS)
     probe.node.create_service(Trigger, interface.STOP, answer(""))
-    probe.node.create_service(Trigger, interface.REPLAY, answer("no", code))
     probe.node.create_service(SetBool, interface.RECORD, answer(str(made)))
     given = {"bag": REACH, "speed": 1.0, "person": False, "arm": "''", "joint_names": NAMES}
     script = processes.node("wam_power_ros.console.replay", **given)

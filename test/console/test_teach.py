@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool, Trigger
 from wam_power_ros.bags import series
 from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Answer, Code
+from wam_power_ros.ros.requests import Server
 
 
 class Terminal:
@@ -29,8 +30,8 @@ class Terminal:
         self._probe, self._folder = probe, folder
         self.file, self.text, self._recorded = folder / series.FILE, "", 0
         probe.node.create_service(SetBool, interface.GRAVITY_COMPENSATION, _done)
-        probe.node.create_service(Trigger, interface.body_topic("", "reset"), _done)
-        probe.node.create_service(Trigger, interface.DEMONSTRATE, _done)
+        begin = dict.fromkeys(("reset", "demonstrate"), lambda _: Answer(Code.DONE))
+        Server(probe.node, interface.SCENE_REQUEST, interface.SCENE_ANSWER, begin)
         probe.node.create_service(SetBool, interface.RECORD, self._record)
         self._master, slave = pty.openpty()
         parameters = {

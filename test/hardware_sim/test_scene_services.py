@@ -14,21 +14,18 @@ from wam_power_ros.ros import interface
 from wam_power_ros.ros.answers import Code
 
 
-def test_a_reset_is_refused_without_a_policy_and_away_from_its_start(
+def test_a_reset_is_refused_without_a_free_arm_and_away_from_the_start_of_its_policy(
     probe: Probe, processes: Processes
 ) -> None:
     hardware = Hardware(probe, processes, "lockstep")
     hardware.control()
-    assert hardware.ask(hardware.reset_service).code is Code.NOTHING
+    assert hardware.ask("reset").code is Code.BUSY
     policy = lift("far-away")
     far = Policy(**{**vars(policy), "q_start": policy.q_start + 0.3})
-    away = probe.until(
-        lambda: (
-            (answer := hardware.ask(hardware.reset_service)).code is Code.NOT_AT_START and answer
-        ),
-        "the refusal",
-    )
-    assert away.values == {"policy": far.id}
+    away = hardware.ask("reset", far)
+    assert away.code is Code.NOT_AT_START and "from the start of far-away" in away.text
+    few = hardware.ask("reset", Policy(**{**vars(policy), "q_start": policy.q_start[:6]}))
+    assert few.code is Code.REFUSED and "for 6 joints, not 7" in few.text
 
 
 def test_the_demonstrator_guides_the_arm_under_gravity_compensation_only(

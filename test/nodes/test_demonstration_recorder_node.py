@@ -292,10 +292,10 @@ def test_the_path_of_a_body_is_waited_for_when_its_rollout_has_finished(
 ) -> None:
     bench = Bench(probe, processes, tmp_path)
     paths = probe.publisher(NavPath, interface.rollout_topic("pancake"), interface.LATCHED)
-    finished = probe.publisher(String, interface.ROLLOUT_FINISHED, interface.LATCHED)
+    tool = probe.publisher(NavPath, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
     bench.start()
     bench.send(20)
-    finished.publish(String(data="{}"))
+    tool.publish(NavPath())
     probe.spin(0.2)
 
     def once() -> None:

@@ -52,12 +52,9 @@ class Rehearsal:
         """The path of a rollout of this policy, by a controller that is started for it."""
         paths = self.probe.listen(PathMessage, interface.ROLLOUT_END_EFFECTOR, interface.LATCHED)
         self.processes.node("wam_power_ros.nodes.torque_controller", self.file)
-        for do, to in (
-            ("move_to_start", "CONTROLLER"),
-            ("reset", "SCENE"),
-            ("execute", "CONTROLLER"),
-        ):
-            self.probe.insist(do, policy, to)
+        self.probe.insist("move_to_start", policy)
+        self.probe.insist("reset", policy, "SCENE")
+        self.probe.insist("execute", policy)
         message = self.probe.until(lambda: paths and paths[-1], "the path")
         return pose_messages.path(message)
 

@@ -167,7 +167,8 @@ def test_a_long_movement_is_replayed_and_one_too_fast_refused_when_it_is_asked_f
             arm.send()
             labels.add(arm.answer().label)
         assert "fault" not in labels
-        return None if replay[0].code is Code.BEGUN else replay[0]
+        answer = probe.until(lambda: replay, "the answer")[0]
+        return None if answer.code is Code.BEGUN else answer
 
     refusal = asked(0.01)
     assert refusal.code is Code.TOO_FAST and 0.0 < float(refusal.values["speed"]) < 1.0

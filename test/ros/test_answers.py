@@ -33,4 +33,4 @@ def test_a_sentence_that_mentions_a_code_does_not_become_one() -> None:
 
 def test_a_value_with_a_space_is_refused() -> None:
     with pytest.raises(ValueError, match="policy='a b'"):
-        Answer(Code.DONE, values={"policy": "a b"})
+        str(Answer(Code.DONE, values={"policy": "a b"}))

@@ -25,9 +25,8 @@ def test_frames_have_the_namespace_of_their_arm_as_prefix() -> None:
 
 def test_topics_follow_the_name_of_the_tracked_body() -> None:
     assert interface.body_topic("pancake", "state") == "pancake/state"
-    assert interface.body_topic("ball", "reset") == "ball/reset"
+    assert interface.body_topic("ball", "drop") == "ball/drop"
     assert interface.rollout_topic("ball") == "rollout/ball"
-    assert interface.body_topic("", "reset") == "scene/reset"
     assert interface.body_topic("", "truth") == "scene/truth"
 
 

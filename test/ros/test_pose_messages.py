@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from std_msgs.msg import String
 
-from wam_power_ros.faults import Fault, FaultKind
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath
 from wam_power_ros.ros import interface, pose_messages
 
@@ -105,31 +104,6 @@ def test_a_path_whose_time_stands_still_is_refused() -> None:
     message.poses[1].header.stamp = message.poses[0].header.stamp
     with pytest.raises(ValueError, match="increase"):
         pose_messages.path(message)
-
-
-@given(st.integers(1, 10**18), st.sampled_from([None, *FaultKind]), st.text(max_size=40))
-def test_the_end_of_a_rollout_keeps_its_id_start_fault_and_region(
-    start_ns: int, kind: FaultKind | None, text: str
-) -> None:
-    there = pose_messages.Finished("trial-0007", start_ns, kind and Fault(kind, text), "", text)
-    assert pose_messages.finished(pose_messages.finished_message(there)) == there
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "[]",
-        '{"id": "a"}',
-        '{"id": "a", "start": {"sec": 1}, "fault": null}',
-        '{"id": "a", "start": {"sec": 1, "nanosec": 0}, "fault": {"kind": "luck", "text": ""}}',
-        '{"id": "a", "start": {"sec": 1, "nanosec": 0}, "fault": 7}',
-        '{"id": "a", "start": {"sec": Infinity, "nanosec": 0}, "fault": null}',
-    ],
-)
-def test_what_is_no_end_of_a_rollout_is_refused(text: str) -> None:
-    with pytest.raises(ValueError):
-        pose_messages.finished(String(data=text))
 
 
 @given(st.integers(1, 10**18))

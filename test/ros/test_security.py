@@ -99,14 +99,18 @@ def test_the_table_follows_the_name_of_the_body(tmp_path: Path) -> None:
         for node, kinds in topics(RIGHTS).items()
     }
     assert set(RIGHTS) - set(none) == {"pancake_tracker", "optitrack_sim"}
-    assert "/scene/reset" in none["learner"].calls and "/scene/reset" in none["wam_sim"].serves
+    assert "/scene/truth" in none["learner"].subscribes
     assert not any("pancake" in name for right in none.values() for name in right.subscribes)
 
 
 def test_the_recorder_only_listens_and_the_learner_only_proposes() -> None:
     recorder, learner = RIGHTS["demonstration_recorder"], RIGHTS["learner"]
     assert (recorder.publishes, recorder.calls) == ((interface.DIAGNOSTICS,), ())
-    assert set(learner.publishes) == {f"/{interface.POLICY}", f"/{interface.LEARNER_MARKERS}"}
+    proposes = {f"/{interface.CONTROLLER_REQUEST}", f"/{interface.SCENE_REQUEST}"}
+    assert set(learner.publishes) - proposes == {
+        f"/{interface.LEARNER_ANSWER}",
+        f"/{interface.LEARNER_MARKERS}",
+    }
     assert {name.split("/")[1] for name in learner.serves} == {"learner"}
 
 

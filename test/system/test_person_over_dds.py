@@ -26,7 +26,6 @@ from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import Record
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import answers, interface
-from wam_power_ros.ros.answers import Code
 from wam_power_ros.tasks.flip.settings import FLIP_FIT
 
 TAUGHT, LATER = sorted((ROOT / "bags").glob("demo_*"))[:2]
@@ -87,8 +86,8 @@ def test_a_person_rates_and_teaches_a_running_learner_and_kill_9_changes_nothing
     probe.until(rollouts, "a first rollout", 300.0)
     assert say(interface.LEARNER_REWARD).startswith("trial-0001 rewarded: return ")
     assert probe.call(SetBool, interface.LEARNER_PAUSE, SetBool.Request(data=True)).success
-    refused = probe.call(Trigger, interface.LEARNER_DEMONSTRATION, deadline=300.0)
-    assert answers.read(refused.success, refused.message).code is Code.NOTHING
+    refused = probe.ask("add_demonstration", to="LEARNER")
+    assert probe.until(lambda: refused, "an answer", 300.0)[0].text == "the request names no bag"
     status, answer = tell("demonstration", LATER.parent)  # no bag, but a folder of them
     # the middleware may write lines, too
     assert status == 2 and f"\nrefused: {LATER.parent}" in f"\n{answer}", answer

@@ -290,9 +290,6 @@ def test_a_learner_killed_in_mid_rollout_learns_the_same_when_started_again(
         ROLLOUTS[0], np.array([0.0, 0.01]), np.zeros((2, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
     )
     left_path.publish(pose_messages.path_message(path, 2_000_000, interface.BASE_FRAME))
-    left_end = probe.publisher(String, interface.ROLLOUT_FINISHED, interface.LATCHED)
-    finished = pose_messages.Finished(ROLLOUTS[0], 2_000_000, None)
-    left_end.publish(pose_messages.finished_message(finished))
     long_ago = pose_messages.GroundTruth(8_000_000, {"id": ROLLOUTS[0], "caught": "long ago"})
     left_truth.publish(pose_messages.ground_truth_message(long_ago))
     assert probe.call(SetBool, interface.RECORD, SetBool.Request(data=True)).success

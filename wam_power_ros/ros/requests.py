@@ -88,7 +88,7 @@ def read_answer(message: String) -> tuple[str, Answer]:
     try:
         id, code, text = (values.pop(name) for name in ("id", "code", "text"))
         return str(id), Answer(Code(code), str(text), values)
-    except (AttributeError, KeyError) as error:
+    except (AttributeError, KeyError, TypeError) as error:
         raise ValueError(f"{message.data[:200]!r} must be an answer: {error!r}") from error
 
 
