@@ -99,9 +99,12 @@ class Hardware:
         return answers[-1]
 
     def free(self) -> None:
-        """Begin gravity compensation."""
+        """Begin gravity compensation, once the torque that holds the arm is known."""
         request = SetBool.Request(data=True)
-        assert self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success
+        self.probe.until(
+            lambda: self.probe.call(SetBool, interface.GRAVITY_COMPENSATION, request).success,
+            "gravity compensation",
+        )
 
     def give_back(self) -> None:
         """End gravity compensation."""

@@ -192,6 +192,10 @@ class Link:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
 
+    def has_reader(self, topic: str) -> bool:
+        """Whether a node subscribes to a topic now."""
+        return not self._ended and bool(self.node.count_subscribers(topic))
+
     # Services
 
     def prepare(self, *names: str, data: Data = None) -> None:

@@ -132,7 +132,7 @@ class View(Node):
         """
 
         def teach() -> Answer:
-            simulated = self.link.node.count_subscribers(interface.SCENE_REQUEST)
+            simulated = self.link.has_reader(interface.SCENE_REQUEST)
             return self._feedback.teach(self._robot, None if simulated else lead, notify)
 
         return self._answered(teach)
