@@ -25,7 +25,7 @@ from wam_power_ros.learning.policy import from_json
 from wam_power_ros.practice import session
 from wam_power_ros.practice.session import SessionError
 from wam_power_ros.practice.settings import preset
-from wam_power_ros.ros import pose_messages
+from wam_power_ros.ros import pose_messages, requests
 
 DEEP = "[" * 100_000 + "]" * 100_000
 DATA = st.recursive(
@@ -129,8 +129,8 @@ def test_a_hostile_text_of_a_bag_a_series_or_a_message_is_refused_by_name(tmp_pa
     (tmp_path / series.FILE).write_text(DEEP)
     with pytest.raises(ValueError, match=r"demonstrations\.json is nested deeper"):
         series.read(tmp_path / series.FILE)
-    with pytest.raises(ValueError, match="the end of a rollout is nested deeper"):
-        pose_messages.finished(pose_messages.String(data=DEEP))
+    with pytest.raises(ValueError, match="a request is nested deeper"):
+        requests.request(DEEP)
     with pytest.raises(ValueError, match="the ground truth of a rollout is nested deeper"):
         pose_messages.ground_truth(pose_messages.String(data=DEEP))
     with pytest.raises(ValueError, match="policy text is nested deeper"):
