@@ -22,7 +22,6 @@ from wam_power_ros.control.arm import Arm
 from wam_power_ros.learning import demonstration
 from wam_power_ros.learning.policy import from_json
 from wam_power_ros.practice import session
-from wam_power_ros.practice.session import SessionError
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.ros import pose_messages
 
@@ -106,7 +105,7 @@ def test_a_hostile_file_of_a_session_is_refused_by_name_and_line(
 ) -> None:
     folder = begun(tmp_path / "s")
     (folder / name).write_text(text)
-    with pytest.raises(SessionError, match=says):
+    with pytest.raises(ValueError, match=says):
         session.Session.open(folder)
 
 
