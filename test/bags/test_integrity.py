@@ -30,7 +30,9 @@ from wam_power_ros.bags.mcap_records import HEADER
 from wam_power_ros.bags.reader import read_demonstration
 from wam_power_ros.bags.recovery import recover
 from wam_power_ros.bags.writer import BagWriter
+from wam_power_ros.params.resources import share
 
+SHIPPED = sorted(path.parent for path in share("bags").glob("*/metadata.yaml"))
 CHUNK = Opcode.CHUNK
 CHUNK_HEADER = struct.Struct("<QQQI")  # first and last stamp, unpacked size, checksum
 BLOCKED = 20  # [s] after which a reader counts as blocked
@@ -141,6 +143,28 @@ def test_another_reader_of_the_format_agrees_with_the_checksums(bag: Path) -> No
     assert ends[0].data_section_crc and ends[1].summary_crc
     (at,) = [at for at, opcode, _ in records(whole) if opcode == Opcode.DATA_END]
     assert zlib.crc32(whole[:at]) == ends[0].data_section_crc
+
+
+@pytest.mark.requirement("S-57")
+@pytest.mark.parametrize("shipped", SHIPPED, ids=lambda path: path.name)
+def test_a_shipped_bag_has_checksums_and_a_flipped_byte_in_it_is_refused_by_name(
+    shipped: Path, tmp_path: Path
+) -> None:
+    copy = Path(shutil.copytree(shipped, tmp_path / shipped.name))
+    file = copy / f"{copy.name}.mcap"
+    whole = file.read_bytes()
+    for at, opcode, length in records(whole):
+        body = whole[at + HEADER.size :][:length]
+        if opcode == CHUNK:
+            assert CHUNK_HEADER.unpack_from(body)[3]
+        elif opcode in (Opcode.DATA_END, Opcode.FOOTER):  # the checksum is last
+            assert any(body[-4:])
+    for place in np.random.default_rng(3).integers(0, len(whole), 10).tolist():
+        file.write_bytes(flipped(whole, place, 0))
+        with pytest.raises(ValueError, match=str(copy)):
+            Bag(copy)
+    file.write_bytes(whole)
+    assert Bag(copy).notes == Bag(shipped).notes
 
 
 @pytest.mark.requirement("S-57")

@@ -11,7 +11,7 @@ import pytest
 from reproduction.studies.reaching_arm import taught_scenario
 from wam_power_ros.in_process import session_answer
 from wam_power_ros.params import overlay
-from wam_power_ros.practice.session import Session, SessionError
+from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 
 
@@ -58,12 +58,12 @@ def test_the_answer_of_an_unknown_world_is_executed_in_that_world(tmp_path: Path
 def test_a_session_without_a_policy_is_refused(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 0.0)
     (folder / "policy.json").unlink()
-    with pytest.raises(SessionError, match="no policy yet"):
+    with pytest.raises(ValueError, match="no policy yet"):
         session_answer.run(folder, film=False)
 
 
 def test_a_session_that_does_not_say_in_which_set_up_it_ran_is_not_executed(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 0.0)
     (folder / "logs" / "parameters.yaml").unlink()
-    with pytest.raises(SessionError, match=r"parameters.yaml, the set-up .*, is missing"):
+    with pytest.raises(ValueError, match=r"parameters.yaml, the set-up .*, is missing"):
         session_answer.run(folder, film=False)

@@ -21,7 +21,7 @@ from toss_task import (
 from wam_power_ros.learning.policy import Policy, to_json
 from wam_power_ros.learning.power import Power
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionError, read
+from wam_power_ros.practice.session import Session, read
 from wam_power_ros.practice.session_log import (
     Event,
     Line,
@@ -307,7 +307,7 @@ def test_a_session_killed_after_any_line_and_resumed_is_the_same_session(tmp_pat
         assert (folder / "rollouts.jsonl").read_bytes() == whole
         assert next_trial(practice_in(folder)) == expected
     found = read(folder)
-    assert [policy.id for policy in found.candidates] == [
+    assert [policy.id for policy in found.policies] == [
         "flick-1",
         "flick-2",
         "flick-91",
@@ -322,7 +322,7 @@ def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
     lines = (folder / "rollouts.jsonl").read_bytes().splitlines(keepends=True)
     kinds = [json.loads(text)["schema"].split("/")[1] for text in lines]
     for kind, change, reason in (
-        ("rating", {"amount": "much"}, "amount: "),
+        ("rating", {"amount": "much"}, "amount = 'much': "),
         ("rating", {"after": 99}, "a line that takes effect after rollout 99 cannot follow"),
         ("rating", {"rollout": 99}, "rollout 99 is rated before it is recorded"),
         ("demonstration", {"id": "other"}, "holds policy 'flick-91', expected 'other'"),
@@ -332,7 +332,7 @@ def test_lines_of_a_person_that_are_damaged_are_named(tmp_path: Path) -> None:
         damaged = json.dumps({**json.loads(lines[place]), **change}).encode() + b"\n"
         text = b"".join([*lines[:place], damaged, *lines[place + 1 :]])
         (folder / "rollouts.jsonl").write_bytes(text)
-        with pytest.raises(SessionError, match=reason):
+        with pytest.raises(ValueError, match=reason):
             practice_in(folder)
 
 

@@ -24,7 +24,7 @@ from wam_power_ros import durable_files
 from wam_power_ros.learning.policy import Policy, from_json, to_json
 from wam_power_ros.practice.log_file import ACKNOWLEDGED
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionError, SessionHeader, read
+from wam_power_ros.practice.session import Session, SessionHeader, read
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.tasks.flip.assessment import Assessment
 
@@ -241,9 +241,9 @@ def test_a_torn_line_is_cut_off_on_the_disk_too(
 def test_only_one_learner_writes_a_session(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 1)
     with Session.open(folder) as session:
-        with pytest.raises(SessionError, match="being written by another learner"):
+        with pytest.raises(ValueError, match="being written by another learner"):
             Session.open(folder)
-        with pytest.raises(SessionError, match="being written by another learner"):
+        with pytest.raises(ValueError, match="being written by another learner"):
             Session.begin(folder, SETTINGS, 0, CANDIDATES)
         go_on(session, session.practice(ANY_ARM), 1)
     Session.open(folder).close()
@@ -252,12 +252,12 @@ def test_only_one_learner_writes_a_session(tmp_path: Path) -> None:
 def test_a_session_is_not_begun_over_another(tmp_path: Path) -> None:
     folder = begun(tmp_path / "s", 1)
     before = (folder / "rollouts.jsonl").read_bytes()
-    with pytest.raises(SessionError, match="holds a session already"):
+    with pytest.raises(ValueError, match="holds a session already"):
         Session.begin(folder, SETTINGS, 0, CANDIDATES)
     assert (folder / "rollouts.jsonl").read_bytes() == before
-    with pytest.raises(SessionError, match=r"no session\.yaml"):
+    with pytest.raises(ValueError, match=r"no session\.yaml"):
         Session.open(tmp_path / "elsewhere")
-    with pytest.raises(SessionError, match=r"no session\.yaml"):
+    with pytest.raises(ValueError, match=r"no session\.yaml"):
         read(tmp_path)
     assert not Session.exists(tmp_path) and Session.exists(folder)
 
@@ -288,10 +288,10 @@ def test_a_log_that_may_not_grow_is_left_as_it_was(tmp_path: Path) -> None:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         assert log.read_bytes() == before
         session.append(record)
-        with pytest.raises(SessionError, match="rollout 4 cannot follow rollout 4"):
+        with pytest.raises(ValueError, match="rollout 4 cannot follow rollout 4"):
             session.append(record)
     assert len(read(folder).records) == 4
-    with pytest.raises(SessionError, match="closed"):
+    with pytest.raises(ValueError, match="closed"):
         session.append(record)
 
 
@@ -304,36 +304,36 @@ def test_a_malformed_line_is_named_and_nothing_is_changed(tmp_path: Path) -> Non
         (b"{broken\n", "line 2: the line is not JSON"),
         (b"\n", "line 2: the line is not JSON"),
         (b"\xff\xfe\n", "line 2: 'utf-8' codec"),
-        (b"[]\n", "line 2: file: Input should be"),
+        (b"[]\n", "line 2: Input should be"),
         (b"NaN\n", "line 2: .* NaN is not a finite number"),
-        (json.dumps({**record, "ret": -1.0}).encode() + b"\n", "line 2: ret: .* got -1.0"),
-        (json.dumps({**record, "ret": "high"}).encode() + b"\n", "line 2: ret: .* got high"),
-        (json.dumps({**record, "extra": 1}).encode() + b"\n", "line 2: extra: "),
-        (json.dumps({**record, "schema": "x/2"}).encode() + b"\n", "line 2: schema: "),
+        (json.dumps({**record, "ret": -1.0}).encode() + b"\n", "line 2: ret = -1.0: Input"),
+        (json.dumps({**record, "ret": "high"}).encode() + b"\n", "line 2: ret = 'high': Input"),
+        (json.dumps({**record, "extra": 1}).encode() + b"\n", "line 2: extra = 1: "),
+        (json.dumps({**record, "schema": "x/2"}).encode() + b"\n", "line 2: schema = 'x/2': "),
         (lines[0], "line 2: rollout 1 cannot follow rollout 1"),
     ]:
         text = b"".join([lines[0], damaged, *lines[2:]])
         log.write_bytes(text)
         for look in (Session.open, read):
-            with pytest.raises(SessionError, match=rf"rollouts\.jsonl, {reason}"):
+            with pytest.raises(ValueError, match=rf"rollouts\.jsonl, {reason}"):
                 look(folder)
         assert log.read_bytes() == text
     changed = json.dumps({**record, "z": [1.0] * len(record["z"])}).encode() + b"\n"
     text = b"".join([lines[0], changed, *lines[2:]])
     log.write_bytes(text)
     acknowledge(folder, text)  # changed before it was written
-    with Session.open(folder) as session, pytest.raises(SessionError, match="record 2: z is not"):
+    with Session.open(folder) as session, pytest.raises(ValueError, match="record 2: z is not"):
         session.practice(ANY_ARM)
 
 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"seed": -1}, "seed: Input should be greater"),
-        ({"seed": None}, "seed: "),
-        ({"schema": "wam_power_ros/session/9"}, "schema: "),
-        ({"candidates": []}, "candidates: "),
-        ({"surprise": 1}, "surprise: Extra inputs"),
+        ({"seed": -1}, "seed = -1: Input should be greater"),
+        ({"seed": None}, "seed = None: "),
+        ({"schema": "wam_power_ros/session/9"}, "schema = 'wam_power_ros/session/9': "),
+        ({"candidates": []}, r"candidates = \[\]: "),
+        ({"surprise": 1}, "surprise = 1: Extra inputs"),
         ({"settings": {"task": "flip"}}, "settings.task_settings: Field required"),
         ({"settings": {"task": "fly", "learner": "power"}}, "settings: .*task 'fly' is not one of"),
         (
@@ -346,7 +346,7 @@ def test_a_malformed_header_is_named(tmp_path: Path, change: dict, reason: str) 
     folder = begun(tmp_path / "s", 1)
     path = folder / "session.yaml"
     path.write_text(yaml.safe_dump({**yaml.safe_load(path.read_text()), **change}))
-    with pytest.raises(SessionError, match=rf"session\.yaml: {reason}"):
+    with pytest.raises(ValueError, match=rf"session\.yaml: {reason}"):
         Session.open(folder)
     Session.begin(tmp_path / "other", SETTINGS, 0, CANDIDATES).close()  # no lock is left behind
 
@@ -358,19 +358,19 @@ def test_headers_that_would_run_code_and_candidates_that_differ_are_refused(tmp_
     text = path.read_text()
     for damage in ("!!python/object/apply:os.getcwd []", "a: [", "5", "a: &a [1]\nb: [*a, *a]"):
         path.write_text(damage)
-        with pytest.raises(SessionError) as refused:
+        with pytest.raises(ValueError) as refused:
             Session.open(folder)
         assert str(refused.value).count("session.yaml") == 1
     path.write_text(text.replace("flick-2", "../../x"))
-    with pytest.raises(SessionError, match=r"session\.yaml: candidates: .* must match"):
+    with pytest.raises(ValueError, match=r"session\.yaml: candidates = .* must match"):
         Session.open(folder)
     path.write_text(text)
     candidate = folder / "candidates" / "flick-2.json"
     candidate.write_text(to_json(CANDIDATES[0]))
-    with pytest.raises(SessionError, match=r"flick-2\.json: holds policy 'flick-1'"):
+    with pytest.raises(ValueError, match=r"flick-2\.json: holds policy 'flick-1'"):
         Session.open(folder)
     candidate.unlink()
-    with pytest.raises(SessionError, match=r"flick-2\.json: .*No such file"):
+    with pytest.raises(ValueError, match=r"flick-2\.json: .*No such file"):
         Session.open(folder)
 
 
@@ -441,7 +441,7 @@ def test_a_log_that_lost_what_was_acknowledged_is_an_error_and_never_begun_again
     assert there != whole
     for look in (Session.open, read):
         with pytest.raises(
-            SessionError,
+            ValueError,
             match=rf"rollouts\.jsonl {why}.* 6 rollouts in .* Restore it from a backup",
         ):
             look(folder)
@@ -464,7 +464,7 @@ def test_a_session_of_before_the_acknowledgements_is_known_by_its_policy_to_have
     assert json.loads((folder / ACKNOWLEDGED).read_text())["rollouts"] == 6
     (folder / ACKNOWLEDGED).unlink()
     damage(folder / "rollouts.jsonl")
-    with pytest.raises(SessionError, match=r"rollouts\.jsonl has no rollout, but .*policy\.json"):
+    with pytest.raises(ValueError, match=r"rollouts\.jsonl has no rollout, but .*policy\.json"):
         Session.open(folder)
 
 
@@ -478,7 +478,7 @@ def test_a_fifo_in_place_of_a_file_of_a_session_is_refused_at_once(
     folder = begun(tmp_path / "s", 2)
     (folder / name).unlink()
     os.mkfifo(folder / name)
-    with pytest.raises(SessionError, match=f"{name} is a FIFO"):
+    with pytest.raises(ValueError, match=f"{name} is a FIFO"):
         Session.open(folder)
 
 
@@ -523,5 +523,5 @@ def test_a_disk_that_refuses_the_acknowledgement_costs_no_rollout(
 
 def test_the_task_of_a_session_is_read_from_its_folder(tmp_path: Path) -> None:
     assert read(begun(tmp_path / "session")).task.name == "flip"
-    with pytest.raises(SessionError, match="holds no session"):
+    with pytest.raises(ValueError, match="holds no session"):
         read(tmp_path)

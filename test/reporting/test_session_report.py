@@ -12,7 +12,7 @@ from toss_task import ANY_ARM, demonstrated_policy
 from wam_power_ros.learning.rollout import BodyPath, EndEffectorPath, Rollout
 from wam_power_ros.practice import session
 from wam_power_ros.practice.practice import Practice
-from wam_power_ros.practice.session import Session, SessionError
+from wam_power_ros.practice.session import Session
 from wam_power_ros.practice.settings import preset
 from wam_power_ros.reporting import session_report, terminal
 from wam_power_ros.tasks.flip.task import Flip
@@ -157,7 +157,7 @@ def test_a_session_without_rollouts_has_a_report(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_session_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SessionError, match=r"no session\.yaml"):
+    with pytest.raises(ValueError, match=r"no session\.yaml"):
         session_report.write(tmp_path)
 
 

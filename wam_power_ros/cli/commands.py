@@ -45,7 +45,7 @@ from wam_power_ros.entry import INTERRUPTED
 from wam_power_ros.params import overlay, parameter_file
 
 if TYPE_CHECKING:
-    from wam_power_ros.practice.session import Contents
+    from wam_power_ros.practice.session import Session
 
 
 # On the arm or its stand-in
@@ -140,13 +140,13 @@ def learn(
     return report(folder)
 
 
-def _has_ended(session: Contents) -> bool:
+def _has_ended(session: Session) -> bool:
     """Whether all re-tests, the last rollouts of a session, are recorded."""
     done = sum(record.kind == "retest" and record.ret is not None for record in session.records)
     return 0 < session.header.settings.practice.retests <= done
 
 
-def _report_ended(session: Contents, devices: Devices) -> int:
+def _report_ended(session: Session, devices: Devices) -> int:
     """Print the result of a session that has ended and how to practise longer; start nothing."""
     from wam_power_ros.reporting import terminal
 

@@ -49,19 +49,19 @@ def run(folder: Path, film: bool) -> session_report.ShownRollout:
     """Execute the final policy of a session; with `film`, write `film.webp` into its folder.
 
     Raises:
-        session.SessionError: There is no session, it has no policy yet, or it does not say in which
-            set-up it ran.
+        ValueError: There is no session, it has no policy yet, or it does not say in which set-up it
+            ran.
         RuntimeError: OpenGL, which the film needs, is missing.
     """
     found = session.read(folder)
     task = found.task
     saved = folder / "policy.json"
     if not saved.exists():
-        raise session.SessionError(f"{folder} has no policy yet")
+        raise ValueError(f"{folder} has no policy yet")
     answer = policy.from_json(saved.read_text())
     parameters = folder / "logs" / "parameters.yaml"
     if not parameters.exists():
-        raise session.SessionError(f"{parameters}, the set-up of the session, is missing")
+        raise ValueError(f"{parameters}, the set-up of the session, is missing")
     setup = overlay.read(parameters).changed({"wam_sim": {"seed": found.header.seed}})
     environment = Environment.of(setup)
     world = environment.world

@@ -298,7 +298,7 @@ class Learner(Node):
 
     def _check_arm(self, session: Session) -> None:
         """Refuse a session with policies of another arm, including demonstrations added later."""
-        for policy in read(session.folder).candidates:
+        for policy in session.policies:
             if why := refusal(policy.arm, self._arm.identity):
                 session.close()
                 raise SessionFailed(f"{session.folder}: policy {policy.id} {why}")

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Improvement of one demonstration by a learner, feasible sampling and a stopping rule."""
+"""Improvement of one demonstration by a learner, feasible sampling and a stopping rule.
+
+Coordinates are infeasible when the simulation of their policy on the rigid-body model ends in a
+fault. Infeasible samples are rejected; after 20 rejections, the last is shrunk to feasible
+coordinates. The number of rejections is logged: a replay passes it in, and nothing is simulated.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +14,15 @@ from typing import Protocol
 import numpy as np
 
 from wam_power_ros.faults import Fault
+from wam_power_ros.learning.learner import Learner
 from wam_power_ros.learning.parametrization import Parametrization
 from wam_power_ros.learning.policy import Policy
-from wam_power_ros.practice.feasible_sampler import sample, shrink
 from wam_power_ros.practice.session_log import Kind, Record
-from wam_power_ros.practice.settings import SessionSettings
-from wam_power_ros.practice.stopping_rule import StoppingRule
-from wam_power_ros.tasks.task import Task
+from wam_power_ros.practice.settings import PracticeSettings, SessionSettings
+from wam_power_ros.tasks.task import LoggedRollout, Task
+
+REJECTIONS_MAX = 20
+HALVINGS_MAX = 5  # of the distance from coordinates that ran without a fault to infeasible ones
 
 
 class ArmModel(Protocol):
@@ -54,6 +61,110 @@ def feasibility(
         return arm.infeasible(policy, overruns) is None
 
     return is_feasible
+
+
+def sample(
+    learner: Learner,
+    ran: np.ndarray,
+    is_feasible: Callable[[np.ndarray], bool],
+    rejections: int | None = None,
+) -> tuple[np.ndarray, int]:
+    """Draw a feasible sample from a learner; after 20 infeasible ones, shrink the last.
+
+    Args:
+        learner: Learner to draw from.
+        ran: Coordinates that ran without a fault. Shape (size,).
+        is_feasible: Returns whether coordinates are feasible; must be deterministic.
+        rejections: Logged number of rejections in a replay, else None.
+
+    Returns:
+        Coordinates (size,), and the number of rejections and halvings.
+    """
+    draws = REJECTIONS_MAX if rejections is None else min(rejections + 1, REJECTIONS_MAX)
+    for count in range(draws):
+        z = learner.ask()
+        if rejections is None and is_feasible(z):
+            return z, count
+    if rejections is not None and rejections < REJECTIONS_MAX:
+        return z, rejections
+    halvings = None if rejections is None else rejections - REJECTIONS_MAX
+    z, halvings = shrink(z, ran, is_feasible, halvings)
+    return z, REJECTIONS_MAX + halvings
+
+
+def shrink(
+    z: np.ndarray,
+    ran: np.ndarray,
+    is_feasible: Callable[[np.ndarray], bool],
+    halvings: int | None = None,
+) -> tuple[np.ndarray, int]:
+    """Halve the distance from `ran` to `z` until the coordinates are feasible.
+
+    Args:
+        z: Desired coordinates. Shape (size,).
+        ran: Coordinates that ran without a fault; not simulated again. Shape (size,).
+        is_feasible: Returns whether coordinates are feasible; must be deterministic.
+        halvings: Logged number of halvings in a replay, else None.
+
+    Returns:
+        Coordinates (size,), and the number of halvings.
+    """
+    nearer = [z, *(ran + 0.5**count * (z - ran) for count in range(1, HALVINGS_MAX)), ran]
+    if halvings is None:
+        feasible = (count for count in range(HALVINGS_MAX) if is_feasible(nearer[count]))
+        halvings = next(feasible, HALVINGS_MAX)
+    return nearer[halvings], halvings
+
+
+class StoppingRule:
+    """Counts the successes in a row of one mean.
+
+    Attributes:
+        z: Coordinates of the mean being confirmed, None when there is none. Shape (size,).
+        count: Number of its successes in a row.
+        mean_is_due: Whether the mean is run next because an exploration succeeded.
+
+    Args:
+        settings: Settings; `confirm` is the required number of successes, 0 disables the rule.
+        confirms: Returns whether a success counts, see `Task.confirms`.
+    """
+
+    def __init__(
+        self, settings: PracticeSettings, confirms: Callable[[LoggedRollout], bool]
+    ) -> None:
+        self._settings = settings
+        self._confirms = confirms
+        self.z: np.ndarray | None = None
+        self.count = 0
+        self.mean_is_due = False
+
+    @property
+    def complete(self) -> bool:
+        """Whether the required number of successes is reached."""
+        return 0 < self._settings.confirm == self.count
+
+    def add(self, record: Record) -> str:
+        """Count a rollout of the practice; returns a remark for the log, may be empty."""
+        needed = self._settings.confirm
+        if needed == 0:
+            return ""
+        if record.kind == "mean":
+            self.mean_is_due, before = False, self.count
+            if record.success and self._confirms(record):
+                again = self.z is not None and record.z == self.z.tolist()
+                self.z, self.count = np.array(record.z), before + 1 if again else 1
+                return f"{self.count} of {needed} successes in a row"
+            self.z, self.count = None, 0
+            return f"ended after {before} successes in a row" if before else ""
+        if record.success and self._settings.mean_every == 0:
+            self.mean_is_due = True
+            return "a success: the mean is run to confirm it"
+        return ""
+
+    def forget(self, record: Record) -> None:
+        """Restart the count if a rollout that is no success any more was part of it."""
+        if self.z is not None and record.kind == "mean" and record.z == self.z.tolist():
+            self.z, self.count = None, 0
 
 
 class Improvement:
@@ -123,7 +234,7 @@ class Improvement:
         Args:
             records: Rollouts of the session so far.
             rejections: Logged number of rejections in a replay, else None; see
-                `feasible_sampler.sample`.
+                `sample`.
 
         Returns:
             Kind, coordinates (size,), number of rejections and purpose.

@@ -9,42 +9,19 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import re
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from wam_power_ros import durable_files, plain_json
 from wam_power_ros.practice.session_log import Line, Record, out_of_order, parse_line
+from wam_power_ros.practice.settings import in_one_line
 
 ACKNOWLEDGED = "acknowledged.json"
 RESTORE = "Restore it from a backup; nothing was changed."
 _LINE_MAX = 1_000_000  # length of a line, far above any real one [byte]
 
 _log = logging.getLogger(__name__)
-
-
-class SessionError(ValueError):
-    """A session folder cannot be used; the message has the reason."""
-
-
-def check_regular(path: Path) -> None:
-    """Raise SessionError if a path is not a regular file."""
-    try:
-        durable_files.check_regular(path)
-    except ValueError as error:
-        raise SessionError(str(error)) from None
-
-
-def brief(error: Exception) -> str:
-    """Message of an error in one line; of a validation error, the first fault."""
-    if isinstance(error, ValidationError):
-        first, *others = error.errors()
-        where = ".".join(str(part) for part in first["loc"]) or "file"
-        more = f" (and {len(others)} more)" if others else ""
-        rule = first["msg"].removeprefix("Value error, ")
-        return f"{where}: {rule}, got {str(first['input'])[:80]}{more}"
-    return re.sub(r"\s+", " ", str(error))
 
 
 class _Acknowledged(BaseModel):
@@ -74,12 +51,12 @@ class LogFile:
         """Read and open the log of a folder; truncate an incomplete last line left by a crash.
 
         Raises:
-            SessionError: The log is malformed, or has lost acknowledged lines.
+            ValueError: The log is malformed, or has lost acknowledged lines.
         """
         self.folder = folder
         self.lines, data = read_lines(folder)
         self._size, self._digest = len(data), hashlib.sha256(data)
-        self._file: int | None = self._open()
+        self._file = self._open()
         if self.lines and _read_acknowledged(folder) != self._state():
             self._acknowledge()  # killed before it could, or a session of an earlier version
 
@@ -87,22 +64,18 @@ class LogFile:
         """Append a line; when this returns, the line is on the disk.
 
         Raises:
-            SessionError: The line is not the next one of the log, or is too long.
+            ValueError: The line is not the next one of the log, or is too long.
             OSError: The disk refused the line; the log is unchanged as far as the disk allows.
         """
-        if self._file is None:
-            raise SessionError(f"session {self.folder} is closed")
         if why := out_of_order(entry, self._count):
-            raise SessionError(f"{self.folder}: {why}")
+            raise ValueError(f"{self.folder}: {why}")
         line = (entry.to_json() + "\n").encode()
         if len(line) > _LINE_MAX:
-            raise SessionError(f"{self.folder}: log line of {len(line)} bytes, limit {_LINE_MAX}")
+            raise ValueError(f"{self.folder}: log line of {len(line)} bytes, limit {_LINE_MAX}")
         try:
             parse_line(line.decode())
         except ValueError as error:  # such as a ground truth nested too deeply
-            raise SessionError(
-                f"{self.folder}: line would not be readable: {brief(error)}"
-            ) from None
+            raise ValueError(f"{self.folder}: line would not be readable: {error}") from None
         try:
             _write_all(self._file, line)
             os.fsync(self._file)
@@ -115,10 +88,8 @@ class LogFile:
         self._acknowledge()
 
     def close(self) -> None:
-        """Close the file; closing twice is fine."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+        """Close the file; nothing can be appended any more."""
+        os.close(self._file)
 
     @property
     def _count(self) -> int:
@@ -158,13 +129,13 @@ def read_lines(folder: Path) -> tuple[list[Line], bytes]:
     """Read the complete lines of a log, and their bytes.
 
     Raises:
-        SessionError: The log is malformed, or has lost acknowledged lines.
+        ValueError: The log is malformed, or has lost acknowledged lines.
     """
     path = folder / "rollouts.jsonl"
     acknowledged = _read_acknowledged(folder)  # before the log: a learner may be writing
     data = b""
     if path.is_symlink() or path.exists():
-        check_regular(path)
+        durable_files.check_regular(path)
         data = path.read_bytes()
     # A line without its line feed was never acknowledged, whatever it contains.
     size = data.rfind(b"\n") + 1
@@ -174,19 +145,19 @@ def read_lines(folder: Path) -> tuple[list[Line], bytes]:
         try:
             line = parse_line(text.decode())
         except ValueError as error:
-            raise SessionError(f"{path}, line {number}: {brief(error)}") from error
+            raise ValueError(f"{path}, line {number}: {error}") from None
         if why := out_of_order(line, count):
-            raise SessionError(f"{path}, line {number}: {why}")
+            raise ValueError(f"{path}, line {number}: {why}")
         count += isinstance(line, Record)
         log.append(line)
     if acknowledged is not None:
         _check_acknowledged(path, data, acknowledged)
     if len(data) - size > _LINE_MAX:
-        raise SessionError(
+        raise ValueError(
             f"{path}: {len(data) - size} bytes after line {len(log)} are not a log line"
         )
     if not count and acknowledged is None and (folder / "policy.json").exists():
-        raise SessionError(
+        raise ValueError(
             f"{path} has no rollout, but {folder / 'policy.json'} was learnt from some: they are "
             f"lost. {RESTORE} To begin again with the same demonstrations, delete policy.json"
         )
@@ -194,14 +165,14 @@ def read_lines(folder: Path) -> tuple[list[Line], bytes]:
 
 
 def _check_acknowledged(path: Path, data: bytes, acknowledged: _Acknowledged) -> None:
-    """Raise SessionError if the data of a log lack what was acknowledged."""
+    """Raise ValueError if the data of a log lack what was acknowledged."""
     if len(data) < acknowledged.bytes:
         found = f"has {len(data)} bytes" if path.exists() else "is missing"
     elif hashlib.sha256(data[: acknowledged.bytes]).hexdigest() != acknowledged.sha256:
         found = "has other contents"
     else:
         return
-    raise SessionError(
+    raise ValueError(
         f"{path} {found}: {acknowledged.rollouts} rollouts in {acknowledged.bytes} bytes were "
         f"acknowledged, and some of them are lost. {RESTORE} To continue with the rest, delete "
         f"{path.with_name(ACKNOWLEDGED)}"
@@ -216,9 +187,7 @@ def _read_acknowledged(folder: Path) -> _Acknowledged | None:
     try:
         return _Acknowledged.model_validate(plain_json.read(path))
     except ValidationError as error:
-        raise SessionError(f"{path}: {brief(error)}") from None
-    except ValueError as error:  # names the file
-        raise SessionError(brief(error)) from None
+        raise ValueError(f"{path}: {in_one_line(error)}") from None
 
 
 def _write_all(file: int, data: bytes) -> None:

@@ -80,7 +80,7 @@ class Practice:
       same z is executed again, up to `attempts` times, then dropped. So a transient failure does
       not change the course of learning.
     * A rollout ended by a motion limit is learnt from with return 0: the policy caused it.
-    * An infeasible policy is not executed, see `feasible_sampler`.
+    * An infeasible policy is not executed, see `improvement.sample`.
     * A mean that succeeds is run again, unchanged, until it fails or has succeeded `confirm` times
       in a row; all these runs are learnt from. Returns are noisy and lucky rollouts stay in the
       elite for ever; running the mean again separates luck from skill.
@@ -415,7 +415,7 @@ class Practice:
     # The next trial
 
     def _next_trial(self, rejections: int | None) -> Trial | None:
-        """The next trial; `rejections` is given in a replay, see `feasible_sampler.sample`."""
+        """The next trial; `rejections` is given in a replay, see `improvement.sample`."""
         if self._pending is None and not self.finished:
             self._pending = self._draw(rejections)
         return self._pending

@@ -25,7 +25,6 @@ import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -38,16 +37,10 @@ from wam_power_ros import durable_files, plain_json, plain_yaml
 from wam_power_ros.learning import policy as policies
 from wam_power_ros.learning.policy import Policy
 from wam_power_ros.practice.improvement import ArmModel
-from wam_power_ros.practice.log_file import (
-    LogFile,
-    SessionError,
-    brief,
-    check_regular,
-    read_lines,
-)
+from wam_power_ros.practice.log_file import LogFile, read_lines
 from wam_power_ros.practice.practice import Practice, check_candidates
 from wam_power_ros.practice.session_log import Line, NewDemonstration, Record, with_ratings
-from wam_power_ros.practice.settings import SessionSettings
+from wam_power_ros.practice.settings import SessionSettings, in_one_line
 from wam_power_ros.tasks.task import Task
 
 PACKAGES = ("numpy", "scipy", "pydantic", "pin", "mujoco", "rosbags", "ros-jazzy-rclpy")
@@ -103,36 +96,27 @@ def _read_head(folder: Path) -> tuple[SessionHeader, tuple[Policy, ...], dict[st
     """Header, candidates and context of a session.
 
     Raises:
-        SessionError: There is no session, or a file is malformed; names the file.
+        ValueError: There is no session, or a file is malformed; names the file.
     """
     path = folder / "session.yaml"
     if not path.is_file():
-        raise SessionError(f"{folder} holds no session: there is no session.yaml")
-    for needed in (path, folder / "task.json"):
-        check_regular(needed)
+        raise ValueError(f"{folder} holds no session: there is no session.yaml")
     try:
         header = SessionHeader.model_validate(plain_yaml.read(path))
     except ValidationError as error:
-        raise SessionError(f"{path}: {brief(error)}") from error
-    except ValueError as error:  # names the file
-        raise SessionError(brief(error)) from error
+        raise ValueError(f"{path}: {in_one_line(error)}") from None
     candidates = []
     for id in header.candidates:
         path = folder / "candidates" / f"{id}.json"
-        check_regular(path)
+        durable_files.check_regular(path)
         try:
             candidate = policies.from_json(path.read_text(encoding="utf-8"))
-        except (ValueError, OSError) as error:
-            raise SessionError(f"{path}: {error}") from error
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
         if candidate.id != id:
-            raise SessionError(f"{path}: holds policy {candidate.id!r}, expected {id!r}")
+            raise ValueError(f"{path}: holds policy {candidate.id!r}, expected {id!r}")
         candidates.append(candidate)
-    path = folder / "task.json"
-    try:
-        context = plain_json.read(path)
-    except (ValueError, OSError) as error:
-        raise SessionError(brief(error)) from error
-    return header, tuple(candidates), context
+    return header, tuple(candidates), plain_json.read(folder / "task.json")
 
 
 def _write_header(folder: Path, header: SessionHeader) -> None:
@@ -142,22 +126,27 @@ def _write_header(folder: Path, header: SessionHeader) -> None:
 
 
 class Session:
-    """A session folder, locked for writing; close it, or use it as a context manager.
+    """A session folder, read by `read` or locked for writing by `begin` and `open`.
+
+    Close a locked one, or use it as a context manager.
 
     Attributes:
         folder: Folder of the session.
         header: Contents of session.yaml.
         context: Contents of task.json.
         candidates: Policies that the session began with.
+        log: Lines of the log, oldest first.
     """
 
-    def __init__(self, folder: Path, lock: int) -> None:
-        """Use `begin` or `open`."""
+    def __init__(self, folder: Path, lock: int | None = None) -> None:
+        """Use `begin`, `open` or `read`; `lock` is the locked descriptor of the folder."""
         self.folder = folder
-        self._lock: int | None = lock
         self.header, self.candidates, self.context = _read_head(folder)
-        self._log = LogFile(folder)
-        self._compare_versions()
+        self._lock = lock
+        self._file = None if lock is None else LogFile(folder)
+        self.log = read_lines(folder)[0] if self._file is None else self._file.lines
+        if self._file is not None:
+            self._compare_versions()
 
     @staticmethod
     def exists(folder: Path | str) -> bool:
@@ -186,7 +175,7 @@ class Session:
             demonstrations: Bags that the candidates were fitted to.
 
         Raises:
-            SessionError: The folder holds a session already, or another process has locked it.
+            ValueError: The folder holds a session already, or another process has locked it.
             ValueError: `check_candidates` refuses the candidates.
         """
         check_candidates(candidates, settings.practice)
@@ -195,7 +184,7 @@ class Session:
         folder.mkdir(parents=True, exist_ok=True)
         with _locked(folder) as lock:
             if cls.exists(folder) or (folder / "rollouts.jsonl").exists():
-                raise SessionError(f"{folder} holds a session already; open it, or name another")
+                raise ValueError(f"{folder} holds a session already; open it, or name another")
             header = SessionHeader(
                 seed=seed,
                 settings=settings,
@@ -223,19 +212,37 @@ class Session:
         warning.
 
         Raises:
-            SessionError: There is no session, another process has locked it, a file is malformed,
+            ValueError: There is no session, another process has locked it, a file is malformed,
                 or the log has lost acknowledged lines; names the file and line.
         """
         folder = Path(folder)
         if not cls.exists(folder):
-            raise SessionError(f"{folder} holds no session: there is no session.yaml")
+            raise ValueError(f"{folder} holds no session: there is no session.yaml")
         with _locked(folder) as lock:
             return cls(folder, lock)
 
     @property
     def records(self) -> tuple[Record, ...]:
         """The rollouts on disk, oldest first, with their ratings."""
-        return with_ratings(self._log.lines)
+        return with_ratings(self.log)
+
+    @property
+    def policies(self) -> tuple[Policy, ...]:
+        """Policies of all demonstrations, including those added later."""
+        added = (line.candidate() for line in self.log if isinstance(line, NewDemonstration))
+        return (*self.candidates, *added)
+
+    @cached_property
+    def task(self) -> Task:
+        """Task of the session.
+
+        Raises:
+            ValueError: Its context is malformed.
+        """
+        try:
+            return self.header.settings.make_task(self.context)
+        except (ValueError, KeyError) as error:
+            raise ValueError(f"{self.folder}: {error}") from error
 
     def practice(self, arm: ArmModel) -> Practice:
         """The practice as it was after the last line on disk.
@@ -244,17 +251,23 @@ class Session:
             arm: Model of the arm for the rest of the session.
 
         Raises:
-            SessionError: The log does not follow from this session's settings and seed.
+            ValueError: The log does not follow from this session's settings and seed.
         """
         try:
             settings, seed = self.header.settings, self.header.seed
-            return Practice(settings, self.context, self.candidates, seed, arm, self._log.lines)
+            return Practice(settings, self.context, self.candidates, seed, arm, self.log)
         except ValueError as error:
-            raise SessionError(f"{self.folder / 'rollouts.jsonl'}: {error}") from error
+            raise ValueError(f"{self.folder / 'rollouts.jsonl'}: {error}") from error
 
     def append(self, entry: Line) -> None:
-        """Append a line to the log; see `LogFile.append`."""
-        self._log.append(entry)
+        """Append a line to the log; see `LogFile.append`.
+
+        Raises:
+            ValueError: The session is not locked for writing, or as `LogFile.append`.
+        """
+        if self._file is None:
+            raise ValueError(f"session {self.folder} is closed")
+        self._file.append(entry)
 
     def save_policy(self, policy: Policy) -> None:
         """Replace policy.json atomically: a reader sees the old or the new policy."""
@@ -262,10 +275,10 @@ class Session:
 
     def close(self) -> None:
         """Unlock the folder; may be called twice."""
-        self._log.close()
-        if self._lock is not None:
+        if self._file is not None and self._lock is not None:
+            self._file.close()
             os.close(self._lock)
-            self._lock = None
+            self._file = self._lock = None
 
     def __enter__(self) -> Session:
         return self
@@ -299,66 +312,26 @@ def _locked(folder: Path) -> Iterator[int]:
     """Lock a folder, until the descriptor is closed, the process ends or the block fails.
 
     Raises:
-        SessionError: Another process has locked it.
+        ValueError: Another process has locked it.
     """
     file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            raise SessionError(f"{folder} is being written by another learner") from error
+            raise ValueError(f"{folder} is being written by another learner") from error
         yield file
     except BaseException:
         os.close(file)
         raise
 
 
-@dataclass(frozen=True)
-class Contents:
-    """Contents of a session folder.
-
-    Attributes:
-        folder: Folder of the session.
-        header: Contents of session.yaml.
-        context: Contents of task.json.
-        candidates: Policies of the demonstrations, including those added later.
-        log: Lines of the log, oldest first.
-    """
-
-    folder: Path
-    header: SessionHeader
-    context: dict[str, Any]
-    candidates: tuple[Policy, ...]
-    log: tuple[Line, ...]
-
-    @cached_property
-    def records(self) -> tuple[Record, ...]:
-        """The rollouts, oldest first, with their ratings."""
-        return with_ratings(self.log)
-
-    @cached_property
-    def task(self) -> Task:
-        """Task of the session.
-
-        Raises:
-            SessionError: Its name or context is malformed.
-        """
-        try:
-            return self.header.settings.make_task(self.context)
-        except (ValueError, KeyError) as error:
-            raise SessionError(f"{self.folder}: {error}") from error
-
-
-def read(folder: Path | str) -> Contents:
+def read(folder: Path | str) -> Session:
     """Read a session without locking or changing it.
 
     A learner may be writing meanwhile; an incomplete line is not returned.
 
     Raises:
-        SessionError: There is no session, or a file is malformed; names the file and line.
+        ValueError: There is no session, or a file is malformed; names the file and line.
     """
-    folder = Path(folder)
-    header, candidates, context = _read_head(folder)
-    log, _ = read_lines(folder)
-    added = (line.candidate() for line in log if isinstance(line, NewDemonstration))
-    return Contents(folder, header, context, (*candidates, *added), tuple(log))
+    return Session(Path(folder))

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from wam_power_ros import plain_json
 from wam_power_ros.learning.policy import Policy, from_json
+from wam_power_ros.practice.settings import in_one_line
 
 Kind = Literal["reproduction", "explore", "mean", "retest"]
 
@@ -35,7 +36,7 @@ class Trial:
         demonstration: Id of the candidate that the coordinates refer to.
         attempt: 1, or more after rollouts of the same z without a return.
         rejections: Number of infeasible samples before this one, plus the number of halvings after
-            20 of them; for a mean or an answer the number of halvings, see `feasible_sampler`.
+            20 of them; for a mean or an answer the number of halvings, see `improvement.sample`.
         z: Coordinates. Shape (size,).
         theta: Learnt parameters in physical units. Shape (size,).
         policy: Policy to execute, at the coordinates z.
@@ -234,11 +235,14 @@ def parse_line(text: str) -> Line:
     """Parse a line of a log.
 
     Raises:
-        ValueError: The text is not JSON or none of the three kinds; names the field.
+        ValueError: The text is not JSON or none of the three kinds; names the fields.
     """
     data = plain_json.parse(text, "the line")
     schema = data.get("schema") if isinstance(data, dict) else None
-    return _KINDS.get(schema if isinstance(schema, str) else None, Record).model_validate(data)
+    try:
+        return _KINDS.get(schema if isinstance(schema, str) else None, Record).model_validate(data)
+    except ValidationError as error:
+        raise ValueError(in_one_line(error)) from None
 
 
 def out_of_order(line: Line, count: int) -> str:

@@ -94,13 +94,13 @@ def write(folder: Path, shown: ShownRollout | None = None, why_no_film: str = ""
         Path of the report.
 
     Raises:
-        session.SessionError: There is no session, or it is malformed.
+        ValueError: There is no session, or it is malformed.
     """
     found = session.read(folder)
     records = found.records
     practised = [record for record in records if record.kind != "reproduction"]
     learnt_from = practised[-1].demonstration if practised else None
-    start = next((candidate for candidate in found.candidates if candidate.id == learnt_from), None)
+    start = next((candidate for candidate in found.policies if candidate.id == learnt_from), None)
     saved = folder / "policy.json"
     answer = policy.from_json(saved.read_text()) if saved.exists() else None
     path = folder / "report.html"

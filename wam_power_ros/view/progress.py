@@ -67,7 +67,7 @@ class Progress:
         """Show new rollouts; returns True if the log has grown.
 
         Raises:
-            SessionError: The log cannot be read.
+            ValueError: The log cannot be read.
         """
         log = self._folder / "rollouts.jsonl"
         size = log.stat().st_size if log.exists() else 0

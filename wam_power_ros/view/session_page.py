@@ -62,7 +62,7 @@ class SessionPage:
         folder: Folder of the session.
 
     Raises:
-        SessionError: The session cannot be read.
+        ValueError: The session cannot be read.
     """
 
     def __init__(self, server: viser.ViserServer, folder: Path) -> None:

@@ -65,7 +65,7 @@ def of_session(
         environment: Returns the environment variables of a session's DDS domain, by its folder.
 
     Raises:
-        SessionError: The session cannot be read.
+        ValueError: The session cannot be read.
     """
     page = SessionPage(server, folder)
     page.tick(0.0)
