@@ -78,7 +78,7 @@ def test_a_policy_counts_as_completed_only_after_a_whole_rollout_whatever_its_id
 
 def test_a_rollout_that_ends_in_a_region_does_not_count_as_completed() -> None:
     region = Region("box", tuple(MOTION.position), 0.01)
-    them = rollouts(dataclasses.replace(SETTINGS, region=region))
+    them = rollouts(SETTINGS.model_copy(update={"region": region}))
     assert run(them, 1000) == 0 and them.stopped_in == ""
     them.end(state(0))
     assert not them.completed_before and them.stopped_in == "box"
